@@ -26,33 +26,27 @@ from tests.softening_bars import HEIGHT, STEEP, WIDTH, E, bar
 from thinlayer import ArcLength, Structure, ThinLayer, march
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
+def test_bad_values():
+    for values, message in [
         ({"end": math.inf}, "end is inf; allowed: a number$"),
         ({"first": 0.0}, "first is 0.0; allowed: a number > 0"),
         ({"largest": 0.1, "smallest": 0.2}, "largest is 0.1; allowed: >= smallest = 0.2"),
         ({"steps": 0}, "steps is 0; allowed: a whole number > 0"),
-    ],
-)
-def test_bad_values(values, message):
-    refused(InputError, f"ArcLength: {message}", lambda: ArcLength(**({"end": 1.0, "first": 0.1} | values)))
+    ]:
+        refused(InputError, f"ArcLength: {message}", ArcLength, **{"end": 1.0, "first": 0.1} | values)
 
 
-@pytest.mark.parametrize(
-    ("path", "options", "message"),
-    [
+def test_bad_paths(tmp_path):
+    for path, options, message in [
         (ArcLength(0.0, 0.1), {}, "end is 0; it must come after start = 0"),
         (ArcLength(1.0, 0.1, back=0.5), {}, "back is 0.5; it must be less than start = 0"),
         (ArcLength(1.0, 0.1), {"theta": 0.5}, "theta = 1"),
         (ArcLength(1.0, first=1e-200), {}, "lost in rounding"),
         (ArcLength(1e17 + 64, first=16.0), {"start": 1e17}, "lost in rounding"),
         (ArcLength(1.0, 0.1), {"options": {"ksp_nonsense": 1}}, "not read"),
-    ],
-)
-def test_bad_paths(path, options, message, tmp_path):
-    refused((InputError), message, lambda: march(bar(STEEP), path, out=tmp_path / "out", **options))
-    assert not (tmp_path / "out").exists()
+    ]:
+        refused(InputError, message, march, bar(STEEP), path, out=tmp_path / "out", **options)
+        assert not (tmp_path / "out").exists()
 
 
 @dataclass(frozen=True)
@@ -71,9 +65,8 @@ class Creeping(TractionLaw):
         return self.k * (step.mid - self.evolve(step)["flow"])
 
 
-@pytest.mark.parametrize(
-    ("law", "message"),
-    [
+def test_laws_that_have_no_path():
+    for law, message in [
         (KelvinVoigt(60.0, 40.0, 0.3, 0.5), "KelvinVoigt depends on rates, and t is no time on a path"),
         (Maxwell(60.0, 40.0, t1=0.7), "Maxwell creeps or relaxes, and t is no time on a path"),
         (Creeping(7.0, 0.3), "Creeping creeps or relaxes"),
@@ -82,10 +75,8 @@ class Creeping(TractionLaw):
             MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0),
             "MohrCoulomb bounds stresses: on a path loads stay",
         ),
-    ],
-)
-def test_laws_that_have_no_path(law, message):
-    refused(InputError, message, lambda: march(bar(law), ArcLength(1.0, 0.1)))
+    ]:
+        refused(InputError, message, march, bar(law), ArcLength(1.0, 0.1))
 
 
 def test_models_that_have_no_path():

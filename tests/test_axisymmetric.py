@@ -216,9 +216,8 @@ def _rods(**options):
     return structure(rods(), {"BOTTOM": 0}, **options)
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
+def test_what_cannot_be_turned():
+    for build, message in [
         (lambda: structure(rods().moved((-0.1, 0.0)), {}), r"x is the distance from the axis of revolution, and \d+ p"),
         (lambda: structure(tubes(r_S=0.0), {}), "allowed: x >= 0"),
         (lambda: structure(sandwich(1, 1, 1, 0.5, depth=0.5), {}), "plane='axisymmetric' needs a two-dimensional joint"),
@@ -231,7 +230,5 @@ def _rods(**options):
         (lambda: structure(periodic(rods(inner=0.5, radius=2.0), ("LEFT", "RIGHT")), {}), "repeats along the axis"),
         (lambda: homogenised_stiffness(_ring()), "plane='axisymmetric': a body of revolution has no mean strain"),
         (lambda: structure(block(1.0, 1.0, 0.5).rotated(-np.pi / 2), {}), "'S' lies on the axis, where it has no area"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_turned(build, message):
-    refused(InputError, message, build)
+    ]:  # fmt: skip
+        refused(InputError, message, build)

@@ -127,17 +127,14 @@ def test_bodies_reach_their_limit():
     assert found.value.t <= Y / math.sqrt(3) * (1 + 1e-9)
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("law", "message"),
-    [
+def test_laws_that_are_no_bodies():
+    for law, message in [
         (Stack((0.5, GLUE), (0.5, METAL)), "Stack is for layers: its sublayers lie across the thickness"),
         (NonMonotone(60.0, 40.0, 0.2, 0.02, ((0, 1), (1, 0))), "NonMonotone is for layers: its phases"),
         (MohrCoulombMonodirectional(60.0, 40.0, 0.2, 30.0), "Monodirectional is for layers: .* normal of S"),
-    ],
-)
-def test_laws_that_are_no_bodies(law, message):
-    refused(InputError, f"body 'UPPER': .*{message}", Structure, JOINT, body={"LOWER": GLUE, "UPPER": law}, supports={})
+    ]:
+        bodies = {"LOWER": GLUE, "UPPER": law}
+        refused(InputError, f"body 'UPPER': .*{message}", Structure, JOINT, body=bodies, supports={})
 
 
 def test_what_does_not_go_with_them_is_refused():

@@ -212,10 +212,8 @@ def kinds(joint, supports, parts=(), **data):
     return side_kinds(one)[order].tolist()
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("tilt", "supports", "expected"),
-    [
+def test_supports_of_the_side_of_a_layer():
+    for tilt, supports, expected in [
         (0.0, {"LEFT": {"x": 0.0}}, "symmetric"),
         (0.0, {"LEFT": {"y": 0.0}}, "antisymmetric"),
         (0.0, {"LEFT": {"y": 0.0}, "LEFT/LAYER": {"x": 0.0}}, "held"),
@@ -224,11 +222,8 @@ def kinds(joint, supports, parts=(), **data):
         (0.5, {"LEFT": {"x": 0.0}}, "oblique"),
         (0.02, {"LEFT": {"x": 0.0}}, "symmetric"),
         (0.0, {(0.0, 0.0): 0.0}, "free"),
-    ],
-)
-def test_supports_of_the_side_of_a_layer(tilt, supports, expected):
-    joint = sandwich(1.0, 0.5, 0.4, 0.25).rotated(tilt)
-    assert kinds(joint, supports) == [expected, "free"]
+    ]:
+        assert kinds(sandwich(1.0, 0.5, 0.4, 0.25).rotated(tilt), supports) == [expected, "free"]
 
 
 def test_what_else_holds_the_side_of_a_layer():

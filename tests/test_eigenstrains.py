@@ -285,10 +285,8 @@ def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused
         refused(InputError, message, hot.bonded)
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("given", "match"),
-    [
+def test_refused():
+    for given, match in [
         ("hot", "the eigenstrain of the body 'LOWER' is 'hot'"),
         ([1.0, 2.0], "a list of these that add up"),
         ([], "a list of these that add up"),
@@ -297,10 +295,9 @@ def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused
         (lambda x, t: ((x[0], x[1]), (x[0], x[1])), "is not symmetric"),
         (lambda x, t: ufl.lt(x[0], 1), "it needs .*of finite real numbers"),
         ({"MIDDLE": 1.0}, "unknown body 'MIDDLE'"),
-    ],
-)
-def test_refused(given, match):
-    refused(InputError, match, lambda: Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=given).bonded())
+    ]:
+        make = lambda given=given: Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=given).bonded()
+        refused(InputError, match, make)
 
 
 def test_refused_helpers():

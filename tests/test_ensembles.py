@@ -188,9 +188,8 @@ def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path, generator):
     assert len({*again["u"]}) == 5
 
 
-@pytest.mark.parametrize(
-    ("change", "what"),
-    [
+def test_bad_input_is_told():
+    for change, what in [
         ({"cases": []}, "one case or more"),
         ({"cases": [{"a": 1.0}, {"b": 1.0}]}, "case 1 has b, the first one a"),
         ({"cases": [{"seed": 2**53 + 1}]}, "of which a table keeps 9007199254740992"),
@@ -200,7 +199,5 @@ def test_rows_drawn_from_seeds_of_their_cases_are_resumed(tmp_path, generator):
         ({"make": None}, "make is None; it must be a function"),
         ({"make": lambda: 3}, "make returns 3"),
         ({"make": lambda: lambda case: {"E": 1.0}}, "the row of run 0 has 'E'"),
-    ],
-)
-def test_bad_input_is_told(change, what):
-    refused(InputError, what, lambda: ensemble(**{"make": doubled, "cases": CASES} | change))
+    ]:
+        refused(InputError, what, ensemble, **{"make": doubled, "cases": CASES} | change)

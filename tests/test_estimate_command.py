@@ -148,22 +148,19 @@ def test_loads_that_grow(lap, tmp_path):
     assert_drawn(tmp_path / "out" / "map_law_compliance.png")
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
+def test_wrong_descriptions_write_nothing(lap, tmp_path):
+    for given, message in [
         ("supports.LFT=0", "unknown facet set 'LFT', did you mean 'LEFT'?; known: LEFT, LEFT/LAYER, "),
         ("loads=[{place = [0, 0], force = [0, 1], body = 'UP'}]", "unknown body 'UP'"),
         ("goals.pull.place=BACK", "nothing holds 'BACK'"),
         ("mesh.S=GLEU", "unknown set of facets 'GLEU', did you mean 'GLUE'?"),
         ("mesh.path=other.msh", "other.msh: there is no such file in "),
         ("layer.eps=1e-300", "layer.eps: 1e-300; allowed beside bodies of "),
-    ],
-)
-def test_wrong_descriptions_write_nothing(lap, tmp_path, given, message):
-    done = thinlayer("estimate", lap, "--set", given, "--out", tmp_path / "out")
-    assert (done.returncode, (tmp_path / "out").exists()) == (2, False), done.stderr
-    assert message in done.stderr
-    assert not re.search("InputError|DescriptionError|Traceback", done.stderr)
+    ]:
+        done = thinlayer("estimate", lap, "--set", given, "--out", tmp_path / "out")
+        assert (done.returncode, (tmp_path / "out").exists()) == (2, False), done.stderr
+        assert message in done.stderr
+        assert not re.search("InputError|DescriptionError|Traceback", done.stderr)
 
 
 def test_a_layer_that_relaxes_without_times_is_told_at_once(lap, tmp_path):

@@ -47,12 +47,9 @@ def test_what_grows_from_rest(law, load, theta, kind):
 
 
 # ---------------------------------------------------------------- digits of times
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("times", "start"), [([1.0, 1.0 + 4e-16], 0.0), ([1e17 + 16], 1e17), (Adaptive(1e17 + 64, first=16.0), 1e17)]
-)
-def test_steps_that_are_lost_in_rounding_fail(times, start):
-    refused(SolveError, "lost in rounding", lambda: march(interface(), times, start=start))
+def test_steps_that_are_lost_in_rounding_fail():
+    for times, start in [([1.0, 1.0 + 4e-16], 0.0), ([1e17 + 16], 1e17), (Adaptive(1e17 + 64, first=16.0), 1e17)]:
+        refused(SolveError, "lost in rounding", march, interface(), times, start=start)
 
 
 @pytest.mark.few(1)

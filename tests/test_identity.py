@@ -85,22 +85,19 @@ def own(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
-@pytest.mark.parametrize(
-    ("changed", "others"),
-    [
+def test_functions_are_the_files_of_ones_own_that_they_stand_in(own):
+    """A comment is enough; of what a function reads elsewhere the numbers count."""
+    for changed, others in [
         (dict(loads=FILES["loads"] + "# more\n"), ["load", "late"]),
         (dict(helpers=FILES["helpers"] + "# more\n"), ["load", "late"]),
         (dict(units="F = 0.75\n"), ["load"]),
         (dict(units="F = 1 / 2\n"), []),
-    ],
-)
-def test_functions_are_the_files_of_ones_own_that_they_stand_in(own, changed, others):
-    """A comment is enough; of what a function reads elsewhere the numbers count."""
-    before, after = (
-        {name: described(vars(own(**files))[name]) for name in ("load", "late")} for files in ({}, changed)
-    )
-    assert [name for name in before if before[name] != after[name]] == others
-    assert in_words([*differences(before, after)]).count("(file): ") in (0, 1)  # it is named once
+    ]:
+        before, after = (
+            {name: described(vars(own(**files))[name]) for name in ("load", "late")} for files in ({}, changed)
+        )
+        assert [name for name in before if before[name] != after[name]] == others
+        assert in_words([*differences(before, after)]).count("(file): ") in (0, 1)  # it is named once
 
 
 def test_a_march_of_another_file_is_resumed_by_who_knows_better(own, tmp_path):

@@ -133,15 +133,11 @@ def test_a_march_closes_a_gap_and_balances_its_energy():
     assert pressed.last.audit.supplied == pytest.approx(0.06 / COMPLIANCE * 0.02 * 2.0, rel=1e-9)  # force times move
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("gap", "match"),
-    [
+def test_refused():
+    for gap, match in [
         (np.nan, "gap is nan"),
         (lambda x: x, "that gives n lengths"),
         (lambda x: np.full(x.shape[1], np.inf), r"is inf at x = \("),
         (lambda x: x[0] > 0, "not real numbers"),
-    ],
-)
-def test_refused(gap, match):
-    refused((InputError), match, lambda: solve(curved(gap=gap), 1.0))
+    ]:
+        refused(InputError, match, lambda gap=gap: solve(curved(gap=gap), 1.0))

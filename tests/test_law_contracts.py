@@ -349,10 +349,9 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
     type("Own", (Mises,), {"source": Mises.source, "stress": never})(L, M, 1.0)  # beside the source: a note
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("parent", "names", "message"),
-    [
+def test_what_nobody_would_ask_of_a_law_is_refused():
+    """As the law is made."""
+    for parent, names, message in [
         (BulkLaw, {"advance": lambda law, step: {"q": step.e}}, "a method advance but no internal variables"),
         (TractionLaw, {"evolve": lambda law, step: {"q": step.w}}, "a method evolve but no internal variables"),
         (BulkLaw, {"at": lambda law, x, t: {"l": x[0]}, "varies": False}, "a method at, but no parameters vary"),
@@ -362,9 +361,6 @@ def test_methods_that_a_compiled_law_and_a_stack_never_ask(method):
             {"internal": {"q": (2, 2)}},
             r"internal variable 'q' has the shape \(2, 2\); allowed: \(\), \(3,\), \(3, 3\)",
         ),
-    ],
-)
-def test_what_nobody_would_ask_of_a_law_is_refused(parent, names, message):
-    """As the law is made."""
-    names = names | {"stress" if parent is BulkLaw else "traction": of_mid}
-    refused(InputError, message, lambda: own(parent, **names))
+    ]:
+        asked = {"stress" if parent is BulkLaw else "traction": of_mid}
+        refused(InputError, message, own, parent, **names | asked)

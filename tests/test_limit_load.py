@@ -177,18 +177,15 @@ class Tried(WeakSprings):
         return self.sizes[x]
 
 
-@pytest.mark.parametrize(
-    ("sizes", "at"),
-    [
+def test_lengths_of_a_step_with_weak_springs():
+    """The equations are left at the length that is chosen."""
+    for sizes, at in [
         ({1.0: 2.0, 0.5: 0.96, 0.25: 0.9}, 0.25),  # the first that falls by a tenth of its length
         ({1.0: 2.0, 0.5: 1.5, 0.25: 1.2, 0.125: 1.1, 0.0625: 1.3, 0.03125: 1.4}, 0.125),  # the least, where none does
-    ],
-)
-def test_lengths_of_a_step_with_weak_springs(sizes, at):
-    """The equations are left at the length that is chosen."""
-    springs = Tried(sizes)
-    assert springs._search(0.0, 1.0, 1.0) == (at, sizes[at])
-    assert springs.lengths[-1] == at
+    ]:
+        springs = Tried(sizes)
+        assert springs._search(0.0, 1.0, 1.0) == (at, sizes[at])
+        assert springs.lengths[-1] == at
 
 
 # ---------------------------------------------------------------- eased laws

@@ -16,16 +16,20 @@ from forms.base import InputError
 from tests import marching_run
 from tests.mpirun import CLONE, Ended, Ending, clean, mpirun
 from tests.on_ranks import alone, on_ranks
+from tests.refused import refused
 from tests.viscous_joints import JOINT, PULL, SETUP, SLOW, SUDDEN, interface
 from thinlayer import Structure, ThinLayer, march
 
 pytestmark = pytest.mark.few(5)
+TIMES = [0.1, 0.2]
 
 
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of bodies softer than the layer
-@pytest.mark.parametrize(
-    ("change", "what"),
-    [
+def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path):
+    data, layer = SETUP | {"tractions": PULL}, ThinLayer(SLOW, 0.1, at=1.0)
+    march(Structure(JOINT, **data).interface(layer), [0.1], out=tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for change, what in [
         (dict(body=LinearElastic.young(1.0, 0.3)), "bodies"),
         (dict(body_force=(0.0, 1.0)), "loads"),
         (dict(supports=SETUP["supports"] | {"RIGHT": {"x": lambda x, t: 0.01 * t * (x[1] + 0.5)}}), "supports"),
@@ -33,23 +37,17 @@ pytestmark = pytest.mark.few(5)
         (dict(joint=JOINT.swapped()), "seams.S"),
         (dict(layer=ThinLayer(SLOW, 0.1, profile=lambda x: 1 + 0.2 * x[0], at=1.0)), "layers.S.profile"),
         (dict(layer=ThinLayer(SUDDEN, 0.1, at=1.0)), "law.S.*KelvinVoigt there, .*Maxwell here"),
-    ],
-)
-def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path, change, what):
-    data, layer = SETUP | {"tractions": PULL}, ThinLayer(SLOW, 0.1, at=1.0)
-    march(Structure(JOINT, **data).interface(layer), [0.1], out=tmp_path)
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    other_layer = change.pop("layer", layer)
-    other = Structure(change.pop("joint", JOINT), **data | change).interface(other_layer)
-    for resume in (True, False):
-        with pytest.raises(InputError, match=rf"another march \({what}.* there, .* here.* give another folder"):
-            march(other, [0.1, 0.2], out=tmp_path, resume=resume)
-    with pytest.raises(InputError, match=r"start: 0\.0 there, -1\.0 here"):
-        march(Structure(JOINT, **data).interface(layer), [0.1, 0.2], out=tmp_path, resume=True, start=-1.0)
+    ]:
+        other_layer, joint = change.pop("layer", layer), change.pop("joint", JOINT)
+        other, words = Structure(joint, **data | change).interface(other_layer), "there, .* here.* give another folder"
+        for resume in (True, False):
+            refused(InputError, rf"another march \({what}.* {words}", march, other, TIMES, out=tmp_path, resume=resume)
+    given, words = Structure(JOINT, **data).interface(layer), r"start: 0\.0 there, -1\.0 here"
+    refused(InputError, words, march, given, TIMES, out=tmp_path, resume=True, start=-1.0)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     same = KelvinVoigt(np.float64(60.0), 40, theta_lmbda=0.3, theta_mu=0.5)
     again = Structure(JOINT, **data).interface(ThinLayer(same, 0.1, at=1.0))
-    assert len(march(again, [0.1, 0.2], out=tmp_path, resume=True)) == 3
+    assert len(march(again, TIMES, out=tmp_path, resume=True)) == 3
 
 
 def test_times_that_a_resumed_march_has_passed(tmp_path):

@@ -89,9 +89,8 @@ def test_traction_beyond_the_limit():
     refused(SolveError, "step 1 of 1", drive, LAWS["unilateral"], [{"w_T": 0.0, "t_N": 0.01}])
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_what_drive_refuses():
+    for change, message in [
         ({"steps": []}, "at least one step"),
         ({"steps": [(0.0, 1.0)]}, r"step 1 is \(0.0, 1.0\); it must be a dictionary with w_T or t_T, w_N or t_N"),
         ({"steps": [{"w_T": 0.0, "w_N": 0.0, "t_N": 1.0}]}, "step 1 has both of w_N"),
@@ -103,7 +102,5 @@ def test_traction_beyond_the_limit():
         ({"theta": 0.4}, "theta is 0.4; allowed: 0.5 to 1"),
         ({"law": Incompressible(1.0)}, r"a point's law is Incompressible\(mu=1.0\)"),
         ({"law": Norton(LMBDA, MU, 5.0, 1.5), "dt": 0}, "dt is 0 in step 1; Norton lets no jump change at once"),
-    ],
-)
-def test_what_drive_refuses(change, message):
-    refused(InputError, message, lambda: drive(**({"law": LAW, "steps": [{"w_T": 0.0, "w_N": 0.0}]} | change)))
+    ]:
+        refused(InputError, message, drive, **{"law": LAW, "steps": [{"w_T": 0.0, "w_N": 0.0}]} | change)

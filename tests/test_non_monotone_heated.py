@@ -23,14 +23,11 @@ def test_a_table_is_linear_in_between():
     assert Tabulated(iter([(1, 2), (3, 4)])).values == ((1.0, 2.0), (3.0, 4.0))
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
+def test_a_bad_table():
+    for values in [
         [(1.0, 2.0)], [(2.0, 1.0), (1.0, 1.0)], [(1.0, np.nan), (2.0, 1.0)], [1.0, 2.0], None, [("cold", 1.0), ("hot", 2.0)]
-    ],
-)  # fmt: skip
-def test_a_bad_table(values):
-    refused(InputError, r"Tabulated needs .*pairs \(T, value\)", lambda: Tabulated(values))
+    ]:  # fmt: skip
+        refused(InputError, r"Tabulated needs .*pairs \(T, value\)", Tabulated, values)
 
 
 @pytest.mark.parametrize(("T", "named"), [(-0.1, "-0.1"), (np.array([20.0, 41.0]), "41"), (np.nan, "nan")])
@@ -86,9 +83,8 @@ def test_a_field_of_temperatures():
 X = np.array([[0.0, 1.0], [0.0, 0.5]])
 
 
-@pytest.mark.parametrize(
-    ("alpha", "C", "T", "message"),
-    [
+def test_functions_that_are_none():
+    for alpha, energy, T, message in [
         (lambda T: 1 / 0, C, None, r"alpha\(T\) fails .*ZeroDivisionError"),
         (lambda T: 1 + 1j * T, C, None, r"alpha\(T\) fails .*it gives complex128 values"),
         (ALPHA, C, lambda x, t: x[0] > 0, r"T fails .*it gives bool values"),
@@ -98,8 +94,6 @@ X = np.array([[0.0, 1.0], [0.0, 0.5]])
         (TABLE, C, lambda x, t: 50 * x[0], r"alpha\(T\): T is 50; the table knows 0 to 40"),
         (ALPHA, C, lambda x, t: np.zeros(3), r"T fails for an array \(2, 2\)"),
         (ALPHA, C, lambda x, t: np.where(x[0] > 0, np.inf, 1.0), r"T is inf at x = \(1, 0.5\), t = 0.5"),
-    ],
-)
-def test_functions_that_are_none(alpha, C, T, message):
-    law = NonMonotone(LMBDA, MU, alpha, C, CHI2, T=T or (lambda x, t: 5 + 5 * x[0]))
-    refused(InputError, f"^NonMonotone: {message}", lambda: law.at(X, 0.5))
+    ]:
+        law = NonMonotone(LMBDA, MU, alpha, energy, CHI2, T=T or (lambda x, t: 5 + 5 * x[0]))
+        refused(InputError, f"^NonMonotone: {message}", law.at, X, 0.5)

@@ -115,16 +115,11 @@ def test_planes(plane, sublayers):
 
 
 # ---------------------------------------------------------------- ranks, refusals
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    "law",
-    [Maxwell(60.0, 40.0, t1=0.7), MohrCoulomb(60.0, 40.0, 0.1, 30.0), Anisotropic.springs(60.0, 40.0)],
-    ids=lambda law: type(law).__name__,
-)
-def test_refused(law):
-    both = Stack((0.4, FOURIER_LAYER), (0.6, law))
-    words = rf"order=1 of a Stack with the sublayer {type(law).__name__}.*use order=0, or mesh"
-    refused(InputError, words, ThinLayer, both, 0.1, order=1)
+def test_refused():
+    for law in [Maxwell(60.0, 40.0, t1=0.7), MohrCoulomb(60.0, 40.0, 0.1, 30.0), Anisotropic.springs(60.0, 40.0)]:
+        both = Stack((0.4, FOURIER_LAYER), (0.6, law))
+        words = rf"order=1 of a Stack with the sublayer {type(law).__name__}.*use order=0, or mesh"
+        refused(InputError, words, ThinLayer, both, 0.1, order=1)
     refused(InputError, "a sublayer", lambda: Stack((0.5, FOURIER_LAYER), (0.5, Incompressible(3.0))))
     varying = Stack((0.4, FOURIER_LAYER), (0.6, LinearElastic(lambda x: 60 + x[0], 40.0)))
     refused(InputError, "order=1 of a Stack with parameters that are functions", ThinLayer, varying, 0.1, order=1)

@@ -151,9 +151,8 @@ def test_a_body_that_is_loose_beside_a_plate():
     assert state.reaction("TOP").force == pytest.approx([0.0, 0.0], abs=1e-10)
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
+def test_refused():
+    for given, message in [
         (dict(place="TOB"), "did you mean 'TOP'"),
         (dict(place="TOP", force=(1.0,)), "2 finite components"),
         (dict(place="TOP", about=(True, 0.0)), "a point of 2 finite coordinates"),
@@ -161,11 +160,14 @@ def test_a_body_that_is_loose_beside_a_plate():
         (dict(place="TOP", motion={"z": 0.0}), "unknown motion 'z'"),
         (dict(place="TOP", motion={"x": 0.0}, force=(1.0, 0.0)), "the motion 'x' is prescribed, and 1 is given"),
         (dict(place="TOP", force=lambda x, t: (x[0], 0.0)), "depends on the place"),
-    ],
-)
-def test_refused(given, message):
-    structure = Structure(sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0}, parts=[RigidPlate(**given)])
-    refused(ValueError, message, lambda: solve(structure.interface(ThinLayer(GLUE, EPS, at=1.0))))
+    ]:
+
+        def made(given=given):
+            parts = [RigidPlate(**given)]
+            structure = Structure(sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0}, parts=parts)
+            return solve(structure.interface(ThinLayer(GLUE, EPS, at=1.0)))
+
+        refused(ValueError, message, made)
 
 
 def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():

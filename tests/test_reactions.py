@@ -149,15 +149,12 @@ def test_a_free_side_has_no_reaction():
     refused(InputError, r"about is .* a point of 2 finite coordinates", lambda: state.reaction("TOP", about=(0.0,)))
 
 
-@pytest.mark.parametrize(
-    ("supports", "message"),
-    [
+def test_contradictory_supports():
+    """Numbers when the model is made, functions when their values are known; both values and the place are told."""
+    for supports, message in [
         ({"BOTTOM": {"y": lambda x, t: t * x[0], "x": 0.0}, "RIGHT": {"y": 0.0}}, "y = 2 .*y = 0 .*at t = 2"),
         ({"TOP": 0.0, (1.0, 0.5): {"x": 0.1}}, r"\(1, 0.5\): 'TOP' prescribes x = 0 and \(1.0, 0.5\) prescribes x"),
-    ],
-)
-def test_contradictory_supports(supports, message):
-    """Numbers when the model is made, functions when their values are known; both values and the place are told."""
-    joint = sandwich(1.0, 0.5, 0.5, 0.5)
-    with pytest.raises(InputError, match=message):
-        solve(Structure(joint, body=BODY, supports=supports).interface(ThinLayer(GLUE, EPS, at=1.0)), t=2.0)
+    ]:
+        joint = sandwich(1.0, 0.5, 0.5, 0.5)
+        with pytest.raises(InputError, match=message):
+            solve(Structure(joint, body=BODY, supports=supports).interface(ThinLayer(GLUE, EPS, at=1.0)), t=2.0)

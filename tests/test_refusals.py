@@ -33,16 +33,13 @@ def states():
     return solve(pulled.full(LAYER)), solve(pulled.interface(LAYER))
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
+def test_arguments_of_another_kind():
+    for wrong, words in [
         ({"joint": "joint.msh"}, "joint is 'joint.msh'; it must be a Joint"),
         ({"parts": LAYER}, "parts is .* must be a list"),
         ({"comm": "world"}, "comm is 'world'"),
-    ],
-)
-def test_arguments_of_another_kind(wrong, words):
-    refused(InputError, words, lambda: Structure(**({"joint": JOINT, **SETUP} | wrong)))
+    ]:
+        refused(InputError, words, Structure, **{"joint": JOINT, **SETUP} | wrong)
 
 
 def test_states_of_other_joints(states):
@@ -66,22 +63,17 @@ def test_where_that_is_no_condition(states, where):
     assert 0 < both["error_jump"] < 1
 
 
-@pytest.mark.parametrize(
-    ("change", "what"),
-    [
+def test_other_structures_are_not_compared(states):
+    for change, what in [
         ({"tractions": {"TOP": lambda x, t: (0.1 * x[0], 1.0)}}, "loads"),
         ({"body": LinearElastic.young(70.0, 0.3)}, "bodies"),
         ({"supports": {"BOTTOM": {"y": 0.0}, "LEFT": 0.0}}, "supports"),
         ({"plane": "stress"}, "plane"),
         ({"layer": ThinLayer(GLUE, 0.1, profile=lambda x: 1 + 0.1 * x[0], at=1.0)}, "profile of the thickness"),
-    ],
-)
-def test_other_structures_are_not_compared(states, change, what):
-    full, interface = states
-    other = {"tractions": {"TOP": (0.1, 1.0)}} | change
-    layer = other.pop("layer", LAYER)
-    model = Structure(JOINT, **SETUP | other).interface(layer)
-    refused(InputError, f"compare needs the same {what}", lambda: compare(full, replace(interface, model=model)))
+    ]:
+        layer, other = change.pop("layer", LAYER), {"tractions": {"TOP": (0.1, 1.0)}} | change
+        model = Structure(JOINT, **SETUP | other).interface(layer)
+        refused(InputError, f"compare needs the same {what}", compare, states[0], replace(states[1], model=model))
 
 
 def test_states_of_another_time_than_asked_for(states):

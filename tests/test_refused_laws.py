@@ -37,22 +37,19 @@ def test_a_law_in_c(tmp_path):
     assert drive(from_c(5.0, source=source), STEP).tractions[0] == pytest.approx([0.05, -0.2], rel=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("slope", "declared", "message"),
-    [
+def test_whether_a_kernel_reads_dt_is_what_it_says(tmp_path):
+    for slope, declared, message in [
         ("in[17]", {"relaxes": True}, "relaxes = True, but its answer does not depend on dt: write relaxes = False"),
         ("in[17] / (1 + in[15])", {}, "relaxes = False, but its answer depends on dt: write relaxes = True"),
         ("in[17] / (1 + in[15])", {"relaxes": True}, None),
-    ],
-)
-def test_whether_a_kernel_reads_dt_is_what_it_says(tmp_path, slope, declared, message):
-    source = tmp_path / "spring.c"
-    source.write_text(SPRING.replace("= in[17]", f"= {slope}"))
-    law = from_c(5.0, source=source, **declared)
-    if message:
-        refused(InputError, message, lambda: drive(law, STEP, dt=0.25))
-    else:
-        assert drive(law, STEP, dt=0.25).tractions[0] == pytest.approx([0.02, -0.08], rel=1e-14)
+    ]:
+        source = tmp_path / "spring.c"
+        source.write_text(SPRING.replace("= in[17]", f"= {slope}"))
+        law = from_c(5.0, source=source, **declared)
+        if message:
+            refused(InputError, message, drive, law, STEP, dt=0.25)
+        else:
+            assert drive(law, STEP, dt=0.25).tractions[0] == pytest.approx([0.02, -0.08], rel=1e-14)
 
 
 def test_a_law_in_c_with_headers(tmp_path):
@@ -72,34 +69,27 @@ def test_a_law_in_c_with_headers(tmp_path):
     assert len(known) == 2
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_bad_c_sources(tmp_path):
+    source = tmp_path / "law.c"
+    for text, message in [
         (None, r"the C source '\S+law.c' cannot be compiled: FileNotFoundError"),
         ("", r"has no function int kernel\(double \*out, const void \*, const double \*in\)"),
         (SPRING.replace("int kernel", "double kernel"), "has no function int kernel"),
         (SPRING.replace("return 0;", "return 0"), "cannot be compiled: VerificationError: CompileError"),
         (b"\xff\xfe", "cannot be compiled: UnicodeDecodeError"),
-    ],
-    ids=["missing", "empty", "double", "syntax", "binary"],
-)
-def test_bad_c_sources(tmp_path, text, message):
-    source = tmp_path / "law.c"
-    if text is not None:
-        source.write_bytes(text if isinstance(text, bytes) else text.encode())
-    refused(ThinlayerError, message, lambda: drive(from_c(5.0, source=source), STEP))
+    ]:
+        if text is not None:
+            source.write_bytes(text if isinstance(text, bytes) else text.encode())
+        refused(ThinlayerError, message, drive, from_c(5.0, source=source), STEP)
 
 
-@pytest.mark.parametrize(
-    ("declared", "message"),
-    [
+def test_bad_declarations(tmp_path):
+    source = tmp_path / "spring.c"
+    source.write_text(SPRING)
+    for declared, message in [
         ({"source": 3}, "FromC.source is 3; it must be the name of a C file"),
         ({}, "FromC.source is None; it must be the name of a C file"),
         *(({"memory": memory}, f"memory is {memory!r}; allowed: a whole number") for memory in (-1, 2.0)),
-    ],
-)
-def test_bad_declarations(tmp_path, declared, message):
-    source = tmp_path / "spring.c"
-    source.write_text(SPRING)
-    with pytest.raises(InputError, match=message):
-        drive(from_c(5.0, **({"source": source} if "memory" in declared else {}) | declared), STEP)
+    ]:
+        given = ({"source": source} if "memory" in declared else {}) | declared
+        refused(InputError, message, lambda given=given: drive(from_c(5.0, **given), STEP))

@@ -107,16 +107,13 @@ def test_young_s_modulus_is_that_of_another_constructor():
     refused(InputError, r"of E and nu: LinearElastic\.young\(E, nu\)", lambda: LinearElastic(E=3.0, nu=0.2))
 
 
-@pytest.mark.parametrize(
-    ("sublayers", "message"),
-    [
+def test_sublayers_that_a_stack_cannot_hold():
+    for sublayers, message in [
         ([], "number of sublayers"),
         ([(0.5, CREEPING), (0.4, SPRING)], "sum of the fractions is 0.9; allowed: 1"),
         ([(1.5, SPRING), (-0.5, SPRING)], "each > 0"),
         ([CREEPING], r"Stack needs pairs \(fraction, law\)"),
         ([("all", CREEPING)], r"Stack needs pairs \(fraction, law\)"),
         ([(1.0, "glue")], "a sublayer is glue; allowed: laws that give a stress for a strain"),
-    ],
-)
-def test_sublayers_that_a_stack_cannot_hold(sublayers, message):
-    refused(InputError, message, Stack, *sublayers)
+    ]:
+        refused(InputError, message, Stack, *sublayers)
