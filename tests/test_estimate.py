@@ -168,19 +168,15 @@ def test_sentences():
 ASIDE = {"tractions": {"LEFT/UPPER": (0.3, 0.1), "RIGHT/UPPER": (-0.3, -0.1)}}
 
 
-@pytest.mark.parametrize(
-    ("given", "goal", "joint"),
-    [
-        ({"tractions": {"TOP": (0, -1)}}, goals.Reaction("BOTTOM", (1, 0)), GRADED),
-        (ASIDE, goals.Reaction("BOTTOM", (0, 1)), GRADED),
-        (
-            {"tractions": {"TOP": (0, -1)}},
-            goals.Functional("lean", lambda u, model: u[0] * model.dx),
-            sandwich(1.2, 0.3, 0.4, 0.2, cell="quadrilateral", structured=True),
-        ),
-    ],
-    ids=["across", "no resultant", "parts that cancel"],
-)
+DOWN, EVEN = {"tractions": {"TOP": (0, -1)}}, sandwich(1.2, 0.3, 0.4, 0.2, cell="quadrilateral", structured=True)
+ZERO = [
+    (DOWN, goals.Reaction("BOTTOM", (1, 0)), GRADED),
+    (ASIDE, goals.Reaction("BOTTOM", (0, 1)), GRADED),  # no resultant
+    (DOWN, goals.Functional("lean", lambda u, model: u[0] * model.dx), EVEN),  # parts that cancel
+]
+
+
+@pytest.mark.parametrize(("given", "goal", "joint"), ZERO)
 def test_goals_that_are_zero(given, goal, joint):
     """Rounding, and so is their relative change."""
     found = dropped(structure(joint, **given), goals=[goal])
@@ -242,7 +238,7 @@ def test_thin_enough_goes_on_below_a_change_of_sign():
 
 
 def test_thin_enough_does_not_depend_on_where_it_begins():
-    made, glue = structure(sandwich(1.0, 0.4, 0.5, 0.2, h_S=0.1)), LinearElastic.young(3.0, 0.3)
+    made, glue = structure(sandwich(1.0, 0.4, 0.5, 0.4, h_S=0.2)), LinearElastic.young(3.0, 0.3)
     found = [thin_enough(made, ThinLayer(glue, eps), 0.04).eps for eps in (0.05, 0.003)]
     assert found[0] == pytest.approx(found[1], rel=1e-9)
     widest = thin_enough(made, ThinLayer(glue, 0.05), 0.9)
@@ -312,15 +308,3 @@ def test_the_picture_of_a_density(tmp_path):
     surface, values = Surface(flat.better.model), flat.density()
     plotting.along(surface, {"compliance": values}, save=tmp_path / "a.png", length="mm", log=True)
     assert_drawn(tmp_path / "a.png")
-
-
-def test_units_do_not_matter():
-    """Lengths in thousandths, stresses in millionths: relative errors are the same."""
-    found = []
-    for length, stress in ((1.0, 1.0), (1e3, 1e-6)):
-        joint = sandwich(*(length * x for x in (1.3, 0.3, 0.4, 0.3)), h_ends=0.15 * length)
-        body, glue = (LinearElastic.shear(law.mu * stress, 0.3) for law in (LOWER, GLUE))
-        made = structure(joint, body=body, tractions={"TOP": (0.3 * stress, -stress)})
-        one = dropped(made, ThinLayer(glue.scaled(1 / length), EPS * length, at=1.0))
-        found.append([one.traction, one.jump, one.goals["compliance"].relative])
-    assert found[0] == pytest.approx(found[1], rel=1e-9)

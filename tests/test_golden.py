@@ -58,8 +58,6 @@ from thinlayer import (
     ThinLayer,
     Zoom,
     compare,
-    drive,
-    ensemble,
     estimate,
     goals,
     homogenised_stiffness,
@@ -102,11 +100,8 @@ def pushed(joint: Joint | None = None, **given: Any) -> Structure:
     """Plates that are pressed and pushed in time."""
     joint = plates() if joint is None else joint
     load = (0.3, -1.0, 0.2)[: joint.dim]
-    data: dict[str, Any] = {
-        "body": {"LOWER": STEEL, "UPPER": STONE},
-        "supports": {"BOTTOM": 0},
-        "tractions": {"TOP": lambda x, t: tuple((1 + 0.5 * x[0]) * t * c for c in load)},
-    }
+    data: dict[str, Any] = {"body": {"LOWER": STEEL, "UPPER": STONE}, "supports": {"BOTTOM": 0}}
+    data["tractions"] = {"TOP": lambda x, t: tuple((1 + 0.5 * x[0]) * t * c for c in load)}
     return Structure(joint, **(data | given))
 
 
@@ -114,12 +109,8 @@ def told(state: State) -> list[float]:
     """Energies, reaction and norms on S."""
     energies, surface = state.energies(), Surface(state.model)
     force = state.reaction("BOTTOM").force
-    return [
-        *(energies[name] for name in ("bodies", "layer", "loads") if name in energies),
-        *np.ravel(force).tolist(),
-        surface.norm(surface.traction(state)),
-        surface.norm(surface.jump(state)),
-    ]
+    found = [energies[name] for name in ("bodies", "layer", "loads") if name in energies]
+    return [*found, *np.ravel(force).tolist(), *map(surface.norm, (surface.traction(state), surface.jump(state)))]
 
 
 TIMES = [0.5, 1.0, 2.0]
@@ -153,13 +144,6 @@ def of_law(name: str) -> Callable[[], list[float]]:
 
 for _name in LAWS:
     CASES[f"law {_name}"] = cache(of_law(_name)), CLOSE
-
-
-@case()
-def laws_at_a_point() -> list[float]:
-    path = [{"w_T": 0.1, "t_N": -0.5}, {"w_T": 0.3, "w_N": 0.02}, {"t_T": 0.0, "w_N": 0.0}]
-    chosen = (LAWS["Mohr-Coulomb"], LAWS["Maxwell"], LAWS["von Mises"])
-    return [float(value) for law in chosen for value in np.ravel(drive(law, path, dt=0.5).tractions)]
 
 
 @case()
@@ -247,14 +231,9 @@ def bricks(dim: int = 2, **given: Any) -> Structure:
 def networks() -> list[float]:
     """Walls in two dimensions and three, by laws and meshed, open heads, heads that yield, what happens to which layer."""
     heads = {"HEAD": layer(MohrCoulomb(0.02, 0.03, cohesion=2e-5, friction_angle=30.0), 0.7 * EPS)}
-    models = [
-        bricks().interface(MORTAR),
-        bricks().full(MORTAR, cells_through=2),
-        bricks().interface(MORTAR | {"HEAD": None}),
-        bricks().full(MORTAR | {"HEAD": Gap(EPS)}, cells_through=2),
-        bricks(3).interface(MORTAR),
-        bricks().interface(MORTAR | heads),
-    ]
+    models = [bricks().interface(MORTAR), bricks().full(MORTAR, cells_through=2)]
+    models += [bricks().interface(MORTAR | {"HEAD": None}), bricks().full(MORTAR | {"HEAD": Gap(EPS)}, cells_through=2)]
+    models += [bricks(3).interface(MORTAR), bricks().interface(MORTAR | heads)]
     states = [march(model, [0.5, 1.0]).last for model in models]
     found = [energy for state in states for energy in list(state.energies().values())[:2]]
     for seam in ("BED", "HEAD"):
@@ -335,11 +314,9 @@ def limits_and_paths() -> list[float]:
 
 @case()
 def paths_by_arc_length() -> list[float]:
-    bar = Structure(
-        block(0.5, 1.0, 0.25, cell="quadrilateral", structured=True),
-        body=LinearElastic.young(1.0, 0.0),
-        supports={"TOP": {"y": lambda x, t: t}, "LEFT": {"x": 0}, "RIGHT": {"x": 0}},
-    )
+    joint = block(0.5, 1.0, 0.25, cell="quadrilateral", structured=True)
+    supports = {"TOP": {"y": lambda x, t: t}, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
+    bar = Structure(joint, body=LinearElastic.young(1.0, 0.0), supports=supports)
     history = march(bar.interface(STEEP), ArcLength(end=1.0, first=0.05))
     return [float(len(history)), *history.t[::3], *(state.energies()["layer"] for state in history)]
 
@@ -388,36 +365,16 @@ def inside() -> list[float]:
     return [float(value) for one in found for value in np.ravel(one)]
 
 
-def made() -> Callable[[dict[str, float]], dict[str, float]]:
-    structure = pushed(element="Q1")
-
-    def run(one: dict[str, float]) -> dict[str, float]:
-        return {
-            "layer": solve(structure.interface(layer(LinearElastic.shear(one["mu"], 0.35))), 1.0).energies()["layer"]
-        }
-
-    return run
-
-
-@case()
-def ensembles() -> list[float]:
-    return [float(value) for value in ensemble(made, [{"mu": 1.0}, {"mu": 2.0}, {"mu": 4.0}])["layer"]]
-
-
 def numbers(name: str) -> list[float]:
     return [float(value) for value in CASES[name][0]()]
 
 
-LAWS_ON_RANKS = ("law elastic", "law Mohr-Coulomb", "law pure phases", "periodic_cells")
-STRUCTURES_ON_RANKS = ("supports_and_loads", "contact_by_multigrid")
+ON_RANKS = [*(f"law {name}" for name in ("elastic", "Mohr-Coulomb", "pure phases")), "periodic_cells"]
+ON_RANKS += ["supports_and_loads", "contact_by_multigrid"]
 
 
-def laws_on_ranks() -> dict[str, list[float]]:
-    return {name: numbers(name) for name in LAWS_ON_RANKS}
-
-
-def structures_on_ranks() -> dict[str, list[float]]:
-    return {name: numbers(name) for name in STRUCTURES_ON_RANKS}
+def on_several_ranks() -> dict[str, list[float]]:
+    return {name: numbers(name) for name in ON_RANKS}
 
 
 def assert_golden(name: str, found: list[float]) -> None:
@@ -429,20 +386,15 @@ def assert_golden(name: str, found: list[float]) -> None:
     assert apart.max() <= close, f"number {apart.argmax()} of {name!r}: {found[apart.argmax()]!r}"
 
 
+@pytest.mark.few(5)
 @pytest.mark.filterwarnings("ignore::thinlayer.RangeWarning")
 @pytest.mark.parametrize("name", CASES)
 def test_golden(name: str) -> None:
     assert_golden(name, numbers(name))
 
 
-@on_ranks(laws_on_ranks, 2, 3)
-def test_golden_laws_on_several_ranks(there: dict[str, list[float]]) -> None:
-    for name, found in there.items():
-        assert_golden(name, found)
-
-
-@on_ranks(structures_on_ranks, 2, 3)
-def test_golden_structures_on_several_ranks(there: dict[str, list[float]]) -> None:
+@on_ranks(on_several_ranks, 2, 3)
+def test_golden_on_several_ranks(there: dict[str, list[float]]) -> None:
     for name, found in there.items():
         assert_golden(name, found)
 

@@ -12,15 +12,12 @@ import pytest
 from tests import test_golden
 from tests.on_ranks import Asked, on_ranks
 
-CASES = {  # a function in a module of the tests: the largest relative difference of its numbers
-    "test_junction_tractions:numbers": 1e-10,
-    "test_lines:numbers": 1e-9,
-    "test_reactions:numbers": 1e-8,
-}
+# a function in a module of the tests: the largest relative difference of its numbers
+CASES = {"test_junction_tractions:numbers": 1e-10, "test_lines:numbers": 1e-9, "test_reactions:numbers": 1e-8}
 
 
 # Cases that are in every run, or for one rank.
-ALONE = (*test_golden.LAWS_ON_RANKS, *test_golden.STRUCTURES_ON_RANKS, "contact")
+ALONE = (*test_golden.ON_RANKS, "contact")
 
 
 def golden() -> dict[str, list[float]]:
@@ -45,9 +42,8 @@ def assert_same(found: Any, expected: Any, tolerance: float, name: str) -> None:
             assert_same(one, other, tolerance, f"{name}, {k}")
     else:
         size = np.abs(expected).max(initial=0.0)
-        assert found == pytest.approx(
-            expected, rel=tolerance, abs=max(0.01 * tolerance * size, 1e-3 * tolerance, 1e-12)
-        ), name
+        least = max(0.01 * tolerance * size, 1e-3 * tolerance, 1e-12)
+        assert found == pytest.approx(expected, rel=tolerance, abs=least), name
 
 
 @pytest.mark.long
