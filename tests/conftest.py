@@ -35,7 +35,7 @@ def pytest_xdist_auto_num_workers(config):
 GOLDEN = (5**0.5 - 1) / 2  # its multiples fall into no step with the lists of a product of them
 
 
-LONG_LIST = 4  # cases; of shorter ones, which are often of different kinds, a part is run only where the test says so
+LONG_LIST = 3  # cases; of shorter ones, which are often of different kinds, a part is run only where the test says so
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
@@ -49,6 +49,11 @@ def pytest_collection_modifyitems(items):
             if seen[name] * GOLDEN % 1 >= 1 / mark.args[0]:
                 item.add_marker("long")
             seen[name] += 1
+
+
+def pytest_make_parametrize_id(val):
+    """Laws have the names of their classes."""
+    return type(val).__name__ if hasattr(val, "with_parameters") and not isinstance(val, type) else None
 
 
 @pytest.fixture

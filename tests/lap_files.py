@@ -31,7 +31,7 @@ pull = {kind = "reaction", place = "LEFT", direction = [0, 1]}
 
 def joint() -> Joint:
     """Two plates."""
-    return sandwich(20.0, 3.0, 4.0, 1.5, h_S=0.75, cell="quadrilateral")
+    return sandwich(20.0, 3.0, 4.0, 3.0, h_S=1.5, cell="quadrilateral")
 
 
 def save(folder: Path, text: str = TEXT) -> Path:

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from tests.refused import refused
 from tests.softening_bars import (
     FAR,
     KINKED,
@@ -36,9 +37,10 @@ def turning_points(t, w, law) -> list[tuple[float, float]]:
 
 
 # ---------------------------------------------------------------- the bar
-@pytest.mark.parametrize(
-    ("law", "first", "backwards"), [(STEEP, 0.05, False), (STEEP, 0.13, True), (SHARP, 0.07, False)]
-)
+SNAPPING = [(STEEP, 0.05, False), (STEEP, 0.13, True), (SHARP, 0.07, False)]
+
+
+@pytest.mark.parametrize(("law", "first", "backwards"), SNAPPING)
 def test_a_bar_that_snaps_back(law, first, backwards):
     """Rows are on the straight branches of t = w + sigma(w) H/E, in their order, for any step and in both directions."""
     support = (lambda x, t: FAR - t) if backwards else (lambda x, t: t)
@@ -77,13 +79,12 @@ def test_piecewise_supports():
     ends = np.interp(history.t, [0.0, 0.3, FAR], [0.0, 0.2, FAR])
     assert ends == pytest.approx(w + C * sigma(STEEP, w), abs=1e-9)
     late = piecewise({0.4: 0.4, FAR: FAR})
-    with pytest.raises(
-        SolveError, match=r"of the path, from t = 0\.4.* a prescribed displacement is not finite at t = 0\."
-    ):
-        march(bar(STEEP, late), ArcLength(end=FAR, first=0.05), start=0.4)
+    words = r"of the path, from t = 0\.4.* a prescribed displacement is not finite at t = 0\."
+    refused(SolveError, words, march, bar(STEEP, late), ArcLength(end=FAR, first=0.05), start=0.4)
 
 
 # ---------------------------------------------------------------- a smooth law
+@pytest.mark.few(2)
 @pytest.mark.parametrize("first", [0.08, 0.02])
 def test_a_law_with_memory(first):
     """Damage: as the bar unloads, S goes on opening, and remembers; the path is that of its envelope, for any step."""

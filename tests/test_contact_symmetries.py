@@ -10,6 +10,8 @@ from studies.problems import sliding_bar
 from tests.contact_bars import SOLVERS, solved, stacked
 from thinlayer import Structure, Surface, march
 
+pytestmark = pytest.mark.few(5)
+
 
 @pytest.mark.parametrize("kind", [HolonomicCoulomb, IncrementalCoulomb])
 def test_one_step_is_ten_proportional_steps(kind):

@@ -50,6 +50,7 @@ def limit(model, times=TIMES, **choices) -> LimitLoad:
 
 
 # ---------------------------------------------------------------- the limit load
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("law", "kind"), [(SLIDING, "S"), (FULL, "band")], ids=["S", "band"])
 def test_the_limit_of_a_sheared_block(law, kind, tmp_path):
     """The traction of every point is at its bound there, so that the mean is, wherever the pressure is."""
@@ -126,7 +127,7 @@ def test_a_study_ends_with_status_3(tmp_path, monkeypatch, capsys):
 
 # ---------------------------------------------------------------- its sign
 @pytest.mark.few(5)
-@pytest.mark.parametrize(("kind", "law"), [("S", FULL), ("band", SLIDING)])
+@pytest.mark.parametrize(("kind", "law"), [("band", SLIDING), ("S", FULL)])
 def test_newton_cut_short_is_no_limit(kind, law):
     """With two steps of Newton's method: what they miss is found by other means, up to the limit itself."""
     error = limit(sheared(kind, law), options={"snes_max_it": 2})
@@ -222,8 +223,7 @@ def test_eased_laws_leave_no_trace():
     with Solver(model) as solver:
         expected = solver.step(solver.rest(0.3), 0.3)
         parameters = [p.points.material.parameters.copy() for p in solver.equations.of_kind(CompiledPart)]
-        with pytest.raises(SolveError):
-            solver.step(expected, 0.7)
+        refused(SolveError, "", solver.step, expected, 0.7)
         for p, before in zip(solver.equations.of_kind(CompiledPart), parameters, strict=True):
             assert (p.points.material.parameters == before).all()
         again = solver.step(solver.rest(0.3), 0.3)
@@ -248,6 +248,7 @@ PUSHED = {
 }
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("ratio", [1.0, 1e6])
 @pytest.mark.parametrize("law", PUSHED)
 def test_larger_forces_elsewhere_do_not_hide_a_limit(law, ratio):

@@ -6,7 +6,9 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -80,29 +82,30 @@ def tables(out: Path) -> dict[str, np.ndarray]:
     return {name: np.array([table[column] for column in columns]) for name, table in found.items()}
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    out = tmp_path_factory.mktemp("whole")
-    marching_run.run(out)
-    return tables(out)
+@cache
+def undisturbed(name: str) -> np.ndarray:
+    """The table of a march that was left alone."""
+    with TemporaryDirectory() as out:
+        marching_run.run(Path(out), [name])
+        return tables(Path(out))[name]
 
 
-def require_undisturbed(out: Path, undisturbed, names) -> None:
+def require_undisturbed(out: Path, names) -> None:
     """The tables are those of marches that were left alone."""
     found = tables(out)
     assert sorted(found) == sorted(names)
     for name, table in found.items():  # where a path is nearly singular residuals of 1e-10 of the forces count for more
         near = {"rel": 1e-7, "abs": 1e-9} if name in ("kinked", "damaged") else {"rel": 1e-9, "abs": 1e-13}
-        assert table == pytest.approx(undisturbed[name], **near), name
+        assert table == pytest.approx(undisturbed(name), **near), name
 
 
 @pytest.mark.parametrize("name", marching_run.MARCHES)
-def test_ended_and_resumed(undisturbed, tmp_path, name):
+def test_ended_and_resumed(tmp_path, name):
     """Amid its steps, or as it writes the files of one: every march goes on as if it had been left alone."""
     with pytest.raises(Ended):
         marching_run.run(tmp_path, [name], ending=Ending(4, writing=len(name) % 2 == 0, raises=True))
     marching_run.run(tmp_path, [name], resume=True)
-    require_undisturbed(tmp_path, undisturbed, [name])
+    require_undisturbed(tmp_path, [name])
 
 
 def resumed_march(folder: Path) -> None:
@@ -117,15 +120,15 @@ def resumed_march(folder: Path) -> None:
 
 
 @on_ranks(resumed_march, 2)
-def test_killed_on_one_rank_and_resumed_on_two(undisturbed, there, their_folder):
-    require_undisturbed(their_folder, undisturbed, THREE)
+def test_killed_on_one_rank_and_resumed_on_two(there, their_folder):
+    require_undisturbed(their_folder, THREE)
 
 
 @pytest.mark.long
-def test_killed_on_two_ranks_and_resumed_on_one(undisturbed, tmp_path):
+def test_killed_on_two_ranks_and_resumed_on_one(tmp_path):
     """As it writes the files of the fourth march."""
     done = mpirun(2, "-m", "tests.marching_run", str(tmp_path), "22", "writing", *marching_run.MARCHES)
     assert done.returncode != 0
     assert len(tables(tmp_path)) == 4, done.stderr
     marching_run.run(tmp_path, resume=True)
-    require_undisturbed(tmp_path, undisturbed, marching_run.MARCHES)
+    require_undisturbed(tmp_path, marching_run.MARCHES)

@@ -24,20 +24,12 @@ from thinlayer.running.description import READERS, Description
 SHOWN = ("tests/own_scripts/own_kernel.py", "tests/own_scripts/own_support.py")  # by pages, which do not repeat them
 SECTIONS = sections() | {name: [Block("python", 1, (CLONE / name).read_text(), "")] for name in SHOWN}
 DOCS = "thinlayer/docs/"
-LONG = {
-    f"{DOCS}{name}"
-    for name in (
-        "howto/many_runs.md#an-ensemble",
-        "howto/networks.md#networks-walls-faults-grains",
-        "howto/own_law.md#jumps",
-        "howto/own_law.md#strains",
-        "howto/results.md#read-results-draw-pictures",
-        "howto/time.md#time-creep-steps-restart",
-        "howto/yielding.md#layers-and-bodies-that-yield",
-        "tutorials/estimate.md",
-        "tutorials/own_script.md",
-    )
-}
+LONG = """
+    howto/many_runs.md#an-ensemble howto/networks.md#networks-walls-faults-grains howto/own_law.md#jumps
+    howto/own_law.md#strains howto/results.md#read-results-draw-pictures howto/time.md#time-creep-steps-restart
+    howto/yielding.md#layers-and-bodies-that-yield tutorials/estimate.md tutorials/own_script.md
+"""
+LONG = {f"{DOCS}{name}" for name in LONG.split()} | {"README.md#a-question-without-a-script"}
 assert SECTIONS.keys() >= LONG
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d*)?(?:e[-+]?\d+)?")
 WRITTEN = re.compile(r'(?:save=|write\(\w+, |out=)"([\w.]+)"')
@@ -88,11 +80,8 @@ def test_blocks_print_what_the_page_says(name, tmp_path, monkeypatch, capsys):
     Path("studies").symlink_to(CLONE / "studies")
     code = {kind: [one for one in SECTIONS[name] if one.language == kind] for kind in ("python", "sh", "toml")}
     assert sum(map(len, code.values())) == len(SECTIONS[name])
-    commands = [
-        (block, shlex.split(line, comments=True))
-        for block in code["sh"]
-        for line in block.code.replace("\\\n", "").splitlines()
-    ]
+    lines = [(block, line) for block in code["sh"] for line in block.code.replace("\\\n", "").splitlines()]
+    commands = [(block, shlex.split(line, comments=True)) for block, line in lines]
     if code["python"]:
         run_script(tmp_path / "script.py", code["python"])
     for block, words in commands:

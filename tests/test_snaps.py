@@ -96,32 +96,30 @@ def test_times_that_are_coarse():
     assert [snap.lost for snap in history.snaps] == pytest.approx(lost, rel=1e3 * near)
 
 
-def test_loads_that_come_back_within_a_step():
-    """A half wave in one step is that in four: up, through all snaps, and back, through others."""
-    wave = lambda t: ufl.sin(np.pi * t)
-    t = np.arcsin(reference()[0]) / np.pi
-    one, eight = (march(blocks(wave), np.arange(1, n + 1) / n) for n in (1, 4))
-    assert [snap.t for snap in one.snaps[:4]] == pytest.approx(t, rel=1e-9)
-    assert len(one.snaps) > 8
-    assert phase_shares(one.last, "S")["plus"] == 0
-    check(one, [snap.t for snap in eight.snaps], [snap.lost for snap in eight.snaps])
+WAVE, COLD = lambda t: ufl.sin(np.pi * t), lambda T: 0.03 * np.exp(-T / 50)
+HEATED = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, COLD, CHI, T=lambda x, t: 40 * x[0] + 50 * np.sin(3 * t))
+COMING_BACK = {  # what else is given, end of time, number of steps beside one, numbers of snaps
+    "loads": ({"of_t": WAVE}, 1, 4, range(9, 99)),
+    "temperature": ({"law": HEATED, "top": {"x": 0.03, "y": 0.02}}, 2, 2, [11]),
+    "strains": (
+        {"eigenstrain": lambda x, t: [[0, 0], [0, WAVE(t) * (0.2 - x[0])]], "top": {"y": 0}},
+        1,
+        2,
+        range(5, 99),
+    ),
+}
 
 
-def test_a_temperature_that_comes_back_within_a_step():
-    """As many snaps in one step as in two."""
-    cold = lambda T: 0.03 * np.exp(-T / 50)
-    law = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, cold, CHI, T=lambda x, t: 40 * x[0] + 50 * np.sin(3 * t))
-    one, five = (march(blocks(law=law, top={"x": 0.03, "y": 0.02}), 2 * np.arange(1, n + 1) / n) for n in (1, 2))
-    assert len(one.snaps) == 11
-    check(one, [snap.t for snap in five.snaps], [snap.lost for snap in five.snaps])
-
-
-def test_an_eigenstrain_that_comes_back_within_a_step():
-    """Nothing else varies in time; the snaps of one step are those of two."""
-    wave = lambda x, t: [[0, 0], [0, ufl.sin(np.pi * t) * (0.2 - x[0])]]
-    one, two = (march(blocks(eigenstrain=wave, top={"y": 0.0}), np.arange(1, n + 1) / n) for n in (1, 2))
-    assert len(one.snaps) > 4
-    check(one, [snap.t for snap in two.snaps], [snap.lost for snap in two.snaps])
+@pytest.mark.parametrize("name", COMING_BACK)
+def test_what_comes_back_within_a_step(name):
+    """A half wave in one step is that in several: up, through all snaps, and back, through others."""
+    given, end, steps, counts = COMING_BACK[name]
+    one, several = (march(blocks(**given), end * np.arange(1, n + 1) / n) for n in (1, steps))
+    assert len(one.snaps) in counts
+    check(one, [snap.t for snap in several.snaps], [snap.lost for snap in several.snaps])
+    if name == "loads":
+        assert [snap.t for snap in one.snaps[:4]] == pytest.approx(np.arcsin(reference()[0]) / np.pi, rel=1e-9)
+        assert phase_shares(one.last, "S")["plus"] == 0
 
 
 def test_bodies_that_stiffen():

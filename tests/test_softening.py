@@ -21,6 +21,8 @@ from tests.own_laws import Breaking
 from tests.refused import refused
 from thinlayer import Structure, ThinLayer, estimate, march, solve
 
+pytestmark = pytest.mark.few(5)
+
 EPS = 0.05
 STIFF = LinearElastic.young(1e6, 0.3)
 

@@ -14,7 +14,8 @@ from thinlayer import SolveError, Structure, Surface, ThinLayer, solve
 MU, EPS, A = 1.2, 3.0, 30.0  # MPa, mm, mm
 OPENING, PULL = 0.01, 0.1  # mm, MPa
 
-pytestmark = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of layers thicker than the plates
+# of layers thicker than the plates
+pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
 
 def strip(E, cell, *, pulled=False):

@@ -68,10 +68,10 @@ def places(distances, heights, end=1.0):
 
 
 # ---------------------------------------------------------------- through the thickness
-@pytest.mark.parametrize(
-    ("law", "order", "rate", "most"),
-    [(FOURIER_LAYER, 0, 1.0, 0.08), (STACK, 1, 2.0, 0.008), (Rubber.shear(40.0, 0.499), 1, 1.8, 0.01)],
-)
+ORDERS = [(FOURIER_LAYER, 0, 1.0, 0.08), (STACK, 1, 2.0, 0.008), (Rubber.shear(40.0, 0.499), 1, 1.8, 0.01)]
+
+
+@pytest.mark.parametrize(("law", "order", "rate", "most"), ORDERS)
 def test_stresses_have_the_order_of_the_law(law, order, rate, most):
     """In the middle of cells of each sublayer, all components."""
     found = []
@@ -128,9 +128,8 @@ def test_stresses_of_a_layer_that_yields_at_its_ends():
     """Of one step from rest; corners have no exponent then, and steps in time are not known to a zoom."""
     layer = ThinLayer(VonMises(4.0, 3.0, 0.8, hardening=2.0), 1 / 16)
     x, y = places(np.array([0.01, 0.06, 0.2, 0.45]), [-0.3, 0.1])
-    coarse, known = beside_fine(
-        lambda end: sandwich(1.0, 0.5, 0.5, 1 / 8, h_ends=end, cell="quadrilateral"), layer, x, y
-    )
+    joint_at = lambda end: sandwich(1.0, 0.5, 0.5, 1 / 8, h_ends=end, cell="quadrilateral")
+    coarse, known = beside_fine(joint_at, layer, x, y)
     zero = solve(coarse.interface(layer))
     zoom = Zoom(estimate(zero).better)
     assert relative(zoom.stress(x, y), known) < 0.03  # cells of S are twice as long as the layer is thick
@@ -292,7 +291,7 @@ def test_corners_that_are_not_known_are_refused_and_stresses_are_not():
 
 
 def test_curved_ends_have_no_corners():
-    round_, pull = disc(1.0, lower=0.3, upper=0.3, h=0.5), {"TOP": (0.0, 0.0, 1.0)}
+    round_, pull = disc(1.0, lower=0.3, upper=0.3, h=1.0), {"TOP": (0.0, 0.0, 1.0)}
     curved = Structure(round_, body=BODY, supports={"BOTTOM": 0}, tractions=pull)
     zoom = Zoom(solve(curved.interface(ThinLayer(GLUE, EPS, at=1.0))), cells_through=2, at_ends=1.0)
     assert np.isfinite(zoom.stress(round_.points[np.unique(round_.surface)][:3])).all()
