@@ -138,9 +138,8 @@ def power_relaxation(compliance: float, A: float, n: float, traction: float, t: 
 
     compliance dt_T/dt = -3^((n + 1)/2) A t_T^n.
     """
-    return np.asarray(
-        (traction ** (1 - n) + (n - 1) * 3 ** ((n + 1) / 2) * A / compliance * np.asarray(t)) ** (1 / (1 - n))
-    )
+    rate = (n - 1) * 3 ** ((n + 1) / 2) * A / compliance
+    return np.asarray((traction ** (1 - n) + rate * np.asarray(t)) ** (1 / (1 - n)))
 
 
 def power_creep_normal(lmbda: float, mu: float, A: float, n: float, traction: float, t: Array) -> Array:

@@ -37,10 +37,6 @@ def stacked(cell="quadrilateral"):
     """Two bodies of different stiffness, the upper one pushed onto the lower and to the right."""
     joint = sandwich(6, 3, 2, 0.5, cell=cell, structured=True)
     bodies = {"LOWER": LinearElastic.young(5e3, 0.3), "UPPER": LinearElastic.young(9e3, 0.2)}
-    setup = {
-        "body": bodies,
-        "supports": {"BOTTOM": 0.0, "RIGHT/UPPER": {"x": 0.0}},
-        "tractions": {"LEFT/UPPER": (60.0, 0.0), "TOP": lift},
-        "element": "Q1" if cell == "quadrilateral" else "P1",
-    }
-    return joint, setup
+    supports, loads = {"BOTTOM": 0.0, "RIGHT/UPPER": {"x": 0.0}}, {"LEFT/UPPER": (60.0, 0.0), "TOP": lift}
+    element = "Q1" if cell == "quadrilateral" else "P1"
+    return joint, {"body": bodies, "supports": supports, "tractions": loads, "element": element}

@@ -35,14 +35,10 @@ def dry_wall(
     `weight` is that of a square of bricks.
     """
     joint = wall(bricks, courses, (1.0, 0.5), sizes.pop("h", 0.125), cell=cell, **sizes)
-    structure = Structure(
-        joint,
-        body=LinearElastic.young(50.0, 0.2),
-        supports={"BOTTOM": 0.0},
-        tractions={"TOP": lambda x, t: (push(x, t), -1.0, *([0.0] * (joint.dim - 2)))},
-        body_force=(0.0, -weight, 0.0)[: joint.dim],
-        element="P1" if cell in ("triangle", "tetrahedron") else "Q1",
-    )
+    loads = {"TOP": lambda x, t: (push(x, t), -1.0, *([0.0] * (joint.dim - 2)))}
+    element, weights = "P1" if cell in ("triangle", "tetrahedron") else "Q1", (0.0, -weight, 0.0)[: joint.dim]
+    data = {"supports": {"BOTTOM": 0.0}, "tractions": loads, "body_force": weights, "element": element}
+    structure = Structure(joint, body=LinearElastic.young(50.0, 0.2), **data)
     laws = {name: kind(K_N=stiffer * K_N, K_T=stiffer * K_T, friction=f) for name, (K_N, K_T, f) in DRY.items()}
     return structure.interface(laws)
 

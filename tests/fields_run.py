@@ -70,19 +70,16 @@ def network():
     """Bricks in running bond, their beds slipping."""
     bed = MohrCoulombMonodirectional(30.0, 20.0, cohesion=0.01, friction_angle=20.0, elastic_fraction=0.1)
     layers = {"BED": ThinLayer(bed, 0.1, at=1.0), "HEAD": ThinLayer(LinearElastic(3.0, 2.0), 0.1, at=1.0)}
-    panel = Structure(
-        wall(2, 3, brick=(2.0, 1.0), h=0.5), body=BODY, supports={"BOTTOM": 0.0},
-        tractions={"TOP": lambda x, t: (0.05 * t, -0.1)},
-    )  # fmt: skip
+    loads = {"TOP": lambda x, t: (0.05 * t, -0.1)}
+    panel = Structure(wall(2, 3, (2.0, 1.0), h=0.5), body=BODY, supports={"BOTTOM": 0.0}, tractions=loads)
     return march(panel.interface(layers), [0.5, 1.0])
 
 
 def on_a_base():
     """A bar pushed along a rigid base, with friction and memory, in 3D."""
-    bar = Structure(
-        block(2.0, 1.0, 0.5, depth=1.0, cell="hexahedron"), body=BODY, supports={"RIGHT": {"x": 0.0}, "BACK": {"z": 0.0}},
-        tractions={"LEFT": (0.8, 0.0, 0.0), "TOP": (0.0, -0.5, 0.1)}, element="Q1",
-    )  # fmt: skip
+    joint, loads = block(2.0, 1.0, 0.5, depth=1.0, cell="hexahedron"), {"LEFT": (0.8, 0, 0), "TOP": (0, -0.5, 0.1)}
+    supports = {"RIGHT": {"x": 0.0}, "BACK": {"z": 0.0}}
+    bar = Structure(joint, body=BODY, supports=supports, tractions=loads, element="Q1")
     return march(bar.interface(IncrementalCoulomb(K_N=90.0, K_T=30.0, friction=0.4)), [1.0])
 
 

@@ -90,6 +90,5 @@ def star(angles, cell: str, n: int = 4) -> Joint:
     facets = {f"L{k}": np.column_stack([[0, *node[:-1, ray]], node[:, ray]]) for k, ray in enumerate(rays)}
     table = FacetTable.of(cells, cell)
     facets["RIM"] = table.vertices[table.cells[:, 1] < 0]
-    return Joint(points, cells, cell, region, tuple(f"B{k}" for k in range(len(angles))), facets, {
-        name: Seam() for name in facets if name != "RIM"
-    })  # fmt: skip
+    names, seams = tuple(f"B{k}" for k in range(len(angles))), {name: Seam() for name in facets if name != "RIM"}
+    return Joint(points, cells, cell, region, names, facets, seams)

@@ -80,12 +80,8 @@ def stack(occ, path, dim=2, **options):
     """LOWER (0, 2) x (-1, 0), UPPER (0, 2) x (0, 1), S between, TOP above."""
     low, up = boxes(occ, (0, -1, 2, 1), (0, 0, 2, 1), dim=dim)
     groups = {(dim, "LOWER"): [low], (dim, "UPPER"): [up]}
-    return save(
-        path,
-        dim,
-        groups | {(dim - 1, "S"): sides(0, 0, 2, 0, dim), (dim - 1, "TOP"): sides(0, 1, 2, 0, dim)},
-        **options,
-    )
+    facets = {(dim - 1, "S"): sides(0, 0, 2, 0, dim), (dim - 1, "TOP"): sides(0, 1, 2, 0, dim)}
+    return save(path, dim, groups | facets, **options)
 
 
 def rings(occ, path, cell, degree, **options):

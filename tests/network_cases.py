@@ -80,13 +80,9 @@ def three_bricks(m: int, cell: str, cross: bool = False) -> Joint:
 
 def pushed(joint: Joint, push: float, layer):
     """The state of three bricks under a pressure of 1 and a push on the upper left one."""
-    structure = Structure(
-        joint,
-        body=LinearElastic.young(50.0, 0.2),
-        supports={"BOTTOM": 0.0},
-        tractions={"TOP": (0.0, -1.0), "LEFT": (push, 0.0)},
-        element="P1" if joint.cell_type == "triangle" else "Q1",
-    )
+    data = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0), "LEFT": (push, 0.0)}}
+    data["element"] = "P1" if joint.cell_type == "triangle" else "Q1"
+    structure = Structure(joint, body=LinearElastic.young(50.0, 0.2), **data)
     return solve(structure.interface(layer))
 
 

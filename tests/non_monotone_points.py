@@ -15,13 +15,8 @@ CHIS = {"2D": CHI2, "3D": CHI3, "n (x) n": ACROSS, "sym(tangent (x) n)": ALONG}
 RELAXED = {name: NonMonotone(LMBDA, MU, ALPHA, C, chi) for name, chi in CHIS.items()}
 PURE = {name: NonMonotoneUnrelaxed(LMBDA, MU, ALPHA, C, chi) for name, chi in CHIS.items()}
 STEEP = NonMonotone(LMBDA, MU, ALPHA, C, CHI2, mixing=0.4)
-LAWS = {
-    "relaxed 2D": RELAXED["2D"],
-    "relaxed 3D": RELAXED["3D"],
-    "steep": STEEP,
-    "pure": PURE["2D"],
-    "pure 3D": PURE["3D"],
-}
+LAWS = {f"relaxed {name}": law for name, law in RELAXED.items()} | {"steep": STEEP}
+LAWS |= {"pure": PURE["2D"], "pure 3D": PURE["3D"]}
 THETAS = [1.0, 0.7, 0.5]
 EPS = 0.05  # a thickness
 
@@ -91,19 +86,11 @@ def in_layer_axes(values):
 from_layer_axes = in_layer_axes
 
 
-PATHS = {
-    2: [
-        (0.004, 0.002),
-        (0.01, 0.008),
-        (0.03, 0.05),
-        (0.06, 0),
-        (-0.002, 0.01),
-        (-0.03, 0),
-        (-0.04, -0.01),
-        (-0.02, 0.01),
-    ],
-    3: [(0, 0.002, -0.0003), (0.01, 0.01, 0.004), (0.05, 0, 0.04), (0, 0.04, -0.03), (-0.04, -0.02, -0.02)],
+PATHS = {  # in thousandths
+    2: [(4, 2), (10, 8), (30, 50), (60, 0), (-2, 10), (-30, 0), (-40, -10), (-20, 10)],
+    3: [(0, 2, -0.3), (10, 10, 4), (50, 0, 40), (0, 40, -30), (-40, -20, -20)],
 }
+PATHS = {d: [tuple(w / 1e3 for w in jump) for jump in path] for d, path in PATHS.items()}
 
 
 TABLE = Tabulated([(0.0, 2.0), (10.0, 1.0), (40.0, 4.0)])

@@ -118,9 +118,8 @@ class Slipping(TractionLaw):
 
     def traction(self, step):
         w_N = ufl.dot(step.mid, step.n)
-        return (self.k_N * w_N - self.closed * w_N**2) * step.n + self.k_T * (
-            step.mid - w_N * step.n - self._slip(step)
-        )
+        along = self.k_T * (step.mid - w_N * step.n - self._slip(step))
+        return (self.k_N * w_N - self.closed * w_N**2) * step.n + along
 
     def evolve(self, step):
         slip = step.q["slip"] + (self._slip(step) - step.q["slip"]) / step.theta

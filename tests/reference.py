@@ -19,14 +19,8 @@ TOP = np.array([0.5, 1.0])
 def strip(lmbda: float, mu: float) -> np.ndarray:
     """The matrix A of an isotropic strip in plane strain."""
     M = lmbda + 2 * mu
-    return np.array(
-        [
-            [0, K, 1 / mu, 0],
-            [-lmbda * K / M, 0, 0, 1 / M],
-            [4 * K**2 * mu * (lmbda + mu) / M, 0, 0, lmbda * K / M],
-            [0, 0, -K, 0],
-        ]
-    )
+    of_u, of_v = [0, K, 1 / mu, 0], [-lmbda * K / M, 0, 0, 1 / M]
+    return np.array([of_u, of_v, [4 * K**2 * mu * (lmbda + mu) / M, 0, 0, lmbda * K / M], [0, 0, -K, 0]])
 
 
 def spring(lmbda: float, mu: float) -> np.ndarray:
@@ -45,9 +39,8 @@ def next_order(lmbda: float, mu: float, eps: float, locked: bool = False) -> np.
     M = lmbda + 2 * mu
     C = np.array([[M, lmbda, 0], [lmbda, M, 0], [0, 0, mu]])
     e0 = np.array([[0, 0, K, 0], [0, 1 / eps, 0, 0], [1 / eps, 0, 0, -K]])
-    e1 = np.array(
-        [[K, 0, 0, 0], [0, 0, 0, 0], [0, -K, 0, 0]] if locked else [[K, 0, 0, 0], [-lmbda * K / M, 0, 0, 0], [0] * 4]
-    )
+    others = [[0] * 4, [0, -K, 0, 0]] if locked else [[-lmbda * K / M, 0, 0, 0], [0] * 4]
+    e1 = np.array([[K, 0, 0, 0], *others])
     return across(eps * e0.T @ C @ e0 + eps / 12 * e1.T @ C @ e1)
 
 

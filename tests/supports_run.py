@@ -54,16 +54,12 @@ def plate(dim: int, kind: str, *, angle: float = 0.0, law=GLUE, **motion):
     force = np.array([0.3, -2.0, 0.1][:dim])
     if angle:
         force = turn(angle) @ force
-    given = (
-        {"force": tuple(force), "moment": 0.7 if dim == 2 else (0.3, 0.2, 0.7)} if not motion else {"motion": motion}
-    )
-    top = RigidPlate("TOP", **given)
+    pushed = {"force": tuple(force), "moment": 0.7 if dim == 2 else (0.3, 0.2, 0.7)}
+    top = RigidPlate("TOP", **({"motion": motion} if motion else pushed))
     joint = sandwich(2.0, 0.5, 0.6, 0.5, **DIM[dim])
     joint = joint.rotated(angle) if angle else joint
-    structure = Structure(
-        joint, body=BODY, supports={"BOTTOM": {"n": 0.0}, "LEFT/LOWER": {"n": 0.0}} if angle else {"BOTTOM": 0.0},
-        parts=[top], element="P1" if dim == 3 else "P2",
-    )  # fmt: skip
+    supports = {"BOTTOM": {"n": 0.0}, "LEFT/LOWER": {"n": 0.0}} if angle else {"BOTTOM": 0.0}
+    structure = Structure(joint, body=BODY, supports=supports, parts=[top], element="P1" if dim == 3 else "P2")
     return top, model(structure, kind, law)
 
 
@@ -71,10 +67,8 @@ def on_base(law, *, contact: bool = False):
     """A block pressed and pushed along a layer, or in contact, on a rigid base."""
     joint = block(4.0, 2.0, 1.0, structured=contact)
     push = (0.02, -1.0) if contact else lambda x, t: (0.02 * t, -0.2 - 0.05 * x[0])
-    structure = Structure(
-        joint, body=BODY, supports={"RIGHT": {"x": 0.0}}, tractions={"TOP": push}, element="P1" if contact else "P2"
-    )
-    return structure.interface(law if contact else ThinLayer(law, EPS, at=1.0))
+    data = {"supports": {"RIGHT": {"x": 0.0}}, "tractions": {"TOP": push}, "element": "P1" if contact else "P2"}
+    return Structure(joint, body=BODY, **data).interface(law if contact else ThinLayer(law, EPS, at=1.0))
 
 
 def out_of_balance(state: State) -> float:

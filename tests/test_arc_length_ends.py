@@ -44,9 +44,8 @@ def test_back():
 @pytest.mark.filterwarnings("ignore:Value error in evaluation of function sqrt")
 def test_no_step_leads_on():
     """A law that is not defined beyond an opening."""
-    with pytest.raises(
-        SolveError, match=r"step \d+ of the path, from t = 0\.\d+, failed, and so did longer ones"
-    ) as caught:
+    words = r"step \d+ of the path, from t = 0\.\d+, failed, and so did longer ones"
+    with pytest.raises(SolveError, match=words) as caught:
         march(bar(Torn(k=7.0, k_T=1.9)), ArcLength(end=1.0, first=0.1, smallest=1e-2))
     t = caught.value.history.last.t
     assert 0.1 * (1 + C * 7.0) - 0.002 < t < 0.1 * (1 + C * 7.0)

@@ -71,10 +71,7 @@ def test_laws_that_have_no_path():
         (Maxwell(60.0, 40.0, t1=0.7), "Maxwell creeps or relaxes, and t is no time on a path"),
         (Creeping(7.0, 0.3), "Creeping creeps or relaxes"),
         (NonMonotoneUnrelaxed(60.0, 40.0, 0.2, 0.02, np.eye(2)), "NonMonotoneUnrelaxed has pure phases"),
-        (
-            MohrCoulomb(60.0, 40.0, cohesion=0.1, friction_angle=30.0),
-            "MohrCoulomb bounds stresses: on a path loads stay",
-        ),
+        (MohrCoulomb(60.0, 40.0, 0.1, 30.0), "MohrCoulomb bounds stresses: on a path loads stay"),
     ]:
         refused(InputError, message, march, bar(law), ArcLength(1.0, 0.1))
 

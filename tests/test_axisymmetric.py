@@ -65,10 +65,10 @@ def test_integrals_of_users_are_over_the_whole_revolution():
     on = lambda model, name: model.ds(model.domain.values(name))
     springs = UflPart(energy=lambda u, model: 15.0 * u[0] ** 2 * on(model, "RIGHT"))
     supports, loads = {"BOTTOM": {"y": 0.0}}, {"TOP": (0.0, P)}
-    by_part, state = (
-        solve(structure(rods(), supports, tractions=loads, parts=[part]).interface(ThinLayer(GLUE, EPS, at=1.0)))
-        for part in (Springs("RIGHT", normal=30.0), springs)
+    held = lambda part: structure(rods(), supports, tractions=loads, parts=[part]).interface(
+        ThinLayer(GLUE, EPS, at=1.0)
     )
+    by_part, state = solve(held(Springs("RIGHT", normal=30.0))), solve(held(springs))
     assert state.u.x.array == pytest.approx(by_part.u.x.array, abs=EXACT * abs(by_part.u.x.array).max())
     work = lambda u, model: P * u[1] * on(model, "TOP")
     loads = by_part.energies()["loads"]
@@ -127,11 +127,8 @@ def _of_point(law, a, axial, hoops=None):
     from tests.at_points import respond
 
     real, n = law.scaled(EPS), np.array([[0.0, 1.0, 0.0]])
-    e, q, old = (
-        np.array([[a, axial, a if hoops is None else hoops, 0, 0, 0]]),
-        np.zeros((1, law.memory)),
-        np.zeros((1, 6)),
-    )
+    e = np.array([[a, axial, a if hoops is None else hoops, 0, 0, 0]])
+    q, old = np.zeros((1, law.memory)), np.zeros((1, 6))
     for share in (0.5, 1.0):
         answer = respond(real, share * e, old, q, n)
         q, old = answer.q, share * e
@@ -156,19 +153,17 @@ def test_bonded_tubes_are_those_of_lame():
     assert abs(wrong.displacement(0, 1.5) / by_law.displacement(0, 1.5) - 1) > 1e-3
 
 
-@pytest.mark.parametrize(
-    "law",
-    [Maxwell(3.0, 2.0, 0.8, 2.5), Incompressible(2.0), MohrCoulomb(3.0, 2.0, 0.02, 30.0, 0.05)],
-    ids=["Maxwell", "Incompressible", "Mohr-Coulomb"],
-)
+BETWEEN_TUBES = [Maxwell(3.0, 2.0, 0.8, 2.5), Incompressible(2.0), MohrCoulomb(3.0, 2.0, 0.02, 30.0, 0.05)]
+
+
+@pytest.mark.parametrize("law", BETWEEN_TUBES)
 def test_the_layer_between_tubes_tends_to_its_law_at_rate_1(law):
     """Also that of the jump, which is zero across an incompressible layer on S."""
     whole, rows = structure(tubes(cell="quadrilateral", structured=True), HELD, tractions={"BOTTOM": (P, 0.0)}), []
     for eps in (0.08, 0.04):
         layer = ThinLayer(law, eps, at=1.0)
-        full, limit = (
-            march(m, [0.2, 0.6]).last for m in (whole.full(layer, bodies="extended"), whole.interface(layer))
-        )
+        models = whole.full(layer, bodies="extended"), whole.interface(layer)
+        full, limit = (march(model, [0.2, 0.6]).last for model in models)
         rows.append(compare(full, limit))
     traction, jump = (np.log2(rows[0][name] / rows[1][name]) for name in ("error_traction", "error_jump"))
     assert 0.9 < traction < 1.16  # 1.153 of Mohr-Coulomb, whose next term shows; 1.134 by the bodies' reactions

@@ -34,11 +34,7 @@ GLUE = forms.LinearElastic(3.0, 2.0)
 
 
 def structure(**changed):
-    given = {
-        "body": forms.LinearElastic.young(90.0, 0.3),
-        "supports": {"BOTTOM": 0.0},
-        "tractions": {"TOP": (1.0, 2.0)},
-    }
+    given = {"body": forms.LinearElastic.young(90.0, 0.3), "supports": {"BOTTOM": 0}, "tractions": {"TOP": (1, 2)}}
     return thinlayer.Structure(geometry.sandwich(2.0, 1.0, 1.0, 1.0), **given | changed)
 
 
@@ -47,16 +43,8 @@ def model(**changed):
 
 
 SCRIPT = {**vars(forms), **vars(geometry), **{name: getattr(thinlayer, name) for name in thinlayer.__all__}}
-SCRIPT |= {
-    "HUGE": 10**400,
-    "NAN": float("nan"),
-    "INF": float("inf"),
-    "FLOAT32": np.float32,
-    "goals": thinlayer.goals,
-    "GLUE": GLUE,
-    "structure": structure,
-    "model": model,
-}
+SCRIPT |= {"HUGE": 10**400, "NAN": float("nan"), "INF": float("inf"), "FLOAT32": np.float32}
+SCRIPT |= {"goals": thinlayer.goals, "GLUE": GLUE, "structure": structure, "model": model}
 of = lambda kind, *names: pytest.mark.parametrize(names, TABLE[kind])
 pytestmark = pytest.mark.few(5)
 

@@ -156,22 +156,17 @@ class Pointwise(VonMises):
 STRONG = Pointwise(60.0, 40.0, strength=1e6)
 ELASTIC = LinearElastic(60.0, 40.0)
 PLACES = {
-    "wall": lambda body: Structure(
-        wall(2, 3, (1.0, 0.5), 0.25), body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.1, -0.4)}
-    ),
-    "solid": lambda body: Structure(
-        sandwich(1.0, 0.5, 0.5, 0.5, depth=0.7, structured=True),
-        body=body,
-        supports={"BOTTOM": 0.0},
-        tractions={"TOP": (0.1, -0.4, 0.2)},
-    ),
+    "wall": (wall(2, 3, (1.0, 0.5), 0.25), (0.1, -0.4)),
+    "solid": (sandwich(1.0, 0.5, 0.5, 0.5, depth=0.7, structured=True), (0.1, -0.4, 0.2)),
 }
 
 
 @pytest.mark.parametrize("name", PLACES)
 def test_a_body_that_does_not_yield_is_elastic(name):
     """What is read off states is the same: tractions, also around junctions, reactions, energies, mean stresses."""
-    one, other = (solve(PLACES[name](body).interface(LAYER)) for body in (ELASTIC, STRONG))
+    place, load = PLACES[name]
+    made = lambda body: Structure(place, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": load})
+    one, other = (solve(made(body).interface(LAYER)) for body in (ELASTIC, STRONG))
     same = 1e-7
     tractions = []
     for state in (one, other):

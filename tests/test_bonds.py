@@ -38,11 +38,8 @@ def loaded(joint: Joint, supports=PRESSED, traction=(0.0, -0.3), **more) -> Stru
 
 @pytest.mark.parametrize("law", [LAYERS["LOW"], HolonomicCoulomb(9.0, 4.0, friction=0.4)])
 def test_a_bond_is_a_seam_that_is_not_there(law):
-    twisted = {
-        "element": "P1" if law is not LAYERS["LOW"] else "P2",
-        "supports": {"BOTTOM": 0.0},
-        "traction": lambda x, t: (0.02, -0.3 - 0.1 * x[0]),
-    }
+    twisted = {"element": "P1" if law is not LAYERS["LOW"] else "P2", "supports": {"BOTTOM": 0.0}}
+    twisted["traction"] = lambda x, t: (0.02, -0.3 - 0.1 * x[0])
     bonded = solve(loaded(three_bodies("LOW", "HIGH"), **twisted).interface({"LOW": law, "HIGH": Bond()}))
     without = solve(loaded(three_bodies("LOW"), **twisted).interface({"LOW": law}))
     assert bonded.model.V.dofmap.index_map.size_global == without.model.V.dofmap.index_map.size_global

@@ -71,11 +71,11 @@ def test_grading_of_boxes(cell, structured):
         assert upwards.min() == pytest.approx(0.2, rel=0.5)
 
 
+DISCS = [("tetrahedron", 0.0, 2), ("tetrahedron", 0.3, 1), ("hexahedron", 0.3, 2), ("hexahedron", 0.0, 1)]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("cell", "hole", "degree"),
-    [("tetrahedron", 0.0, 2), ("tetrahedron", 0.3, 1), ("hexahedron", 0.3, 2), ("hexahedron", 0.0, 1)],
-)
+@pytest.mark.parametrize(("cell", "hole", "degree"), DISCS)
 def test_disc(cell, hole, degree):
     joint = disc(1.0, 0.5, 0.4, 0.3, hole=hole, h_S=0.2, h_ends=0.1, cell=cell, degree=degree)
     check(joint, {"S", "BOTTOM", "TOP", "SIDE"} | ({"HOLE"} if hole else set()))
@@ -91,12 +91,12 @@ def test_disc(cell, hole, degree):
         assert np.hypot(*on(joint, "HOLE")[:, [0, 2]].T) == pytest.approx(hole)
 
 
+RINGS = [("triangle", tau, 1), ("triangle", 4.0, 2), ("quadrilateral", 1.0, 1), ("quadrilateral", tau, 2),
+     ("tetrahedron", 1.0, 2), ("tetrahedron", tau, 1), ("hexahedron", 4.0, 2), ("hexahedron", 1.0, 1)]  # fmt: skip
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("cell", "angle", "degree"),
-    [("triangle", tau, 1), ("triangle", 4.0, 2), ("quadrilateral", 1.0, 1), ("quadrilateral", tau, 2),
-     ("tetrahedron", 1.0, 2), ("tetrahedron", tau, 1), ("hexahedron", 4.0, 2), ("hexahedron", 1.0, 1)],
-)  # fmt: skip
+@pytest.mark.parametrize(("cell", "angle", "degree"), RINGS)
 def test_ring(cell, angle, degree):
     depth = 0.5 if cell in SOLIDS else None
     joint = ring(0.5, 1.0, 2.0, 0.4, angle=angle, depth=depth, h_S=0.2, cell=cell, degree=degree)

@@ -116,18 +116,13 @@ def test_faults_that_cross_at_an_angle():
 
 def test_a_fault_that_branches_and_one_that_ends():
     """B ends on A, which has a kink; C has two tips."""
-    given = {
-        "A": ((0.0, 1.0), (4.0, 2.0), (8.0, 5.0)),
-        "B": ((4.0, 6.0), (2.0, 1.5)),
-        "C": ((5.5, 1.0), (6.5, 2.0), (7.5, 1.5)),
-    }
+    given = {"A": ((0, 1), (4, 2), (8, 5)), "B": ((4, 6), (2, 1.5)), "C": ((5.5, 1), (6.5, 2), (7.5, 1.5))}
     joint = faults(8.0, 6.0, given, 0.5)
     check(joint, 48.0)
     assert counts(joint)[3] == 1
     assert joint.points[joint.splitting.valence == 3][0] == pytest.approx((2.0, 1.5))
-    tips = joint.points[
-        np.setdiff1d(joint.table.vertices[joint.rows_of("C")], np.flatnonzero(joint.splitting.valence > 1))
-    ]
+    ends = np.setdiff1d(joint.table.vertices[joint.rows_of("C")], np.flatnonzero(joint.splitting.valence > 1))
+    tips = joint.points[ends]
     assert np.array(sorted(tips.tolist())) == pytest.approx(np.array([(5.5, 1.0), (7.5, 1.5)]))
     assert len(joint.regions) == 3
 
@@ -166,9 +161,10 @@ def test_refused_grains():
 
 
 # ---------------------------------------------------------------- fibre
-@pytest.mark.parametrize(
-    ("around", "cell", "degree"), [(1.0, "triangle", 1), (1.0, "quadrilateral", 2), ((2.0, 3.0), "triangle", 1)]
-)
+FIBRES = [(1.0, "triangle", 1), (1.0, "quadrilateral", 2), ((2.0, 3.0), "triangle", 1)]
+
+
+@pytest.mark.parametrize(("around", "cell", "degree"), FIBRES)
 def test_fibre(around, cell, degree):
     joint = fibre(0.4, around, 0.1, cell=cell, degree=degree)
     check_sound(joint, joint.facets.keys() - {"S"})

@@ -150,10 +150,7 @@ def test_bad_input_writes_nothing(tmp_path):
         ("run fig7", "thinlayer run: error: unknown study 'fig7'; known: bearing, "),
         ("run fig6", "unknown study 'fig6', did you mean 'fig6_stratified'?; known: "),
         ("run rates --law monodirectonal", "run rates: error: unknown law 'monodirectonal', did you mean 'monodirect"),
-        (
-            "run limits --qick",
-            "run limits: error: unknown option '--qick', did you mean '--quick'?; known: --help, --out",
-        ),
+        ("run limits --qick", "limits: error: unknown option '--qick', did you mean '--quick'?; known: --help, --out"),
         ("run limits --quick 0.1", "run limits: error: unrecognized argument '0.1'; --help has all\n"),
         ("run limits -ksp_rtol 0.1", "argument '-ksp_rtol'; --help has all; PETSc options start with -thinlayer_\n"),
         ("estimate a.msh --new --set a=1", "estimate: error: --new reads a mesh file, which has no keys to --set"),

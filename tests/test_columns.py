@@ -96,11 +96,11 @@ def check_column(
     assert np.abs(u.x.array - v.x.array).max() < EXACT * np.abs(v.x.array).max()
 
 
+TWO_BODIES = [(*one, *two) for one, two in zip(ELEMENTS, cycle([(0.3, 1), (1e-2, 7), (1e-4, 4)]))]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("cell", "element", "angle", "eps", "cells_through"),
-    [(*one, *two) for one, two in zip(ELEMENTS, cycle([(0.3, 1), (1e-2, 7), (1e-4, 4)]))],
-)
+@pytest.mark.parametrize(("cell", "element", "angle", "eps", "cells_through"), TWO_BODIES)
 def test_two_bodies(cell, element, angle, eps, cells_through):
     """In any direction, with any number of cells through the layer."""
     joint, choices = sandwich(1.0, 0.5, 0.7, 0.25, cell=cell).rotated(angle), {"cells_through": cells_through}

@@ -184,10 +184,11 @@ def test_first_state():
 
 
 # ---------------------------------------------------------------- energies
+STEPPED = [(KELVIN, "normal"), (MAXWELL, "shear"), (NORTON_15, "shear"), (NORTON_3, "normal")]
+
+
 @pytest.mark.parametrize("theta", [1.0, 0.75, 0.5])
-@pytest.mark.parametrize(
-    ("law", "mode"), [(KELVIN, "normal"), (MAXWELL, "shear"), (NORTON_15, "shear"), (NORTON_3, "normal")]
-)
+@pytest.mark.parametrize(("law", "mode"), STEPPED)
 def test_energies_of_steps(law, mode, theta):
     """The remainder is (2 theta - 1) times the energy of the increments; what is dissipated has its closed form."""
     sizes, dt, axis = np.array([0.01, 0.03, 0.02, 0.025]), np.array([0.02, 0.05, 0.03, 0.1]), AXIS[mode]
@@ -208,11 +209,10 @@ def test_energies_of_steps(law, mode, theta):
 FLUID, SOLID = AgeingFluid(MU, 0.4, 3.0), AgeingKelvinVoigt(LMBDA, MU, 0.3, 0.5, 2.0)
 
 
-@pytest.mark.parametrize(
-    ("law", "theta"),
-    [(AgeingSpring(MU, 5.0), 1.0), (SOLID, 0.75), (Stack((0.3, FLUID), (0.7, SOLID)), 0.5)],
-    ids=["spring", "solid", "stack, midpoint"],
-)
+VARYING = [(AgeingSpring(MU, 5.0), 1.0), (SOLID, 0.75), (Stack((0.3, FLUID), (0.7, SOLID)), 0.5)]
+
+
+@pytest.mark.parametrize(("law", "theta"), VARYING)
 def test_parameters_that_vary_in_time(law, theta):
     """Energies of both models: a stack's own, on S, are those of its laws one by one, in the meshed layer."""
     setup = column("shear", load=lambda t: 0.5 * (1 + 3 * t))

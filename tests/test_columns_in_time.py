@@ -18,15 +18,11 @@ from thinlayer import Structure, ThinLayer, march
 pytestmark = pytest.mark.few(10)
 
 
-@pytest.mark.parametrize(
-    ("kind", "eps", "theta", "mode"),
-    [
-        ("sandwich", 0.3, 1.0, "shear"),
-        ("sandwich", 1e-2, 0.5, "normal"),
-        ("sandwich", 1e-4, 1.0, "normal"),
-        ("block", 0.02, 0.5, "shear"),
-    ],
-)
+SANDWICHES = [(0.3, 1.0, "shear"), (1e-2, 0.5, "normal"), (1e-4, 1.0, "normal")]
+COLUMNS = [*(("sandwich", *one) for one in SANDWICHES), ("block", 0.02, 0.5, "shear")]
+
+
+@pytest.mark.parametrize(("kind", "eps", "theta", "mode"), COLUMNS)
 @pytest.mark.parametrize("name", LAWS)
 def test_both_models_agree_at_every_step(name, kind, eps, theta, mode):
     """Between bodies and on a rigid base: a sudden load that grows and turns, in steps of several lengths."""

@@ -15,12 +15,8 @@ from forms.contact import ContactLaw, Status
 from tests.refused import refused
 
 K_N, K_T, F, C = 37.0, 11.0, 0.7, 0.4
-LAWS = [
-    HolonomicCoulomb(K_N, K_T, F),
-    HolonomicCoulomb(K_N, K_T, F, C),
-    IncrementalCoulomb(K_N, K_T, F, C),
-    Tresca(K_N, K_T, 0.9),
-]
+COULOMB = [HolonomicCoulomb(K_N, K_T, F), HolonomicCoulomb(K_N, K_T, F, C), IncrementalCoulomb(K_N, K_T, F, C)]
+LAWS = [*COULOMB, Tresca(K_N, K_T, 0.9)]
 
 
 def one(*w: float) -> np.ndarray:
@@ -47,7 +43,7 @@ def test_tractions_by_hand(law, w, t, status):
     assert law.status(one(*w)) == status
 
 
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("d", [2, 3])
 def test_tangent_is_the_derivative(law, d):
     """Second order remainder in a Taylor test, away from the kinks; of the eased law, too, which pulls where it opens."""
@@ -85,12 +81,11 @@ def test_slip_memory():
     assert follows[0, 0] == pytest.approx(0.4)
 
 
-@given(
-    st.lists(st.floats(-1, 1), min_size=3, max_size=3),
-    st.lists(st.floats(-1, 1), min_size=2, max_size=2),
-    st.floats(0, 3),
-    st.floats(0, 2),
-)
+def lists(n):
+    return st.lists(st.floats(-1, 1), min_size=n, max_size=n)
+
+
+@given(lists(3), lists(2), st.floats(0, 3), st.floats(0, 2))
 def test_threshold_and_dissipation(w, slip, friction, cohesion):
     law = IncrementalCoulomb(K_N, K_T, friction, cohesion)
     jump, old = np.array([w]), np.array([slip])

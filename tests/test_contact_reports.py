@@ -53,9 +53,8 @@ def test_frames_in_three_dimensions():
 
 def test_pictures(tmp_path):
     one, two = bar(12, coulomb("middle")), bar(12, coulomb("soft"))
-    plotting.along(
-        one.surface, {"a": one, "b": two}, save=tmp_path / "two.png", length="mm", stress="MPa", title="contact"
-    )
+    given = {"save": tmp_path / "two.png", "length": "mm", "stress": "MPa", "title": "contact"}
+    plotting.along(one.surface, {"a": one, "b": two}, **given)
     joint, setup = sliding_bar(4, depth=True)
     solid = solve(Structure(joint, **setup).interface(coulomb("middle")))
     report = contact(solid)

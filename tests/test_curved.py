@@ -60,9 +60,10 @@ def test_pressed_tube():
     assert errors[1] < 5e-5  # 4.0e-5
 
 
-@pytest.mark.parametrize(
-    ("load", "cell", "degree"), [(pressed, "quadrilateral", 2), (twisted, "triangle", 1), (pressed, "triangle", 2)]
-)
+LOADS = [(pressed, "quadrilateral", 2), (twisted, "triangle", 1), (pressed, "triangle", 2)]
+
+
+@pytest.mark.parametrize(("load", "cell", "degree"), LOADS)
 def test_error_is_of_first_order(load, cell, degree):
     """And a wrong law leaves a floor."""
     wrong, floor = LinearElastic(lmbda=GLUE.lmbda - GLUE.mu, mu=GLUE.mu), []
@@ -146,7 +147,6 @@ def test_profiles_are_checked():
         layer = ThinLayer(GLUE, 0.01, profile=profile, at=1.0)
         refused(InputError, message, plates.interface, layer)
         refused(InputError, message, plates.full, layer, bodies="extended")
-    refused(
-        InputError, r"thickness varies along S.*bodies='extended'", plates.full, ThinLayer(GLUE, 0.01, profile=wedge)
-    )
+    tapered = ThinLayer(GLUE, 0.01, profile=wedge)
+    refused(InputError, r"thickness varies along S.*bodies='extended'", plates.full, tapered)
     refused(InputError, "must be a function", lambda: ThinLayer(GLUE, 0.01, profile=2.0, at=1.0))

@@ -60,9 +60,8 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     kinematics, n_ufl = Kinematics(), ufl.as_vector(n.tolist())
     along = np.eye(dim) - np.outer(n, n)
     mean = kinematics.along(ufl.as_matrix((gradient @ along).tolist()), ufl.as_vector(jump.tolist()))
-    faces = Faces(
-        n_ufl, eps, ufl.as_vector(jump.tolist()), ufl.as_matrix((change @ along).tolist()), mean, kinematics.along
-    )
+    jumps, slopes = ufl.as_vector(jump.tolist()), ufl.as_matrix((change @ along).tolist())
+    faces = Faces(n_ufl, eps, jumps, slopes, mean, kinematics.along)
     weights = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, values), ufl.as_ufl(1.0))
 
     def energy(stations):
@@ -148,16 +147,16 @@ def based(eps):
     return Structure(joint, body=BODY, supports={}, tractions={"TOP": (0.3, -1)})
 
 
+CONVERGING = [
+    (stack, LinearElastic.shear(8.0, 0.45), 1.9),
+    (stack, LinearElastic.shear(40.0, 0.0), 2.3),
+    (unequal, LinearElastic.shear(8.0, 0.3), 2.0),
+    (based, LinearElastic.shear(8.0, 0.3), 1.9),
+]
+
+
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # that order 1 without weights is too stiff
-@pytest.mark.parametrize(
-    ("structure_at", "law", "low"),
-    [
-        (stack, LinearElastic.shear(8.0, 0.45), 1.9),
-        (stack, LinearElastic.shear(40.0, 0.0), 2.3),
-        (unequal, LinearElastic.shear(8.0, 0.3), 2.0),
-        (based, LinearElastic.shear(8.0, 0.3), 1.9),
-    ],
-)
+@pytest.mark.parametrize(("structure_at", "law", "low"), CONVERGING)
 def test_order_2_away_from_free_ends(structure_at, law, low):
     right, wrong = errors(structure_at, law)
     assert min(observed_orders(EPS, right[:, k])[-1] for k in range(3)) > low
@@ -188,10 +187,8 @@ def test_ends_are_corrected_where_they_may_be(caplog):
     plates = Structure(sandwich(1.0, 0.3, 0.3, 0.3), body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1)})
     layer = ThinLayer(LinearElastic.shear(1.0, 0.3), 0.1, order=1, at=1.0)
     with caplog.at_level(logging.INFO, logger="thinlayer.solve"):
-        works = {
-            edges: solve(plates.interface(replace(layer, edges=edges))).energies()["loads"]
-            for edges in (None, "free", "plain")
-        }
+        work = lambda edges: solve(plates.interface(replace(layer, edges=edges))).energies()["loads"]
+        works = {edges: work(edges) for edges in (None, "free", "plain")}
     assert works[None] == works["free"] > 1.01 * works["plain"]
     said = [line.partition(": ")[2] for line in caplog.messages if line.startswith("free ends of the layer: ")]
     assert said == ["corrected", "corrected", "not corrected, as edges='plain' was asked for"]

@@ -34,11 +34,11 @@ def plate(shape, eps, cell="hexahedron"):
     return part_of(joint, ~out.all(axis=1))
 
 
+PLATES = [("L", 6, 4.0, "hexahedron"), ("hole", 8, 5.2, "tetrahedron"), ("notch", 8, 4.7, "hexahedron")]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("shape", "count", "length", "cell"),
-    [("L", 6, 4.0, "hexahedron"), ("hole", 8, 5.2, "tetrahedron"), ("notch", 8, 4.7, "hexahedron")],
-)
+@pytest.mark.parametrize(("shape", "count", "length", "cell"), PLATES)
 def test_ends_of_an_angular_plate(shape, count, length, cell):
     """Each side is an end, the two in line beside a notch, too; where strips overlap their weights add up, below 1."""
     eps = 0.05
@@ -94,9 +94,7 @@ def test_strips_that_lie_on_one_another_are_refused():
     tongue = grid(x, np.array([0.0, 0.1]), x, cell="hexahedron")
     centre = tongue.points[tongue.corners].mean(axis=1)[:, [0, 2]]
     tongue = part_of(tongue, (centre[:, 0] < 0.52) | (abs(centre[:, 1] - 0.51) < 0.01))
-    for joint, eps, nu, words in (
-        (plate("hole", 0.1, "tetrahedron"), 0.1, 0.3, "S is short"),
-        (tongue, 0.04, 0.05, "lie on one another"),
-    ):
+    hole = plate("hole", 0.1, "tetrahedron"), 0.1, 0.3, "S is short"
+    for joint, eps, nu, words in (hole, (tongue, 0.04, 0.05, "lie on one another")):
         structure, law = Structure(joint, body=BODY, supports={}, tractions={}), LinearElastic.shear(8.0, nu)
         refused(InputError, words, structure.interface, ThinLayer(law, eps, order=1, edges="free", at=1.0))

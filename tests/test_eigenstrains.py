@@ -174,9 +174,8 @@ def test_a_prestress_of_two_components_has_the_third_of_plane_strain():
     sigma = np.array([[0.3, 0.1], [0.1, -0.2]])
     strips = lambda given, held: solve(Structure(FLAT, body=LAW, supports=held, eigenstrain=Prestress(given)).bonded())
     assert strips(sigma, dict.fromkeys(ROLLERS, 0.0)).mean_stress() == pytest.approx(sigma, rel=1e-12, abs=1e-12)
-    assert (
-        strips(np.diag([0.3, -0.2]), AT_REST).energies()["bodies"] < 1e-20
-    )  # a free body keeps none, s_33 vanishes too
+    # a free body keeps none, s_33 vanishes too
+    assert strips(np.diag([0.3, -0.2]), AT_REST).energies()["bodies"] < 1e-20
     other = strips(np.diag([0.3, -0.2, 0.1 * nu + 0.06]), AT_REST)
     assert other.energies()["bodies"] == pytest.approx(0.06**2 / 30.0 / 2 * 2.5, rel=1e-10)
 
@@ -269,10 +268,8 @@ def test_a_computed_temperature_is_that_of_a_formula(kind):
 def test_a_layer_between_bodies_of_two_temperatures_has_their_mean():
     halves = computed(lambda x: 2.0 + np.sign(x[1]), ("DG", 0))
     data = {"body": LAW, "supports": {"BOTTOM": 0.0}}
-    pair = [
-        solve(Structure(FLAT, **data).interface(ThinLayer(LAW, 0.1, eigenstrain=hot, at=1.0)))
-        for hot in (ThermalExpansion(1e-3, halves), 2e-3)
-    ]
+    layers = (ThinLayer(LAW, 0.1, eigenstrain=hot, at=1.0) for hot in (ThermalExpansion(1e-3, halves), 2e-3))
+    pair = [solve(Structure(FLAT, **data).interface(layer)) for layer in layers]
     assert pair[0].u.x.array == pytest.approx(pair[1].u.x.array, abs=1e-9 * np.abs(pair[1].u.x.array).max())
 
 

@@ -35,18 +35,17 @@ def model(kind, law, eigenstrain, supports=SLIDING, plane="strain", **data):
 
 def across(state):
     """Mean normal traction and jump on S."""
-    surface = Surface(
-        Structure(JOINT, body=STEEL, supports=SLIDING, plane=state.model.plane).interface(layer_of(GLUE, EPS))
-    )
+    structure = Structure(JOINT, body=STEEL, supports=SLIDING, plane=state.model.plane)
+    surface = Surface(structure.interface(layer_of(GLUE, EPS)))
     t, w = surface.traction(state), surface.jump(state)
     return surface.integral(t[1]) / WIDTH, surface.integral(w[1]) / WIDTH
 
 
 # ---------------------------------------------------------------- free
-@pytest.mark.parametrize(
-    ("kind", "law"),
-    zip(KINDS, [Maxwell(70.0, 50.0, t1=0.7, t2=0.9), Stack((0.3, GLUE), (0.7, FOURIER_LAYER))], strict=True),
-)
+SHRINKING = zip(KINDS, [Maxwell(70.0, 50.0, t1=0.7, t2=0.9), Stack((0.3, GLUE), (0.7, FOURIER_LAYER))], strict=True)
+
+
+@pytest.mark.parametrize(("kind", "law"), SHRINKING)
 def test_a_layer_that_shrinks_freely_has_no_stress(kind, law):
     """It closes by eps e; what is left are roundings of (lmbda + 2 mu) e."""
     state = solve(model(kind, law, ((0.0, 0.0), (0.0, -3e-3))))
@@ -133,12 +132,11 @@ def varying(size):
     return strain
 
 
+OF_ORDER_1 = [(FOURIER_LAYER, False), (FOURIER_LAYER, True), (Rubber(600.0, 40.0), True)]
+
+
 @pytest.mark.few(5)
-@pytest.mark.parametrize(
-    ("law", "scaled"),
-    [(FOURIER_LAYER, False), (FOURIER_LAYER, True), (Rubber(600.0, 40.0), True)],
-    ids=["fixed", "over eps", "rubber, over eps"],
-)
+@pytest.mark.parametrize(("law", "scaled"), OF_ORDER_1, ids=["fixed", "over eps", "rubber, over eps"])
 def test_the_next_order_knows_the_eigenstrain(law, scaled):
     """Rate 2 with order 1, for strains that are fixed, of order eps in tractions, and for those over eps; 1 without."""
     joint, setup = fourier(1 / 16, cell="quadrilateral")

@@ -44,10 +44,8 @@ def wanted():
 
 def numbers(path):
     """(instead, quantity) -> value, better, error of a table."""
-    return {
-        (row["instead"], row["quantity"]): [float(row[key] or "nan") for key in ("value", "better", "error")]
-        for row in rows(path)
-    }
+    values = lambda row: [float(row[key] or "nan") for key in ("value", "better", "error")]
+    return {(row["instead"], row["quantity"]): values(row) for row in rows(path)}
 
 
 def test_description_and_script_agree_and_another_glue_does_not(lap, wanted, tmp_path):
@@ -203,12 +201,8 @@ def test_several_sets_inside_have_a_layer_each(tmp_path):
     cut = squares(tmp_path / "a.msh", more=[("line", [[1, 4]], 3)], names={**NAMES_OF_SQUARES, "CUT": (3, 1)})
     text = thinlayer("estimate", cut, "--new").stdout
     assert f'mesh = {{path = "{cut}", S = {{"S" = ["LOW", "UP"], "CUT" = "?"}}}}\n' in text
-    assert re.findall(r'^(?:"(\w+)" = |\[layer."(\w+)"\])', text, re.MULTILINE) == [
-        ("", "S"),
-        ("", "CUT"),
-        ("TOP", ""),
-        ("TOP", ""),
-    ]
+    found = re.findall(r'^(?:"(\w+)" = |\[layer."(\w+)"\])', text, re.MULTILINE)
+    assert found == [("", "S"), ("", "CUT"), ("TOP", ""), ("TOP", "")]
 
 
 def test_sizes_and_loads_of_revolution(lap):
@@ -228,9 +222,8 @@ def commands(folder: Path) -> list[list]:
     alone(lambda: lap_files.save(folder))
     asked = {"right": ["lap.toml"], "load": ["lap.toml", "--set", "tractions.TOP=[1, 0]"]}
     asked |= {"check": ["lap.toml", "--check"], "new": ["lap.msh", "--new"]}
-    done = [
-        thinlayer("estimate", folder / file, *words, "--out", folder / out) for out, (file, *words) in asked.items()
-    ]
+    run = lambda out, file, *words: thinlayer("estimate", folder / file, *words, "--out", folder / out)
+    done = [run(out, *words) for out, words in asked.items()]
     return [COMM.allgather([one.returncode, one.stdout, one.stderr]) for one in done]
 
 

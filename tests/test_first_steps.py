@@ -53,7 +53,7 @@ def test_steps_that_are_lost_in_rounding_fail():
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("law", [SLOW, SUDDEN], ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("law", [SLOW, SUDDEN])
 def test_a_march_of_steps_that_get_lost_in_rounding_ends(law):
     """The error that is asked for needs steps that are shorter than the digits of their times allow."""
     model = interface(law, {"TOP": lambda x, t: (0.0, ufl.sin(3e3 * (t - 1e6)))})

@@ -74,20 +74,19 @@ def last_orders(found, eps=EPS):
 
 
 # ---------------------------------------------------------------- orders
-@pytest.mark.parametrize(
-    ("law", "dt", "options"),
-    [
-        (KELVIN_VOIGT, 0.1, {"theta": 0.5}),
-        (KELVIN_VOIGT, 0.1, {"bodies": "extended"}),
-        (MAXWELL, 0.1, {"theta": 0.5}),
-        (TWO_TIMES, 0.3, {"bodies": "extended"}),
-        (THINNING, 0.05, {"cell": "triangle"}),
-        (THICKENING, 0.05, {"theta": 0.5}),
-        (VISCOUS_STACK, 0.1, {}),
-        (NORTON_STACK, 0.01, {"bodies": "extended"}),
-    ],
-    ids=str,
-)
+ORDER_ONE = [
+    (KELVIN_VOIGT, 0.1, {"theta": 0.5}),
+    (KELVIN_VOIGT, 0.1, {"bodies": "extended"}),
+    (MAXWELL, 0.1, {"theta": 0.5}),
+    (TWO_TIMES, 0.3, {"bodies": "extended"}),
+    (THINNING, 0.05, {"cell": "triangle"}),
+    (THICKENING, 0.05, {"theta": 0.5}),
+    (VISCOUS_STACK, 0.1, {}),
+    (NORTON_STACK, 0.01, {"bodies": "extended"}),
+]
+
+
+@pytest.mark.parametrize(("law", "dt", "options"), ORDER_ONE, ids=str)
 def test_order_one(law, dt, options):
     (found,) = errors(law, steps(dt, 3), **options)
     assert last_orders(found) == pytest.approx([1.0, 1.0], abs=0.07)
@@ -103,16 +102,13 @@ def amplitudes(surface: Surface, state) -> list[float]:
     return [2 * surface.integral(f) for f in (w[0] * s, w[1] * c, t[0] * s, t[1] * c)]
 
 
+IN_SERIES = [(0.4, reference.maxwell(50.0, 40.0, 0.7, 1.2)), (0.6, reference.kelvin_voigt(60.0, 30.0, 0.3, 0.5))]
 LINEAR = {
     "Kelvin-Voigt": (KELVIN_VOIGT, [(1.0, reference.kelvin_voigt(LMBDA, MU, 0.3, 0.5))], 1.0),
     "Maxwell": (MAXWELL, [(1.0, reference.maxwell(LMBDA, MU, 0.7, 0.7))], 1.0),
     "Maxwell, midpoint": (MAXWELL, [(1.0, reference.maxwell(LMBDA, MU, 0.7, 0.7))], 0.5),
     "two times": (TWO_TIMES, [(1.0, reference.maxwell(LMBDA, MU, 0.7, 3.0))], 1.0),
-    "stack": (
-        VISCOUS_STACK,
-        [(0.4, reference.maxwell(50.0, 40.0, 0.7, 1.2)), (0.6, reference.kelvin_voigt(60.0, 30.0, 0.3, 0.5))],
-        1.0,
-    ),
+    "stack": (VISCOUS_STACK, IN_SERIES, 1.0),
 }
 
 
@@ -186,16 +182,15 @@ class Dashpot(TractionLaw):
         return (K_N * normal + viscosity * v_N) * step.n + K_T * tangential + self.half * viscosity * v_T
 
 
+TRACTION_LAWS = [
+    (MAXWELL, Relaxing(K_T, K_N, 0.7, 0.7), 0.1),
+    (THINNING, Dashpot(5.0, 1.5, 0.5), 0.05),
+    (THICKENING, Dashpot(2000.0, 3.0, 0.5), 0.05),
+]
+
+
 @pytest.mark.few(5)
-@pytest.mark.parametrize(
-    ("law", "limit", "dt"),
-    [
-        (MAXWELL, Relaxing(K_T, K_N, 0.7, 0.7), 0.1),
-        (THINNING, Dashpot(5.0, 1.5, 0.5), 0.05),
-        (THICKENING, Dashpot(2000.0, 3.0, 0.5), 0.05),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("law", "limit", "dt"), TRACTION_LAWS, ids=str)
 def test_right_traction_laws_are_the_layers_law(law, limit, dt):
     """What stands beside the wrong laws below: the same classes with the right numbers, errors of the law to rounding."""
     found, right = errors(law, steps(dt, 3), limits=(limit, None), eps=EPS[-1:])
@@ -221,17 +216,17 @@ MEANS = Springs(average(lambda law: law.mu, 1), average(lambda law: law.lmbda + 
 OF_LMBDA = Springs(MU_HARMONIC, average(lambda law: law.lmbda, -1) + 2 * MU_HARMONIC)
 
 
-@pytest.mark.parametrize(
-    ("law", "dt", "wrong", "floors"),
-    [
-        pytest.param(MAXWELL, 0.1, Relaxing(E / (1 + NU), K_N, 0.7, 0.7), (0.12, 0.11), id="(19), its shear alone"),
-        pytest.param(THINNING, 0.05, Dashpot(5.0, 1.5, 1.0), (0.08, 0.3), id="Norton without 1/2"),
-        pytest.param(TWO_TIMES, 0.3, Relaxing(K_T, K_N, T1, T1), (0.29, 0.18), id="one ODE, t1"),
-        pytest.param(TWO_TIMES, 0.3, Relaxing(K_T, K_N, T1, AT_FIRST), (0.17, 0.055), id="one ODE, time at first"),
-        pytest.param(STACK, 0.1, MEANS, (0.04, 0.028), id="arithmetic means"),
-        pytest.param(STACK, 0.1, OF_LMBDA, (0.28, 0.15), id="(52), lmbda harmonic"),
-    ],
-)
+WRONG = [
+    pytest.param(MAXWELL, 0.1, Relaxing(E / (1 + NU), K_N, 0.7, 0.7), (0.12, 0.11), id="(19), its shear alone"),
+    pytest.param(THINNING, 0.05, Dashpot(5.0, 1.5, 1.0), (0.08, 0.3), id="Norton without 1/2"),
+    pytest.param(TWO_TIMES, 0.3, Relaxing(K_T, K_N, T1, T1), (0.29, 0.18), id="one ODE, t1"),
+    pytest.param(TWO_TIMES, 0.3, Relaxing(K_T, K_N, T1, AT_FIRST), (0.17, 0.055), id="one ODE, time at first"),
+    pytest.param(STACK, 0.1, MEANS, (0.04, 0.028), id="arithmetic means"),
+    pytest.param(STACK, 0.1, OF_LMBDA, (0.28, 0.15), id="(52), lmbda harmonic"),
+]
+
+
+@pytest.mark.parametrize(("law", "dt", "wrong", "floors"), WRONG)
 def test_wrong_laws_leave_a_floor(law, dt, wrong, floors):
     """Errors beside a wrong law stay, those of the right one go to zero with order 1."""
     found, right = errors(law, steps(dt), limits=(wrong, None))

@@ -39,10 +39,11 @@ TURNING = [(0.0, 0.0, -0.02), (0.06, 0.01, -0.02), (0.06, 0.06, -0.02), (-0.02, 
 CLOSING = [(0.03, 0.02, -0.015), (0.08, -0.03, -0.02)]
 
 
+ON_COLUMNS = [(MOVES, 0.3, 0.0), (MOVES, 1e-4, 2.5), ([*TURNING, *CLOSING], 0.02, 0.0)]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("moves", "eps", "angle"), [(MOVES, 0.3, 0.0), (MOVES, 1e-4, 2.5), ([*TURNING, *CLOSING], 0.02, 0.0)]
-)
+@pytest.mark.parametrize(("moves", "eps", "angle"), ON_COLUMNS)
 def test_the_band_is_contact_on_columns(moves, eps, angle):
     """Slip to and fro, opening and closing again; in 3D its direction follows the tangential displacement."""
     limit, full, point = column(BAND, np.array(moves), eps, angle, on_s=CONTACT)
@@ -78,15 +79,12 @@ def test_order_1(name):
     assert order == pytest.approx(1.0, abs=0.1)
 
 
+SINE = HolonomicCoulomb.of_layer(LMBDA, MU, friction=math.sin(math.radians(OMEGA)))
+WRONG = [(SINE, 0.02), (replace(BAND, unilateral=False), 0.15)]
+
+
 @pytest.mark.few(5)
-@pytest.mark.parametrize(
-    ("wrong", "floor"),
-    [
-        (HolonomicCoulomb.of_layer(LMBDA, MU, friction=math.sin(math.radians(OMEGA))), 0.02),
-        (replace(BAND, unilateral=False), 0.15),
-    ],
-    ids=["sin(Omega)", "bilateral"],
-)
+@pytest.mark.parametrize(("wrong", "floor"), WRONG)
 def test_wrong_laws_leave_an_error(wrong, floor):
     for eps in (1 / 64, 1 / 256):
         row = errors(eps, on_s=wrong)

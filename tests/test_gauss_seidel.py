@@ -26,9 +26,8 @@ def stiffness(rng, size, spread=1e3):
 def pairs_of(law, ends, frames, weights, slip, gap=None, held=()):
     """Pairs of nodes, upper and lower one."""
     d = frames.shape[1]
-    nodes = SimpleNamespace(
-        dim=d, pairs=ends, frames=frames, weights=weights, gap=np.zeros(len(ends)) if gap is None else gap
-    )
+    gap = np.zeros(len(ends)) if gap is None else gap
+    nodes = SimpleNamespace(dim=d, pairs=ends, frames=frames, weights=weights, gap=gap)
     mask = np.zeros((ends.max() + 1) * d, bool)
     mask[list(held)] = True
     return Pairs([SimpleNamespace(nodes=nodes, now=law, slip=slip)], mask)
@@ -112,9 +111,8 @@ def test_least_energy(d):
     def energy(u):
         w = pairs.apart(u)
         shear = np.linalg.norm(w[:, :-1] - slip, axis=1)
-        huber = np.where(
-            law.K_T * shear <= law.bound, law.K_T * shear**2 / 2, law.bound * (shear - law.bound / (2 * law.K_T))
-        )
+        beyond = law.bound * (shear - law.bound / (2 * law.K_T))
+        huber = np.where(law.K_T * shear <= law.bound, law.K_T * shear**2 / 2, beyond)
         return u @ (A @ u) / 2 - u @ g + weights @ (law.K_N * np.maximum(-w[:, -1], 0) ** 2 / 2 + huber)
 
     u = np.zeros(len(g))

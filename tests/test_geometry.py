@@ -23,13 +23,11 @@ def areas(joint: Joint) -> np.ndarray:
     return corners.mean(axis=1) / (2 if joint.cell_type == "triangle" else 1)
 
 
+FRACTIONS = st.lists(st.floats(0.05, 1.0), min_size=1, max_size=4)
+
+
 @settings(max_examples=15)
-@given(
-    eps=st.floats(1e-5, 0.3),
-    layers=st.integers(1, 6),
-    fractions=st.lists(st.floats(0.05, 1.0), min_size=1, max_size=4),
-    angle=st.floats(-3.0, 3.0),
-)
+@given(eps=st.floats(1e-5, 0.3), layers=st.integers(1, 6), fractions=FRACTIONS, angle=st.floats(-3.0, 3.0))
 def test_inflation_of_any_layer(eps, layers, fractions, angle):
     shares = tuple(f / sum(fractions) for f in fractions)
     base = SANDWICH.rotated(angle)

@@ -43,11 +43,7 @@ HOLDERS = {
     "a plate that is moved": (ROLLER | {"parts": [RigidPlate("TOP", motion={"y": 0.01})]}, "TOP", (0, 1)),
     "a plate that is pushed": (ROLLER | {"parts": [RigidPlate("TOP", force=(0, -0.7))]}, "TOP", (0, 1)),
     "revolution": ({"plane": "axisymmetric"}, "BOTTOM", (1, 1)),
-    "a vertex of S": (
-        {"supports": {(4.0, 0.0): 0}, "joint": block(4.0, 1.5, h=0.5, cell="quadrilateral")},
-        (4.0, 0.0),
-        (1, 0),
-    ),
+    "a vertex of S": ({"supports": {(4.0, 0.0): 0}, "joint": BLOCK}, (4.0, 0.0), (1, 0)),
 }
 
 

@@ -93,9 +93,8 @@ def test_functions_are_the_files_of_ones_own_that_they_stand_in(own):
         (dict(units="F = 0.75\n"), ["load"]),
         (dict(units="F = 1 / 2\n"), []),
     ]:
-        before, after = (
-            {name: described(vars(own(**files))[name]) for name in ("load", "late")} for files in ({}, changed)
-        )
+        of = lambda files: {name: described(vars(own(**files))[name]) for name in ("load", "late")}
+        before, after = of({}), of(changed)
         assert [name for name in before if before[name] != after[name]] == others
         assert in_words([*differences(before, after)]).count("(file): ") in (0, 1)  # it is named once
 
@@ -106,10 +105,8 @@ def test_a_march_of_another_file_is_resumed_by_who_knows_better(own, tmp_path):
 
     whole, times = march(model(), [0.1, 0.2], out=tmp_path), [0.1, 0.2, 0.3]
     other = model(helpers="def twice(t):\n    return 3 * t\n")
-    with pytest.raises(
-        InputError, match=r"another march \(loads\..*twice\.\(file\): helpers\.py .* or resume='anyway'"
-    ):
-        march(other, times, out=tmp_path, resume=True)
+    words = r"another march \(loads\..*twice\.\(file\): helpers\.py .* or resume='anyway'"
+    refused(InputError, words, march, other, times, out=tmp_path, resume=True)
     for end in (3, 4):
         history = march(other, [*times, 0.4][:end], out=tmp_path, resume="anyway")
         assert history.t == pytest.approx([0.0, *times, 0.4][: end + 1])

@@ -216,9 +216,7 @@ def test_beside_bodies_that_are_not_linear():
     joint, layer = sandwich(1.0, 0.5, 0.5, 0.25, structured=True), ThinLayer(Incompressible(30.0), 0.1, at=1.0)
     data = dict(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, tractions={"TOP": (0.3, 1.0)})
     elastic, stiffening = LinearElastic(0.0, 60.0), StiffeningSolid(60.0, 1e-6)
-    found = [
-        solve(Structure(joint, body=body, **data).interface(layer)).energies()
-        for body in (elastic, stiffening, VonMises(0.0, 60.0, strength=1e3))
-    ]
+    bodies = elastic, stiffening, VonMises(0.0, 60.0, strength=1e3)
+    found = [solve(Structure(joint, body=body, **data).interface(layer)).energies() for body in bodies]
     assert found[1]["layer"] == pytest.approx(found[0]["layer"], rel=1e-6)
     assert found[2] == pytest.approx(found[0], rel=1e-6)

@@ -105,10 +105,8 @@ def test_networks_have_a_gap_for_each_seam():
     structure = Structure(joint, body=LOWER, supports=supports, tractions={"TOP": (0.0, -0.3)}, element="Q1")
     found = []
     for gap in (0.0, 0.01):
-        laws = {
-            "BED": HolonomicCoulomb(K_N=200.0, K_T=80.0, friction=0.5, gap=-0.001),
-            "HEAD": HolonomicCoulomb(K_N=100.0, K_T=40.0, friction=0.3, gap=lambda x, gap=gap: gap + 0 * x[0]),
-        }
+        laws = {"BED": HolonomicCoulomb(K_N=200.0, K_T=80.0, friction=0.5, gap=-0.001)}
+        laws["HEAD"] = HolonomicCoulomb(100.0, 40.0, friction=0.3, gap=lambda x, gap=gap: gap + 0 * x[0])
         one, other = (solve(structure.interface(laws), method=method) for method in ("condensed", "newton"))
         assert np.abs(one.u.x.array - other.u.x.array).max() < 1e-7 * np.abs(one.u.x.array).max()
         found.append(Surface(one.model, "HEAD").contact(one).normal_force)
@@ -122,9 +120,8 @@ def test_a_march_closes_a_gap_and_balances_its_energy():
     history = march(column(law, shift=lambda x, t: -0.05 * t), [0.5, 1.0])
     assert [state.audit.total > 1e-15 for state in history] == [False, False, True]
     assert history.at(0.5).stored["contact"] == 0.0
-    pressed = march(
-        column(IncrementalCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=-0.01), shift=lambda x, t: -0.05 * t), [0.6, 1.0]
-    )
+    law = IncrementalCoulomb(K_N=K, K_T=150.0, friction=0.3, gap=-0.01)
+    pressed = march(column(law, shift=lambda x, t: -0.05 * t), [0.6, 1.0])
     for state in (*history, *pressed):
         assert state.audit.total < 1e-15 or abs(state.audit.imbalance) < 1e-11
         energies = state.energies()

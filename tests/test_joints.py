@@ -66,9 +66,8 @@ def test_a_corner_of_the_fixed_body_in_the_way():
     points = [(1, 0), (4, 0), (1, 1), (4, 1), (-1, 1), (-1, 0), (0, 0), (-1, -3), (0, -3), (0, -2), (2.1, -1)]
     cells = [[0, 1, 2], [1, 3, 2], [5, 6, 4], [6, 0, 2], [6, 2, 4], [7, 8, 9], [7, 9, 5], [5, 9, 6], [8, 10, 9]]
     region = np.zeros(len(cells), np.int64)
-    joint = Joint(
-        np.array(points, float), np.array(cells), "triangle", region, ("C",), {"S": np.array([[0, 1]])}, {"S": Seam()}
-    )
+    points, facets = np.array(points, float), {"S": np.array([[0, 1]])}
+    joint = Joint(points, np.array(cells), "triangle", region, ("C",), facets, {"S": Seam()})
     inflate(joint, 0.9)
     refused(InputError, r"no room for a layer of thickness 1\.2 at \(2\.1, -1\)", lambda: inflate(joint, 1.2))
     longer = replace(joint, points=np.vstack([joint.points[:-1], [4.5, -1.0]]))
@@ -81,9 +80,8 @@ def test_sides_of_the_layer():
     joint, law = sandwich(2.0, 0.8, 1.1, 0.5, cell="quadrilateral"), LinearElastic(3.0, 2.0)
     supports, eps = {"LEFT": {"x": 0.0}, "BOTTOM": 0.0}, 0.2
     for name, height in (("RIGHT", 1.9), ("RIGHT/LAYER", eps), ("RIGHT/UPPER", 1.1)):
-        model = Structure(joint, body=law, supports=supports, tractions={name: (0.0, 3.0)}).full(
-            ThinLayer(law, eps, at=1.0)
-        )
+        structure = Structure(joint, body=law, supports=supports, tractions={name: (0.0, 3.0)})
+        model = structure.full(ThinLayer(law, eps, at=1.0))
         load = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), t=0.0))
         assert load.x.array.sum() == pytest.approx(3 * height)
         x, y = model.V.tabulate_dof_coordinates()[np.unique(model.supports.held(model.V) // 2), :2].T

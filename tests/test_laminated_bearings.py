@@ -14,11 +14,8 @@ from thinlayer import Structure, Surface, ThinLayer, compare, solve
 
 MU, A, SHIM = 1.2, 20.0, 10.0  # MPa; half-width or radius, and thickness of shims, mm
 OPENING = 0.01  # mm
-LAYERS = {  # name of a seam: thickness, law
-    "LOW": (3.0, Rubber(modulus(0.499), MU)),
-    "MIDDLE": (2.0, Rubber(modulus(0.49), 0.5)),
-    "HIGH": (2.5, Incompressible(0.9)),
-}
+RUBBER, SOFT = Rubber(modulus(0.499), MU), Rubber(modulus(0.49), 0.5)
+LAYERS = {"LOW": (3.0, RUBBER), "MIDDLE": (2.0, SOFT), "HIGH": (2.5, Incompressible(0.9))}  # thickness, law
 AREAS = {"strain": A, "axisymmetric": math.pi * A**2}
 STIFFNESS = {"strain": formulas.rubber_strip, "axisymmetric": formulas.rubber_disc}
 

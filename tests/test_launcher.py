@@ -18,15 +18,9 @@ def fenicsx(
     *command: object, cwd: Path, launcher: Path = LAUNCHER, **environment: object
 ) -> subprocess.CompletedProcess:
     inherited = {name: value for name, value in os.environ.items() if name not in SET_BY_AN_OUTER_ONE}
-    return subprocess.run(
-        list(map(str, [launcher, *command])),
-        cwd=cwd,
-        env=inherited | {name: str(value) for name, value in environment.items()},
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
+    env = inherited | {name: str(value) for name, value in environment.items()}
+    words = list(map(str, [launcher, *command]))
+    return subprocess.run(words, cwd=cwd, env=env, capture_output=True, text=True, timeout=240, check=False)
 
 
 def test_a_script_of_any_folder_finds_the_packages(tmp_path):

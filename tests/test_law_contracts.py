@@ -39,9 +39,8 @@ HELD = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
 def own(parent: type[BulkLaw] = BulkLaw, **names) -> BulkLaw:
     """A law of two moduli, of these methods and declarations."""
     powers = {} if parent is TractionLaw else {"powers": {"l": 1, "m": 1}}
-    return dataclass(frozen=True)(
-        type("Own", (parent,), {"__annotations__": {"l": "float", "m": "float"}, **powers} | names)
-    )(L, M)
+    declared = {"__annotations__": {"l": "float", "m": "float"}, **powers} | names
+    return dataclass(frozen=True)(type("Own", (parent,), declared))(L, M)
 
 
 def of_end(law, step):
@@ -356,11 +355,7 @@ def test_what_nobody_would_ask_of_a_law_is_refused():
         (TractionLaw, {"evolve": lambda law, step: {"q": step.w}}, "a method evolve but no internal variables"),
         (BulkLaw, {"at": lambda law, x, t: {"l": x[0]}, "varies": False}, "a method at, but no parameters vary"),
         (BulkLaw, {"dissipation": lambda law, step: 1.0}, "a dissipation but no energy"),
-        (
-            BulkLaw,
-            {"internal": {"q": (2, 2)}},
-            r"internal variable 'q' has the shape \(2, 2\); allowed: \(\), \(3,\), \(3, 3\)",
-        ),
+        (BulkLaw, {"internal": {"q": (2, 2)}}, r"variable 'q' has the shape \(2, 2\); allowed: \(\), \(3,\), \(3, 3\)"),
     ]:
         asked = {"stress" if parent is BulkLaw else "traction": of_mid}
         refused(InputError, message, own, parent, **names | asked)

@@ -128,9 +128,8 @@ def test_laws_that_depend_on_time_need_a_step(law):
 
 
 def test_angles_that_look_like_radians():
-    with pytest.warns(
-        RangeWarning, match=r"^MohrCoulomb: friction_angle is 0\.6 degrees.*friction_angle = 34\.38$"
-    ) as caught:
+    words = r"^MohrCoulomb: friction_angle is 0\.6 degrees.*friction_angle = 34\.38$"
+    with pytest.warns(RangeWarning, match=words) as caught:
         MohrCoulomb(70.0, 40.0, cohesion=0.3, friction_angle=0.6)
     assert len(caught) == 1
     with warnings.catch_warnings(action="error"):

@@ -51,15 +51,10 @@ def test_energies_of_each_layer():
 def test_sublayers_of_one_of_several_layers():
     """A seam's name and its sublayer's number cannot be taken for the name of another seam."""
     yields = MohrCoulomb(3.0, 2.0, cohesion=0.4, friction_angle=20.0)
-    layers = {
-        "LOW": ThinLayer(yields, 0.1, at=1.0),
-        "HIGH": ThinLayer(Stack((0.4, yields), (0.6, yields)), 0.1, at=1.0),
-    }
-    load = {"TOP": lambda x, t: (0.0, -0.5 * t)}
-    full, limit = (
-        march(model, [1.0]).last
-        for model in (pulled(tractions=load).full(layers), pulled(tractions=load).interface(layers))
-    )
+    both = Stack((0.4, yields), (0.6, yields))
+    layers = {"LOW": ThinLayer(yields, 0.1, at=1.0), "HIGH": ThinLayer(both, 0.1, at=1.0)}
+    structure = pulled(tractions={"TOP": lambda x, t: (0.0, -0.5 * t)})
+    full, limit = (march(model, [1.0]).last for model in (structure.full(layers), structure.interface(layers)))
     assert set(full.memory) == {"layer LOW", "layer HIGH/1", "layer HIGH/2"}
     assert set(limit.memory) == {"layer LOW", "layer HIGH"}
     for name in ("layer LOW", "layer HIGH", "layer"):
@@ -69,10 +64,8 @@ def test_sublayers_of_one_of_several_layers():
 # ---------------------------------------------------------------- order
 def test_the_order_of_layers_makes_no_difference(tmp_path):
     """Nor in a march that is resumed with another one; both layers remember, and are not alike."""
-    yields = {
-        "BED": ThinLayer(MohrCoulomb(0.6, 0.7, cohesion=4e-4, friction_angle=30.0), 0.01, at=1.0),
-        "HEAD": ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=20.0), 0.007, at=1.0),
-    }
+    yields = {"BED": ThinLayer(MohrCoulomb(0.6, 0.7, cohesion=4e-4, friction_angle=30.0), 0.01, at=1.0)}
+    yields["HEAD"] = ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=20.0), 0.007, at=1.0)
     bricks, times = panel("Q2", 0.25), [0.5, 0.75, 1.0]
     one, other = (march(bricks.interface(layers), times) for layers in (yields, reversed_(yields)))
     assert np.array_equal(one.last.u.x.array, other.last.u.x.array)

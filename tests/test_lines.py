@@ -39,9 +39,8 @@ def test_a_straight_seam():
 
 
 def test_a_line_as_a_csv_file(tmp_path):
-    line = Line(
-        "S", np.array([0.0, 0.5]), np.array([[1.0, 2.0], [1.5, 2.0]]), np.array([[3.0, -1.0], [4.0, 7.0]]), False
-    )
+    x, values = np.array([[1.0, 2.0], [1.5, 2.0]]), np.array([[3.0, -1.0], [4.0, 7.0]])
+    line = Line("S", np.array([0.0, 0.5]), x, values, False)
     line.table("t").write(tmp_path / "along.csv")
     rows = ["s,x,y,t x,t y", "0.0,1.0,2.0,3.0,-1.0", "0.5,1.5,2.0,4.0,7.0"]
     assert (tmp_path / "along.csv").read_text().splitlines() == rows

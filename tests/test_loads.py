@@ -40,19 +40,19 @@ def pulled(one, *times):
 
 
 # ---------------------------------------------------------------- functions of x and t
-@pytest.mark.parametrize(
-    "used",
-    [
-        lambda x, t: float(t),
-        lambda x, t: math.sin(t),
-        lambda x, t: np.interp(t, [0, 1], [0, 2]),
-        lambda x, t: 1.0 if t == 1.23 else 2.0,
-        lambda x, t: 1.0 if t in (1, 2) else 2.0,
-        lambda x, t: max(t, 1.0),
-        lambda x, t: 2.0 * (x[1] != 0),
-        lambda x, t: np.sin(x[0]),
-    ],
-)
+USED = [
+    lambda x, t: float(t),
+    lambda x, t: math.sin(t),
+    lambda x, t: np.interp(t, [0, 1], [0, 2]),
+    lambda x, t: 1.0 if t == 1.23 else 2.0,
+    lambda x, t: 1.0 if t in (1, 2) else 2.0,
+    lambda x, t: max(t, 1.0),
+    lambda x, t: 2.0 * (x[1] != 0),
+    lambda x, t: np.sin(x[0]),
+]
+
+
+@pytest.mark.parametrize("used", USED)
 def test_x_and_t_are_no_numbers(used):
     """Each would be found once, when the model is built, and stay as it is."""
     remedy = r"(is no function \(x, t\)|gives nan).*ufl\.conditional\(.*piecewise\(\{time: value"

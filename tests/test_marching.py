@@ -61,9 +61,8 @@ def test_steps_that_are_not_well_below_a_laws_own_time_are_told_before_the_march
     march(model, [*steps, 4 * steps[-1]])  # longer when nearly all has crept
     assert not [one for one in recwarn if "well below" in str(one.message)]
     end = 5 * min(own)
-    with pytest.warns(
-        RangeWarning, match=rf"the step of {end:.3g} at t = 0 is not well below .* about (16|19)% of what"
-    ):
+    words = rf"the step of {end:.3g} at t = 0 is not well below .* about (16|19)% of what"
+    with pytest.warns(RangeWarning, match=words):
         march(model, [end])
 
 
@@ -73,9 +72,8 @@ def test_midpoint_from_rest_starts_with_two_half_steps_of_backward_euler():
     assert history.t == pytest.approx([0.0, 0.05, 0.1, 0.2])
     x = K_N * 0.1 / G_N
     half = (1 + x / 2) ** -2.0
-    assert history.table["opening"][[2, 3]] == pytest.approx(
-        [(1 - half) / K_N, (1 - half * (1 - x / 2) / (1 + x / 2)) / K_N], rel=1e-9
-    )
+    expected = [(1 - half) / K_N, (1 - half * (1 - x / 2) / (1 + x / 2)) / K_N]
+    assert history.table["opening"][[2, 3]] == pytest.approx(expected, rel=1e-9)
 
 
 NORTON = Norton(60.0, 40.0, eta=5.0, p=1.5)

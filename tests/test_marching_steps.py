@@ -29,9 +29,8 @@ def test_adaptive_steps(theta, order):
     errors, counts = [], []
     for tolerance in (1e-2, 1e-3, 1e-4):
         model = interface()
-        history = march(
-            model, Adaptive(2.0, 0.01, tolerance, at=[0.7, 1.0]), theta=theta, observe=opening(model), keep="last"
-        )
+        steps = Adaptive(2.0, 0.01, tolerance, at=[0.7, 1.0])
+        history = march(model, steps, theta=theta, observe=opening(model), keep="last")
         exact = (1 - np.exp(-K_N * history.t / G_N)) / K_N
         errors.append(np.abs(history.table["opening"] - exact).max() * K_N)
         counts.append(len(history))

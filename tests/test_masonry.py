@@ -51,10 +51,8 @@ def test_limit_of_a_sheared_panel():
     p, C, angle = 0.02, 0.02, radians(30.0)
     bed = MohrCoulomb(0.6, 0.7, cohesion=C, friction_angle=30.0)
     head = MohrCoulomb(0.3, 0.45, cohesion=C / 2, friction_angle=30.0)
-    structure = Structure(
-        bricks("quadrilateral", 0.25), body=LinearElastic.young(1.0, 0.2), supports={"BOTTOM": 0.0},
-        tractions={"TOP": lambda x, t: (t, -p)}, element="Q1",
-    )  # fmt: skip
+    data = {"body": LinearElastic.young(1.0, 0.2), "tractions": {"TOP": lambda x, t: (t, -p)}, "element": "Q1"}
+    structure = Structure(bricks("quadrilateral", 0.25), supports={"BOTTOM": 0.0}, **data)
     layers = {"BED": ThinLayer(bed, 0.01, at=1.0), "HEAD": ThinLayer(head, 0.01, at=1.0)}
     limit = limit_of(structure, layers, C * cos(angle) + sin(angle) * p)
     assert limit.shares == pytest.approx({"BED": 1.0, "HEAD": 0.0}, abs=1e-3)
@@ -67,10 +65,8 @@ def test_limit_of_a_pulled_panel():
     head = ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=cohesion, friction_angle=30.0), 0.02, at=1.0)
     want = share * C + cohesion / tan(radians(30.0))  # the apex of its yield surface
     supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}
-    structure = Structure(
-        bricks("quadrilateral", 0.25), body=LinearElastic.young(10.0, 0.2), supports=supports, element="Q1",
-        tractions={"RIGHT": lambda x, t: (t, 0.0)},
-    )  # fmt: skip
+    data = {"body": LinearElastic.young(10.0, 0.2), "tractions": {"RIGHT": lambda x, t: (t, 0.0)}, "element": "Q1"}
+    structure = Structure(bricks("quadrilateral", 0.25), supports=supports, **data)
     limit = limit_of(structure, {"BED": bed, "HEAD": head}, want)
     opened, slid = 1.0, 0.5 / 2  # lengths of two heads and half a brick; of a jump along S the strain squared is a half
     shares = {"HEAD": opened / (opened + slid), "BED": slid / (opened + slid)}
@@ -83,27 +79,25 @@ FULL = MohrCoulomb(0.0, 2.0, cohesion=0.1, friction_angle=30.0)
 SLIPS = MohrCoulombMonodirectional(1.0, 2.0, cohesion=0.1, friction_angle=30.0, unilateral=True)
 
 
-@pytest.mark.parametrize(
-    ("law", "move", "status"),
-    [
-        (FULL, (0.15, -0.2), "sliding"),  # its slip is twice a strain, 0.15 to 0.1
-        (FULL, (0.0, -0.05), "elastic"),
-        (FULL, (0.0, -0.2), "crushed"),  # yields where mu e > C cos(Omega) + mu e sin(Omega), e = 0.0866
-        (FULL, (0.0, 0.5), "torn"),
-        (FULL, (0.4, -0.05), "sliding"),
-        (SLIPS, (0.0, -0.2), "elastic"),
-        (SLIPS, (0.4, -0.1), "sliding"),
-        (SLIPS, (0.0, 0.2), "open"),
-        (LinearElastic(1.0, 2.0), (0.4, 0.2), "elastic"),
-        (None, (0.4, 0.2), "no layer"),
-    ],
-)
+STATUSES = [
+    (FULL, (0.15, -0.2), "sliding"),  # its slip is twice a strain, 0.15 to 0.1
+    (FULL, (0.0, -0.05), "elastic"),
+    (FULL, (0.0, -0.2), "crushed"),  # yields where mu e > C cos(Omega) + mu e sin(Omega), e = 0.0866
+    (FULL, (0.0, 0.5), "torn"),
+    (FULL, (0.4, -0.05), "sliding"),
+    (SLIPS, (0.0, -0.2), "elastic"),
+    (SLIPS, (0.4, -0.1), "sliding"),
+    (SLIPS, (0.0, 0.2), "open"),
+    (LinearElastic(1.0, 2.0), (0.4, 0.2), "elastic"),
+    (None, (0.4, 0.2), "no layer"),
+]
+
+
+@pytest.mark.parametrize(("law", "move", "status"), STATUSES)
 def test_status(law, move, status):
     """Of a layer between stiff blocks, one of which is moved; beside it an elastic one."""
-    joint = cut_at(
-        sandwich(2.0, 4.0, 4.0, 1.0, cell="quadrilateral"),
-        {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, -1))},
-    )
+    cuts = {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, -1))}
+    joint = cut_at(sandwich(2.0, 4.0, 4.0, 1.0, cell="quadrilateral"), cuts)
     supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: move[0] * t, "y": lambda x, t: move[1] * t}}
     structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="Q1")
     given = {"LOW": springs(3e4, 1e4), "HIGH": None if law is None else ThinLayer(law, 0.1, at=1.0)}
@@ -129,9 +123,8 @@ def test_status_along_a_seam(tmp_path):
     assert surface.integral(open_) == pytest.approx(1.0)
     assert surface.table(state).rows == [{"seam": "S", "size": pytest.approx(4.0), "elastic": pytest.approx(0.75),
                                           "open": pytest.approx(0.25), "sliding": 0, "crushed": 0, "torn": 0}]  # fmt: skip
-    picture = plotting.on_surface(
-        {"tilted": state, "again": state}, Surface.status, plotting.View(scale=1.0), save=tmp_path / "a.png"
-    )
+    states, view = {"tilted": state, "again": state}, plotting.View(scale=1.0)
+    picture = plotting.on_surface(states, Surface.status, view, save=tmp_path / "a.png")
     assert_coloured(picture, {"elastic", "open"})
     assert_drawn(tmp_path / "a.png")
     refused(InputError, "scale is 'x'", lambda: plotting.View(scale="x"))

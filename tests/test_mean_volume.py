@@ -32,9 +32,8 @@ def tube(element, body=METAL, load=None):
     wall = sandwich(HEIGHT, middle - A, B - middle, 2.0, cell=cell).rotated(-math.pi / 2).moved((middle, HEIGHT))
     supports = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}} | (load or {})
     tractions = {} if load else {"BOTTOM": lambda x, t: (t, 0.0)}
-    return Structure(
-        wall, body=body, supports=supports, tractions=tractions, plane="axisymmetric", element=element
-    ).bonded()
+    data = {"supports": supports, "tractions": tractions, "plane": "axisymmetric", "element": element}
+    return Structure(wall, body=body, **data).bonded()
 
 
 @pytest.mark.parametrize("element", ["S2", "P2", "Q2", "Q1"])

@@ -30,10 +30,8 @@ WAYS = ("kept", "extended")
 
 def lengths(joint: Joint) -> dict[str, float]:
     """Length of each seam."""
-    return {
-        name: float(np.linalg.norm(np.ptp(joint.points[joint.facets[name]], axis=1), axis=1).sum())
-        for name in joint.seams
-    }
+    length = lambda facets: float(np.linalg.norm(np.ptp(joint.points[facets], axis=1), axis=1).sum())
+    return {name: length(joint.facets[name]) for name in joint.seams}
 
 
 def areas(opened: Joint) -> dict[str, float]:
@@ -78,9 +76,8 @@ def test_running_bond(cell, bodies):
             moved = (opened.points - opened.reference)[opened.cells[: len(base.cells)]].mean(axis=1)
             x, y = base.points[base.corners].mean(axis=1).T
             of_bricks = [moved[(abs(y - 0.25) < 0.25) & (x > a) & (x < a + 1)] for a in (0, 1)]
-            of_bricks += [
-                moved[(abs(y - 0.75) < 0.25) & (x > a) & (x < b)] for a, b in ((0, 0.5), (0.5, 1.5), (1.5, 2))
-            ]
+            halves, high = ((0, 0.5), (0.5, 1.5), (1.5, 2)), abs(y - 0.75) < 0.25
+            of_bricks += [moved[high & (x > a) & (x < b)] for a, b in halves]
             shift = np.array([some.mean(axis=0) for some in of_bricks])
             assert shift[2:] - shift[:2].mean(axis=0) == pytest.approx(np.array([[k * head, bed] for k in (-1, 0, 1)]))
             assert shift[1] - shift[0] == pytest.approx([head, 0.0], abs=1e-12)
@@ -144,10 +141,8 @@ def test_sublayers_and_profiles_away_from_junctions():
     """Three plates with two glue lines: each seam has its own sublayers and thickness."""
     cut = {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))}
     base = cut_at(SQUARE, cut)
-    opened = inflate(
-        base, {"LOW": 0.1, "HIGH": 0.2}, fractions={"HIGH": (0.25, 0.75)}, profile={"LOW": lambda x: 1 + x[0] / 8},
-        bodies="extended",
-    )  # fmt: skip
+    given = {"fractions": {"HIGH": (0.25, 0.75)}, "profile": {"LOW": lambda x: 1 + x[0] / 8}, "bodies": "extended"}
+    opened = inflate(base, {"LOW": 0.1, "HIGH": 0.2}, **given)
     assert areas(opened) == pytest.approx({"LAYER/LOW": 0.1 * 12, "LAYER/HIGH/1": 0.05 * 8, "LAYER/HIGH/2": 0.15 * 8})
     assert volumes(opened).sum() == pytest.approx(64.0)
     assert volumes(inflate(base, {"LOW": 0.1, "HIGH": 0.2})).sum() == pytest.approx(64.0 + 8 * 0.3)
@@ -189,10 +184,7 @@ def test_open_joints_are_gaps(cell, bodies):
         assert (opened.table.cells[sides, 1] < 0).all()
         outer = np.flatnonzero(opened.table.cells[:, 1] < 0)
         free[gap] = len(np.setdiff1d(outer, opened.table.index(np.concatenate(list(opened.facets.values())))))
-    assert free == {
-        "HEAD": 4 * n_T,
-        "BED": 4 * n_T,
-    }  # across the end of a gap or a layer, 4 cells through the thickness
+    assert free == dict.fromkeys(eps, 4 * n_T)  # across the end of a gap or a layer, 4 cells through the thickness
 
 
 # ---------------------------------------------------------------- models

@@ -52,12 +52,9 @@ def jump_errors(element: str, sizes) -> np.ndarray:
 
     The top of a cube is shifted.
     """
-    structure = Structure(
-        cube("T", "tetrahedron" if element[0] == "P" else "hexahedron"),
-        body=LinearElastic.young(1.0, 0.2),
-        supports={"BOTTOM": 0.0, "TOP": {"x": 0.01, "y": -0.02, "z": 0.005}},
-        element=element,
-    )
+    joint = cube("T", "tetrahedron" if element[0] == "P" else "hexahedron")
+    supports = {"BOTTOM": 0.0, "TOP": {"x": 0.01, "y": -0.02, "z": 0.005}}
+    structure = Structure(joint, body=LinearElastic.young(1.0, 0.2), supports=supports, element=element)
     layers = lambda eps: {name: ThinLayer(LinearElastic(*LAW[name]), THICK[name] * eps, at=1.0) for name in LAW}
     limit = structure.interface(layers(0.01))
     surface, errors = Surface(limit), []
@@ -73,10 +70,11 @@ CELLS = ("hexahedron", "tetrahedron")
 
 
 # ---------------------------------------------------------------- geometry
+CUBES = [("T", "hexahedron", 1), ("T", "tetrahedron", 1), ("X", "tetrahedron", 2)]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("kind", "cell", "wanted"), [("T", "hexahedron", 1), ("T", "tetrahedron", 1), ("X", "tetrahedron", 2)]
-)
+@pytest.mark.parametrize(("kind", "cell", "wanted"), CUBES)
 def test_cubes_of_blocks(kind, cell, wanted):
     """Nothing is folded or free inside, triangles or quadrilaterals fill the lines, and numbers do not depend on eps."""
     base, counts = renumbered(cube(kind, cell)), set()
@@ -95,11 +93,11 @@ def test_cubes_of_blocks(kind, cell, wanted):
     assert len(counts) == 1
 
 
+WALLS = [("triangle", None, "kept"), ("quadrilateral", None, "extended"), *zip(CELLS, (0.75, 0.75), WAYS, strict=True)]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("cell", "depth", "bodies"),
-    [("triangle", None, "kept"), ("quadrilateral", None, "extended"), *zip(CELLS, (0.75, 0.75), WAYS, strict=True)],
-)
+@pytest.mark.parametrize(("cell", "depth", "bodies"), WALLS)
 def test_a_wall_on_a_rigid_base(cell, depth, bodies):
     """A head that ends at the base meets the layer there in a triangle, as at a bed."""
     base = wall(2, 2, BRICK, 0.25, depth=depth, cell=cell)
@@ -127,9 +125,8 @@ def test_junctions_on_the_outer_boundary():
     for eps in (0.01, 1e-4):
         opened = inflate(base, eps, bodies="extended", cells_through=2)
         check(base, opened)
-        assert volumes(opened).sum() == pytest.approx(
-            4.0 - eps**2 / 2, rel=1e-12
-        )  # the layer's end cuts the edge x = y = 1
+        # the layer's end cuts the edge x = y = 1
+        assert volumes(opened).sum() == pytest.approx(4.0 - eps**2 / 2, rel=1e-12)
         # between the layers along y = 0 and y = x a triangle, its base in x = 0 as long as it is high
         assert areas(opened)["LAYER/JUNCTIONS"] == pytest.approx((0.5 + 0.5**0.5) ** 2 * eps**2, rel=1e-7)
         counts.add((len(opened.points), len(opened.cells)))

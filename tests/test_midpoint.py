@@ -46,11 +46,10 @@ def of_order_1(structure, layer):
     return structure.interface(ThinLayer(layer.law, layer.eps, order=1, at=1.0))
 
 
-@pytest.mark.parametrize(
-    ("kind", "growth"),
-    [(Structure.interface, 0.6), (of_order_1, 0.0), (Structure.full, 0.6)],
-    ids=["S", "order 1", "full"],
-)
+MODELS = [(Structure.interface, 0.6), (of_order_1, 0.0), (Structure.full, 0.6)]
+
+
+@pytest.mark.parametrize(("kind", "growth"), MODELS, ids=["S", "order 1", "full"])
 def test_parameters_that_vary_in_time_are_those_where_forces_balance(kind, growth):
     """A column under a dead load p, in closed form: w - f = p/2mu(t), df/dt = p/(2mu(t) tau(t)); w at the end of all steps.
 
@@ -88,6 +87,7 @@ def test_elastic_layers_have_no_error():
 
 CHI = [[0.0, 0.5], [0.5, 1.0]]
 YIELDING = (60.0, 40.0, 0.3, 30.0)
+HEATED = NonMonotone(60.0, 40.0, lambda T: 1.5 - T / 10, 0.15, CHI, T=lambda x, t: t + 0 * x[0])
 REFUSED = {
     "MohrCoulomb": (MohrCoulomb(*YIELDING), "MohrCoulomb bounds stresses"),
     "stacked": (Stack((0.5, CREEP), (0.5, MohrCoulomb(*YIELDING))), "MohrCoulomb bounds stresses"),
@@ -96,10 +96,7 @@ REFUSED = {
     "elastic": (Cubic(20.0, 50.0), "Cubic answers at once, and not linearly"),
     "plasticity of one's own": (Mises(60.0, 40.0, 0.6), "Mises answers at once, and not linearly"),
     "ageing": (AgeingSpring(40.0, 0.3), "AgeingSpring answers at once, and with parameters that change in time"),
-    "heated": (
-        NonMonotone(60.0, 40.0, lambda T: 1.5 - T / 10, 0.15, CHI, T=lambda x, t: t + 0 * x[0]),
-        "NonMonotone answers at once",
-    ),
+    "heated": (HEATED, "NonMonotone answers at once"),
     "jumps": (Undeclared(20.0, 1e-7), "Undeclared answers at once, and not linearly"),
 }
 

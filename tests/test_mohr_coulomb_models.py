@@ -69,9 +69,8 @@ def column(law, jumps, eps: float, angle: float = 0.0, on_s=None) -> tuple:
         def u(x, t):
             height = sum(float(turn[k, 1]) * x[k] for k in range(d))
             hats = [ufl.max_value(0, 1 - abs(t - (k + 1))) for k in range(len(w))]
-            return sum(
-                hat * (float(a) + height * float(b)) for hat, a, b in zip(hats, w[:, i], slopes[:, i], strict=True)
-            )
+            parts = zip(hats, w[:, i], slopes[:, i], strict=True)
+            return sum(hat * (float(a) + height * float(b)) for hat, a, b in parts)
 
         return u
 

@@ -36,9 +36,8 @@ def frames(path):
 
 
 def test_a_gif_has_a_frame_for_each_state(history, tmp_path):
-    path = plotting.movie(
-        history, plotting.View(unit="mm"), save=tmp_path / "a.gif", per_second=5, title="strip", time_unit="h"
-    )
+    given = {"save": tmp_path / "a.gif", "per_second": 5, "title": "strip", "time_unit": "h"}
+    path = plotting.movie(history, plotting.View(unit="mm"), **given)
     found, duration = frames(path)
     assert len(found) == 4 == len(list(history))
     assert duration == 200

@@ -69,10 +69,8 @@ def test_a_wall_of_many_joints_of_two_cells():
 def test_a_support_that_moves():
     """Held nodes in contact: the sole of the right brick is held along x, the left one is pushed by its side."""
     joint = three_bricks(4, "quadrilateral")
-    structure = Structure(
-        joint, body=LinearElastic.young(50.0, 0.2), element="Q1", tractions={"TOP": (0.0, -1.0)},
-        supports={"BOTTOM": 0.0, "LEFT": {"x": lambda x, t: 0.01 * x[1]}},
-    )  # fmt: skip
+    data = {"supports": {"BOTTOM": 0.0, "LEFT": {"x": lambda x, t: 0.01 * x[1]}}, "tractions": {"TOP": (0.0, -1.0)}}
+    structure = Structure(joint, body=LinearElastic.young(50.0, 0.2), element="Q1", **data)
     model = structure.interface({"BED": BED, "HEAD": HEAD})
     require_equal(*(solve(model, method=method) for method in ("condensed", "newton")))
 
@@ -84,9 +82,8 @@ def on_a_floor():
     joint = replace(joint, facets=facets, seams=joint.seams | {"FLOOR": Seam()})
     loads = {"TOP": (0.2, -1.0)}
     body = LinearElastic.young(50.0, 0.2)
-    return Structure(joint, body=body, supports={}, tractions=loads, element="Q1").interface(
-        {"BED": BED, "HEAD": HEAD, "FLOOR": HEAD}
-    )
+    structure = Structure(joint, body=body, supports={}, tractions=loads, element="Q1")
+    return structure.interface({"BED": BED, "HEAD": HEAD, "FLOOR": HEAD})
 
 
 def test_a_wall_that_stands_on_a_rigid_floor():
@@ -134,9 +131,8 @@ def test_bodies_are_condensed_one_by_one(d, together, monkeypatch):
     A = sp.bsr_matrix(K, blocksize=(d, d)).tocsr()
     rows = A.indptr, A.indices, A.data
     found = Condensation(rows, np.zeros(16 * d, bool), kept, rng.normal(size=(16, d)), np.arange(d), len(bodies))
-    whole = K[np.ix_(kept, kept)] - K[np.ix_(kept, inner)] @ np.linalg.solve(
-        K[np.ix_(inner, inner)], K[np.ix_(inner, kept)]
-    )
+    moved = np.linalg.solve(K[np.ix_(inner, inner)], K[np.ix_(inner, kept)])
+    whole = K[np.ix_(kept, kept)] - K[np.ix_(kept, inner)] @ moved
     np.testing.assert_allclose(found.stiffness @ np.eye(len(kept)), whole, atol=1e-11 * np.abs(K).max())
     b = K @ (u := rng.normal(size=len(K)))
     np.testing.assert_allclose(found.condense(b), whole @ u[kept], atol=1e-10 * np.abs(K).max())
@@ -166,13 +162,9 @@ def test_every_second_place_along_curves():
 # ---------------------------------------------------------------- bricks that nothing holds
 def lifted(method, up, head):
     """Three bricks, the left one under a pull along y."""
-    structure = Structure(
-        three_bricks(4, "quadrilateral"),
-        body=LinearElastic.young(50.0, 0.2),
-        supports={"BOTTOM": 0.0},
-        tractions={"TOP": lambda x, t: (0.0, ufl.conditional(ufl.lt(x[0], 1.0), up, -1.0))},
-        element="Q1",
-    )
+    data = {"tractions": {"TOP": lambda x, t: (0.0, ufl.conditional(ufl.lt(x[0], 1.0), up, -1.0))}, "element": "Q1"}
+    data |= {"body": LinearElastic.young(50.0, 0.2), "supports": {"BOTTOM": 0.0}}
+    structure = Structure(three_bricks(4, "quadrilateral"), **data)
     return solve(structure.interface({"BED": BED, "HEAD": head}), method=method)
 
 
@@ -192,23 +184,11 @@ def test_a_brick_that_is_lifted_is_named(method):
 def test_a_neighbour_that_touches_by_rounding_holds_no_brick():
     """Bricks without friction may slide. By multigrid two nodes of a head end with 1e-11 of the forces."""
     law, springs = HolonomicCoulomb(1e3, 3e2, friction=0.0, gap=0.01), Springs("RIGHT", normal=2.0, tangential=1.0)
-    structure = Structure(
-        wall(2, 2, brick=(2, 1), h=0.5),
-        body=LinearElastic.young(100.0, 0.3),
-        supports={"BOTTOM": 0},
-        tractions={"TOP": (0.0, -0.6)},
-        element="Q1",
-        parts=[springs],
-        eigenstrain=2e-3,
-    )
+    data = {"body": LinearElastic.young(100.0, 0.3), "supports": {"BOTTOM": 0}, "tractions": {"TOP": (0.0, -0.6)}}
+    structure = Structure(wall(2, 2, (2, 1), 0.5), element="Q1", parts=[springs], eigenstrain=2e-3, **data)
     for method in ("condensed", "multigrid", "newton"):
-        refused(
-            LooseBody,
-            r"'COURSE 2'.*along \(1, 0\)",
-            solve,
-            structure.interface({"BED": law, "HEAD": law}),
-            method=method,
-        )
+        model = structure.interface({"BED": law, "HEAD": law})
+        refused(LooseBody, r"'COURSE 2'.*along \(1, 0\)", solve, model, method=method)
 
 
 @pytest.mark.long

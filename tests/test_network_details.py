@@ -94,10 +94,8 @@ def test_a_gap_on_a_rigid_base():
     held = Structure(joint, body=ROCK, supports={"LEFT/LOWER": 0.0}, tractions={"TOP": (0.1, -0.2)})
     layers = {"GLUE": glue, "BOTTOM": Gap(1e-6)}
     full, limit = (solve(model).energies() for model in (held.full(layers, bodies="extended"), held.interface(layers)))
-    alone = Structure(
-        sandwich(8.0, 4.0, 4.0, 1.0, cell="quadrilateral"), body=ROCK, supports={"LEFT/LOWER": 0.0},
-        tractions={"TOP": (0.1, -0.2)},
-    )  # fmt: skip
+    joint, loads = sandwich(8.0, 4.0, 4.0, 1.0, cell="quadrilateral"), {"TOP": (0.1, -0.2)}
+    alone = Structure(joint, body=ROCK, supports={"LEFT/LOWER": 0.0}, tractions=loads)
     assert full["layer"] == pytest.approx(limit["layer"], rel=1e-3)  # the glue has a thickness
     assert full["bodies"] == pytest.approx(solve(alone.full(glue, bodies="extended")).energies()["bodies"], rel=1e-5)
 

@@ -163,12 +163,10 @@ def test_a_contact_law_for_each_seam():
 def test_refused_joints():
     joint = wall(2, 2, (1.0, 0.5), 0.25)
     cracked, both = joint.seams | {"CRACK": Seam(direction=(1.0, 0.0))}, {"BED": Seam(), "HEAD": Seam()}
+    twice = joint.facets | {"HEAD": joint.facets["BED"]}
     all_s = dict(facets=joint.facets | {"S": joint.facets["TOP"]}, seams=joint.seams | {"S": Seam()})
     for change, message in (
-        (
-            dict(facets=joint.facets | {"HEAD": joint.facets["BED"]}),
-            r"are in two seams, 'BED' and 'HEAD', the first at \(",
-        ),
+        (dict(facets=twice), r"are in two seams, 'BED' and 'HEAD', the first at \("),
         (dict(seams=both), "'HEAD' does not separate two bodies.*one region on both sides; give the"),
         (dict(seams=cracked), "unknown set of facets 'CRACK'"),
         (all_s, "'S' is all seams together"),
@@ -215,10 +213,8 @@ def test_two_incompressible_seams():
     """They do not open: as layers that hardly do; each has its pressure, which is the stress across it."""
     element = "P2"
     soft, hard = 0.7, 0.45  # shear, per thickness
-    layers = {
-        "HEAD": ThinLayer(Incompressible(hard), 0.007, at=1.0),
-        "BED": ThinLayer(Incompressible(soft), 0.01, at=1.0),
-    }
+    rubber = lambda mu, eps: ThinLayer(Incompressible(mu), eps, at=1.0)
+    layers = {"HEAD": rubber(hard, 0.007), "BED": rubber(soft, 0.01)}
     nearly = {"BED": springs(1e6, soft, 0.01), "HEAD": springs(1e6, hard, 0.007)}
     state, other = solve(panel(element, 0.125, **layers), 1.0), solve(panel(element, 0.125, **nearly), 1.0)
     found, expected = state.energies(), other.energies()

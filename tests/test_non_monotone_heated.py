@@ -73,11 +73,8 @@ def test_a_field_of_temperatures():
         assert traction(stress, n)[k, :2] == pytest.approx(t, rel=1e-11, abs=1e-13)
         assert q[k, 0] == pytest.approx(phase, abs=1e-11)
     assert len(set(q[:, 0])) == 3
-    refused(
-        InputError,
-        "a function of the place, or of time; a point needs numbers",
-        lambda: drive(law, [{"w_T": 0.0, "w_N": 0.1}]),
-    )
+    words = "a function of the place, or of time; a point needs numbers"
+    refused(InputError, words, drive, law, [{"w_T": 0.0, "w_N": 0.1}])
 
 
 X = np.array([[0.0, 1.0], [0.0, 0.5]])

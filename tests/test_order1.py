@@ -53,9 +53,8 @@ def test_layer_that_keeps_its_volume(nu):
     law, eps = LinearElastic.shear(40.0, nu), (1 / 8, 1 / 16, 1 / 32)
     found = rows(lambda e: law, eps, "quadrilateral", h=1 / 16)
     for k, errors in enumerate(found):
-        right, locked = (
-            [reference.next_order_errors(law.lmbda, law.mu, e, way)[k] for e in eps] for way in (False, True)
-        )
+        known = lambda way, k=k: [reference.next_order_errors(law.lmbda, law.mu, e, way)[k] for e in eps]
+        right, locked = known(False), known(True)
         assert errors == pytest.approx(right, rel=0.05)  # cells are as large as the thickest layer is thick
         assert all(wrong > 1.15 * error for wrong, error in zip(locked, errors, strict=True))
         assert observed_orders(eps, errors)[-1] == pytest.approx(2.0, abs=0.2)
@@ -77,9 +76,7 @@ def test_layer_with_moduli_held(law):
 
 
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    "law", [Maxwell(60.0, 40.0, t1=0.7, t2=0.9), Norton(60.0, 40.0, eta=5.0, p=1.5)], ids=lambda law: type(law).__name__
-)
+@pytest.mark.parametrize("law", [Maxwell(60.0, 40.0, t1=0.7, t2=0.9), Norton(60.0, 40.0, eta=5.0, p=1.5)])
 def test_memory_and_rate(law):
     """History at the two points through the thickness: the error is O(eps^2) in time too."""
     joint, setup = fourier(1 / 16, cell="quadrilateral")

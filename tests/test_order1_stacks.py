@@ -51,11 +51,10 @@ def orders(rows, eps=EPS):
 
 
 # ---------------------------------------------------------------- moments, and laws written down elsewhere
-@pytest.mark.parametrize(
-    ("sublayers", "A", "B", "lateral"),
-    [(TWO, 0.004963, 0.181034, 0.784821), (THREE, -0.095552, -0.160266, None)],
-    ids=["two", "three"],
-)
+MOMENTS = [(TWO, 0.004963, 0.181034, 0.784821), (THREE, -0.095552, -0.160266, None)]
+
+
+@pytest.mark.parametrize(("sublayers", "A", "B", "lateral"), MOMENTS)
 def test_moments(sublayers, A, B, lateral):
     """Means of r Phi_T, of Phi_N and of r, from an independent program; K_N and K_T are those of order 0."""
     law = in_series(stack(sublayers).sublayers)[0].law
@@ -85,10 +84,8 @@ def test_a_graded_layer():
     assert [law.mu for law in Stack.graded(graded, 2).laws] == pytest.approx([50.0, 70.0])
     joint, setup = fourier(1 / 8, **MESH)
     structure = Structure(joint, **setup)
-    jumps = [
-        solve(structure.interface(ThinLayer(Stack.graded(graded, n), 0.1, 1, at=1.0))).energies()["layer"]
-        for n in (8, 16, 32)
-    ]
+    layers = [ThinLayer(Stack.graded(graded, n), 0.1, 1, at=1.0) for n in (8, 16, 32)]
+    jumps = [solve(structure.interface(layer)).energies()["layer"] for layer in layers]
     assert np.log2((jumps[1] - jumps[0]) / (jumps[2] - jumps[1])) == pytest.approx(2.0, abs=0.1)
     for n in (0, 2.5, "2"):
         refused(InputError, "number of sublayers", Stack.graded, graded, n)
@@ -99,13 +96,9 @@ def test_a_graded_layer():
 def test_planes(plane, sublayers):
     """Order 2 against the meshed layer, on sides that slide."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 16, **MESH)
-    setup = {
-        "body": FOURIER_BODY,
-        "supports": {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}},
-        "tractions": {"TOP": lambda x, t: (x[0] * (1 - x[0]), x[0] ** 2 * (3 - 2 * x[0]))},
-        "plane": plane,
-    }
-    structure, rows, wrong = Structure(joint, **setup), [], []
+    supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    loads = {"TOP": lambda x, t: (x[0] * (1 - x[0]), x[0] ** 2 * (3 - 2 * x[0]))}
+    structure, rows, wrong = Structure(joint, FOURIER_BODY, supports, loads, plane=plane), [], []
     for e in EPS[1:]:
         full = solve(structure.full(ThinLayer(stack(sublayers), e, at=1.0)))
         for law, some in ((stack(sublayers), rows), (stack(sublayers[::-1]), wrong)):

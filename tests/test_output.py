@@ -49,8 +49,7 @@ def test_a_resumed_sweep_keeps_its_rows(tmp_path):
 
     path = tmp_path / "t.csv"
     sweep(run, [0.4, 0.1], path)
-    with pytest.raises(RuntimeError):
-        sweep(run, [0.4, 0.2, 0.1, 0.05], path, resume=True)
+    refused(RuntimeError, "", sweep, run, [0.4, 0.2, 0.1, 0.05], path, resume=True)
     assert list(Table.load(path)["eps"]) == [0.4, 0.2, 0.1]
     table = sweep(run, [0.2], path, resume=True)
     assert seen == [0.4, 0.1, 0.2, 0.05]
@@ -110,10 +109,8 @@ def states(request):
     cell, element = request.param
     joint, setup = fourier(1 / 8, cell=cell)
     layer = ThinLayer(FOURIER_LAYER, 0.1, at=1.0)
-    return [
-        solve(build(Structure(joint, element=element, **setup), layer))
-        for build in (Structure.full, Structure.interface)
-    ]
+    structure = Structure(joint, element=element, **setup)
+    return [solve(structure.full(layer)), solve(structure.interface(layer))]
 
 
 def nodes_at(grid, height):

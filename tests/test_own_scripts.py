@@ -47,12 +47,7 @@ STONE = LinearElastic.young(E=100.0, nu=0.3)
 CREEP = Maxwell(6.0, 4.0, t1=1.5)
 LOWER, UPPER, LAYER, TOP = 1, 2, 3, 4
 PLACES = {"BOTTOM": 0.0, "S": 0.5, "TOP": 1.0}
-KINDS = {
-    "triangle": mesh.CellType.triangle,
-    "quadrilateral": mesh.CellType.quadrilateral,
-    "tetrahedron": mesh.CellType.tetrahedron,
-    "hexahedron": mesh.CellType.hexahedron,
-}
+KINDS = {name: mesh.CellType[name] for name in ("triangle", "quadrilateral", "tetrahedron", "hexahedron")}
 
 
 # ---------------------------------------------------------------- the scripts
@@ -166,14 +161,9 @@ class Blocks:
         d, grid = self.d, self.grid
         grid.topology.create_connectivity(d - 1, 0)
         x = np.array(grid.geometry.x[:, :d])
-        at = {
-            name: tagged(grid, d - 1, lambda m, y=y: np.where(abs(m[:, 1] - y) > 1e-9, -1, 0))
-            for name, y in PLACES.items()
-        }
-        sets = {
-            name: np.asarray(mesh.entities_to_geometry(grid, d - 1, tags.indices), np.int64)
-            for name, tags in at.items()
-        }
+        at = lambda y: tagged(grid, d - 1, lambda m: np.where(abs(m[:, 1] - y) > 1e-9, -1, 0)).indices
+        facets = lambda y: np.asarray(mesh.entities_to_geometry(grid, d - 1, at(y)), np.int64)
+        sets = {name: facets(y) for name, y in PLACES.items()}
         return Joint(
             x, cell_nodes(grid).astype(np.int64), self.kind, self.cells.values - LOWER, ("LOWER", "UPPER"), sets,
             seams={"S": Seam(("LOWER",), ("UPPER",))},
@@ -202,24 +192,22 @@ MOVES = {
 }
 
 
-@pytest.mark.parametrize(
-    ("kind", "name", "plane"),
-    [
-        ("triangle", "Mohr-Coulomb", "strain"),
-        ("quadrilateral", "functions, order 1", "strain"),
-        ("quadrilateral", "sublayers, order 1", "axisymmetric"),
-        ("tetrahedron", "Norton", "strain"),
-        ("hexahedron", "Mohr-Coulomb", "strain"),
-        ("triangle", "two sublayers", "stress"),
-    ],
-)
+MODELS = [
+    ("triangle", "Mohr-Coulomb", "strain"),
+    ("quadrilateral", "functions, order 1", "strain"),
+    ("quadrilateral", "sublayers, order 1", "axisymmetric"),
+    ("tetrahedron", "Norton", "strain"),
+    ("hexahedron", "Mohr-Coulomb", "strain"),
+    ("triangle", "two sublayers", "stress"),
+]
+
+
+@pytest.mark.parametrize(("kind", "name", "plane"), MODELS)
 def test_same_as_a_model(kind, name, plane):
     """The same mesh, bodies, layer and steps, as a Model and in a script: displacements and energies."""
     law, eps = MOVES[name]
-    layer, degree = (
-        ThinLayer(law, eps, order=int("order 1" in name), edges="plain", at=1.0),
-        2 if kind != "hexahedron" else 1,
-    )
+    layer = ThinLayer(law, eps, order=int("order 1" in name), edges="plain", at=1.0)
+    degree = 2 if kind != "hexahedron" else 1
     blocks = Blocks(kind, degree, plane=plane)
     kinematics, along = blocks.broken.kinematics, 0.0 if plane == "axisymmetric" else 0.004
     moves = [np.array([along * k, -0.001 * k, 0.002 * k][: blocks.d]) for k in (1, 2, 3)]
@@ -228,12 +216,9 @@ def test_same_as_a_model(kind, name, plane):
     terms = [body(kinematics.law(STONE), dx, kinematics), *blocks.broken.layer(LAYER, layer)]
     problem = blocks.solve(terms, moves, 0.5)
     top = dict(zip("xyz", [lambda x, t, k=k: 2 * t * moves[0][k] for k in range(blocks.d)], strict=False))
-    options = {
-        "body": STONE,
-        "supports": {"BOTTOM": 0.0, "TOP": top},
-        "element": f"{'PQ'['h' in kind[:1] or 'q' in kind[:1]]}{degree}",
-    }
-    model = Structure(blocks.joint, plane=plane, **options).interface(layer)
+    element = f"{'PQ'[kind[0] in 'hq']}{degree}"
+    structure = Structure(blocks.joint, plane=plane, body=STONE, supports={"BOTTOM": 0.0, "TOP": top}, element=element)
+    model = structure.interface(layer)
     history = march(model, [0.5, 1.0, 1.5])
     assert blocks.difference(history.last.u, model.domain.original_cells) < 1e-8
     if problem.compiled:
@@ -289,9 +274,7 @@ def test_wall_in_running_bond():
 
 def test_phases_without_a_joint():
     """Columns are facets of S: all switch at once under a uniform push beyond the fall, none before."""
-    law = NonMonotoneUnrelaxed(lmbda=0.0, mu=10.0, alpha=1.5, transformation_energy=0.15, chi=[[0, 0], [0, 1]]).scaled(
-        1 / 0.1
-    )
+    law = NonMonotoneUnrelaxed(0.0, 10.0, alpha=1.5, transformation_energy=0.15, chi=[[0, 0], [0, 1]]).scaled(1 / 0.1)
     for push, share in ((0.05, 0.0), (0.2, 1.0)):
         blocks = Blocks("triangle", 1)
         problem = blocks.solve(
@@ -334,9 +317,8 @@ def test_refused_layers_parts_and_steps():
         (HolonomicCoulomb(K_N=1.0, K_T=1.0, friction=0.3), "a ContactLaw is for ContactPart"),
     ]:
         refused(InputError, message, blocks.broken.layer, LAYER, layer)
-    refused(
-        InputError, "no threshold", ContactPart, ContactLaw(1.0, 1.0), blocks.broken.contact_surface(LAYER, blocks.V)
-    )
+    contact = blocks.broken.contact_surface(LAYER, blocks.V)
+    refused(InputError, "no threshold", ContactPart, ContactLaw(1.0, 1.0), contact)
     cubic = quadratic.broken.space(("Lagrange", 3, (2,)))
     refused(InputError, "contact laws act at nodes", quadratic.broken.contact_surface, LAYER, cubic)
     (term,) = quadratic.broken.layer(LAYER, thin(law))
@@ -369,9 +351,7 @@ def test_upper_side_changes_signs_alone():
     for one in blocks:
         terms = [body(STONE, one.dx), *one.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.1, at=1.0))]
         one.solve(terms, [np.array([0.1, -0.05])], 0.0)
-    slips = [
-        fem.assemble_scalar(fem.form(one.broken.interface(LAYER).jump(one.u)[0] * one.broken.dS(LAYER)))
-        for one in blocks
-    ]
+    jumps = [one.broken.interface(LAYER).jump(one.u)[0] * one.broken.dS(LAYER) for one in blocks]
+    slips = [fem.assemble_scalar(fem.form(jump)) for jump in jumps]
     assert slips[0] * np.array([1, -1, -1, 1]) == pytest.approx(slips, rel=1e-12)
     assert slips[0] > 0

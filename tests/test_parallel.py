@@ -107,16 +107,15 @@ COMM = MPI.COMM_WORLD
 """
 
 
+ENDINGS = [
+    ("if COMM.rank == 1: raise RuntimeError('one alone')", 1, ["one alone"]),
+    ("if COMM.rank == 1: sys.exit(3)", 3, []),
+    ("time.sleep(COMM.rank / 2); raise RuntimeError(f'on {COMM.rank}')", 1, ["on 0", "on 1"]),
+]
+
+
 @pytest.mark.few(5)
-@pytest.mark.parametrize(
-    ("ending", "status", "said"),
-    [
-        ("if COMM.rank == 1: raise RuntimeError('one alone')", 1, ["one alone"]),
-        ("if COMM.rank == 1: sys.exit(3)", 3, []),
-        ("time.sleep(COMM.rank / 2); raise RuntimeError(f'on {COMM.rank}')", 1, ["on 0", "on 1"]),
-    ],
-    ids=["an error of one", "a status of one", "an error of all"],
-)
+@pytest.mark.parametrize(("ending", "status", "said"), ENDINGS)
 def test_what_ends_a_rank_after_a_solve_ends_all(ending, status, said):
     """PETSc, which has started by then, ends before mpi4py and waits for the other rank; the first does not cut it off."""
     done = mpirun(2, "-c", f"{MARCH}march(interface(), [0.1])\nprint('solved')\n{ending}\nCOMM.Barrier()")

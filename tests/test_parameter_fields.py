@@ -58,10 +58,9 @@ PAIRS["plane stress"][0]["body"] = LinearElastic(57.0, 38.0)
 def test_a_constant_function_is_its_number(name):
     first, second, law, other = PAIRS[name]
     for k in (0, 1):
-        a, b = (
-            march(kinds(structure(**data), ThinLayer(one, 0.1, at=1.0))[k], [0.5, 1.0]).last
-            for data, one in ((first, law), (second, other))
-        )
+        pair = ((first, law), (second, other))
+        models = [kinds(structure(**data), ThinLayer(one, 0.1, at=1.0))[k] for data, one in pair]
+        a, b = (march(model, [0.5, 1.0]).last for model in models)
         assert a.report.method == b.report.method
         assert np.abs(b.u.x.array - a.u.x.array).max() < 1e-8 * np.abs(a.u.x.array).max()
         assert b.energies() == pytest.approx(a.energies(), rel=1e-8, nan_ok=True)
@@ -72,9 +71,8 @@ def test_a_graded_column():
     modulus = lambda x: 100.0 / (1 + 0.8 * (x[1] + 0.5))
     graded = VonMises(modulus, lambda x: 0.5 * modulus(x), strength=100.0)
     data = column("normal", load=2.0) | {"body": graded}
-    for model in kinds(
-        Structure(one_cell(), **data), ThinLayer(LinearElastic(60.0, 40.0), 0.1, at=1.0), cells_through=1
-    ):
+    layer = ThinLayer(LinearElastic(60.0, 40.0), 0.1, at=1.0)
+    for model in kinds(Structure(one_cell(), **data), layer, cells_through=1):
         state = solve(model)
         top = np.abs(state.u.x.array).max()
         assert top == pytest.approx(2.0 * ((1 + 0.8 / 2) / 200.0 + 1 / 140.0), rel=1e-10)
@@ -112,15 +110,10 @@ def test_a_body_of_several_materials():
     layer = ThinLayer(LinearElastic(60.0, 40.0), 0.1, at=1.0)
     centres = JOINT.points[JOINT.corners].mean(axis=1)
     upper = JOINT.region == JOINT.regions.index("UPPER")
-    patched = replace(
-        JOINT,
-        regions=(*JOINT.regions, "PATCH"),
-        region=np.where(upper & (centres[:, 1] > 0.25), len(JOINT.regions), JOINT.region),
-    )
-    for laws in (
-        {"UPPER": stiff, "PATCH": soft},
-        {"UPPER": VonMises(60.0, 40.0, 9.0), "PATCH": Maxwell(30.0, 20.0, 1e9)},
-    ):
+    region = np.where(upper & (centres[:, 1] > 0.25), len(JOINT.regions), JOINT.region)
+    patched = replace(JOINT, regions=(*JOINT.regions, "PATCH"), region=region)
+    remember = {"UPPER": VonMises(60.0, 40.0, 9.0), "PATCH": Maxwell(30.0, 20.0, 1e9)}
+    for laws in ({"UPPER": stiff, "PATCH": soft}, remember):
         data = column("normal", load=2.0) | {"body": {"LOWER": stiff, **laws}}
         for model in kinds(Structure(patched, **data), layer):
             state = solve(model)

@@ -192,9 +192,8 @@ def test_mean_stress_as_a_load():
 
 
 def test_mean_stress_in_space():
-    structure = Structure(
-        laminate("hexahedron", depth=1.0), body=ROCK, supports={}, stress=np.diag([0.1, 1.0, 0.2]) + 0.3
-    )
+    joint, stress = laminate("hexahedron", depth=1.0), np.diag([0.1, 1.0, 0.2]) + 0.3
+    structure = Structure(joint, body=ROCK, supports={}, stress=stress)
     state = solve(structure.interface(springs(4.0, 1.5)))
     e = np.linalg.solve(layered(ROCK, 4.0, 1.5, 3), [0.4, 1.3, 0.5, 0.3, 0.3, 0.3])
     assert np.diag(state.mean_strain()) == pytest.approx(e[:3], rel=1e-10)
@@ -304,9 +303,8 @@ def test_refused_structures():
         (dict(strain=lambda x, t: ((x[0], 0.0), (0.0, 0.0))), "depends on the place"),
     ):
         refused(InputError, message, model, **given)
-    strip = Structure(
-        periodic(sandwich(1.0, 0.5, 0.5, 0.25), ("LEFT", "RIGHT")), body=ROCK, supports={}, stress=np.eye(2)
-    )
+    joint = periodic(sandwich(1.0, 0.5, 0.5, 0.25), ("LEFT", "RIGHT"))
+    strip = Structure(joint, body=ROCK, supports={}, stress=np.eye(2))
     refused(InputError, "needs a joint periodic in 2 directions", lambda: strip.interface(layer))
     refused(InputError, "the loads of the periodic joint add up to", lambda: solve(model(body_force=(0.0, -1.0))))
     plain = Structure(laminate(), body=ROCK, supports={}, strain=np.eye(2))

@@ -89,11 +89,8 @@ class Tilted(BulkLaw):
         spring = Anisotropic(C6)
         flow = step.between(step.q["flow"], self.advance(step)["flow"])
         elastic = step.mid - flow
-        return (
-            spring.stress(step._replace(e=elastic, e_old=None))
-            + lame(0.4, 0.3, step.rate)
-            + 200 * ufl.inner(elastic, elastic) * elastic
-        )
+        stiffens = 200 * ufl.inner(elastic, elastic) * elastic
+        return spring.stress(step._replace(e=elastic, e_old=None)) + lame(0.4, 0.3, step.rate) + stiffens
 
 
 @dataclass(frozen=True)
@@ -103,9 +100,8 @@ class Pressed(BulkLaw):
     mu: float
 
     def stress(self, step):
-        return 2 * self.mu * step.mid + ufl.as_matrix(
-            [[0, 0, 0], [0, 0, 0], [0, 0, self.mu + 9 * self.mu * step.mid[2, 2] ** 2]]
-        )
+        across = self.mu + 9 * self.mu * step.mid[2, 2] ** 2
+        return 2 * self.mu * step.mid + ufl.as_matrix([[0, 0, 0], [0, 0, 0], [0, 0, across]])
 
 
 LAWS = {

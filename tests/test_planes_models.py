@@ -66,10 +66,8 @@ def test_traction_of_a_sheet():
 def test_tangents_of_models_are_those_of_the_residual():
     mesh, setup = fourier(1 / 2)
     structure = Structure(mesh, **setup | {"body": Stiffening(3.0, 1.7, 3.0)}, plane="stress")
-    for model in (
-        structure.interface(ThinLayer(Norton(L, M, 5.0, 3.0), EPS, at=1.0)),
-        structure.full(ThinLayer(Stiffening(3.0, 1.7, 9.0), EPS, at=1.0)),
-    ):
+    thinning, stiffening = (ThinLayer(one, EPS, at=1.0) for one in (Norton(L, M, 5.0, 3.0), Stiffening(3.0, 1.7, 9.0)))
+    for model in (structure.interface(thinning), structure.full(stiffening)):
         with Solver(model) as solver:
             assert taylor_order(solver) > 1.9
 
@@ -84,10 +82,8 @@ def test_a_bar_of_metal_in_plane_stress():
     """Pulled along: e = s/E + (s - Y)/H, contracting alike in both directions."""
     body, pull = VonMises(60.0, 50.0, strength=1.0, hardening=30.0), 1.4
     E = 2 * 50.0 * (1 + 60.0 / 220.0)
-    bar = Structure(
-        joint(), body=body, supports={"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}},
-        tractions={"TOP": lambda x, t: (0.0, pull * t)}, plane="stress",
-    )  # fmt: skip
+    data = {"supports": {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}, "tractions": {"TOP": lambda x, t: (0.0, pull * t)}}
+    bar = Structure(joint(), body=body, plane="stress", **data)
     state = march(bar.bonded(), [0.5, 1.0]).last
     assert np.abs(state.u.x.array).max() == pytest.approx(pull / E + (pull - 1.0) / 30.0, rel=1e-8)
     plastic = state.memory["body LOWER"]

@@ -21,9 +21,8 @@ def test_rates_have_the_slope_they_say():
 
 
 def test_symbols_are_written_as_mathematics(tmp_path):
-    picture = plotting.curves(
-        {"eps = 1": ([0, 1], [0, 1]), "t_T": ([0, 1], [1, 0])}, "mu w_N (10^3 N)", save=tmp_path / "a.svg"
-    )
+    drawn = {"eps = 1": ([0, 1], [0, 1]), "t_T": ([0, 1], [1, 0])}
+    picture = plotting.curves(drawn, "mu w_N (10^3 N)", save=tmp_path / "a.svg")
     assert [text.get_text() for text in picture.legends[0].get_texts()] == [r"$\varepsilon$ = 1", "$t_{T}$"]
     assert picture.axes[0].get_xlabel() == r"$\mu$ $w_{N}$ ($10^{3}$ N)"
     assert "ε" in (tmp_path / "a.svg").read_text()  # text stays text

@@ -143,10 +143,11 @@ def test_a_line_around_a_face_has_no_chords():
 
 
 # ---------------------------------------------------------------- pressures
+BUILT = [("full", "kept"), ("full", "extended"), ("interface", ""), ("bonded", "")]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("kind", "bodies"), [("full", "kept"), ("full", "extended"), ("interface", ""), ("bonded", "")]
-)
+@pytest.mark.parametrize(("kind", "bodies"), BUILT)
 def test_a_pressure_all_around_is_hydrostatic(kind, bodies):
     """On all sides, that of the layer too: no resultant, and the stress is -p everywhere in bodies without supports."""
     joint = sandwich(2.0, 0.5, 0.6, 0.5)
@@ -201,9 +202,8 @@ def test_columns_with_heavy_layers(eps):
     joint, sides = sandwich(2.0, 0.5, 0.6, 0.5), {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}
     given = {"body": BODY, "supports": sides, "tractions": {"TOP": (0.0, -0.3)}}
     heavy, layer = Structure(joint, body_force={"S": (0.0, -3.0)}, **given), ThinLayer(GLUE, eps, at=1.0)
-    full, limit, light = (
-        solve(made) for made in (heavy.full(layer), heavy.interface(layer), Structure(joint, **given).interface(layer))
-    )
+    models = heavy.full(layer), heavy.interface(layer), Structure(joint, **given).interface(layer)
+    full, limit, light = map(solve, models)
     found = compare(full, limit)
     assert max(found["error_jump"], found["error_traction"]) < 1e-9
     surface = Surface(limit.model)

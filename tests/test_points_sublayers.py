@@ -85,11 +85,10 @@ def test_elastic_sublayer_over_a_plastic_one_carries_its_limit():
     assert q[0, 0] == pytest.approx(t_T / STIFF.mu - 1.0, rel=1e-9)  # share of the elastic sublayer beyond the jump
 
 
-@pytest.mark.parametrize(
-    "laws",
-    [(MAXWELL, NORTON_15), (MAXWELL, Norton(LMBDA, MU, 5.0, 1.2)), (KELVIN, MAXWELL, NORTON_15, NORTON_3, MISES)],
-    ids=lambda laws: ", ".join(f"{type(one).__name__} {getattr(one, 'p', '')}".strip() for one in laws),
-)
+SHARING = [(MAXWELL, NORTON_15), (MAXWELL, Norton(LMBDA, MU, 5.0, 1.2)), (KELVIN, MAXWELL, NORTON_15, NORTON_3, MISES)]
+
+
+@pytest.mark.parametrize("laws", SHARING)
 def test_a_stack_finds_its_shares_for_steps_of_any_size(laws):
     """Jumps and steps over powers of ten: dashpots that are almost rigid, sublayers far beyond yield.
 

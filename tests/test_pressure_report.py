@@ -17,10 +17,8 @@ from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, compar
 from thinlayer.surface.excess import pressure_excess, sublayers_of
 
 HALF_WIDTH = 0.5
-LAYERS = {
-    "LOW": ThinLayer(LinearElastic.shear(3.0, 0.49), 1 / 16, at=1.0),
-    "HIGH": ThinLayer(LinearElastic.shear(5.0, 0.4), 1 / 10, at=1.0),
-}
+LAYERS = {"LOW": ThinLayer(LinearElastic.shear(3.0, 0.49), 1 / 16, at=1.0)}
+LAYERS["HIGH"] = ThinLayer(LinearElastic.shear(5.0, 0.4), 1 / 10, at=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +40,8 @@ def test_told_and_found(plates, nu):
     limit = solve(plates.interface(ThinLayer(elastic, eps, at=1.0)))
     full = solve(plates.full(ThinLayer(rubber, eps, at=1.0), cells_through=4))
     surface, (wanted, there) = Surface(limit.model), STRIPS[nu]
-    stiffness = [
-        surface.integral(surface.traction(one)[1]) / surface.integral(surface.jump(one)[1]) for one in (limit, full)
-    ]
+    mean = lambda field, one: surface.integral(field(one)[1])
+    stiffness = [mean(surface.traction, one) / mean(surface.jump, one) for one in (limit, full)]
     assert stiffness[0] / stiffness[1] == pytest.approx(there, rel=4e-3)
     (row,) = surface.table(limit).rows
     assert row["too_stiff"] == pytest.approx(wanted, rel=4e-3)
@@ -69,9 +66,8 @@ def test_it_does_not_depend_on_cells():
     """Of a strip and a rectangle between rigid faces, with cells 8 to 1.3 times as long as the pressure's fall."""
     law, eps, odd = LinearElastic.shear(3.0, 0.42), 1 / 16, np.arange(1, 2000, 2)
     delta = eps * np.sqrt(law.lmbda / law.mu / 12)
-    share = np.sum(
-        64 / (np.pi**2 * np.outer(odd, odd)) ** 2 / (1 + (np.pi * delta) ** 2 * np.add.outer(odd**2, (odd / 1.5) ** 2))
-    )
+    squares = np.add.outer(odd**2, (odd / 1.5) ** 2)
+    share = np.sum(64 / (np.pi**2 * np.outer(odd, odd)) ** 2 / (1 + (np.pi * delta) ** 2 * squares))
     strip, rectangle = strip_excess(0.5 / delta), 1 / share - 1
     for h, wanted, size in ((1 / 3, strip, {}), (1 / 18, strip, {}), (1 / 6, rectangle, {"depth": 1.5})):
         structure = Structure(sandwich(1.0, 0.3, 0.3, h, **size), body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0})
@@ -85,9 +81,8 @@ def test_what_warns_is_the_column(nu):
     """Plates that peel: from 1.1 on, where it changes the traction by a tenth; also below nu = 3/8."""
     joint = sandwich(25.0, 2.0, 3.0, 1.0, h_S=0.5, h_ends=0.2)
     supports = {"RIGHT/LOWER": 0.0, "LEFT/UPPER": {"y": 0.0}}
-    lap = Structure(
-        joint, body=LinearElastic.young(70e3, 0.33), supports=supports, tractions={"LEFT/UPPER": (-40.0, 0.0)}
-    )
+    data = {"body": LinearElastic.young(70e3, 0.33), "tractions": {"LEFT/UPPER": (-40.0, 0.0)}}
+    lap = Structure(joint, supports=supports, **data)
     state, found = told(lambda: solve(lap.interface(ThinLayer(LinearElastic.young(1e3, nu), 1.2, at=0.3))))
     factor = Surface(state.model).table(state)["too_stiff"][0]
     assert [times_too_stiff(one) for one in found] == ([] if nu == 0.3 else [pytest.approx(factor, rel=1e-3)])
@@ -105,11 +100,8 @@ def test_shear_does_not_hide_it(plates):
         assert found.opening == pytest.approx(pure, rel=5e-3)
         told_with[slip] = found.told
         assert (found.work < 0.1) == (slip > 0)
-    assert told_with == {
-        0.0: pytest.approx(pure, rel=5e-3),
-        0.06: pytest.approx(pure, rel=5e-3),
-        60.0: pytest.approx(0, abs=1e-6),
-    }
+    soft = pytest.approx(pure, rel=5e-3)
+    assert told_with == {0.0: soft, 0.06: soft, 60.0: pytest.approx(0, abs=1e-6)}
 
 
 def test_seams_by_name():

@@ -42,9 +42,8 @@ def test_stresses_that_are_linear_in_a_cell():
     E = 50.0
     joint = sandwich(2.0, 0.5, 0.7, 0.5)
     bent = {"x": lambda x, t: 0.1 * x[0] * x[1], "y": lambda x, t: -0.05 * x[0] ** 2}
-    structure = Structure(
-        joint, body=LinearElastic.young(E, 0.0), supports=dict.fromkeys(["LEFT", "RIGHT", "TOP", "BOTTOM"], bent)
-    )
+    supports = dict.fromkeys(["LEFT", "RIGHT", "TOP", "BOTTOM"], bent)
+    structure = Structure(joint, body=LinearElastic.young(E, 0.0), supports=supports)
     probe = Probe(solve(structure.bonded()))
     x = np.array([[0.31, -0.27], [1.73, 0.4], [1.0, 0.61], [0.0, -0.5]])
     s = probe.stress(x)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import re
+from types import SimpleNamespace
 
 import pytest
 
@@ -16,28 +17,15 @@ from thinlayer.system.progress import Teller
 
 
 class Pipe(io.StringIO):
-    def __init__(self, terminal: bool) -> None:
-        super().__init__()
-        self.terminal = terminal
-
-    def isatty(self) -> bool:
-        return self.terminal
-
     def flush(self) -> None:
         self.seen = self.getvalue()
 
 
-class Clock:
-    now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 def three_runs(terminal: bool, seconds: float) -> str:
     """What is told of a sweep of three marches of four steps each, which take `seconds` per step."""
-    stream, clock = Pipe(terminal), Clock()
-    teller = Teller(lambda: stream, clock)
+    stream, clock = Pipe(), SimpleNamespace(now=100.0)
+    stream.isatty = lambda: terminal
+    teller = Teller(lambda: stream, lambda: clock.now)
     for _ in teller.track([0.4, 0.2, 0.1], "sweep", "eps = {:g}"):
         with teller.telling("march") as tell:
             for k in range(4):
@@ -75,11 +63,10 @@ def test_all_long_work_tells(monkeypatch, capsys, tmp_path):
     layer, load = ThinLayer(LinearElastic(6.0, 4.0), 0.1, at=1.0), {"TOP": lambda x, t: (0.0, t)}
     structure = Structure(JOINT, tractions=load, **SETUP)
     model = structure.interface(layer)
+    marched = lambda case: {"u": len(march(model, [1.0]))}
     work = {
         r"march: t = 1 of 2, .*left": lambda: march(model, [1.0, 2.0]),
-        r"ensemble: 2 of 2, run 1, .*march: t = 1 of 1": lambda: ensemble(
-            lambda: lambda case: {"u": len(march(model, [1.0]))}, [{"k": 1}, {"k": 2}]
-        ),
+        r"ensemble: 2 of 2, run 1, .*march: t = 1 of 1": lambda: ensemble(lambda: marched, [{"k": 1}, {"k": 2}]),
         r"thin_enough, estimate": lambda: thin_enough(structure, layer, 0.02, t=1.0),
         r"movie: 2 of 2, a frame": lambda: plotting.movie(march(model, [1.0]), save=tmp_path / "a.gif"),
     }

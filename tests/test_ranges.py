@@ -52,11 +52,8 @@ def test_slip_on_straight_facets():
 def test_slip_that_nothing_resists_but_facets(degree):
     """A shaft that a moment turns in a bearing without friction; on curved cells there is no solution."""
     springs, glue = Anisotropic.springs(7.0, 0.0), LinearElastic.shear(0.3, 0.4)
-    data = {
-        "body": STIFF,
-        "supports": {"OUTSIDE": 0.0},
-        "tractions": {"INSIDE": lambda x, t: (-0.2 * x[1], 0.2 * x[0])},
-    }
+    twist = {"INSIDE": lambda x, t: (-0.2 * x[1], 0.2 * x[0])}
+    data = {"body": STIFF, "supports": {"OUTSIDE": 0.0}, "tractions": twist}
     joint = ring(1.0, 1.5, 2.0, h=0.2, degree=degree)
     for law in (springs, Stack((0.4, glue), (0.6, springs))):
         model = Structure(joint, **data).interface(ThinLayer(law, 0.05, at=1.0))

@@ -109,13 +109,12 @@ def model_of(layer: BulkLaw, kind: Any = Structure.interface, body: BulkLaw = ST
     return kind(Structure(joint, **setup | {"body": body} | data), layer_of(layer, 0.1))
 
 
+NEGATIVE = [Own(-6.0, 2.5), Remembering(-6.0, -2.5), Stack((0.4, Own(6.0, 2.5)), (0.6, Own(9.0, -2.5)))]
+
+
 @pytest.mark.few(1)
 @pytest.mark.parametrize("kind", [Structure.interface, Structure.full])
-@pytest.mark.parametrize(
-    "law",
-    [Own(-6.0, 2.5), Remembering(-6.0, -2.5), Stack((0.4, Own(6.0, 2.5)), (0.6, Own(9.0, -2.5)))],
-    ids=["normal", "memory", "sublayer"],
-)
+@pytest.mark.parametrize("law", NEGATIVE)
 def test_negative_layer(law, kind):
     """lmbda + 2 mu or mu, whichever is lower; parameters per thickness are told as real ones."""
     wrong = law.laws[1] if isinstance(law, Stack) else law

@@ -22,9 +22,8 @@ def test_strip(nu, supports, half_width):
     """Between rigid faces that move apart; a side that is held is a plane of symmetry."""
     joint = sandwich(1.0, 0.3, 0.3, 1 / 16, h_S=1 / 128, h_ends=1 / 256)
     law, eps = LinearElastic.shear(3.0, nu), 1 / 16
-    model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0, **supports}).interface(
-        ThinLayer(law, eps, at=1.0)
-    )
+    structure = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0, **supports})
+    model = structure.interface(ThinLayer(law, eps, at=1.0))
     x = half_width / (eps * np.sqrt(law.lmbda / law.mu / 12))
     assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0])) == pytest.approx(strip_excess(x), rel=3e-3)
 
@@ -66,9 +65,8 @@ def test_disc_of_revolution():
     work, shear = law.lmbda * eps, law.mu / eps * R**2 / 2  # over pi R^2, of upper faces that move by r
     wanted = work * (1 - share) / (work * share + shear)
     assert excess(model, lambda x: (1e-3 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=3e-3)
-    halves = Structure(joint, **setup).interface(
-        ThinLayer(Stack((0.5, law), (0.5, LinearElastic.shear(3.1, 0.499))), eps, at=1.0)
-    )
+    stack = Stack((0.5, law), (0.5, LinearElastic.shear(3.1, 0.499)))
+    halves = Structure(joint, **setup).interface(ThinLayer(stack, eps, at=1.0))
     assert "free ends (0.4)" in told(lambda: solve(halves))[1][0]
 
 
@@ -111,15 +109,14 @@ def test_length_of_the_pressure_in_series():
 BULK = 3 * 0.28 / 1.28  # t2/t1 of a Maxwell law with nu = 0.28 whose mean stress does not relax
 
 
+LASTING = [
+    (Maxwell(28.0, 22.0, 0.05, 0.05 * BULK * (1 + 1e-12)), 10.0, "10", 201 * (28 / 22 + 2 / 3) - 2 / 3),
+    (KelvinVoigt(28.0, 22.0, 50.0, 0.1), 0.05, "0.01", 28 * 5001 / (22 * 11)),
+]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("law", "end", "lasting", "ratio"),
-    [
-        (Maxwell(28.0, 22.0, 0.05, 0.05 * BULK * (1 + 1e-12)), 10.0, "10", 201 * (28 / 22 + 2 / 3) - 2 / 3),
-        (KelvinVoigt(28.0, 22.0, 50.0, 0.1), 0.05, "0.01", 28 * 5001 / (22 * 11)),
-    ],
-    ids=["Maxwell", "KelvinVoigt"],
-)
+@pytest.mark.parametrize(("law", "end", "lasting", "ratio"), LASTING)
 def test_becomes_nearly_incompressible(law, end, lasting, ratio):
     """Told with the moduli that lasting loads meet (stress over strain of one step) is what the meshed layer shows."""
     joint, eps = sandwich(1.0, 0.3, 0.3, 1 / 16, cell="quadrilateral"), 1 / 32

@@ -142,9 +142,8 @@ def test_a_support_of_the_side_of_a_layer_that_is_not_meshed_holds_nothing():
 
 
 def test_a_free_side_has_no_reaction():
-    state = solve(
-        Structure(block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0}).interface(ThinLayer(GLUE, EPS, at=1.0))
-    )
+    structure = Structure(block(1.0, 1.0, 0.5), body=BODY, supports={"TOP": 0.0})
+    state = solve(structure.interface(ThinLayer(GLUE, EPS, at=1.0)))
     refused(InputError, r"nothing holds 'LEFT': it is free .* held are: 'TOP', 'S'", lambda: state.reaction("LEFT"))
     refused(InputError, r"about is .* a point of 2 finite coordinates", lambda: state.reaction("TOP", about=(0.0,)))
 

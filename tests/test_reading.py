@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import cycle
+
 import gmsh
 import meshio
 import numpy as np
@@ -43,10 +45,10 @@ def test_gmsh_formats(draw, tmp_path, dim, version, binary, capfd):
     assert whole.interface_normals[0] == pytest.approx(-joint.interface_normals[0])
 
 
-@pytest.mark.parametrize(
-    ("cell", "degree", "suffix"),
-    [*((cell, 2, "msh") for cell in CELLS), ("hexahedron", 2, "vtu"), ("quadrilateral", 1, "vtu")],
-)
+CURVED = [*((cell, 2, "msh") for cell in CELLS), ("hexahedron", 2, "vtu"), ("quadrilateral", 1, "vtu")]
+
+
+@pytest.mark.parametrize(("cell", "degree", "suffix"), CURVED)
 def test_cells(draw, tmp_path, cell, degree, suffix):
     """Curved cells keep their shape: the order of their nodes is right."""
     path, names = rings(draw, tmp_path / "a.msh", cell, degree), ("S", "CORE", "RING")
@@ -67,16 +69,10 @@ def test_cells(draw, tmp_path, cell, degree, suffix):
     assert (joint.node_normals * radial).sum(axis=2) == pytest.approx(1.0, abs=0.2 if degree == 1 else 0.01)
 
 
-@pytest.mark.parametrize(
-    ("cell", "suffix"),
-    [
-        ("triangle", "msh"),
-        ("quadrilateral", "inp"),
-        ("triangle", "vtu"),
-        ("quadrilateral", "vtk"),
-        ("triangle", "mesh"),
-    ],
-)
+SUFFIXES = [*zip(cycle(("triangle", "quadrilateral")), ("msh", "inp", "vtu", "vtk", "mesh"), strict=False)]
+
+
+@pytest.mark.parametrize(("cell", "suffix"), SUFFIXES)
 def test_round_trip(tmp_path, cell, suffix):
     """What a builder made comes back from a file with the same cells, names and normals."""
     joint = sandwich(2.0, 0.8, 1.1, 0.4, cell=cell) if cell == "triangle" else block(2.0, 1.5, 0.5, cell=cell)
@@ -86,10 +82,8 @@ def test_round_trip(tmp_path, cell, suffix):
         names = {name: [k, d] for d, of in ((1, facets), (2, regions)) for k, name in enumerate(of, 1)}
         write(path, joint.points, blocks, tags, names)
     elif suffix == "inp":
-        sets = {
-            name: [*([[]] * (k + 1)), np.arange(len(rows)), *([[]] * (len(facets) - k - 1))]
-            for k, (name, rows) in enumerate(joint.facets.items())
-        }
+        at = lambda k, rows: [*([[]] * (k + 1)), np.arange(len(rows)), *([[]] * (len(facets) - k - 1))]
+        sets = {name: at(k, rows) for k, (name, rows) in enumerate(joint.facets.items())}
         sets |= {name: [np.flatnonzero(joint.region == k), *([[]] * len(facets))] for k, name in enumerate(regions)}
         meshio.Mesh(joint.points, blocks, cell_sets=sets).write(path)
     else:
@@ -217,15 +211,15 @@ ABAQUS = (
 )
 
 
+SETS = [
+    ("*ELSET, ELSET=GLUE|5|", "*ELSET, ELSET=TOP|7, 9,|*ELSET, ELSET=Glue|6|"),
+    ('*ELSET , ELSET = "GLUE", GENERATE|5, 5, 1|6, 6|', "*elset, elset=TOP, generate|7, 9, 2|"),
+    ("*ELSET, ELSET=A|5|*ELSET, ELSET=A, INTERNAL|7|*ELSET, ELSET=GLUE|a, 6|", "*INCLUDE, INPUT=top.inc|"),
+]
+
+
 @pytest.mark.parametrize("part", ["", "*End Part|*INSTANCE, NAME=P-1, PART=P|*End Instance|*Assembly|"])
-@pytest.mark.parametrize(
-    ("glue", "top"),
-    [
-        ("*ELSET, ELSET=GLUE|5|", "*ELSET, ELSET=TOP|7, 9,|*ELSET, ELSET=Glue|6|"),
-        ('*ELSET , ELSET = "GLUE", GENERATE|5, 5, 1|6, 6|', "*elset, elset=TOP, generate|7, 9, 2|"),
-        ("*ELSET, ELSET=A|5|*ELSET, ELSET=A, INTERNAL|7|*ELSET, ELSET=GLUE|a, 6|", "*INCLUDE, INPUT=top.inc|"),
-    ],
-)
+@pytest.mark.parametrize(("glue", "top"), SETS)
 def test_sets_of_abaqus(tmp_path, part, glue, top):
     """Sets in several blocks, of the names of others, and in other files have all their facets."""
     (tmp_path / "a.inp").write_text((ABAQUS + part + glue + top).replace("|", "\n"))

@@ -119,9 +119,10 @@ TABLE = {
 }
 
 
-@pytest.mark.parametrize(
-    ("question", "key", "layer", "given"), [(question, *row) for question, rows in TABLE.items() for row in rows]
-)
+ROWS = [(question, *row) for question, rows in TABLE.items() for row in rows]
+
+
+@pytest.mark.parametrize(("question", "key", "layer", "given"), ROWS)
 def test_the_first_condition_that_does_not_hold(question, key, layer, given):
     given = dict(given)
     joint, bodies = given.pop("joint", PLATES), given.pop("bodies", "kept")

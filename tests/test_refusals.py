@@ -90,11 +90,8 @@ def test_pictures(states, tmp_path):
     for scale in (float("nan"), "x", True):
         refused(InputError, r"scale is .*; it must be a finite number", plotting.View, scale=scale)
     refused(InputError, "unknown component None; allowed: size", plotting.deformed, states[1], plotting.View(None))
-    for save, words in (
-        (tmp_path, "is a folder"),
-        (3, "save is 3; it must be"),
-        (tmp_path / "u.xyz", "formats: .*png"),
-    ):
+    other = tmp_path / "u.xyz", "formats: .*png"
+    for save, words in ((tmp_path, "is a folder"), (3, "save is 3; it must be"), other):
         refused(ValueError, words, plotting.deformed, states[1], save=save)
     refused(InputError, "rates: a is 1; give what sweep returns", plotting.rates, {"a": 1})
     refused(InputError, r"curves is \[1\]; give \{label: \(x, y\)\}", plotting.curves, [1], "x", "y")

@@ -25,9 +25,8 @@ SLIP_AND_OPENING = [[0.0, 0.3], [0.3, 1.0]]
 
 
 def pure(**changed: Any) -> NonMonotoneUnrelaxed:
-    return NonMonotoneUnrelaxed(
-        **{"lmbda": 2.0, "mu": 5.0, "alpha": 1.5, "transformation_energy": 0.3, "chi": SLIP_AND_OPENING, **changed}
-    )
+    given = {"lmbda": 2.0, "mu": 5.0, "alpha": 1.5, "transformation_energy": 0.3, "chi": SLIP_AND_OPENING}
+    return NonMonotoneUnrelaxed(**given | changed)
 
 
 def model(law: BulkLaw, pull: float = 1.0) -> Model:

@@ -78,9 +78,10 @@ def benchmark_law(lmbda):
     return HolonomicCoulomb.of_layer(lmbda, lmbda / 3, friction=1.0)
 
 
-@pytest.mark.parametrize(
-    ("n", "lmbda", "omega", "by_increment", "by_error"), [(n, *row) for n in COUNTS for row in COUNTS[n]]
-)
+SWEEPS = [(n, *row) for n in COUNTS for row in COUNTS[n]]
+
+
+@pytest.mark.parametrize(("n", "lmbda", "omega", "by_increment", "by_error"), SWEEPS)
 def test_numbers_of_sweeps(n, lmbda, omega, by_increment, by_error):
     parts, law = square(n), benchmark_law(lmbda)
     numbered = np.arange(len(parts[1]))

@@ -14,6 +14,7 @@ import pytest
 import geometry
 import thinlayer
 from forms.base import EXTRAS, InputError
+from tests.refused import refused
 from thinlayer.errors import deprecated
 from thinlayer.running.cli import main
 
@@ -47,10 +48,8 @@ def test_a_missing_extra_is_named_before_anything_is_computed(tmp_path, monkeypa
     assert main(["run", "fig6_stratified", "--out", str(tmp_path / "out")]) == 2
     assert "matplotlib is not installed: pip install 'thinlayer[pictures]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-    with pytest.raises(InputError, match=r"gmsh is not .*thinlayer\[meshes\]"):
-        geometry.block(2.0, 1.0, h=0.3)
-    with pytest.raises(InputError, match=r"meshio is not .*thinlayer\[meshes\]"):
-        geometry.read(CLONE / "studies/data/lap.msh")
+    refused(InputError, r"gmsh is not .*thinlayer\[meshes\]", geometry.block, 2.0, 1.0, h=0.3)
+    refused(InputError, r"meshio is not .*thinlayer\[meshes\]", geometry.read, CLONE / "studies/data/lap.msh")
 
 
 def test_a_file_with_the_name_of_a_package_is_refused_and_the_command_does_not_see_it(tmp_path):

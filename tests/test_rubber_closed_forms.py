@@ -61,13 +61,9 @@ def test_annulus_solves_the_equation_of_the_pressure():
     """Against a collocation of (eps/lmbda) p - (r eps^3/(12 mu) p')'/r = 1."""
     lmbda = LinearElastic.shear(MU, 0.499).lmbda
     flow = EPS**3 / (12 * MU)
-    found = solve_bvp(
-        lambda r, y: np.array([y[1], (EPS / lmbda * y[0] - 1) / flow - y[1] / r]),
-        lambda a, b: np.array([a[0], b[0]]),
-        np.linspace(*ANNULUS, 50),
-        np.zeros((2, 50)),
-        tol=1e-9,
-    )
+    slopes = lambda r, y: np.array([y[1], (EPS / lmbda * y[0] - 1) / flow - y[1] / r])
+    at_ends = lambda a, b: np.array([a[0], b[0]])
+    found = solve_bvp(slopes, at_ends, np.linspace(*ANNULUS, 50), np.zeros((2, 50)), tol=1e-9)
     force, _ = quad(lambda r: 2 * r * found.sol(r)[0], *ANNULUS)
     mean = force / (ANNULUS[1] ** 2 - ANNULUS[0] ** 2)
     assert mean + 2 * MU / EPS == pytest.approx(rubber_annulus(lmbda, MU, EPS, *ANNULUS), rel=1e-6)

@@ -28,13 +28,9 @@ def lmbda(x):
 def collocated():
     """Mean traction per opening, of (eps/lmbda) p - (eps^3/(12 mu) p')' = 1 with p = 0 at both ends."""
     flow = lambda x: EPS**3 / (12 * mu([x]))
-    found = solve_bvp(
-        lambda x, y: np.array([y[1] / flow(x), EPS / lmbda([x]) * y[0] - 1]),  # p and its flow
-        lambda a, b: np.array([a[0], b[0]]),
-        np.linspace(-STRIP, STRIP, 50),
-        np.zeros((2, 50)),
-        tol=1e-9,
-    )
+    slopes = lambda x, y: np.array([y[1] / flow(x), EPS / lmbda([x]) * y[0] - 1])  # of p and its flow
+    at_ends = lambda a, b: np.array([a[0], b[0]])
+    found = solve_bvp(slopes, at_ends, np.linspace(-STRIP, STRIP, 50), np.zeros((2, 50)), tol=1e-9)
     return quad(lambda x: found.sol(x)[0], -STRIP, STRIP)[0] / (2 * STRIP) + 2 * MU / EPS
 
 
@@ -43,9 +39,8 @@ def test_incompressible_strip():
     wanted = 4 * MU * STRIP**2 / EPS**3 * (1 - SLOPE**2 / 3) + 2 * MU / EPS
     whole = structure("strip")
     assert stiffness("strip", solve(whole.interface(layer(Incompressible(mu))))) == pytest.approx(wanted, rel=1e-3)
-    found = stiffness(
-        "strip", solve(structure("strip", h_ends=0.1).full(layer(Incompressible(mu), 0), cells_through=8))
-    )
+    model = structure("strip", h_ends=0.1).full(layer(Incompressible(mu), 0), cells_through=8)
+    found = stiffness("strip", solve(model))
     assert found == pytest.approx(wanted, rel=0.012)
 
 

@@ -52,9 +52,8 @@ def test_phases_of_one_layer_of_two(path):
     """The report is of the seam whose layer has phases."""
     structure = Structure(read(path, S=STACK), body=BODY, supports={"BOTTOM": 0.0, "TOP": {"y": 0.5}, **ROLLERS})
     phases = NonMonotone(3.0, 1.0, 0.5, 0.07, [[0.2, 0.5], [0.5, 1.0]])
-    history = march(
-        structure.interface({"ONE": ThinLayer(STIFF, 0.02, at=1.0), "TWO": ThinLayer(phases, 0.01, at=1.0)}), [1.0]
-    )
+    layers = {"ONE": ThinLayer(STIFF, 0.02, at=1.0), "TWO": ThinLayer(phases, 0.01, at=1.0)}
+    history = march(structure.interface(layers), [1.0])
     surface = Surface(history.model)
     phase, has = surface.phase(history.last)[:, 0], surface.seams == "TWO"
     assert surface.x[1].mean(axis=1)[has] == pytest.approx(2.0)

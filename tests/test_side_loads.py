@@ -54,15 +54,15 @@ def errors(joint_at, law, loads, monkeypatch):
     return np.array(right), np.array(wrong)
 
 
-@pytest.mark.parametrize(
-    ("joint_at", "mu", "nu", "load"),
-    [
-        (stack, 8.0, 0.3, (0.7, 0.0)),
-        (stack, 8.0, 0.3, (0.0, 0.7)),
-        (based, 8.0, 0.4, Pressure(0.9)),
-        (based, 8.0, 0.1, lambda x, t: (0.3 * x[0], -0.4 * t)),
-    ],
-)
+ON_SIDES = [
+    (stack, 8.0, 0.3, (0.7, 0.0)),
+    (stack, 8.0, 0.3, (0.0, 0.7)),
+    (based, 8.0, 0.4, Pressure(0.9)),
+    (based, 8.0, 0.1, lambda x, t: (0.3 * x[0], -0.4 * t)),
+]
+
+
+@pytest.mark.parametrize(("joint_at", "mu", "nu", "load"), ON_SIDES)
 def test_what_a_load_on_the_side_does(joint_at, mu, nu, load, monkeypatch):
     """Alone, its relative errors fall with the thickness; where the side is not drawn in they stay."""
     right, wrong = errors(joint_at, LinearElastic.shear(mu, nu), {"RIGHT/LAYER": load}, monkeypatch)

@@ -72,9 +72,8 @@ def test_turned_blocks_on_springs(dim, kind):
     energies = state.energies()
     area = 1.0 if dim == 2 else 0.5
     pulled = np.array(PULL[: dim - 1])
-    assert energies["springs BOTTOM"] == pytest.approx(
-        area * (P**2 / BED.normal + pulled @ pulled / BED.tangential) / 2, rel=1e-9
-    )
+    expected = area * (P**2 / BED.normal + pulled @ pulled / BED.tangential) / 2
+    assert energies["springs BOTTOM"] == pytest.approx(expected, rel=1e-9)
     stored = sum(value for name, value in energies.items() if name != "loads")
     assert stored == pytest.approx(energies["loads"] / 2, rel=1e-9)
     assert state.audit.total == pytest.approx(stored, rel=1e-9)
@@ -84,15 +83,11 @@ def test_turned_blocks_on_springs(dim, kind):
 @pytest.mark.parametrize("given", [lambda x: 3.0 + x[0] ** 2, lambda x: 3.0 + np.square(x[0])], ids=["ufl", "numpy"])
 def test_a_rigid_block_on_uneven_springs(given):
     """Closed form: a bed k = 3 + x^2 under a stiff beam of length 2 that may sink and turn, pressed at one end."""
-    joint, moment = (
-        sandwich(2.0, 0.3, 0.3, 0.15, structured=True),
-        np.array([[3 * 2 + 8 / 3, 6 + 4], [6 + 4, 8 + 32 / 5]]),
-    )
+    joint = sandwich(2.0, 0.3, 0.3, 0.15, structured=True)
+    moment = np.array([[3 * 2 + 8 / 3, 6 + 4], [6 + 4, 8 + 32 / 5]])
     supports = {(0.0, 0.3): {"x": 0.0}}
-    structure = Structure(
-        joint, body=LinearElastic.young(1e8, 0.0), supports=supports, tractions={"TOP": (0.0, -0.4)},
-        parts=[Springs("BOTTOM", normal=given, tangential=0.0)],
-    )  # fmt: skip
+    data = {"tractions": {"TOP": (0.0, -0.4)}, "parts": [Springs("BOTTOM", normal=given, tangential=0.0)]}
+    structure = Structure(joint, body=LinearElastic.young(1e8, 0.0), supports=supports, **data)
     state = solve(structure.bonded())
     sinks, turns = np.linalg.solve(moment, [0.4 * 2, 0.4 * 2])
     x, y = state.model.V.tabulate_dof_coordinates()[:, 0], state.u.x.array[1::2]
@@ -135,9 +130,8 @@ def test_a_column_relaxes_on_springs(kind, theta):
     assert np.sqrt(2 * BED.normal * found) == pytest.approx(expected, rel=1e-8)
     table = history.table
     assert np.abs(table["imbalance"]).max() < 1e-9
-    assert history.last.audit.total == pytest.approx(
-        sum(v for name, v in history.last.energies().items() if name != "loads"), rel=1e-9
-    )
+    stored = sum(value for name, value in history.last.energies().items() if name != "loads")
+    assert history.last.audit.total == pytest.approx(stored, rel=1e-9)
 
 
 # ---------------------------------------------------------------- a path

@@ -76,9 +76,8 @@ def exact(sublayers, w, mean, slope, n):
         phi = phi + a * r @ K
     t = K @ (w / EPS + sum(share * r @ stress(*moduli, e) @ n for share, moduli, r, e in places))
     whole = [e + sym(np.outer(r @ (t - stress(*moduli, e) @ n), n)) for _, moduli, r, e in places]
-    return sum(
-        EPS * share * np.sum(e * stress(*moduli, e)) / 2 for (share, moduli, *_), e in zip(places, whole, strict=True)
-    )
+    pairs = zip(places, whole, strict=True)
+    return sum(EPS * share * np.sum(e * stress(*moduli, e)) / 2 for (share, moduli, *_), e in pairs)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -94,13 +93,9 @@ def test_energy_of_the_stations(d, sublayers):
     laws = [(a, LinearElastic(lmbda, mu)) for a, lmbda, mu in sublayers]
     law = Stack(*laws) if len(laws) > 1 else laws[0][1]
     terms = surface(law, Interface.between_bodies(facet.dS), EPS, 1)
-    wanted, mirrored = (
-        sum(
-            weight * exact(some, A @ x + b, C + A / 2, A, facet.normal)
-            for x, weight in zip(facet.places, facet.weights, strict=True)
-        )
-        for some in (sublayers, sublayers[::-1])
-    )
+    pairs = [*zip(facet.places, facet.weights, strict=True)]
+    whole = lambda some: sum(weight * exact(some, A @ x + b, C + A / 2, A, facet.normal) for x, weight in pairs)
+    wanted, mirrored = whole(sublayers), whole(sublayers[::-1])
     assert fem.assemble_scalar(fem.form(energy(terms, both + above))) == pytest.approx(wanted, rel=1e-11)
     assert len(laws) == 1 or abs(mirrored / wanted - 1) > 1e-3
 

@@ -50,17 +50,17 @@ def uniform(one, angle=0.0, scale=1.0):
 CONTACT = HolonomicCoulomb(K_N, K_T, 0.5)
 
 
+SIDES = [
+    ("quadrilateral", "S2", 0.4, LAYER, 1.0),
+    ("triangle", "P2", 0.4, LAYER, 1e-200),  # forces whose squares are no numbers
+    ("triangle", "P1", 0.0, LAYER, 1e100),
+    ("hexahedron", "Q1", 0.3, LAYER, 1.0),
+    ("quadrilateral", "Q1", 0.0, CONTACT, 1.0),
+]
+
+
 @pytest.mark.parametrize("both", [False, True], ids=["one body", "both"])
-@pytest.mark.parametrize(
-    ("cell", "element", "angle", "layer", "scale"),
-    [
-        ("quadrilateral", "S2", 0.4, LAYER, 1.0),
-        ("triangle", "P2", 0.4, LAYER, 1e-200),  # forces whose squares are no numbers
-        ("triangle", "P1", 0.0, LAYER, 1e100),
-        ("hexahedron", "Q1", 0.3, LAYER, 1.0),
-        ("quadrilateral", "Q1", 0.0, CONTACT, 1.0),
-    ],
-)
+@pytest.mark.parametrize(("cell", "element", "angle", "layer", "scale"), SIDES)
 def test_supports_of_the_sides_take_nothing_from_the_traction(cell, element, angle, layer, scale, both):
     """Uniform stress. Where they hold both bodies reactions do not tell: they go on as beside, uniform if these are."""
     one = joint(cell, angle)

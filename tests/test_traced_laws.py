@@ -55,7 +55,7 @@ def shear(law: BulkLaw) -> float:
     return float(drive(law, STEP).tractions[0, 0])
 
 
-@pytest.mark.parametrize("law", [ReadsGlobals(5.0), JumpsReadGlobals(5.0)], ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("law", [ReadsGlobals(5.0), JumpsReadGlobals(5.0)])
 def test_what_a_law_reads_is_what_it_is_now(law, monkeypatch):
     """The third time it is what it was the first time."""
     for value in (1.0, 3.0, 1.0):
@@ -121,9 +121,7 @@ def test_a_law_at_points_knows_its_numbers_alone():
         def traction(self, step):
             return self.k * x[0] * step.mid
 
-    refused(
-        InputError, r"Placed contains x, a SpatialCoordinate; a compiled law knows", lambda: drive(Placed(1.0), STEP)
-    )
+    refused(InputError, r"Placed contains x, a SpatialCoordinate; a compiled law knows", drive, Placed(1.0), STEP)
 
 
 # ---------------------------------------------------------------- eigenstrains
@@ -139,14 +137,14 @@ def column(kind: str, law: BulkLaw, body: BulkLaw, **more):
     """A column of height 1 that can neither widen nor lengthen."""
     joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
     sides = {"BOTTOM": 0.0, "TOP": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    return getattr(Structure, kind)(
-        Structure(joint, body=body, supports=sides, **more), law if law.traits.of_jumps else ThinLayer(law, 0.1, at=1.0)
-    )
+    layer = law if law.traits.of_jumps else ThinLayer(law, 0.1, at=1.0)
+    return getattr(Structure(joint, body=body, supports=sides, **more), kind)(layer)
 
 
-@pytest.mark.parametrize(
-    ("kind", "how"), [("interface", solve), ("full", lambda model: march(model, [0.5, 1.0], theta=0.7).last)]
-)
+AFFINE = [("interface", solve), ("full", lambda model: march(model, [0.5, 1.0], theta=0.7).last)]
+
+
+@pytest.mark.parametrize(("kind", "how"), AFFINE)
 def test_an_affine_law_that_says_linear(kind, how):
     """The layer would open by `free`; t_N = K (w_N - free) presses the bodies, of height 1 in all, together by -w_N."""
     law, body, own = Affine(7.0, 4.0, 0.03), LinearElastic(60.0, 40.0), 0.03
@@ -192,9 +190,8 @@ def test_a_traction_law_that_does_not_evolve():
 
 
 def test_a_law_without_energy_has_none_to_tell():
-    energies = solve(
-        column("interface", Springs(5.0, 7.0), LinearElastic(60.0, 40.0), body_force=(0.0, 1.0))
-    ).energies()
+    model = column("interface", Springs(5.0, 7.0), LinearElastic(60.0, 40.0), body_force=(0.0, 1.0))
+    energies = solve(model).energies()
     assert math.isnan(energies["layer"])
     assert energies["bodies"] > 0
     refused(InputError, "Deciding declares no energy", lambda: Deciding(5.0).energy(None))

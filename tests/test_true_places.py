@@ -230,10 +230,8 @@ def test_refused():
     dry = Structure(whole.joint, body=BODY, supports=whole.supports, element="Q1")
     law = HolonomicCoulomb(1.0, 1.0, 0.3)
     refused(InputError, "'S' has no ThinLayer", dry.interface, law, bodies="extended")
-    bricks, words = (
-        Structure(bond_cell((1.0, 0.5), 0.25), body=BODY, supports={}),
-        "seams meet or branch, where S has no",
-    )
+    bricks = Structure(bond_cell((1.0, 0.5), 0.25), body=BODY, supports={})
+    words = "seams meet or branch, where S has no"
     refused(InputError, words, bricks.interface, replace(layer, order=0), bodies="extended")
     one = flat("both")
     loaded = Structure(whole.joint, body=BODY, supports={"INSIDE": 0.0}, tractions={"START": Pressure(1.0)})

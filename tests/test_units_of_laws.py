@@ -104,10 +104,8 @@ def followed(name: str, u: Units) -> tuple[np.ndarray, np.ndarray]:
     """Jumps and tractions in mm and MPa along a path that prescribes both, opens, slips, and turns; n is inclined."""
     jumps = [(0.004, -0.006), (0.02, -0.01), (0.03, 0.02), (-0.03, -0.01)]
     path: list[dict[str, float]] = [{"w_T": a * u.L * u.size, "w_N": b * u.L * u.size} for a, b in jumps]
-    path += [
-        {"w_T": 0.01 * u.L * u.size, "t_N": -0.6 * u.P * u.size},
-        {"t_T": 0.2 * u.P * u.size, "t_N": -0.5 * u.P * u.size},
-    ]
+    path.append({"w_T": 0.01 * u.L * u.size, "t_N": -0.6 * u.P * u.size})
+    path.append({"t_T": 0.2 * u.P * u.size, "t_N": -0.5 * u.P * u.size})
     found = drive(LAWS[name](u), path, n=(0.6, 0.8), dt=0.1 * u.T)
     return found.jumps / (u.L * u.size), found.tractions / (u.P * u.size)
 

@@ -59,10 +59,8 @@ def test_the_table_of_the_page(row):
     cells = re.findall(r"^\| (rollers|free), ([\d,]+) \| (.*?) \|(.*)\|$", PAGE, re.MULTILINE)
     assert len(cells) == 8
     ratios = [float(nu) for nu in re.search(r"E/mu \| law \|(.*)\|", PAGE)[1].replace("nu =", "").split("|")]
-    set_ups = {
-        "rollers": (which_law.Rollers(1 / 32), "200,000", 0.499),
-        "free": (which_law.FreeEnds(False), "200", 0.49),
-    }
+    rollers, free = which_law.Rollers(1 / 32), which_law.FreeEnds(False)
+    set_ups = {"rollers": (rollers, "200,000", 0.499), "free": (free, "200", 0.49)}
     for name, (set_up, contrast, nu) in set_ups.items():
         found = row(set_up, nu, 1 / 16, 100.0 / float(contrast.replace(",", "")))
         for one, two, label, line in cells:
