@@ -181,18 +181,8 @@ def mohr_coulomb(
 
 
 def penalised_coulomb(
-    lmbda: float,
-    mu: float,
-    cohesion: float,
-    friction_angle: float,
-    w: Array,
-    slip: Array,
-    n: Array,
-    *,
-    unilateral: bool = False,
-    hardening: float = 0.0,
-    accumulated: float = 0.0,
-) -> tuple[Array, Array]:
+    lmbda, mu, cohesion, friction_angle, w, slip, n, *, unilateral=False, hardening=0.0, accumulated=0.0
+):
     """Traction and new slip w^p of the monodirectional law, one step: t = K_L (w - w^p), |t_T| <= C - tan(Omega) t_N.
 
     Equations (36)-(38) with the elastic strain, the moduli per thickness, t_T = stress n in place of tau_i, and slip along
@@ -203,15 +193,7 @@ def penalised_coulomb(
     return _coulomb(K, C, friction_angle, w, slip, n, unilateral, hardening)
 
 
-def stratified_coulomb(
-    fractions: Sequence[float],
-    stiffnesses: Sequence[Array],
-    cohesion: float,
-    friction_angle: float,
-    w: Array,
-    slip: Array,
-    n: Array,
-) -> tuple[Array, Array]:
+def stratified_coulomb(fractions, stiffnesses, cohesion, friction_angle, w, slip, n) -> tuple[Array, Array]:
     """Traction and new slip of isotropic sublayers, one of them monodirectional, in one step: t = K (w - w^p).
 
     Equations (54)-(55), with the sign of t_T in the flow and K = `stratified`; the threshold is on the common traction

@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import ufl
 
 from forms import HolonomicCoulomb, LinearElastic
-from forms.contact import ContactLaw
 from geometry import wall
 from thinlayer import Structure
-from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.nodal_forces import contact_forces, nodal_forces
 
 DRY = {"BED": (200.0, 80.0, 0.5), "HEAD": (100.0, 40.0, 0.3)}  # K_N, K_T, friction
 
 
+PUSH = lambda x, t: t
+
+
 def dry_wall(
-    push: Callable[[Any, Any], Any] = lambda x, t: t,
-    *,
-    bricks: int = 3,
-    courses: int = 4,
-    stiffer: float = 1.0,
-    weight: float = 0.0,
-    kind: type[ContactLaw] = HolonomicCoulomb,
-    cell: str = "quadrilateral",
-    **sizes,
-) -> InterfaceModel:
+    push=PUSH, *, bricks=3, courses=4, stiffer=1.0, weight=0.0, kind=HolonomicCoulomb, cell="quadrilateral", **sizes
+):
     """A wall under a pressure of 1, and the shear stress push(x, t) on its top; 14 bricks if not told.
 
     `weight` is that of a square of bricks.

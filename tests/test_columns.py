@@ -11,10 +11,9 @@ from itertools import cycle
 import numpy as np
 import pytest
 
-from forms import BulkLaw, LinearElastic, MohrCoulombMonodirectional
+from forms import LinearElastic, MohrCoulombMonodirectional
 from forms.elastic import VOIGT
 from geometry import block, sandwich
-from geometry.joint import Joint
 from tests import closed_forms
 from thinlayer import Structure, Surface, ThinLayer, solve
 from thinlayer.discretisation.state import displacements_of
@@ -61,16 +60,7 @@ def uniform(C: np.ndarray, t: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np
     return a, np.einsum("ijkl,k,l->ij", C, np.pad(a, (0, 3 - d)), n_3)[:d, :d]
 
 
-def check_column(
-    joint: Joint,
-    turn: np.ndarray,
-    bodies: dict[str, LinearElastic],
-    eps: float,
-    glue: BulkLaw = GLUE,
-    tensor: np.ndarray | None = None,
-    cells_through: int = 4,
-    **options,
-) -> None:
+def check_column(joint, turn, bodies, eps, glue=GLUE, tensor=None, cells_through=4, **options) -> None:
     """Uniform strain in each part: both models and the closed form agree to solver tolerance.
 
     `tensor`: the glue's stiffness (3, 3, 3, 3) in global axes (default: of its moduli).

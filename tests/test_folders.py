@@ -233,8 +233,8 @@ def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys)
     monkeypatch.setattr(rates, "run", writes_too_much)
     words = ["run", "rates", "--law", "elastic", "--out", str(tmp_path / "a")]
     assert cli.main(words) == 3
-    words = "more.csv' could not be written or read: No space left on device\nresults so far are kept in"
-    assert words in capsys.readouterr().err
+    told = "more.csv' could not be written or read: No space left on device\nresults so far are kept in"
+    assert told in capsys.readouterr().err
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["run.json", "table.csv", "table.csv.json"]
     monkeypatch.undo()
     monkeypatch.setattr(rates, "run", lambda *_, **__: 1 / 0)

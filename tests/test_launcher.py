@@ -14,9 +14,7 @@ LAUNCHER = CLONE / "fenicsx"
 SET_BY_AN_OUTER_ONE = {"OMPI_MCA_shmem", "OMPI_MCA_mpi_yield_when_idle", "PYTHONPATH"}
 
 
-def fenicsx(
-    *command: object, cwd: Path, launcher: Path = LAUNCHER, **environment: object
-) -> subprocess.CompletedProcess:
+def fenicsx(*command, cwd: Path, launcher: Path = LAUNCHER, **environment) -> subprocess.CompletedProcess:
     inherited = {name: value for name, value in os.environ.items() if name not in SET_BY_AN_OUTER_ONE}
     env = inherited | {name: str(value) for name, value in environment.items()}
     words = list(map(str, [launcher, *command]))

@@ -134,11 +134,8 @@ def test_a_dashpot_that_is_nothing_at_rest(p, soft):
 def test_moved_sides_of_a_layer_that_is_rigid_at_rest():
     """The tangent at rest would make the forces of moved supports look a million times too large."""
     joint = sandwich(1.0, 0.5, 0.5, 0.25)
-    supports = {
-        "BOTTOM": 0.0,
-        "LEFT": {"x": lambda x, t: 0.01 * ufl.sin(9 * t) * (x[1] + 0.5)},
-        "RIGHT/UPPER": {"x": lambda x, t: 0.01 * ufl.cos(9 * t)},
-    }
+    left, right = lambda x, t: 0.01 * ufl.sin(9 * t) * (x[1] + 0.5), lambda x, t: 0.01 * ufl.cos(9 * t)
+    supports = {"BOTTOM": 0.0, "LEFT": {"x": left}, "RIGHT/UPPER": {"x": right}}
     layer = ThinLayer(Norton(60.0, 40.0, eta=5.0, p=1.3), 0.1, at=1.0)
     history = march(Structure(joint, body=BODY, supports=supports).interface(layer), [0.1, 0.2, 0.3])
     assert np.abs(history.table["imbalance"]).max() < 1e-8

@@ -277,10 +277,9 @@ def test_phases_without_a_joint():
     law = NonMonotoneUnrelaxed(0.0, 10.0, alpha=1.5, transformation_energy=0.15, chi=[[0, 0], [0, 1]]).scaled(1 / 0.1)
     for push, share in ((0.05, 0.0), (0.2, 1.0)):
         blocks = Blocks("triangle", 1)
-        problem = blocks.solve(
-            [body(LinearElastic.young(1e6, 0.0), blocks.dx), *blocks.broken.layer(LAYER, ThinLayer(law, 0.1, at=1.0))],
-            [np.array([0.0, -push * 0.1])], 1.0,
-        )  # fmt: skip
+        terms = blocks.broken.layer(LAYER, ThinLayer(law, 0.1, at=1.0))
+        terms = [body(LinearElastic.young(1e6, 0.0), blocks.dx), *terms]
+        problem = blocks.solve(terms, [np.array([0.0, -push * 0.1])], 1.0)
         term, memory = problem.compiled["layer"], problem.state.memory["layer"]
         phase = memory[:, list(law.internal).index("phase")]
         assert term.columns.count == 6

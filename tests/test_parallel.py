@@ -129,16 +129,9 @@ def test_what_ends_a_rank_after_a_solve_ends_all(ending, status, said):
 @pytest.mark.long
 def test_an_error_of_one_rank_where_others_wait_for_it():
     """A user's function fails on one rank; the other one waits in a collective call that it would come to."""
-    done = mpirun(
-        2,
-        "-c",
-        f"{MARCH}thinlayer.system.ranks.PATIENCE = 0.3\n"
-        "def observed(state):\n"
-        "    if COMM.rank == 1: raise ValueError('one alone')\n"
-        "    return COMM.allreduce(1.0)\n"
-        "try: march(interface(), [0.1], observe={'one': observed})\n"
-        "except Exception: pass\n",
-    )
+    observed = "def observed(state):\n if COMM.rank == 1: raise ValueError('one alone')\n return COMM.allreduce(1.0)\n"
+    marched = "try: march(interface(), [0.1], observe={'one': observed})\nexcept Exception: pass\n"
+    done = mpirun(2, "-c", f"{MARCH}thinlayer.system.ranks.PATIENCE = 0.3\n{observed}{marched}")
     assert done.returncode == 1
     assert "ValueError: one alone" in done.stderr
     assert "Rank 1 has had this error for " in done.stderr
