@@ -98,7 +98,8 @@ def test_planes(plane, sublayers):
     joint = sandwich(1.0, 0.5, 0.5, 1 / 16, **MESH)
     supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     loads = {"TOP": lambda x, t: (x[0] * (1 - x[0]), x[0] ** 2 * (3 - 2 * x[0]))}
-    structure, rows, wrong = Structure(joint, FOURIER_BODY, supports, loads, plane=plane), [], []
+    structure = Structure(joint, body=FOURIER_BODY, supports=supports, tractions=loads, plane=plane)
+    rows, wrong = [], []
     for e in EPS[1:]:
         full = solve(structure.full(ThinLayer(stack(sublayers), e, at=1.0)))
         for law, some in ((stack(sublayers), rows), (stack(sublayers[::-1]), wrong)):
