@@ -216,16 +216,19 @@ def test_weights_of_the_other_sign_contradict(monkeypatch):
     refused(SolveError, "contradict each other", lambda: estimate(solve(structure.interface(layers)), goals=wanted))
 
 
-def test_a_very_thin_layer_between_plates_that_bend():
-    """Its better law leads to the value less far than order 0 did, whose bounds are as good on one side."""
+@pytest.mark.parametrize("eps", [6e-3, 1.5e-4])
+def test_very_thin_layers_between_plates_that_bend(eps):
+    """A better law leads less far than order 0, with narrower bounds. By itself the layer's bending is lost in rounding."""
     supports, tractions = {"LEFT/LOWER": 0.0}, {"TOP": (2.0, -1.0)}
-    plates = Structure(sandwich(6.0, 1.7, 2.0, 1.5), body=BODY, supports=supports, tractions=tractions)
-    layer = ThinLayer(LinearElastic.young(1.8, 0.3), 6e-3)
+    plates = Structure(sandwich(6.0, 1.7, 2.0, 1.5, h_S=0.8), body=BODY, supports=supports, tractions=tractions)
+    layer = ThinLayer(LinearElastic.young(1.8, 0.3), eps, at=1.0)
     state, full = solve(plates.interface(layer)), solve(plates.full(layer))
     found, meshed = estimate(state).goals["compliance"], WORK.value(full, state.model)
     assert found.lower <= meshed <= found.upper
     assert found.lower <= found.better <= found.upper
-    assert found.better == pytest.approx(meshed, rel=1e-9)
+    assert found.upper - found.lower < 1e-4 * meshed
+    known, true = estimate(state, goals=()), compare(full, state)
+    assert (known.traction, known.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=0.05)
 
 
 def test_layers_with_strains_without_stresses_move_by_themselves():

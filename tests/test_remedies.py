@@ -159,6 +159,8 @@ CASES = [
         lambda: law_of(glue(RUBBER, **FREE), joint=partial(quads, h_ends=0.1))),
     ("phases", lambda: estimate(solved(glue(SHEETS))), lambda: solve(mesh_of(glue(SHEETS)))),
     ("closed", lambda: estimate(solved(glue(WATER), **ROLLERS)), lambda: estimate(solved(glue(SOLID), **ROLLERS))),
+    ("no stress", lambda: estimate(solved(glue(Anisotropic.springs(9.0, 4.0)))),
+        lambda: solve(mesh_of(glue(Anisotropic.springs(9.0, 4.0))))),
     ("rate", lambda: Zoom(march(law_of(glue(KELVIN)), [1.0]).last), lambda: Zoom(march(mesh_of(glue(KELVIN)), [1.0]).last)),
     ("not linear", lambda: Zoom(solved(glue(CUBIC))).corners, lambda: solve(mesh_of(glue(CUBIC)))),
     ("not isotropic", lambda: Zoom(solved(glue(Anisotropic(SKEW)))).corners,

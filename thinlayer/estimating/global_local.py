@@ -314,8 +314,7 @@ class GlobalLocal:
 
     def gap(self, one: Iterate) -> float:
         """r . E^+ r, at least twice the square of the energy norm of what is missing (Prager and Synge)."""
-        r = self.residual(one)
-        return float(r @ self.layers.moved(r))
+        return self.layers.compliance(self.residual(one))[1]
 
     def energy(self, given: State, one: Iterate) -> Bounds | None:
         """Of J(u_0) - min J, from a last iterate. Collective.
@@ -357,8 +356,9 @@ class GlobalLocal:
         r, r_z = self.residual(one), self.residual(z)
         self._require_balance(one)
         self._require_balance(z)
-        moved, moved_z, told = self.layers.moved(r), self.layers.moved(r_z), self.told(at_rest, q, one, z)
-        half = math.sqrt(max(float(r @ moved), 0.0) * max(float(r_z @ moved_z), 0.0)) / 2
+        (moved, work), (_, work_z) = map(self.layers.compliance, (r, r_z))
+        half = math.sqrt(work) * math.sqrt(work_z) / 2 if max(work, work_z) < math.inf else math.inf
+        told = self.told(at_rest, q, one, z)
         middle = float(told + r_z @ moved / 2)
         rounding = float(self.equations.scale.rounding(np.abs(one.v).max())[0]) * math.sqrt(self._product(z.u, z.u))
         return Bounds(told, middle - half, middle + half, rounding)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 
@@ -35,6 +36,7 @@ REMEDY = "mesh the layer (structure.full), in smaller steps of time if it slips 
 SETTLED = 1e-9  # what a step of Newton's changes, in the energy norm and relative, that counts as none
 LEAST_SHARE, SHARES = 0.1, 8  # of a step in the one before, number of them in turn
 PARTS = 32  # of a straight way between two displacements, over which work is summed
+MOST_LOST = 0.01  # of the work of forces in what they move, by which the energy there may differ from it
 INDEPENDENT = 1e-9  # singular value of motions that are independent of each other, over the largest
 
 
@@ -264,9 +266,18 @@ class LayerAlone(HeldLayers):
 
     def moved(self, r: Array) -> Array:
         """Displacements of the faces under forces on them that have no resultant."""
+        return self.compliance(r)[0]
+
+    def compliance(self, r: Array) -> tuple[Array, float]:
+        """Displacements as of `moved`, and the work r . E^+ r of the forces in them.
+
+        The work is infinite if rounding hides it. A layer of length L that can bend freely is (L/eps)^4 times as soft as
+        one that is stretched across.
+        """
         w = np.zeros(len(r))
-        self._neumann.solve(r, w)
-        return np.where(self.on_face, w, 0.0)
+        work = self._neumann.solve(r, w)
+        lost = abs(work - float(w @ (self.K @ w)))
+        return np.where(self.on_face, w, 0.0), work if lost <= MOST_LOST * work else math.inf
 
     def pulled(self, w: Array, F: Array) -> Array:
         """Displacements, from w on, of layers with forces F on their faces, which have no resultant; as `settled`."""
