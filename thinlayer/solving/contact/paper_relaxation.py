@@ -15,7 +15,7 @@ from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.constraints import csr_of
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import ALLOWED
+from thinlayer.solving.balance import ALLOWED, EPSILON
 from thinlayer.solving.contact.finder import ContactFinder
 from thinlayer.solving.contact.pairs import SOURCE, numbers_of
 from thinlayer.solving.equations import Equations
@@ -26,7 +26,7 @@ CHUNK = 256  # number of sweeps between two tests of the increments
 PATIENCE = 2048  # least number of sweeps of a relaxation that stagnates
 GROWTH = 1e8  # growth of the changes, relative to the largest of the first sweeps, that means divergence
 NO_PROGRESS = 0.999  # ratio of the least increments of the later and the earlier half of all sweeps: stagnation
-SLOW = 1e5  # largest residual, relative to the tolerance of the increments: slow convergence has small increments
+CLOSER = 1.5  # the tolerance of increments over the next one, where forces do not balance yet
 FIXED = 1e20  # diagonal entry of held components of contact nodes, relative to the mean stiffness
 ALIGNED = 1e-9  # largest difference of the axes of S from coordinate axes
 OPTIONS = {  # name -> default and bound
@@ -188,7 +188,11 @@ class ContactRelaxation(ContactFinder):
         return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
 
     def solve(self, known: bool) -> tuple[int, float]:
-        """As in `ContactFinder`. SolveError: no convergence; its residuals are the increments of the sweeps."""
+        """As in `ContactFinder`; the steps are sweeps until increments meet their tolerance, and more may follow.
+
+        Raises:
+            SolveError: no convergence; its residuals are the increments of the sweeps.
+        """
         equations, nodes, x = self.equations, self.part.nodes, self.x
         chosen, moving = _options(), ~self._held_jumps.all(axis=1)
         x.set(0.0)
@@ -209,11 +213,17 @@ class ContactRelaxation(ContactFinder):
             self.part.law,
             self.part.slip[moving],
         )
-        found = relax(system, order=self._order(), **chosen)
-        x.array[:] = self._T @ found.u - over
-        x.array[equations.held] = equations.prescribed
-        residual, sweeps = self.relative_residual(), len(found.increments)
-        if not (found.converged and residual <= max(ALLOWED, min(SLOW * chosen["tolerance"], 1e-2))):
+        order, sweeps, u = self._order(), 0, None  # sweeps until increments met the tolerance
+        while True:  # increments may be small before forces balance
+            found = relax(system, u=u, order=order, **chosen)
+            u, sweeps = found.u, sweeps or len(found.increments)
+            x.array[:] = self._T @ u - over
+            x.array[equations.held] = equations.prescribed
+            residual = self.relative_residual()
+            if not found.converged or residual <= ALLOWED or chosen["tolerance"] < EPSILON:
+                break
+            chosen["tolerance"] /= CLOSER
+        if not (found.converged and residual <= ALLOWED):
             raise SolveError(
                 f"the relaxation does not converge: after {sweeps} sweeps the increment is {found.increments[-1]:.1e} and "
                 f"the residual {residual:.1e} of the forces",
