@@ -217,7 +217,7 @@ def test_weights_of_the_other_sign_contradict(monkeypatch):
 
 
 @pytest.mark.parametrize("eps", [6e-3, 1.5e-4])
-def test_very_thin_layers_between_plates_that_bend(eps):
+def test_very_thin_layers_between_plates_that_bend(eps, monkeypatch):
     """A better law leads less far than order 0, with narrower bounds. By itself the layer's bending is lost in rounding."""
     supports, tractions = {"LEFT/LOWER": 0.0}, {"TOP": (2.0, -1.0)}
     plates = Structure(sandwich(6.0, 1.7, 2.0, 1.5, h_S=0.8), body=BODY, supports=supports, tractions=tractions)
@@ -229,6 +229,10 @@ def test_very_thin_layers_between_plates_that_bend(eps):
     assert found.upper - found.lower < 1e-4 * meshed
     known, true = estimate(state, goals=()), compare(full, state)
     assert (known.traction, known.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=0.05)
+    monkeypatch.setattr("thinlayer.estimating.estimate._models", lambda model, better: [model])
+    alone = estimate(state).goals["compliance"]
+    assert alone.bounded == (eps > 1e-3)
+    assert alone.better == pytest.approx(meshed, rel=1e-6)
 
 
 def test_layers_with_strains_without_stresses_move_by_themselves():

@@ -130,7 +130,8 @@ def estimate(
     for name, goal in checked.items():
         at = known.get(name, Bounds(goal.value(last, model), math.nan, math.nan))
         scale = goal.scale(last, model)
-        slack = ROUNDING * max(abs(values[name]), abs(at.told)) + at.rounding if bounded else math.nan
+        has_bounds = bounded and at.upper - at.lower < math.inf
+        slack = ROUNDING * max(abs(values[name]), abs(at.told)) + at.rounding if has_bounds else math.nan
         found[name] = GoalError(values[name], at.told, scale, at.lower - slack, at.upper + slack)
         if at.lower - at.upper > slack + FIXED * scale:
             contradiction = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
