@@ -38,7 +38,8 @@ def test_a_sweep_has_the_errors_of_further_laws(tmp_path):
 
 
 def test_sweeps_and_failures():
-    assert relaxation.count(8, 15e4, 5e4, 1.8, 1.0) == (90, True)  # independent code: 90
+    assert relaxation.count(8, 15e4, 5e4, 1.8, 1.0) == (90, True)  # independent code: 90, and 621
+    assert relaxation.count(8, 15.0, 5.0, 1.9, 1.0) == (621, True)  # forces balance some sweeps later
     sweeps, converged = relaxation.count(8, 15e8, 5e8, 1.95, 1.95)
     assert not converged
     assert sweeps < relaxation.MAX_SWEEPS
