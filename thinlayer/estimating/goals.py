@@ -269,14 +269,15 @@ def _shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolA
 
     def facing(values: Any) -> Array:
         """Sums at the nodes of the values of those that face them."""
-        return sums_at(W, [upper, lower], [values[lower], values[upper]]) if len(lower) else np.zeros(values.shape)
+        return sums_at(W, both, [values[lower], values[upper]][: len(both)])
 
+    both = [upper, lower] if len(upper) == len(lower) else []  # on a rigid base nothing faces them
     above, below = (sums_at(W, [nodes], [np.ones((*nodes.shape, mixed.shape[1]))]) > 0 for nodes in (upper, lower))
     usable = (above != below) & ~mixed  # where a seam meets itself nodes may be on both sides
     whole = usable & (facing(usable) < facing(np.ones_like(usable)))
     shares = np.where(whole, 1.0, 0.5 * (usable & (facing(whole) == 0)))
     # the others at a facet stand for its corners where no reaction is usable
-    sides = [nodes for nodes in (upper, lower) if len(nodes)]
+    sides = both or [upper]
     known = np.sum([shares[nodes] for nodes in sides], axis=0) > 0
     more = np.broadcast_to(known.shape[1] / np.maximum(known.sum(axis=1, keepdims=True), 1), known.shape)
     facets = sums_at(W, sides, [np.ones(known.shape)] * len(sides))
