@@ -83,17 +83,20 @@ def of_wall() -> list[float]:
     surface = Surface(state.model)
     whole = surface.integral(surface.traction(state)) / surface.integral(1.0)
     last = found[every[1].name]
-    return [*(found[one.name].value for one in every), *whole, last.lower, last.upper]
+    tall = structure(sandwich(1.0, 6.0, 0.5, 0.25)).interface(LAYER)  # of two ranks one has no facet of S
+    alone = goals.MeanTraction((0, 1)).value(solve(tall), tall)
+    return [*(found[one.name].value for one in every), *whole, last.lower, last.upper, alone]
 
 
 @on_ranks(of_wall, 2)
 def test_a_mean_traction_where_seams_meet(there):
     """On beds equilibrium gives it; on all seams it is that of the law, to its accuracy near junctions."""
-    bed_y, all_y, bed_x, all_x, law_x, law_y, lower, upper = of_wall()
+    bed_y, all_y, bed_x, all_x, law_x, law_y, lower, upper, alone = of_wall()
     assert (bed_x, bed_y) == pytest.approx(LOAD, rel=1e-9)
+    assert alone == pytest.approx(LOAD[1], rel=1e-9)
     assert (all_x, all_y) == pytest.approx((law_x, law_y), rel=5e-3)
     assert lower <= upper
-    assert there == pytest.approx([bed_y, all_y, bed_x, all_x, law_x, law_y, lower, upper], rel=1e-6)
+    assert there == pytest.approx([bed_y, all_y, bed_x, all_x, law_x, law_y, lower, upper, alone], rel=1e-6)
 
 
 def test_what_meets_a_layer_by_itself():
