@@ -351,7 +351,7 @@ class Equilibrium(Finder):
         if stalled:  # by rounding, or as no equilibrium is near: then another step would go far
             solve_linear(snes.getKSP(), snes.getFunction()[0], d := self._vectors[2])
             stalled = _largest(d) <= ROUNDED * self._displacements_at_play(x)
-            given_up = given_up or "no step reduces the residual"
+            given_up = "" if stalled else "no step reduces the residual"
         snes.destroy()
         stopped = self._own_test and reason >= 0 and not last < ALLOWED  # another test than ours ended the solve
         if stopped or (reason < 0 and not stalled):

@@ -35,10 +35,8 @@ SWEEPS = 4  # number of sweeps before each of the first Newton steps
 PATIENCE = 6  # number of Newton steps after which the sweeps double with every step, and steps may be shortened
 MOST_SWEEPS = 32  # largest number of sweeps before a Newton step
 MOST_STEPS = 30
-RUN_AWAY, MOST_LONG_STEPS = (
-    1e5,
-    4,
-)  # length of steps, over the first displacements, so many of which in turn end the search
+LONG_STEP = 1e5  # length of a step over the first displacements, as where nothing holds a body
+MOST_LONG_STEPS = 4  # in turn, after which the search ends
 TRIALS = 12  # largest number of trials of a step's length
 FLAT = 0.1  # work along a step at its end, relative to that at its beginning, that ends the search of its length
 
@@ -201,7 +199,7 @@ class CondensedSystem:
         self, u: Array, g: Array, relative: Callable[[Array, Array, Array], float], tolerance: float = TOLERANCE
     ) -> tuple[Array, tuple[float, ...]]:
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces."""
-        residuals, pairs, long_steps, far = list[float](), self.pairs, 0, RUN_AWAY * np.abs(u).max(initial=0.0)
+        residuals, pairs, long_steps, far = list[float](), self.pairs, 0, LONG_STEP * np.abs(u).max(initial=0.0)
         while True:
             forces = pairs.forces(pairs.apart(u))
             r = self._stiffness @ u + forces - g
