@@ -45,7 +45,7 @@ def warn_outside(warning: Warning) -> None:
     """Issue a warning that points to the line outside these packages that called them; Python shows it once a line."""
     show_warnings()
     level, frame = 1, sys._getframe()
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in PACKAGES:
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in (*PACKAGES, "contextlib"):
         level, frame = level + 1, frame.f_back
     warnings.warn(warning, stacklevel=level)
 

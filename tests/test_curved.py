@@ -9,13 +9,14 @@ import ufl
 from forms import Anisotropic, LinearElastic
 from forms.base import InputError
 from geometry import ring
+from geometry.inflating.inflation import inflate
 from geometry.seam import Seam
 from studies.cylinders import lame
 from studies.problems import FOURIER_LAYER, fourier
 from tests.meshes import part_of
 from tests.orders import observed_orders
 from tests.refused import refused
-from thinlayer import Structure, Surface, ThinLayer, compare, solve
+from thinlayer import RangeWarning, Structure, Surface, ThinLayer, compare, estimate, goals, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -108,6 +109,20 @@ def test_rigid_base_takes_all_of_eps():
         limit = solve(Structure(hub, **setup).interface(layer))
         rows.append(compare(solve(Structure(hub, **setup).full(layer, bodies="extended")), limit))
     assert observed_orders(EPS, [row["error_jump"] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.1)
+
+
+def test_bodies_are_kept_on_shallow_arcs():
+    """They move apart in one piece, and bounds contain the goals of the meshed layer; steeper arcs are refused."""
+    joint, layer = ring(*RADII, 0.25, angle=0.5, degree=2), ThinLayer(GLUE, 0.02)
+    body = {"INNER": INNER, "OUTER": OUTER}
+    structure = Structure(joint, body=body, supports={"INSIDE": 0.0}, tractions={"OUTSIDE": (0.4, 0.3)})
+    with pytest.warns(RangeWarning, match=r"its thickness is 0\.978 to 1\.010 of eps"):
+        meshed = solve(structure.full(layer))
+    goal = goals.Displacement((2.0, 0.0), (1.0, 0.3))
+    found = estimate(solve(structure.interface(layer)), goals=[goal])
+    bounds, value = found.goals[goal.name], goal.value(meshed, found.better.model)
+    assert bounds.lower <= value <= bounds.upper < bounds.lower + 1e-3 * abs(bounds.better - bounds.value)
+    refused(InputError, "S is not planar", inflate, ring(*RADII, 0.25, angle=1.3), 0.02)
 
 
 # ---------------------------------------------------------------------------------------------- varying thickness

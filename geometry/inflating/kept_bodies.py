@@ -7,6 +7,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from forms.base import InputError
+from forms.declarations import warn_of_range
 from geometry.joint import FLAT, Joint
 from geometry.refusals import place, refuse
 from geometry.sheet import Sheet
@@ -14,6 +15,8 @@ from geometry.topology import FloatArray, IntArray, connected, is_tensor, sums
 
 UNIFORM = 1e-12  # relative difference of thicknesses that counts as none
 SAME_GAP = 1e-9  # relative error of the thickness between bodies that are kept
+SHALLOW = 0.05  # the same between bodies on a curved S: its normals are within 18 degrees
+UNEVEN = 1e-3  # of which users are warned
 STIFF = 1e3  # stiffness across the layers relative to that along them, in the least squares for kept bodies
 STEPS = 200  # of its multiplier, at most
 NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
@@ -25,7 +28,8 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     """Translations (n_pieces, d) of the bodies' pieces that open each facet of S by its thickness.
 
     Of all such motions it is the one with the least jumps along S. The middle of S stays where it is, and so do bodies on
-    a rigid base. The base is the last piece, if there is one.
+    a rigid base. The base is the last piece, if there is one. On a shallow arc the thickness is right in the mean; a
+    RangeWarning names its range.
 
     Args:
         joint: the joint before inflating.
@@ -55,11 +59,20 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     T = _translations(pairs, part, wanted, (vectors * across[:, None, :]) @ np.swapaxes(vectors, 1, 2), weight)
 
     contradictory = "the layers around the bodies at {at} ask for motions that contradict one another"
-    for jump, reason in ((wanted[at], "S is not planar, as at {at}"), (T[ends[:, 1]] - T[ends[:, 0]], contradictory)):
+    due = (wanted[at] * n).sum(axis=1)
+    for jump, least, allowed, reason in (
+        (wanted[at], eps, SHALLOW, "S is not planar, as at {at}"),
+        (T[ends[:, 1]] - T[ends[:, 0]], due, SAME_GAP, contradictory),
+    ):
         gap = (jump * n).sum(axis=1)
         lean = np.linalg.norm(jump - gap[:, None] * n, axis=1)
-        wrong = np.abs(gap - eps) > SAME_GAP * eps + FLAT * lean
+        wrong = np.abs(gap - least) > allowed * eps + FLAT * lean
         refuse(wrong, joint.points[joint.surface], f"{reason}: {NOT_KEPT}")
+    opening = np.einsum("nd,nkd->nk", wanted[at], joint.node_normals) / eps[:, None]
+    if np.abs(opening - 1).max() > UNEVEN:
+        moved = f"its thickness is {opening.min():.3f} to {opening.max():.3f} of eps"
+        why = "S is curved, and bodies='kept' moves the bodies apart in one piece"
+        warn_of_range("curved", f"the meshed layer: {moved}, as {why}; use bodies='extended' for a uniform one")
     based = np.zeros(part.max() + 1, bool)
     based[part[ends[cells[:, 0] < 0, 1]]] = True
     on_base, mine = cells[:, 0] < 0, part[ends[:, 1]]
