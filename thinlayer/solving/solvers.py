@@ -384,7 +384,7 @@ class Solver(AbstractContextManager["Solver"]):
                 try:
                     found = self._try(replace(attempt, name=f"{attempt.name}, ease {lower:g}"), begin)
                 except SolveError as error:
-                    spent, decrement = spent + len(error.residuals), decrement / 2
+                    spent, decrement = spent + len(error.residuals), (ease - lower) / 2
                     if begin is None or decrement < LEAST_DECREMENT or solves >= MOST_SOLVES:
                         raise
                 else:
