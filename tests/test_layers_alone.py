@@ -179,8 +179,10 @@ def test_steps_lead_to_the_meshed_layer_and_half_the_gap_is_the_distance_from_th
     true = displacements_of(meshed(name), state.model).x.array[: state.model.V.dofmap.index_map.size_local * 2]
     with Adjoint(state) as adjoint:
         iteration = global_local.GlobalLocal(adjoint, layers)
-        one = iteration.first()
+        one, (q, _) = iteration.first(), iteration.weights(WORK)
         for _ in range(2):
+            bounds = iteration.bounds(0.0, q, one, one)  # the compliance is its own weight
+            assert bounds.upper - bounds.lower == pytest.approx(iteration.gap(one), rel=1e-9)
             missing, v = true - one.u, layers.at_faces(true)
             in_bodies = missing @ (iteration._lack(one.u) - iteration._lack(true))
             apart = layers.held(v, one.load, one.values) - (one.F + layers.held(one.v, one.load, one.values)) / 2
