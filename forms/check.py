@@ -20,6 +20,7 @@ from forms.trace import named, numbers, symbolic
 
 STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
 TOLERANCE = 1e-8  # relative difference that counts as rounding
+SMALLEST = 1e-290  # number, below which products of others have lost digits
 NOT_SYMMETRIC = (
     "{}: the tangent is not symmetric, it differs from its transpose by {:.1e} of its size; "
     "write symmetric = False in the class, or correct it"
@@ -157,7 +158,7 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
 
 def _apart(a: Array, b: Array, least: float = 0.0) -> float:
     """Largest difference of two arrays over their largest number, or over `least`; 0 if it is rounding."""
-    apart, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least)
+    apart, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least, SMALLEST)
     return float(apart / largest) if apart > TOLERANCE * largest else 0.0
 
 

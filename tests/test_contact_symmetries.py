@@ -57,6 +57,7 @@ def test_rotated_structure(angle):
     c, s = np.cos(angle), np.sin(angle)
     turned = joint.rotated(angle), law, setup | {"tractions": {"TOP": (5 * c + 12 * s, 5 * s - 12 * c)}}
     two = solved(*turned)
+    assert two.force == pytest.approx(np.array([[c, -s], [s, c]]) @ one.force, rel=1e-6)
     assert solved(*turned, method="relaxation").u_T == pytest.approx(two.u_T, rel=1e-6, abs=1e-9)
     for report in (one, two):
         (line,) = report.surface.along(report.p)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import ufl
 
-from forms import LinearElastic, Maxwell, Norton
+from forms import Incompressible, LinearElastic, Maxwell, Norton
 from forms.base import InputError
 from geometry import block, faults, sandwich
 from tests.own_laws import Skew
@@ -19,6 +19,7 @@ from tests.refused import refused
 from thinlayer import (
     Bond,
     RangeWarning,
+    RigidPlate,
     Structure,
     Surface,
     ThinLayer,
@@ -191,6 +192,25 @@ def test_a_goal_that_equilibrium_gives_does_not_change():
     fixed, clear = GoalError(1.0, 1.0 + 1e-13, 2.0), GoalError(1.0, 1.02, 2.0)
     assert (fixed.relative, _said("it", fixed)) == (0.0, "no change in it")
     assert (clear.at_most, _said("it", clear)) == (pytest.approx(0.02 / 1.02), "2 % in it")
+    wide = GoalError(1.0, 1.02, 2.0, lower=0.98, upper=1.05)
+    assert (wide.between, _said("it", wide)) == ((0.0, pytest.approx(1 / 21)), "between 0 % and 4.8 % in it")
+
+
+def test_flow_of_a_uniform_layer_does_not_change():
+    """Its law is exact there, and all that steps towards the mesh could gain is rounding."""
+    held = {"BOTTOM": 0, "LEFT": {"y": 0}, "RIGHT": {"y": 0}}
+    sheared = structure(sandwich(1.0, 0.5, 0.4, 0.25), supports=held, tractions={"TOP": (0.3, 0)})
+    found = estimate(march(sheared.interface(ThinLayer(Maxwell(1.2, 2.0, 1.0), EPS)), [0.1, 0.2]))
+    assert found.traction == found.jump == 0
+
+
+def test_a_plate_on_an_incompressible_layer_leaves_no_resultant():
+    """Couples leave a little of it in each step, and steps add these up."""
+    plate = RigidPlate("TOP", motion={"rotation": 0.01}, force=(0.5, -0.7))
+    given = {"body": LinearElastic.young(100.0, 0.3), "tractions": {}, "parts": [plate], "element": "P2"}
+    held = structure(sandwich(20.0, 0.6, 0.6, 2.5), **given)
+    found = dropped(held, ThinLayer(Incompressible(2.0), 0.015))
+    assert found.goals["compliance"].lower <= found.goals["compliance"].upper
 
 
 def test_rigid_motions_do_not_matter():

@@ -53,8 +53,9 @@ def test_a_reaction_is_of_all_that_holds_a_place(kind):
     given, place, direction = HOLDERS[kind]
     made, goal = structure(**given), goals.Reaction(place, direction)
     limit = solve(made.interface(LAYER))
-    told = estimate(limit, goals=[goal]).goals[goal.name]
-    meshed = goal.value(solve(made.full(LAYER)), limit.model)
+    full, found = solve(made.full(LAYER)), estimate(limit, goals=[goal, goals.Compliance()]).goals
+    told, meshed = found[goal.name], goal.value(full, limit.model)
+    assert goals.Compliance().value(full, full.model) == pytest.approx(found["compliance"].better, rel=1e-6)
     assert meshed == pytest.approx(told.better, rel=1e-6)
     assert told.lower <= meshed <= told.upper
     if kind == "revolution":

@@ -75,6 +75,7 @@ def reference():
     assert len(history.snaps) == 4
     assert max(excesses(history)) < 3 * TIE
     for snap in history.snaps:
+        assert history.at(snap.t) is history.states[snap.row]  # not the one just before it
         energy = history.table["energy"]
         assert energy[snap.row - 1] - energy[snap.row] == pytest.approx(snap.lost, rel=1e-9)
     return np.array([snap.t for snap in history.snaps]), np.array([snap.lost for snap in history.snaps])

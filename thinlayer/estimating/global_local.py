@@ -43,8 +43,10 @@ STEPS = 5
 SAME = 1e-10  # difference of two iterates, relative, that counts as rounding
 ROUNDING = 1e-14  # of these forces, over the stiffness times displacements
 UNBALANCED = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
+CLOSER = 0.01  # part of that which couples leave
 NEW_AXIS = 0.1  # part of a resultant that is along no axis yet, over all of it
 NEWTON_STEPS, CONJUGATE = 20, 30  # at most; the latter in each of the former
+LOST = 1e-20  # gain of a step, over the work of the forces on the layers, that counts as rounding
 BALANCED = 1e-3  # residual that may be left, over that of the interface law
 LITTLE = 1e-3  # part of what a step of Newton's has gained, at which conjugate ones end
 SETTLED = 1e-6  # part of what steps have lowered the energy by that may be left
@@ -168,7 +170,7 @@ class GlobalLocal:
         one = Iterate(u, self.layers.at_faces(u), F, load, values)
         for _ in range(len(self._axes) + 1):  # a couple may leave a resultant along other axes
             left, least = self._resultant(one)
-            if left <= least:
+            if left <= CLOSER * least:  # steps add their resultants up
                 break
             along = self._R.T @ (one.F + load)
             self._add_couple(along)
@@ -283,7 +285,7 @@ class GlobalLocal:
             new = self._settled(replace(aim, u=u, v=one.v + share * dv, F=self._pulled(lack)))
             return self._product(lack, du) - float(self.layers.held(new.v, new.load, new.values) @ dv)
 
-        if (start := aim.gained - one.gained) > 0:
+        if (start := aim.gained - one.gained) > LOST * abs(one.F @ one.v):
             share_of_step(slope, start)
         return new
 
@@ -297,7 +299,8 @@ class GlobalLocal:
         least = BALANCED * norm(self.residual(one)) + UNBALANCED * norm(one.F)
         for _ in range(NEWTON_STEPS):
             old, one = one, self.newton_step(one)
-            if one.gained - old.gained <= SETTLED * one.gained and norm(self.residual(one)) <= least:
+            gained = one.gained - old.gained
+            if gained <= max(SETTLED * one.gained, LOST * abs(one.F @ one.v)) and norm(self.residual(one)) <= least:
                 return one
         not_found = f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps"
         raise SolveError(f"{not_found}, at t = {self.state.t:g}", advice=REMEDY)
