@@ -40,8 +40,7 @@ def panel(element: str, h: float = 0.0625, **layers: ThinLayer):
     joint = wall(2, 2, (1.0, 0.5), h, cell=cell_of(element))
     supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.01 * t, "y": lambda x, t: -0.02 * t}}
     bricks = Structure(joint, body=LinearElastic.young(1.0, 0.2), supports=supports, element=element)
-    given = {"BED": springs(2.0, 0.7, 0.01), "HEAD": springs(1.2, 0.45, 0.007)} | layers
-    return bricks.interface(given)
+    return bricks.interface({"BED": springs(2.0, 0.7, 0.01), "HEAD": springs(1.2, 0.45, 0.007)} | layers)
 
 
 def panel_energy(element: str) -> tuple[float, float, float]:
@@ -82,8 +81,7 @@ def pushed(joint: Joint, push: float, layer):
     """The state of three bricks under a pressure of 1 and a push on the upper left one."""
     data = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0), "LEFT": (push, 0.0)}}
     data["element"] = "P1" if joint.cell_type == "triangle" else "Q1"
-    structure = Structure(joint, body=LinearElastic.young(50.0, 0.2), **data)
-    return solve(structure.interface(layer))
+    return solve(Structure(joint, body=LinearElastic.young(50.0, 0.2), **data).interface(layer))
 
 
 def square(state) -> float:

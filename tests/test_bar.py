@@ -35,8 +35,7 @@ NUMBERS = {0.1: (1.2925, 1.6925, 1.7625, 1.2225, 0.275744680851), 0.0: (1.375, 1
 @pytest.mark.parametrize("eps", NUMBERS)
 def test_thresholds(eps):
     bar = replace(BAR, eps=eps)
-    found = (bar.delta_0, bar.delta_1, bar.up, bar.down, bar.loop_area)
-    assert found == pytest.approx(NUMBERS[eps], rel=1e-11)
+    assert (bar.delta_0, bar.delta_1, bar.up, bar.down, bar.loop_area) == pytest.approx(NUMBERS[eps], rel=1e-11)
 
 
 @pytest.mark.parametrize("delta", DELTAS)

@@ -111,8 +111,8 @@ def test_thickness_of_a_layer_beside_another_one():
     found = thin_enough(structure, LAYERS, share, goals.Compliance(), seam="LOW", bonded=True)
     bent = loaded(three_bodies("LOW", "HIGH"), {"BOTTOM": 0.0})
     rows = thin_enough(bent, LAYERS, 0.9, seam="LOW").table
-    low = ThinLayer(LAYERS["LOW"].material, rows["eps"][-1])
-    alone = estimate(solve(bent.interface(LAYERS | {"LOW": low})), seam="LOW")
+    layers = LAYERS | {"LOW": ThinLayer(LAYERS["LOW"].material, rows["eps"][-1])}
+    alone = estimate(solve(bent.interface(layers)), seam="LOW")
     assert rows["error"][-1] == pytest.approx(alone.traction, rel=1e-6)  # that of the layer HIGH does not count
     rest = BODIES + closing(LAYERS["HIGH"])
     assert found.eps == pytest.approx(share / (1 - share) * rest * closing(LAYERS["LOW"]) ** -1 * 0.03, rel=0.02)

@@ -229,5 +229,4 @@ def test_energy_at_the_end_of_a_midpoint_step():
         flow = state.memory["layer"][:, 1]
         assert flow == pytest.approx(flow[0], rel=1e-9)
         elastic = jump_of(history, "normal", state) - 0.1 * flow[0]
-        expected = MU * (1 + 3 * state.t) * elastic**2
-        assert state.energies()["layer"] == pytest.approx(expected, rel=1e-8)
+        assert state.energies()["layer"] == pytest.approx(MU * (1 + 3 * state.t) * elastic**2, rel=1e-8)

@@ -82,8 +82,7 @@ def test_compiled_once_for_all_seams(law, modules):
         modules.clear()
         joint = faults(1.3, 1.0, {f"S {y}": ((0.0, y), (1.3, y)) for y in heights}, 0.3)
         data = {"body": LinearElastic.young(100.0, 0.3), "tractions": {"TOP": (0.1, 0.2)}, "supports": {"BOTTOM": 0}}
-        structure = Structure(joint, **data)
-        state = march(structure.interface(ThinLayer(law, 0.01, at=1.0)), [0.1]).last
+        state = march(Structure(joint, **data).interface(ThinLayer(law, 0.01, at=1.0)), [0.1]).last
         Surface(state.model).traction(state)
         found.append({*modules})
     assert found[1] <= found[0]

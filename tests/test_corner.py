@@ -47,7 +47,6 @@ def test_strengths_do_not_depend_on_the_radius_but_on_the_exponent():
         u, stress = corner.field(np.array(r), of._arc[0])
         return of.strength(r, H * u, H * stress)
 
-    found = [strength(corner, r) for r in (0.01, 0.1, 0.45)]
-    assert found == pytest.approx([H] * 3, rel=1e-12)
+    assert [strength(corner, r) for r in (0.01, 0.1, 0.45)] == pytest.approx([H] * 3, rel=1e-12)
     wrong = [strength(Corner(0.3), r) for r in (0.01, 0.1)]
     assert abs(wrong[0] / wrong[1] - 1) > 0.05

@@ -114,8 +114,7 @@ def test_rigid_base_takes_all_of_eps():
 def test_bodies_are_kept_on_shallow_arcs():
     """They move apart in one piece, and bounds contain the goals of the meshed layer; steeper arcs are refused."""
     joint, layer = ring(*RADII, 0.25, angle=0.5, degree=2), ThinLayer(GLUE, 0.02)
-    body = {"INNER": INNER, "OUTER": OUTER}
-    structure = Structure(joint, body=body, supports={"INSIDE": 0.0}, tractions={"OUTSIDE": (0.4, 0.3)})
+    structure = Structure(joint, **pressed(joint) | {"tractions": {"OUTSIDE": (0.4, 0.3)}})
     with pytest.warns(RangeWarning, match=r"its thickness is 0\.978 to 1\.010 of eps"):
         meshed = solve(structure.full(layer))
     goal = goals.Displacement((2.0, 0.0), (1.0, 0.3))

@@ -186,8 +186,7 @@ def test_contact(written):
 def test_cells_at_periodic_sides_are_whole(written):
     state = cell()
     bodies = written(state)["bodies"]
-    x = state.model.joint.points
-    assert bodies.area == pytest.approx(np.prod(np.ptp(x, axis=0)), rel=1e-9)
+    assert bodies.area == pytest.approx(np.prod(np.ptp(state.model.joint.points, axis=0)), rel=1e-9)
     sizes = bodies.compute_cell_sizes()["Area"]
     mean = (bodies["stress"] * sizes[:, None]).sum(axis=0) / sizes.sum()
     assert mean[[0, 1, 3]] == pytest.approx(state.mean_stress()[[0, 1, 0], [0, 1, 1]], rel=1e-9)

@@ -56,8 +56,7 @@ def test_two_points_through_a_layer_of_order_1(written):
     structure = Structure(strips(), body=BODY, supports=ROLLERS, tractions={"TOP": lambda x, t: (0.0, -0.3 * t)})
     law = VonMises(3.0, 2.0, strength=0.05, hardening=1.0)
     on_s = written(march(structure.interface(ThinLayer(law, EPS, order=1, at=1.0)), [0.5, 1.0]))["S"]
-    names = {name for name in on_s.cell_data if name.startswith("plastic")}
-    assert names == {"plastic 1", "plastic 2"}
+    assert {name for name in on_s.cell_data if name.startswith("plastic")} == {"plastic 1", "plastic 2"}
     assert on_s["plastic 1"] == pytest.approx(on_s["plastic 2"], rel=1e-6)  # nothing changes along S
     assert np.abs(on_s["plastic 1"]).max() > 1e-4
 
@@ -74,8 +73,7 @@ def test_s_of_a_meshed_layer(tmp_path):
     x, t = surface.profile(surface.traction(full))
     at = [np.linalg.norm(on_s.points[:, :2] - place, axis=1).argmin() for place in x]
     assert on_s["traction"][at, :2] == pytest.approx(t, rel=1e-9)
-    force = on_s.integrate_data()["traction"][0, :2]
-    assert force == pytest.approx([0.2, -0.6], rel=1e-9)
+    assert on_s.integrate_data()["traction"][0, :2] == pytest.approx([0.2, -0.6], rel=1e-9)
     assert list(on_s.cell_data) == ["seam"]
     other = Surface(Structure(strips(), body=BODY, supports={"BOTTOM": 0.0}).interface(ThinLayer(K, EPS, at=1.0)))
     refused(InputError, "of the same joint", lambda: fields.write(full, tmp_path / "a.pvd", surface=other))

@@ -71,8 +71,7 @@ def test_the_factor_of_the_flow():
     flow = delta**2 * np.where((np.arange(n) + 0.5) * h < 1, factor, 1.0) / h
     main, beside = h + flow + np.append(flow[1:], 0.0), np.append(0.0, -flow[1:])
     p = solveh_banded(np.stack([beside, main]), np.full(n, h))
-    missing = h / 2 + h * np.sum(1 - p)
-    assert flow_factor(delta, missing - delta) == pytest.approx(factor, rel=1e-4)
+    assert flow_factor(delta, h / 2 + h * np.sum(1 - p) - delta) == pytest.approx(factor, rel=1e-4)
 
 
 def test_other_ratios_are_refused():

@@ -41,6 +41,7 @@ from thinlayer import (
 )
 from thinlayer.discretisation.state import displacements_of
 from thinlayer.estimating import global_local
+from thinlayer.running.estimation import _near_ends
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.layer_alone import LayerAlone
 
@@ -294,6 +295,15 @@ def test_cells_at_ends_and_junctions_are_judged_by_finer_ones():
     goal = plain.goals["compliance"]
     assert plain.with_finer_ends() - goal.better == pytest.approx(0.012 * goal.change, rel=0.1)
     refused(InputError, "unknown goal with bounds 'slip'", found.with_finer_ends, "slip")
+
+
+def test_shares_near_ends_are_in_thicknesses_of_the_thicker_layer():
+    _, found = told("two seams")  # of 1/16 and 1/32
+    assert "within 0.25 of the ends of S and" in _near_ends(found, "compliance", found.density())
+
+
+def test_bad_cells_at_ends():
+    _, found = told("wall")
     for at_ends in (-0.1, 0, np.nan, "fine"):
         refused(InputError, "at_ends is .*; allowed: > 0, over the thickness", found.with_finer_ends, at_ends=at_ends)
     refused(InputError, "cells at ends are so short .* make at_ends larger", found.with_finer_ends, at_ends=1e-12)
