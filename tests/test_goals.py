@@ -38,7 +38,9 @@ def structure(joint=RODS, **given):
 
 SHARED = {"supports": {"BOTTOM": 0, "LEFT/LOWER": {"x": 0}}, "parts": [Springs("LEFT/UPPER", normal=5.0)]}
 ROLLER = {"supports": {"BOTTOM": 0, "TOP": {"x": 0}}, "tractions": {"RIGHT/UPPER": LOAD}}
+BOTH = [RigidPlate("TOP", force=(0, -0.7)), RigidPlate("BOTTOM", motion={"x": 0, "y": 0, "rotation": 0})]
 HOLDERS = {
+    "one of two plates": (ROLLER | {"supports": {"TOP": {"x": 0}}, "parts": BOTH}, "BOTTOM", (0, 1)),
     "supports and springs": (SHARED, "LEFT", (1, 0)),
     "a plate that is moved": (ROLLER | {"parts": [RigidPlate("TOP", motion={"y": 0.01})]}, "TOP", (0, 1)),
     "a plate that is pushed": (ROLLER | {"parts": [RigidPlate("TOP", force=(0, -0.7))]}, "TOP", (0, 1)),
@@ -107,6 +109,9 @@ def test_what_meets_a_layer_by_itself():
     both = solve(made.interface({"BED": LAYER, "HEAD": LAYER}))
     refused(InputError, "BED meets HEAD", lambda: estimate(beside))
     refused(InputError, "BED meets HEAD", lambda: estimate(both, seam="BED"))
+    bed, ends = Surface(both.model, "BED"), WALL.points[:, 0]
+    own = np.minimum(bed.x[0] - ends.min(), ends.max() - bed.x[0])
+    assert bed.distance_to_ends == pytest.approx(own)  # not from where HEAD ends
     moving = march(structure(parts=[Inertia(1.0)]).interface(LAYER), [0.1, 0.2])
     for given in (moving.last, moving):
         refused(InputError, "'inertia' remembers steps beside the layers", lambda given=given: estimate(given))

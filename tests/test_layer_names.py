@@ -98,8 +98,7 @@ def test_snaps_of_each_layer():
     """Both layers open at a traction of their own, one after the other."""
     chi = [[0, 0], [0, 1]]
     soon, late = (NonMonotoneUnrelaxed(0.0, 2.0, alpha=0.3, transformation_energy=c, chi=chi) for c in (0.05, 0.09))
-    move = {"TOP": {"y": lambda x, t: 2.0 * t}}
-    structure = pulled(supports=ROLLERS | move)
+    structure = pulled(supports=ROLLERS | {"TOP": {"y": lambda x, t: 2.0 * t}})
     layers = {"LOW": ThinLayer(late, 0.1, at=1.0), "HIGH": ThinLayer(soon, 0.1, at=1.0)}
     history = march(structure.interface(layers), [1.0])
     assert {seam for snap in history.snaps for seam in snap.seams} == {"LOW", "HIGH"}

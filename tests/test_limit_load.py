@@ -74,8 +74,7 @@ def test_adaptive_steps_and_stacks():
 
 
 def test_a_moved_block_passes_the_limit_and_stays_there():
-    press = {"TOP": (0.0, -1.0)}
-    model = sheared("S", tractions=press, supports={"TOP": {"x": lambda x, t: 0.02 * t}})
+    model = sheared("S", tractions={"TOP": (0.0, -1.0)}, supports={"TOP": {"x": lambda x, t: 0.02 * t}})
     surface = Surface(model)
     observe = {"shear": lambda state: surface.integral(surface.traction(state)[0])}
     shear = march(model, [1.0, 2.0, 5.0, 50.0], observe=observe).table["shear"]

@@ -62,8 +62,7 @@ class Brittle(BulkLaw):
 def test_failing_steps_are_halved_and_recover():
     """From t = 2.5 strains grow by 0.4 t: steps of 1 are too long then, steps of 3/8 are not."""
     pull = lambda x, t: (0.0, ufl.conditional(ufl.lt(t, 2.5), 0.0, t - 2.5) * 4.0)
-    model = interface(Brittle(10.0, 0.17), {"TOP": pull})
-    history = march(model, [1.0, 2.0, 3.0, 6.0])
+    history = march(interface(Brittle(10.0, 0.17), {"TOP": pull}), [1.0, 2.0, 3.0, 6.0])
     elastic = Brittle(10.0, 1e9)
     steps = history.table["dt"][1:]
     assert history.t[-1] == 6.0
@@ -84,8 +83,7 @@ def test_a_step_that_fails_however_short_keeps_what_was_done(tmp_path):
 
 def test_piecewise_loads():
     """Linear between given times, and an error elsewhere, before anything is solved."""
-    load = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, 2.0), 3.0: (0.0, 1.0)})
-    model = interface(SUDDEN, {"TOP": load})
+    model = interface(SUDDEN, {"TOP": piecewise({0.0: (0.0, 0.0), 1.0: (0.0, 2.0), 3.0: (0.0, 1.0)})})
     history, surface = march(model, [0.5, 1.0, 2.0]), Surface(model)
     pulls = [surface.integral(surface.traction(state)[1]) for state in history]
     assert pulls == pytest.approx([0.0, 1.0, 2.0, 1.5], abs=1e-9)

@@ -157,8 +157,7 @@ def test_cells_of_junctions_go_to_the_first_seam():
     assert inflate(base, 0.01, bodies="extended", junctions=["L2"]).band.junctions == {"LAYER/JUNCTIONS": "L2"}
     square = grid([np.arange(9.0), np.arange(-4.0, 5.0)], lambda x: x[:, 1] > 0, "quadrilateral")
     cut = {"FLAT": (on(1, 0.0), (0, 1)), "WEST": (on(0, 2.0), (1, 0)), "EAST": (on(0, 6.0), (1, 0))}
-    cross = cut_at(square, cut)
-    named = inflate(cross, 0.01, junctions=["WEST", "EAST"])
+    named = inflate(cut_at(square, cut), 0.01, junctions=["WEST", "EAST"])
     assert named.band.junctions == {"LAYER/JUNCTIONS/WEST": "WEST", "LAYER/JUNCTIONS/EAST": "EAST"}
     assert areas(named)["LAYER/JUNCTIONS/WEST"] == pytest.approx(1e-4)
 

@@ -81,8 +81,7 @@ ANGLES = {"psi = 0": (30.0, 0.0), "0 < psi < Omega": (35.0, 10.0), "psi = Omega"
 
 def kinds(s, q):
     """Elastic 0, face 1, edge 2, apex 3, of stresses and plastic strains from rest (points, 6)."""
-    p = principal(s)
-    equal = np.abs(np.diff(p, axis=1)) < 1e-9 * np.abs(s).max()
+    equal = np.abs(np.diff(principal(s), axis=1)) < 1e-9 * np.abs(s).max()
     return np.where(np.abs(q).max(axis=1) == 0, 0, 1 + equal.sum(axis=1))
 
 

@@ -193,8 +193,7 @@ def test_mean_stress_as_a_load():
 
 def test_mean_stress_in_space():
     joint, stress = laminate("hexahedron", depth=1.0), np.diag([0.1, 1.0, 0.2]) + 0.3
-    structure = Structure(joint, body=ROCK, supports={}, stress=stress)
-    state = solve(structure.interface(springs(4.0, 1.5)))
+    state = solve(Structure(joint, body=ROCK, supports={}, stress=stress).interface(springs(4.0, 1.5)))
     e = np.linalg.solve(layered(ROCK, 4.0, 1.5, 3), [0.4, 1.3, 0.5, 0.3, 0.3, 0.3])
     assert np.diag(state.mean_strain()) == pytest.approx(e[:3], rel=1e-10)
     assert 2 * state.mean_strain()[[1, 0, 0], [2, 2, 1]] == pytest.approx(e[3:], rel=1e-10)
@@ -281,8 +280,7 @@ def test_refused_joints():
     periodic(three, ("LEFT", "RIGHT"))
     words = "the seam 'S' cannot be a periodic side.*cut the periodic cell through"
     refused(InputError, words, periodic, joint, ("S", "TOP"))
-    cell = periodic(joint, *SIDES)
-    refused(InputError, "S reaches one of the periodic sides", lambda: inflate(cell, 0.01))
+    refused(InputError, "S reaches one of the periodic sides", lambda: inflate(periodic(joint, *SIDES), 0.01))
     for cut in ((0.5, 0.5), (0.25, 0.0), (0.25, 0.99)):
         refused(InputError, r"along a joint|between 0 and 1", bond_cell, BRICK, 0.25, cut=cut)
 

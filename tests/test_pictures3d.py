@@ -32,8 +32,7 @@ def pulled():
 
 @pytest.fixture(scope="module")
 def pushed():
-    joint = block(1.5, 0.4, 0.4, depth=0.8)
-    return both(joint, supports={}, tractions={"TOP": (-1, 0.5, -1)})
+    return both(block(1.5, 0.4, 0.4, depth=0.8), supports={}, tractions={"TOP": (-1, 0.5, -1)})
 
 
 def picture(path, states, title="", **options):
@@ -73,8 +72,7 @@ def test_rigid_base_is_grey_and_stays(pushed, tmp_path):
 def test_view_zoom_and_cut(pulled, tmp_path):
     law = pulled["law"]
     default = picture(tmp_path / "a.png", law)
-    same = picture(tmp_path / "b.png", law, towards=2 * np.array(VIEWS[3]))
-    np.testing.assert_array_equal(default, same)
+    np.testing.assert_array_equal(default, picture(tmp_path / "b.png", law, towards=2 * np.array(VIEWS[3])))
     options = [{"towards": (0, 1, 0)}, {"zoom": (0.2, 0.9, -0.4, 0.4)}, {"cut": True}]
     for k, option in enumerate(options):
         other = picture(tmp_path / f"{k}.png", law, **option)

@@ -83,8 +83,7 @@ def test_a_bar_of_metal_in_plane_stress():
     body, pull = VonMises(60.0, 50.0, strength=1.0, hardening=30.0), 1.4
     E = 2 * 50.0 * (1 + 60.0 / 220.0)
     data = {"supports": {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}}, "tractions": {"TOP": lambda x, t: (0.0, pull * t)}}
-    bar = Structure(joint(), body=body, plane="stress", **data)
-    state = march(bar.bonded(), [0.5, 1.0]).last
+    state = march(Structure(joint(), body=body, plane="stress", **data).bonded(), [0.5, 1.0]).last
     assert np.abs(state.u.x.array).max() == pytest.approx(pull / E + (pull - 1.0) / 30.0, rel=1e-8)
     plastic = state.memory["body LOWER"]
     assert plastic[:, 0] == pytest.approx(plastic[:, 2], rel=1e-8)  # 11 and 33

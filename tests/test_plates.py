@@ -16,6 +16,7 @@ from tests.supports_run import BODY, CREEP, EPS, GLUE, KINDS, MORTAR, model, out
 from tests.test_order1 import apart
 from thinlayer import (
     LimitLoad,
+    Probe,
     RigidPlate,
     Springs,
     Structure,
@@ -184,6 +185,11 @@ def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():
         assert limit.load_work() == pytest.approx(full.load_work(), rel=1e-3)
         refused(InputError, "plates or inclined supports tie nodes on S", estimate, first)
     assert errors[1] < errors[0] / 3
+    top = RigidPlate("TOP", force=(0.2, -0.3), moment=0.1)  # of one body: its own point stays where it is
+    of_one = Structure(joint, body=LinearElastic.young(100.0, 0.3), supports={"BOTTOM": 0.0}, parts=[top])
+    state = solve(of_one.interface(ThinLayer(law, eps, order=1, at=1.0)))
+    motion = top.motion_in(state)
+    assert Probe(state).displacement(motion.about) == pytest.approx(motion.translation, rel=1e-9)
 
 
 class Late(RigidPlate):

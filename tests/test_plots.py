@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from studies.problems import sliding_bar
 from tests.contact_bars import bar, coulomb
-from thinlayer import Table, plotting
+from thinlayer import Structure, Surface, Table, plotting, solve
 
 
 def test_rates_have_the_slope_they_say():
@@ -40,3 +41,13 @@ def test_contact_along_s():
         assert x == pytest.approx(line.s)
         assert y[known] == pytest.approx(values[known])
         assert known.sum() >= len(y) - 1
+
+
+def test_jumps_along_s():
+    joint, setup = sliding_bar(8)
+    state = solve(Structure(joint, **setup).interface(coulomb("soft")))
+    surface = Surface(state.model)
+    t, w = (surface.frame(field(state)) for field in (surface.traction, surface.jump))
+    for axes, values in zip(plotting.along(surface, state).axes, (t[1], t[0], w[1], w[0]), strict=True):
+        (line,) = surface.along(values)  # in the order t_N, t_T, w_N, w_T
+        assert axes.lines[0].get_xydata() == pytest.approx(np.column_stack([line.s, line.values]))

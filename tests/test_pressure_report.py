@@ -94,14 +94,16 @@ def test_shear_does_not_hide_it(plates):
     model = plates.interface(ThinLayer(law, eps, at=1.0))
     (layer,) = sublayers_of(model.layers["S"])
     pure = strip_excess(0.5 / (eps * layer.length))
-    told_with = {}
+    told_with, share = {}, {}
     for slip in (0.0, 0.06, 60.0):
         found = pressure_excess(opened(model, lambda x, w=slip: (w + 0 * x[0], 1e-3 + 0 * x[0])), layer)
         assert found.opening == pytest.approx(pure, rel=5e-3)
-        told_with[slip] = found.told
+        told_with[slip], share[slip] = found.told, found.traction
         assert (found.work < 0.1) == (slip > 0)
     soft = pytest.approx(pure, rel=5e-3)
     assert told_with == {0.0: soft, 0.06: soft, 60.0: pytest.approx(0, abs=1e-6)}
+    t_T = layer.mu * 60.0 / ((layer.lmbda + 2 * layer.mu) * 1e-3)  # over t_N
+    assert share[60.0] == pytest.approx(share[0.0] / np.hypot(1, t_T), rel=1e-9)
 
 
 def test_seams_by_name():

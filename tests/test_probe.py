@@ -43,8 +43,7 @@ def test_stresses_that_are_linear_in_a_cell():
     joint = sandwich(2.0, 0.5, 0.7, 0.5)
     bent = {"x": lambda x, t: 0.1 * x[0] * x[1], "y": lambda x, t: -0.05 * x[0] ** 2}
     supports = dict.fromkeys(["LEFT", "RIGHT", "TOP", "BOTTOM"], bent)
-    structure = Structure(joint, body=LinearElastic.young(E, 0.0), supports=supports)
-    probe = Probe(solve(structure.bonded()))
+    probe = Probe(solve(Structure(joint, body=LinearElastic.young(E, 0.0), supports=supports).bonded()))
     x = np.array([[0.31, -0.27], [1.73, 0.4], [1.0, 0.61], [0.0, -0.5]])
     s = probe.stress(x)
     assert s[:, 0, 0] == pytest.approx(0.1 * E * x[:, 1], rel=1e-5, abs=1e-6)

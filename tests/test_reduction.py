@@ -150,3 +150,6 @@ def test_models_ask():
             build(layer)
         assert found.value.key
     assert wedge.full(thin(elastic(13.0))).layers["S"].thin.order == 1
+    tapered = wedge.interface(thin(Rubber(74.0, 1.0), profile=varies), bodies="extended").reductions["S"]
+    ends = PLATES.points[tapered.loose.vertices[:, 0], 0]
+    assert tapered.falls == pytest.approx(0.1 * (1 + ends) * np.sqrt(74.0 / 12))  # in thicknesses of the place

@@ -150,8 +150,7 @@ def test_narrow_or_soft_bearings_have_the_flow_of_an_infinite_layer():
 @pytest.mark.parametrize("bearing", SPANS)
 def test_meshed_rubber(bearing, nu):
     """Against exact numbers, and against the closed form: annuli are 9.3, others 20 thicknesses wide."""
-    whole = structure(bearing, h_ends=0.1)
-    state = solve(whole.full(layer(rubber(nu), 0), cells_through=8))
+    state = solve(structure(bearing, h_ends=0.1).full(layer(rubber(nu), 0), cells_through=8))
     found, exact = stiffness(bearing, state), EXACT[nu][list(SPANS).index(bearing)]
     if exact:
         assert found == pytest.approx(exact, rel=2e-3)

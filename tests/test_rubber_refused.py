@@ -30,8 +30,7 @@ def test_loads_on_the_side_of_the_layer():
 
 def test_contact_beside_rubber():
     """A pressure needs elements of degree 2, which contact takes, too."""
-    cuts = {"LOW": ((-1.0, 1.0), (4.0, 1.0)), "HIGH": ((-1.0, 2.0), (4.0, 2.0))}
-    joint = faults(3.0, 3.0, cuts, 0.5)
+    joint = faults(3.0, 3.0, {"LOW": ((-1.0, 1.0), (4.0, 1.0)), "HIGH": ((-1.0, 2.0), (4.0, 2.0))}, 0.5)
     layers = {"LOW": layer(order=0), "HIGH": HolonomicCoulomb(9.0, 3.0, 0.4)}
     refused(InputError, "needs elements P2 or Q2", Structure(joint, element="P1", **HELD).interface, layers)
     assert set(Structure(joint, element="P2", **HELD).interface(layers).layers) == set(layers)

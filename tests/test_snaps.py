@@ -125,8 +125,7 @@ def test_what_comes_back_within_a_step(name):
 
 def test_bodies_that_stiffen():
     """By Newton's method phases are held in a solve as well; the snaps are those of other steps, and not those of SOFT."""
-    body = Stiffening(40.0, 1e4)
-    one, three = (march(blocks(body=body), times) for times in ([0.6], [0.3, 0.6]))
+    one, three = (march(blocks(body=Stiffening(40.0, 1e4)), times) for times in ([0.6], [0.3, 0.6]))
     check(one, [snap.t for snap in three.snaps], [snap.lost for snap in three.snaps])
     assert len(one.snaps) == 2
     assert abs(one.snaps[0].t - reference()[0][0]) > 1e-3

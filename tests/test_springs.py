@@ -87,8 +87,7 @@ def test_a_rigid_block_on_uneven_springs(given):
     moment = np.array([[3 * 2 + 8 / 3, 6 + 4], [6 + 4, 8 + 32 / 5]])
     supports = {(0.0, 0.3): {"x": 0.0}}
     data = {"tractions": {"TOP": (0.0, -0.4)}, "parts": [Springs("BOTTOM", normal=given, tangential=0.0)]}
-    structure = Structure(joint, body=LinearElastic.young(1e8, 0.0), supports=supports, **data)
-    state = solve(structure.bonded())
+    state = solve(Structure(joint, body=LinearElastic.young(1e8, 0.0), supports=supports, **data).bonded())
     sinks, turns = np.linalg.solve(moment, [0.4 * 2, 0.4 * 2])
     x, y = state.model.V.tabulate_dof_coordinates()[:, 0], state.u.x.array[1::2]
     assert y == pytest.approx(-(sinks + turns * x), rel=1e-5)
@@ -128,8 +127,7 @@ def test_a_column_relaxes_on_springs(kind, theta):
     expected = force(8, 0.1, theta)[0]
     found = np.array([state.energies()["springs BOTTOM"] for state in history])[-9:]
     assert np.sqrt(2 * BED.normal * found) == pytest.approx(expected, rel=1e-8)
-    table = history.table
-    assert np.abs(table["imbalance"]).max() < 1e-9
+    assert np.abs(history.table["imbalance"]).max() < 1e-9
     stored = sum(value for name, value in history.last.energies().items() if name != "loads")
     assert history.last.audit.total == pytest.approx(stored, rel=1e-9)
 

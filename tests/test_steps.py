@@ -44,8 +44,7 @@ REMEMBERING = {
 @pytest.mark.parametrize("name", REMEMBERING)
 def test_steps_of_a_layer_with_memory_end_where_loads_break(name):
     """And are in the table; times that differ from a break by rounding stay as they are."""
-    break_ = 0.1 + 0.2
-    load = piecewise({0.0: 0.0, break_: 1.0, 0.5: 1.5, 1.0: 0.0})
+    load = piecewise({0.0: 0.0, 0.1 + 0.2: 1.0, 0.5: 1.5, 1.0: 0.0})
     history = march(interface(REMEMBERING[name], {"TOP": lambda x, t: (0.0, load(x, t))}), [0.3, 1.0])
     assert history.t.tolist() == ([0.0, 0.3, 1.0] if name == "elastic" else [0.0, 0.3, 0.5, 1.0])
 

@@ -74,6 +74,8 @@ def test_fronts_around_a_circle():
     assert fronts[:, 1] == pytest.approx(0.3, abs=0.3)  # a facet is that long
     assert sorted(np.sign(fronts[:, 0])) == [-1, 1]
     assert np.hypot(*fronts.T) == pytest.approx(RADIUS)
+    (heights,) = surface.along(surface.places[:, 1])  # linear between nodes
+    assert heights.crossings(0.3)[:, 1] == pytest.approx([0.3, 0.3])
 
 
 def test_what_is_no_surface():

@@ -57,8 +57,7 @@ def test_a_peak_that_the_support_can_pass():
     w = openings(history)
     assert history.t == pytest.approx(w + C * sigma(GENTLE, w), abs=1e-11)
     assert set(times) <= set(history.t)
-    load = sigma(GENTLE, w)
-    assert (np.diff(load) < 0).any()
+    assert (np.diff(sigma(GENTLE, w)) < 0).any()
     with pytest.raises(TurningPoint) as caught:  # the same under a load, which has its maximum at the peak
         march(bar(GENTLE, traction=lambda x, t: (0.0, t)), [0.5, 1.0])
     assert caught.value.t == pytest.approx(GENTLE.k * GENTLE.w_1, abs=2e-3)
@@ -74,8 +73,7 @@ class Damaged(Damage):
 def test_damage_is_loaded_and_unloaded():
     """A support that goes forth, back and forth again: the path begins anew at the breaks, and unloading is elastic."""
     law = Damaged(k=5.0, w_0=0.1, k_T=1.9)
-    ends = piecewise({0: 0.0, 1: 0.4, 2: 0.1, 3: 0.6})
-    history = march(bar(law, ends), [0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
+    history = march(bar(law, piecewise({0: 0.0, 1: 0.4, 2: 0.1, 3: 0.6})), [0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
     w, t = openings(history), history.t
     stiffness = law.k * np.exp(-np.maximum.accumulate(w) / law.w_0)
     assert np.interp(t, [0, 1, 2, 3], [0.0, 0.4, 0.1, 0.6]) == pytest.approx(w * (1 + C * stiffness), abs=1e-10)

@@ -54,14 +54,12 @@ def column(part, kind="interface", load=-P, law=GLUE, **change):
 
 def sinking(state):
     """Mean displacement of the bottom, upwards."""
-    form = state.u[1] * on_bottom(state.model)
-    return state.integral(form)
+    return state.integral(state.u[1] * on_bottom(state.model))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_column_on_an_elastic_foundation(kind):
-    part = UflPart(energy=winkler, key="soil")
-    model = column(part, kind)
+    model = column(UflPart(energy=winkler, key="soil"), kind)
     state = solve(model)
     assert state.report.method == "linear"
     assert model.symmetric

@@ -182,6 +182,10 @@ def test_a_rigid_rotation_does_not_strain_corners():
     plain, turned = (Zoom(state(layer, **more)).corners for more in ({}, {"supports": rigid}))
     for one, same in zip(plain, turned, strict=True):
         np.testing.assert_allclose(same.H, one.H, rtol=1e-9)
+    outer = {"lower": LinearElastic.shear(1.5, 0.4), "upper": LinearElastic.shear(1.0, 0.2)}
+    plies = Stack((0.4, outer["lower"]), (0.6, outer["upper"]))
+    for one in Zoom(state(ThinLayer(plies, EPS))).corners:  # each of its own sublayer
+        assert one.exponent == Zoom(state(ThinLayer(outer[one.side], EPS))).corners[0].exponent
 
 
 def test_three_dimensions_between_rollers_are_plane_strain():
