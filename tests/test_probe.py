@@ -110,6 +110,9 @@ def test_places_that_are_none():
     meshed = Probe(solve(structure.full(ThinLayer(K, EPS, at=1.0))))
     words = r"1 of 2 places are in no cell of the mesh, the first at \(9, 9\)"
     refused(InputError, words, probe.stress, [[0.31, 0.2], [9.0, 9.0]])
+    parted = Probe(solve(structure.interface(ThinLayer(K, EPS, at=1.0), bodies="extended")))
+    on_s = structure.joint.points[structure.joint.surface[0]].mean(axis=0)
+    refused(InputError, "half a thickness away from S", parted.displacement, on_s, side="upper")
     for wrong in ("x", [[1.0], [2.0]], [np.nan, 1.0]):
         refused(InputError, "2 finite coordinates each", probe.displacement, wrong)
     refused(InputError, "allowed: lower, upper", probe.displacement, [0.3, 0.2], side="top")

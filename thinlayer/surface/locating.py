@@ -16,6 +16,7 @@ from geometry.refusals import refuse
 from geometry.topology import BoolArray, IntArray, geometry_degree, is_tensor, lagrange, sums
 
 INSIDE = 1e-9  # how far outside the reference entity a place may be that counts as in it
+PARTED = "as bodies='extended' has the faces of bodies half a thickness away from S"
 BULGE = 0.5  # by how much of its size a curved entity may exceed the box around its nodes, at most
 STEPS = 30  # of Newton's method for places in entities that are not affine
 
@@ -69,7 +70,8 @@ class Located:
     def in_cells(cls, joint: Joint, x: Any) -> Located:
         """The cells of a joint, inflated or not, that contain places; raises InputError as `of`, or if some are in none."""
         located = cls.of(joint.cell_type, joint.cell_points, x)
-        refuse(located.missing, located.x, "{bad} of {all} places are in no cell of the mesh, the first at {at}")
+        words = "{bad} of {all} places are in no cell of the mesh, the first at {at}"
+        refuse(located.missing, located.x, words if joint.parted is None else f"{words}; {PARTED}")
         return located
 
     def __getitem__(self, rows: IntArray | BoolArray) -> Located:

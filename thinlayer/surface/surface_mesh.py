@@ -26,7 +26,7 @@ from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.surface.lines import Line, Plane, lines_on
-from thinlayer.surface.locating import Located
+from thinlayer.surface.locating import PARTED, Located
 
 Where = Array | BoolArray | Callable[[Array], Any]
 SIDES = ("lower", "upper")
@@ -164,7 +164,8 @@ class SurfaceMesh:
             if name == side:
                 wanted = (at.point * count + cells[at.entity])[cells[at.entity] >= 0]
         points = np.unique(np.concatenate(on_s))
-        without = f"there is no body on the {side} side of S at {{at}}, but a rigid base"
+        there = "but a rigid base" if self.joint.parted is None else PARTED
+        without = f"there is no body on the {side} side of S at {{at}}, {there}"
         refuse(~np.isin(points, wanted // count), located.x[points], without)
         of_side = np.isin(located.point * count + located.entity, wanted)
         return located[of_side | ~np.isin(located.point, points)]
