@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from forms import LinearElastic
 from forms.base import InputError
 from studies.problems import sliding_bar
-from tests.contact_bars import bar, contact, coulomb, stacked
+from tests.contact_bars import bar, contact, coulomb, solved, stacked
 from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, march, plotting, solve
@@ -27,6 +27,9 @@ def test_report():
     assert report.force == pytest.approx([-1080.22163, 1954.37527], rel=1e-7)
     assert report.table.columns == ["x", "y", "u_T", "u_N", "p", "t_T", "status"]
     assert "3 separated, 15 sliding, 13 stick, 1 pinned" in str(report)
+    joint, setup = stacked()  # a support that holds one side alone pins no node
+    setup["supports"] = {"BOTTOM": 0.0, "RIGHT/UPPER": 0.0}
+    assert solved(joint, coulomb("middle"), setup).counts["pinned"] == 0
 
 
 @pytest.mark.parametrize("make", [lambda: sliding_bar(12), stacked], ids=["base", "bodies"])

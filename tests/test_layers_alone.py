@@ -158,7 +158,7 @@ def adds_up(found):
         assert surface.integral(found.density(goal)) == pytest.approx(found.goals[goal].change, rel=1e-7)
 
 
-@pytest.mark.parametrize("name", ["free ends", "stack", "anisotropic", "rubbery", "base", "tetrahedra"])
+@pytest.mark.parametrize("name", ["two seams", "free ends", "stack", "anisotropic", "rubbery", "base", "tetrahedra"])
 def test_tractions_and_jumps_are_those_of_the_meshed_layer_on_all_of_s(name):
     state, found = told(name)
     true = compare(meshed(name), state)

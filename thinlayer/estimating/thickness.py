@@ -149,7 +149,7 @@ def _checked(
     with on_all(structure.comm):
         given = by_seam(structure.joint, layer, "layer")
         if not (seam == S and isinstance(layer, ThinLayer)):
-            require_known("seam", seam, given, "thin_enough: the layer that becomes thinner")
+            require_known("seam", seam, given, "thin_enough: seam=... names the layer that becomes thinner")
         sought, known = given.get(seam, layer), isinstance(goal, Goal) or goal in FIELDS
         require(isinstance(sought, ThinLayer), "thin_enough: the layer", sought, "give a ThinLayer")
         in_range = is_number(tolerance) and 0 < tolerance < 1
