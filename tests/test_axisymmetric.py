@@ -109,8 +109,7 @@ def test_meshed_layers_of_compiled_laws_see_all_four_strains(name):
     soft = MohrCoulomb(GLUE.lmbda, GLUE.mu, 0.002, 30.0, 0.01)
     law = soft if name == "Mohr-Coulomb" else Stack((0.4, soft), (0.6, soft))
     supports = {"BOTTOM": {"y": 0.0}, "RIGHT": {"x": lambda x, t: t * a * R}, "TOP": {"y": lambda x, t: t * rise}}
-    model = structure(rods(), supports).full(ThinLayer(law, EPS, at=1.0))
-    state = march(model, [0.5, 1.0]).last
+    state = march(structure(rods(), supports).full(ThinLayer(law, EPS, at=1.0)), [0.5, 1.0]).last
     stress = np.array(state.mean_stress())
     layer_height = (rise - 1.1 * _axial(stress[1, 1], a)) / EPS
     assert stress[1, 1] == pytest.approx(_of_point(soft, a, layer_height), rel=2e-3)

@@ -114,8 +114,7 @@ def test_curved_cells_stay_curved(name):
 def test_edges_and_corners_of_s(cell):
     """A cube in a block: every facet of S gets its thickness, however many facets meet at a corner."""
     dim = 3 if cell in ("hexahedron", "tetrahedron") else 2
-    axis = np.linspace(0.0, 1.0, 4)
-    base = grid([axis] * dim, lambda x: (np.abs(x - 0.5) < 0.2).all(axis=1), cell)
+    base = grid([np.linspace(0.0, 1.0, 4)] * dim, lambda x: (np.abs(x - 0.5) < 0.2).all(axis=1), cell)
     eps = 0.01
     opened = inflate(base, eps, cells_through=1, bodies="extended")
     out = opened.points[base.surface] - base.points[base.surface]  # S's nodes become those of the upper face

@@ -34,8 +34,7 @@ def pulled(one, *times):
     """Resultants of the loads along y at some times."""
     equations, out = Equations(one), []
     for t in times:
-        b = equations.loads_at(t)
-        out.append(float(b.array_r[1::2].sum()))
+        out.append(float(equations.loads_at(t).array_r[1::2].sum()))
     return out
 
 

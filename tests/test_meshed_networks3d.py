@@ -31,8 +31,7 @@ BLOCKS = {  # the block of each octant of the cube (-1, 1)^3, from its signs 0 o
 @cache
 def cube(kind: str, cell: str, m: int = 4) -> Joint:
     """A cube of m^3 cells or 6 m^3, cut into blocks along x = 0, y = 0, z = 0: seams X, Y, Z."""
-    axis = np.linspace(-1.0, 1.0, m + 1)
-    whole = grid([axis] * 3, lambda x: x[:, 1] > 0, cell)
+    whole = grid([np.linspace(-1.0, 1.0, m + 1)] * 3, lambda x: x[:, 1] > 0, cell)
     region = BLOCKS[kind](*(whole.points[whole.corners].mean(axis=1) > 0).astype(int).T)
     table, x = whole.table, whole.points[whole.table.vertices]
     first, second = table.cells.T

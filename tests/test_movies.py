@@ -37,8 +37,7 @@ def frames(path):
 
 def test_a_gif_has_a_frame_for_each_state(history, tmp_path):
     given = {"save": tmp_path / "a.gif", "per_second": 5, "title": "strip", "time_unit": "h"}
-    path = plotting.movie(history, plotting.View(unit="mm"), **given)
-    found, duration = frames(path)
+    found, duration = frames(plotting.movie(history, plotting.View(unit="mm"), **given))
     assert len(found) == 4 == len(list(history))
     assert duration == 200
     assert [one.name for one in tmp_path.iterdir()] == ["a.gif"]

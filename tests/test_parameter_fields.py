@@ -183,3 +183,10 @@ def test_a_script_of_ones_own():
     assert energies[0] == pytest.approx(energies[1], rel=1e-12)
     wrong = work.body(LinearElastic.young(lambda x: 100 - 200 * x[0], 0.3), ufl.dx(domain=mesh))
     refused(InputError, r"E is .* at x", lambda: StepProblem(nothing, u, terms=[wrong]))
+
+
+def test_parameters_between_parted_bodies_are_those_on_s():
+    """S, at y = 0, is halfway between faces of bodies that have given way."""
+    laws = LinearElastic(60.0, 40.0), LinearElastic(60.0, lambda x: 40.0 + 900.0 * x[1])
+    models = [structure().interface(ThinLayer(law, 0.05), bodies="extended") for law in laws]
+    assert max(apart(*map(solve, models))) < 1e-9

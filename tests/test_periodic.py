@@ -188,6 +188,7 @@ def test_mean_stress_as_a_load():
     audits = [s.audit for s in march(growing, [0.7, 1.0])]
     assert max(abs(one.imbalance) for one in audits) < 1e-11
     assert audits[-1].total == pytest.approx(stored, rel=1e-10)
+    assert march(growing, [0.7, 1.0], theta=0.75).last.mean_stress() == pytest.approx(S, rel=1e-9)
     assert sum(one.supplied for one in audits) == pytest.approx(stored * (1 + 0.7**2 + 0.3**2), rel=1e-9)
 
 

@@ -84,8 +84,7 @@ def test_parts_of_a_side_and_springs():
     assert whole.about == pytest.approx([1.0, 0.0])
     assert whole.force == pytest.approx(parts[0].force + parts[1].force, rel=1e-12)
     assert whole.moment == pytest.approx(parts[0].moment + parts[1].moment, rel=1e-12)
-    ds = state.model.ds
-    pressed = state.integral(-2.0 * state.u[1] * ds(state.model.domain.values("TOP")))
+    pressed = state.integral(-2.0 * state.u[1] * state.model.ds(state.model.domain.values("TOP")))
     assert state.reaction("TOP").force == pytest.approx([0.0, pressed], rel=1e-12)
     corner = state.reaction((0.0, 0.5))
     assert corner.about == pytest.approx([0.0, 0.5])

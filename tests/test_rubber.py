@@ -149,8 +149,7 @@ def test_free_ends():
     """The pressure is zero at free ends that cells resolve, and at those alone."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_S=1 / 16, h_ends=1 / 40)
     stiff = LinearElastic.young(1e5, 0.3)
-    eps = 1 / 16
-    layer = ThinLayer(Rubber.young(2.98, 0.49), eps, order=1)  # mu = 1
+    layer = ThinLayer(Rubber.young(2.98, 0.49), 1 / 16, order=1)  # mu = 1
     for sides, zero in (
         ({}, (True, True)),
         ({"LEFT": {"x": 0.0}}, (False, True)),

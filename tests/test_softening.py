@@ -85,8 +85,7 @@ TIMES = [0.004, 0.008, 0.015, 0.022, 0.03]
 def block_of(cell, h=1 / 8, **options):
     """A block on a base, between rollers, whose top is lifted and pushed unevenly."""
     top = {"x": lambda x, t: t * ufl.sin(math.pi * x[0]) / 2, "y": lambda x, t: t * (0.8 + ufl.cos(math.pi * x[0]))}
-    supports = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": top}
-    given = {"body": SOLID, "supports": supports} | options
+    given = {"body": SOLID, "supports": {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": top}} | options
     return Structure(block(1.0, 0.25, h, cell=cell, structured=True), **given)
 
 
