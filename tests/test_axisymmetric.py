@@ -70,6 +70,9 @@ def test_integrals_of_users_are_over_the_whole_revolution():
     )
     by_part, state = solve(held(Springs("RIGHT", normal=30.0))), solve(held(springs))
     assert state.u.x.array == pytest.approx(by_part.u.x.array, abs=EXACT * abs(by_part.u.x.array).max())
+    stiffens = UflPart(energy=lambda u, model: (15.0 * u[0] ** 2 + 1e5 * u[0] ** 4) * on(model, "RIGHT"))
+    bent = solve(held(stiffens))
+    assert bent.energies()["own form"] == pytest.approx(bent.integral(stiffens.energy(bent.u, bent.model)), rel=EXACT)
     work = lambda u, model: P * u[1] * on(model, "TOP")
     loads = by_part.energies()["loads"]
     assert state.integral(work(state.u, state.model)) == pytest.approx(loads, rel=EXACT)

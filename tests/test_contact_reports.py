@@ -14,6 +14,7 @@ from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, march, plotting, solve
 from thinlayer.discretisation.contact_nodes import frames_at
+from thinlayer.output.plotting.structures import _around
 
 
 # ------------------------------------------------------------------------ reports and pictures
@@ -69,6 +70,12 @@ def test_pictures(tmp_path):
     refused(InputError, "3 components", lambda: plotting.on_surface(solid, Surface.jump))
     refused(InputError, "is no field on S", lambda: plotting.on_surface(solid, np.array(["a"])))
     refused(InputError, "no state to draw", lambda: plotting.on_surface({}, Surface.status))
+
+
+def test_colours_of_a_corner_fill_the_quarter_of_the_facet_around_it():
+    square = np.array([[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]])
+    for corner, part in zip(square[0], _around(square)[0], strict=True):
+        assert part.mean(axis=0) == pytest.approx(corner / 2 + 1 / 4)
 
 
 # ------------------------------------------------------------------------ status known before
