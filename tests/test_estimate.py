@@ -208,8 +208,9 @@ def test_a_plate_on_an_incompressible_layer_leaves_no_resultant():
     plate = RigidPlate("TOP", motion={"rotation": 0.01}, force=(0.5, -0.7))
     given = {"body": LinearElastic.young(100.0, 0.3), "tractions": {}, "parts": [plate], "element": "P2"}
     held = structure(sandwich(20.0, 0.6, 0.6, 2.5), **given)
-    found = dropped(held, ThinLayer(Incompressible(2.0), 0.015))
-    assert found.goals["compliance"].lower <= found.goals["compliance"].upper
+    layer = ThinLayer(Incompressible(2.0), 0.015)
+    true = compare(solve(held.full(layer)), solve(held.interface(layer)))["error_traction"]
+    assert dropped(held, layer).traction == pytest.approx(true, rel=0.1)  # an energy may hide forces
 
 
 def test_rigid_motions_do_not_matter():

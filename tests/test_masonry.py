@@ -115,8 +115,7 @@ def test_status_along_a_seam(tmp_path):
     joint = sandwich(4.0, 1.0, 1.0, 0.5, cell="triangle")
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.0, "y": lambda x, t: 0.1 * t * (1.2 - x[0])}}
     structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="P1")
-    layer = ThinLayer(replace(SLIPS, cohesion=0.6), 0.1, at=1.0)  # it does not slip
-    state = march(structure.interface(layer), [1.0]).last
+    state = march(structure.interface(ThinLayer(replace(SLIPS, cohesion=0.6), 0.1, at=1.0)), [1.0]).last
     surface = Surface(state.model)
     open_ = surface.status(state) == "open"
     assert np.array_equal(open_[:, 0], surface.x[0].mean(axis=1) < 1.0)

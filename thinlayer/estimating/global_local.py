@@ -48,6 +48,8 @@ NEW_AXIS = 0.1  # part of a resultant that is along no axis yet, over all of it
 NEWTON_STEPS, CONJUGATE = 20, 30  # at most; the latter in each of the former
 LOST = 1e-20  # gain of a step, over the work of the forces on the layers, that counts as rounding
 BALANCED = 1e-3  # residual that may be left, over that of the interface law
+LEFT = 1e-4  # forces on the faces, relative to all, that may be missing
+SAME_GOAL = 1e3  # width of bounds, over their rounding, at which a goal does not change
 LITTLE = 1e-3  # part of what a step of Newton's has gained, at which conjugate ones end
 SETTLED = 1e-6  # part of what steps have lowered the energy by that may be left
 NARROW = 0.05  # width of bounds over the change, at which steps end if no other is asked for
@@ -101,8 +103,8 @@ class Bounds:
         return replace(self, told=min(max(self.told, lower), upper), lower=lower, upper=upper)
 
     def narrow(self, value: float, share: float) -> bool:
-        """Whether they are apart by less than a share of the change from a value."""
-        return self.upper - self.lower <= share * abs(self.told - value)
+        """Whether they are apart by less than a share of the change from a value, or by little more than rounding."""
+        return self.upper - self.lower <= max(share * abs(self.told - value), SAME_GOAL * self.rounding)
 
 
 class GlobalLocal:
@@ -200,7 +202,9 @@ class GlobalLocal:
     def first(self) -> Iterate:
         """The state."""
         u = self.state.u.x.array[: self.n].copy()
-        return self._settled(self._balanced(u, self._pulled(self._lack(u)), self.layers.load, self.layers.values))
+        one = self._balanced(u, self._pulled(self._lack(u)), self.layers.load, self.layers.values)
+        self._start = one.F
+        return self._settled(one)
 
     def weights(self, goal: Goal) -> tuple[Array, Iterate]:
         """Weights q (m,) of a goal at the displacements of this rank, and z."""
@@ -343,11 +347,14 @@ class GlobalLocal:
     def is_near(
         self, one: Iterate, values: Mapping[str, float], known: Mapping[str, Bounds], width: float | None
     ) -> bool:
-        """Whether bounds are narrow, and what is missing is little beside what steps have gained; as of `run`."""
+        """Whether bounds are narrow, and energies and forces that are missing little beside those of steps; as of `run`."""
         if width is None:
             return True
-        narrow = all(bounds.narrow(values[name], width) for name, bounds in known.items())
-        return narrow and self.gap(one) <= min(width, NARROW) ** 2 * one.gained
+        narrow, share = all(bounds.narrow(values[name], width) for name, bounds in known.items()), min(width, NARROW)
+        if not narrow or self.gap(one) > share**2 * one.gained:
+            return False
+        # an energy may hide forces, as in incompressible layers
+        return norm(self.residual(one)) <= share * norm(one.F - self._start) + LEFT * norm(one.F)
 
     # ---------------------------------------------------------------- goals
     def bounds(self, at_rest: float, q: Array, one: Iterate, z: Iterate) -> Bounds:
