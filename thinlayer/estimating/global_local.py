@@ -303,8 +303,8 @@ class GlobalLocal:
         least = BALANCED * norm(self.residual(one)) + UNBALANCED * norm(one.F)
         for _ in range(NEWTON_STEPS):
             old, one = one, self.newton_step(one)
-            gained = one.gained - old.gained
-            if gained <= max(SETTLED * one.gained, LOST * abs(one.F @ one.v)) and norm(self.residual(one)) <= least:
+            gained, lost = one.gained - old.gained, LOST * abs(float(one.F @ one.v))
+            if gained <= max(SETTLED * one.gained, lost) and norm(self.residual(one)) <= least:
                 return one
         not_found = f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps"
         raise SolveError(f"{not_found}, at t = {self.state.t:g}", advice=REMEDY)
