@@ -59,9 +59,10 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     T = _translations(pairs, part, wanted, (vectors * across[:, None, :]) @ np.swapaxes(vectors, 1, 2), weight)
 
     contradictory = "the layers around the bodies at {at} ask for motions that contradict one another"
-    due = (wanted[at] * n).sum(axis=1)
+    due, mean = (wanted[at] * n).sum(axis=1), (np.bincount(at, eps) / np.bincount(at))[at]
+    shallow = np.where(np.abs(eps - mean) > SAME_GAP * mean, SAME_GAP, SHALLOW)  # not for layers of several thicknesses
     for jump, least, allowed, reason in (
-        (wanted[at], eps, SHALLOW, "S is not planar, as at {at}"),
+        (wanted[at], eps, shallow, "S is not planar, as at {at}"),
         (T[ends[:, 1]] - T[ends[:, 0]], due, SAME_GAP, contradictory),
     ):
         gap = (jump * n).sum(axis=1)
