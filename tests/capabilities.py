@@ -13,6 +13,8 @@ import ufl
 
 from forms import HolonomicCoulomb, KelvinVoigt, LinearElastic, Maxwell
 from geometry import fibre, periodic, ring, sandwich, wall
+from geometry.joint import Joint
+from geometry.seam import Seam
 from tests.meshes import blocks_of, write
 from tests.own_laws import AgeingSpring, Breaking, Cubic, Mises, Skew
 from tests.own_scripts.inertia import Inertia
@@ -37,6 +39,7 @@ class Column:
         at: a place in the upper body.
         times: of a march in place of a solve; `past`: whether the layer, or a part, remembers.
         length, stress: units.
+        turn: what turns vectors of the plain column to those of this one, and, as it is symmetric, back.
         unseen: force in regions that no reaction has.
         toml: keys of its description that are not those of the plain one.
         data: of `Structure`.
@@ -46,12 +49,30 @@ class Column:
     layers, bodies, bonded, data, toml = glue(), "kept", False, {}, {}
     seam, held, loaded, beside, at = "S", "BOTTOM", "TOP", "RIGHT/UPPER", (0.0, 0.9)
     times, past, length, stress, unseen, statuses = (), False, 1.0, 1.0, None, {"elastic"}
+    turn: Any = np.eye(3)
 
     def __init__(self, **known: Any) -> None:
         vars(self).update(known)
 
-    def load(self, x: Any, t: Any) -> tuple[Any, ...]:
-        return tuple(c * self.stress * t for c in LOAD[: len(self.at)])
+    @property
+    def load(self) -> Any:
+        """Not a method: the identity of one has all that its object has, and so changes as columns are used."""
+        force = [float(c) * self.stress for c in self.turned(LOAD)]
+        return lambda x, t: tuple(c * t for c in force)
+
+    def turned(self, v: Any) -> Any:
+        return self.turn[: len(self.at), : len(self.at)] @ v[: len(self.at)]
+
+    def whole(self, *powers: int) -> float:
+        """A sum over the structure, over that of the part that is asked; powers: of length and stress."""
+        return 1.0
+
+    def at_eps(self, eps: float) -> Any:
+        """The layers of this thickness, or of others in their ratio, with the cells that they have."""
+        of = lambda one: replace(one, eps=eps / EPS / self.length * one.eps, at=one.eps) if hasattr(one, "law") else one
+        return (
+            {name: of(one) for name, one in self.layers.items()} if isinstance(self.layers, dict) else of(self.layers)
+        )
 
     @cached_property
     def structure(self) -> Structure:
@@ -98,6 +119,44 @@ class Column:
         } | self.toml  # fmt: skip
         path.write_text("\n".join(f"{key} = {value}" for key, value in keys.items()))
         return path
+
+
+STIFF = {"LOWER": 1, "UPPER": 1, "LOWER 2": 3, "UPPER 2": 3}
+
+
+class Twin(Column):
+    """The plain column, and beside it one turned and mirrored, twice as large, thrice as stiff, which is asked."""
+
+    layers = {"S 1": glue(), "S 2": glue(eps=2 * EPS, stress=3.0)}
+    seam, held, loaded, beside, at = "S 2", "BOTTOM 2", "TOP 2", None, (6.08, 2.56)
+    length, stress = 2.0, 3.0
+    turn = np.array([[0.8, 0.6, 0.0], [0.6, -0.8, 0.0], [0.0, 0.0, 1.0]])
+    toml = {
+        "mesh": '{path = "column.msh", S = {"S 1" = ["LOWER", "UPPER"], "S 2" = ["LOWER 2", "UPPER 2"]}}',
+        "supports": '{BOTTOM = 0, "BOTTOM 2" = 0}',
+        "tractions": '{TOP = [0.3, -0.5], "TOP 2" = [-0.18, 1.74]}',
+        "body": "{" + ", ".join(f'"{name}" = {{E = {100 * k}, nu = 0.2}}' for name, k in STIFF.items()) + "}",
+        "layer": '{"S 1" = {lmbda = 3, mu = 2, eps = 0.05}, "S 2" = {lmbda = 9, mu = 6, eps = 0.1}}',
+    }
+
+    def joint(self) -> Joint:
+        plain = Column.joint()
+        n, regions = len(plain.points), (*plain.regions, *(f"{name} 2" for name in plain.regions))
+        facets = {name: rows for name, rows in plain.facets.items() if name != "S"} | {"S 1": plain.facets["S"]}
+        facets |= {f"{name} 2": rows + n for name, rows in plain.facets.items()}
+        points = np.concatenate([plain.points, 2 * plain.points @ self.turn[:2, :2] + (5.0, 4.0)])
+        cells, region = (np.concatenate([a, a + k]) for a, k in ((plain.cells, n), (plain.region, 2)))
+        seams = {"S 1": Seam(("LOWER",), ("UPPER",)), "S 2": Seam(("LOWER 2",), ("UPPER 2",))}
+        return Joint(points, cells, plain.cell_type, region, regions, facets, seams)
+
+    @cached_property
+    def structure(self) -> Structure:
+        body = {name: LinearElastic.young(E * k, NU) for name, k in STIFF.items()}
+        tractions = {"TOP": lambda x, t: tuple(c * t for c in LOAD[:2]), "TOP 2": self.load}
+        return Structure(self.joint(), body=body, supports={"BOTTOM": 0.0, "BOTTOM 2": 0.0}, tractions=tractions)
+
+    def whole(self, *powers: int) -> float:
+        return 1 + self.length ** -powers[0] * self.stress ** -powers[1]
 
 
 def on_top(state: State, regions: tuple[str, ...]) -> Any:
@@ -171,11 +230,12 @@ COLUMNS: dict[str, Callable[[], Column]] = {
     "S2": lambda: Column(data={"element": "S2"}, toml={"element": '"S2"'}),
     "units": lambda: Column(joint=lambda: replace(one := Column.joint(), points=1e3 * one.points),
         layers=glue(eps=1e3 * EPS, stress=1e-3), at=(0.0, 900.0), length=1e3, stress=1e-3),
+    "twin": Twin,
     "march": lambda: Column(times=TIMES, toml=MARCHED),
 }  # fmt: skip
 
 
 @cache
 def column(name: str) -> Column:
-    """A column by its name; others are the plain one."""
-    return COLUMNS.get(name, Column)()
+    """A column by its name; "free" is not held beside, others are the plain one."""
+    return (COLUMNS | {"free": lambda: Column(beside=None)}).get(name, Column)()

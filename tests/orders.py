@@ -25,8 +25,7 @@ def taylor_order(solver: Solver, size: float = 1e-2, theta: float = 1.0, longest
     x.array[:] = size * random.standard_normal(x.getLocalSize())
     d.array[:] = size * random.standard_normal(d.getLocalSize())
     equations.residual(x, at)
-    A = equations.tangent()
-    A.mult(d, linear)
+    equations.tangent().mult(d, linear)
     errors = []
     for h in longest * np.array([1.0, 0.5, 0.25, 0.125]):
         moved = x.copy()

@@ -17,8 +17,7 @@ def assert_drawn(*paths: Path) -> None:
     for path in paths:
         image = (matplotlib.image.imread(path)[..., :3] * 255).astype(int)
         assert min(image.shape[:2]) > 200, path
-        coloured = image[np.ptp(image, axis=2) > 10]
-        assert len(np.unique(coloured @ [1, 256, 65536])) > 50, path
+        assert len(np.unique(image[np.ptp(image, axis=2) > 10] @ [1, 256, 65536])) > 50, path
 
 
 def assert_coloured(picture: Figure | None, names: set[str]) -> None:

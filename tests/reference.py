@@ -111,8 +111,7 @@ def in_series(sublayers: list, eps: float, way: str = "") -> np.ndarray:
 def clamped(*factors: np.ndarray) -> list[np.ndarray]:
     """States z at the bottom and above each factor (bottom to top) for a clamped bottom and the given top traction."""
     whole = np.linalg.multi_dot(factors[::-1]) if len(factors) > 1 else factors[0]
-    bottom = np.concatenate([np.zeros(2), np.linalg.solve(whole[2:, 2:], TOP)])
-    states = [bottom]
+    states = [np.concatenate([np.zeros(2), np.linalg.solve(whole[2:, 2:], TOP)])]
     for factor in factors:
         states.append(factor @ states[-1])
     return states

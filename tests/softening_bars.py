@@ -124,9 +124,7 @@ FAR = 1.5  # beyond the snap-back of both
 
 def openings(history) -> np.ndarray:
     """Mean displacement of the bar's lower side, which is its opening."""
-    model = history.model
-    x = model.V.tabulate_dof_coordinates()
-    lower = np.flatnonzero(np.isclose(x[:, 1], 0.0))
+    lower = np.flatnonzero(np.isclose(history.model.V.tabulate_dof_coordinates()[:, 1], 0.0))
     return np.array([state.u.x.array.reshape(-1, 2)[lower, 1].mean() for state in history])
 
 

@@ -72,8 +72,7 @@ def test_slip_memory():
     assert slip[0, 0] == pytest.approx(0.3 - bound / K_T)
     back = one(0.3 - bound / K_T, -0.02)
     assert law.traction(back, slip)[0, 0] == pytest.approx(0.0, abs=1e-12)
-    far = law.traction(one(-0.3, -0.02), slip)
-    assert far == pytest.approx(one(-bound, -pressure))
+    assert law.traction(one(-0.3, -0.02), slip) == pytest.approx(one(-bound, -pressure))
     holonomic = HolonomicCoulomb(K_N, K_T, F)
     assert holonomic.traction(back)[0, 0] == pytest.approx(bound)
     assert holonomic.slip_after(one(0.3, -0.02), np.zeros((1, 1))) == pytest.approx(0.0)
@@ -95,8 +94,7 @@ def test_threshold_and_dissipation(w, slip, friction, cohesion):
     stored, dissipated = law.energies(jump, old)
     assert stored >= 0
     assert dissipated >= -1e-14
-    again = law.traction(jump, law.slip_after(jump, old))
-    assert again == pytest.approx(t, abs=1e-12)
+    assert law.traction(jump, law.slip_after(jump, old)) == pytest.approx(t, abs=1e-12)
 
 
 @pytest.mark.parametrize("w", [(0.02, -0.3), (-0.01, 0.02, -0.4), (0.5, 0.2)])

@@ -204,8 +204,7 @@ def kinds(joint, supports, parts=(), **data):
     held = {"BOTTOM": 0.0} | supports
     layer = ThinLayer(LinearElastic.young(1.0, 0.35), 0.1)
     one = SeamLayer("S", layer, Structure(joint, body=BODY, supports=held, parts=parts, **data))
-    order = joint.points[one.sheet.rim.vertices].mean(axis=1)[:, 0].argsort()
-    return side_kinds(one)[order].tolist()
+    return side_kinds(one)[joint.points[one.sheet.rim.vertices].mean(axis=1)[:, 0].argsort()].tolist()
 
 
 def test_supports_of_the_side_of_a_layer():
@@ -243,8 +242,7 @@ def test_sides_held_across_s_are_no_free_ends():
     sheared = Structure(joint, body=BODY, supports=across, tractions={"TOP": (0.3, 0.0)})
     full = solve(sheared.full(ThinLayer(law, eps, at=1.0)))
     for order in (0, 1):
-        model = sheared.interface(ThinLayer(law, eps, order=order, at=1.0))
-        error = compare(full, solve(model))
+        error = compare(full, solve(sheared.interface(ThinLayer(law, eps, order=order, at=1.0))))
         assert max(error["error_traction"], error["error_jump"]) < 1e-9  # rounding of the layer's stiffness
     found = estimate(solve(sheared.interface(ThinLayer(law, eps, at=1.0))))
     assert max(found.traction, found.jump) < 1e-9

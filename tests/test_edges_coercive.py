@@ -41,8 +41,7 @@ def eigenvalues(model, more=None):
     matrix.destroy()
     used = np.abs(A).max(axis=1) > 1e-12 * np.abs(A).max()
     A = A[np.ix_(used, used)]
-    scale = np.sqrt(np.abs(np.diag(A)).mean())
-    return np.linalg.eigvalsh(A / scale**2)
+    return np.linalg.eigvalsh(A / np.sqrt(np.abs(np.diag(A)).mean()) ** 2)
 
 
 @pytest.mark.parametrize(("nu", "h"), zip([0.0, 0.2, 0.3, 0.45], CELLS, strict=True))

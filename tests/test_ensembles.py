@@ -75,8 +75,7 @@ def require_rows(alone, rows, group, folder):
     for row, other in zip(rows, alone.rows, strict=True):
         assert row["jump"] == pytest.approx(other["jump"], rel=1e-10)  # another order of sums
         assert (row["side"], row["mu"]) == (other["side"], other["mu"])
-    again = ensemble(make, RUNS, out=folder / "table.csv", resume=True)  # all there
-    assert again["ranks"].tolist() == [group] * 5
+    assert ensemble(make, RUNS, out=folder / "table.csv", resume=True)["ranks"].tolist() == [group] * 5
 
 
 def test_jobs_share_a_table_and_each_does_its_part(tmp_path):

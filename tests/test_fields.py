@@ -68,8 +68,7 @@ def packed(stress, nu):
 def test_uniform_stresses_are_read_again(written, d, cell_type, element):
     """All times; traction and jump by hand; t_N and w_N along n, t_T and w_T along S."""
     structure, stress, jump = uniform(d, cell_type, element)
-    history = march(structure.interface(ThinLayer(K, EPS, at=1.0)), [0.4, 1.0])
-    found = written(history)
+    found = written(march(structure.interface(ThinLayer(K, EPS, at=1.0)), [0.4, 1.0]))
     bodies, on_s = found["bodies"], found["S"]
     wanted = packed(stress, BODY.lmbda / (2 * (BODY.lmbda + BODY.mu)))
     assert bodies["stress"] == pytest.approx(np.tile(wanted, (bodies.n_cells, 1)), rel=1e-9, abs=1e-10)
@@ -127,8 +126,7 @@ def test_meshed_layer_is_a_block(written):
             wanted = np.tile([along, -0.3, along, 0.0, 0.0, 0.0], (here.sum(), 1))
             assert part["stress"][here] == pytest.approx(wanted, rel=1e-8, abs=1e-10), name
             if name in heights:
-                area = part.extract_cells(here).area
-                assert area == pytest.approx(2.0 * heights[name])
+                assert part.extract_cells(here).area == pytest.approx(2.0 * heights[name])
     assert set(found["layer"]["seam"]) == {0}
 
 

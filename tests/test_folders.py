@@ -168,8 +168,7 @@ def test_an_older_run_is_moved_away_and_never_mixed(tmp_path):
     refused(KeyboardInterrupt, "", study, tmp_path, {"b": 2.0}, stop_at=0.4)
     assert {path.name for path in tmp_path.iterdir()} == {"notes.txt", "previous-1", "run.json"}
     assert {path.name: path.read_bytes() for path in (tmp_path / "previous-1").iterdir()} == first
-    table = study(tmp_path, {"b": 2.0}, resume=True)
-    assert list(table["b"]) == [2.0, 2.0]
+    assert list(study(tmp_path, {"b": 2.0}, resume=True)["b"]) == [2.0, 2.0]
     refused(InputError, r"options\.b: 2\.0 there, 3\.0 here", lambda: study(tmp_path, {"b": 3.0}, resume=True))
     study(tmp_path, {"b": 3.0})
     assert {path.name for path in (tmp_path / "previous-2").iterdir()} == first.keys()

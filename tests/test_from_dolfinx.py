@@ -70,8 +70,7 @@ def made_by_dolfinx() -> dict[str, Joint]:
     found = {"rectangle": read((plane, *tags), **NAMES), "ghosted": read((ghosted, *tagged(ghosted)), **NAMES)}
     assert found["ghosted"].identity() == found["rectangle"].identity()
     inside = mesh.locate_entities(plane, 2, lambda x: x[0] < 1.4)
-    owned = inside[inside < plane.topology.index_map(2).size_local]
-    part = mesh.create_submesh(plane, 2, owned)[0]
+    part = mesh.create_submesh(plane, 2, inside[inside < plane.topology.index_map(2).size_local])[0]
     found["a part of it"] = read((part, *tagged(part)), **NAMES)
     plane.topology.create_entities(1)
     finer = mesh.refine(plane)[0]

@@ -156,8 +156,7 @@ def orders() -> list[float]:
         structure = pushed(supports=supports, **steady)
         for law in (GLUE, Stack((0.4, GLUE), (0.6, SOFT)), Rubber.shear(1.1, 0.485), Incompressible(1.1)):
             for order in (0, 1):
-                state = solve(structure.interface(layer(law, order=order)))
-                found += told(state)[:2]
+                found += told(solve(structure.interface(layer(law, order=order))))[:2]
     full = solve(structure.full(layer(GLUE), cells_through=2))
     for edges in ("plain", "free"):
         row = compare(full, solve(structure.interface(layer(GLUE, order=1, edges=edges))))

@@ -144,8 +144,7 @@ def test_fourier_problem(cell):
     """Errors of both models against transfer matrices; the pressure on S is the traction's normal part, p = T cos(pi x)."""
     joint, setup = fourier(1 / 16, cell=cell)
     eps = 1 / 32
-    layer = ThinLayer(LAW, eps, at=1.0)
-    states = [solve(build(Structure(joint, **setup), layer)) for build in BUILDS]
+    states = [solve(build(Structure(joint, **setup), ThinLayer(LAW, eps, at=1.0))) for build in BUILDS]
     row = compare(*states)
     full, limit = exact(eps), exact(None)
     expected = [np.linalg.norm((full - limit)[part]) / np.linalg.norm(limit[part]) for part in (slice(2, 4), slice(2))]

@@ -94,8 +94,7 @@ def test_curved_cells_stay_curved(name):
     base, eps = joint_of(name), 0.1
     opened = inflate(base, eps, cells_through=2, bodies="extended")
     radius = np.hypot(*opened.points[:, :2].T)
-    layer = opened.cells[in_layer(opened)]
-    levels = np.unique(np.round((radius[layer] - 1.5) / eps, 3))
+    levels = np.unique(np.round((radius[opened.cells[in_layer(opened)]] - 1.5) / eps, 3))
     assert levels == pytest.approx([-0.5, -0.25, 0.0, 0.25, 0.5], abs=2e-3)  # P2 circles: fourth order in the cell size
     for side, value in (("INSIDE", 1.0), ("OUTSIDE", 2.0)):
         nodes = opened.table.nodes(opened.table.index(opened.facets[side]), opened.cells, opened.cell_type)

@@ -116,8 +116,7 @@ def test_adaptive_steps_do_not_depend_on_what_is_kept_and_go_on_after_a_target()
 @pytest.mark.parametrize(("p", "soft"), [(3.0, 1.0), (5.0, 1e-6)])
 def test_a_dashpot_that_is_nothing_at_rest(p, soft):
     """A sudden load: the first linear step goes far too long, where a large residual has to become small."""
-    law = Norton(60.0 * soft, 40.0 * soft, eta=5.0 * soft, p=p)
-    model, times = interface(law), [0.02, 0.1, 1.0]
+    model, times = interface(Norton(60.0 * soft, 40.0 * soft, eta=5.0 * soft, p=p)), [0.02, 0.1, 1.0]
     history = march(model, times, observe=opening(model))
     w, before = 0.0, 0.0
     for t in times:
@@ -193,7 +192,6 @@ def test_a_march_that_yields_tells_the_error_of_its_steps_within_a_factor_two():
 def test_errors_of_steps_are_zero_where_nothing_is_dissipated_and_rounding_where_slip_is_in_proportion():
     assert march(pushed(MORTAR, 0.1), [0.5, 1.0]).step_errors == {"displacements": 0.0, "jumps": 0.0, "forces": 0.0}
     assert march(pushed(MORTAR), Adaptive(1.0, 0.5, 0.1), keep="last").step_errors == {}
-    elastic = ThinLayer(LinearElastic(55.6, 83.3), 10, at=1.0)  # without a history there is none
-    assert march(pushed(elastic), [0.5, 1.0]).step_errors == {}
+    assert march(pushed(ThinLayer(LinearElastic(55.6, 83.3), 10, at=1.0)), [0.5, 1.0]).step_errors == {}
     friction = pushed(IncrementalCoulomb(1e3, 1e3, friction=0.3), 0.8, element="P1")  # slides; slip grows in proportion
     assert 0 < march(friction, [0.5, 1.0]).step_errors["jumps"] < 1e-9

@@ -49,8 +49,7 @@ def test_a_gif_has_a_frame_for_each_state(history, tmp_path):
     assert yellow[3] > 1.5 * yellow[0]
     # so is the window: the lower side is held and stays where it is, the upper side moves up
     drawn = [np.flatnonzero(one[:, int(0.3 * one.shape[1])].min(axis=1) < 0.9) for one in found]
-    bar = int(0.8 * len(found[0]))
-    assert len({one[one < bar].max() for one in drawn}) == 1
+    assert len({one[one < int(0.8 * len(found[0]))].max() for one in drawn}) == 1
     tops = [one.min() for one in drawn]
     assert tops[0] > tops[1] > tops[3]
 

@@ -28,8 +28,7 @@ ROUNDED = 1e-7  # relative, of displacements: solvers stop at 1e-10 of all force
 
 
 def require_equal(one, other):
-    apart = np.abs(one.u.x.array - other.u.x.array).max()
-    assert apart < ROUNDED * np.abs(one.u.x.array).max()
+    assert np.abs(one.u.x.array - other.u.x.array).max() < ROUNDED * np.abs(one.u.x.array).max()
 
 
 # ---------------------------------------------------------------- equilibrium

@@ -74,8 +74,7 @@ def test_sublayers(sublayers):
     for row, wanted in zip(rows, left(sublayers), strict=True):
         assert row == pytest.approx(wanted, rel=0.03)
     assert orders(rows) == pytest.approx([2.0] * 3, abs=0.1)
-    wrong = found(law, Stack(*law.sublayers[::-1]))
-    assert max(orders(wrong)[:2]) < 1.5
+    assert max(orders(found(law, Stack(*law.sublayers[::-1])))[:2]) < 1.5
 
 
 def test_a_graded_layer():

@@ -125,8 +125,7 @@ def test_gathered_field_keeps_the_jump(states):
     assert len(x) == 2 * len(np.unique(x.round(12)))
     surface = Surface(limit.model)
     place, jump = surface.profile(surface.jump(limit))
-    order = np.lexsort((at_s[:, 1], x.round(12)))
-    first = at_s[order][:2]
+    first = at_s[np.lexsort((at_s[:, 1], x.round(12)))][:2]
     assert abs(first[1, 1] - first[0, 1]) == pytest.approx(abs(jump[0, 1]), rel=2e-2)
     assert place[0, 0] == pytest.approx(0.0, abs=1e-12)
     assert set(np.unique(gather(full).region)) == {0, 1, -1}

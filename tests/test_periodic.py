@@ -221,8 +221,7 @@ def test_bodies_that_are_not_linear():
     inside = np.roots([12.0e3, 0.0, 6.0, -stress])
     inside = float(inside[np.abs(inside.imag) < 1e-12].real[0])
     assert 2 * inside + stress / 1.5 == pytest.approx(2 * e, rel=1e-9)
-    found = history.last.energies()
-    assert found["layer"] == pytest.approx(stress**2 / 1.5 / 2, rel=1e-9)
+    assert history.last.energies()["layer"] == pytest.approx(stress**2 / 1.5 / 2, rel=1e-9)
     assert max(abs(state.audit.imbalance) for state in history) < 1e-9
 
 

@@ -26,17 +26,14 @@ from tests.laws_at_points import (
 @pytest.mark.parametrize("name", ["Kelvin-Voigt", "Maxwell t1 != t2", "Norton 1.5", "user"])
 def test_sublayers_of_one_law_are_that_law(name, theta):
     law = LAWS[name]
-    start = situation(law, theta)
-    now = start.respond(law, theta)
+    now = situation(law, theta).respond(law, theta)
     alone = situation(Stack((1.0, law)), theta).respond(Stack((1.0, law)), theta)
     assert np.array_equal(alone.stress, now.stress)
     assert np.array_equal(alone.tangent, now.tangent)
     for fractions in ((0.5, 0.5), (0.1, 0.7, 0.2)):
         stack = Stack(*((a, law) for a in fractions))
-        again = situation(stack, theta)
-        found = again.respond(stack, theta)
-        scale = np.abs(now.stress).max()
-        assert found.stress == pytest.approx(now.stress, abs=EXACT * scale)
+        found = situation(stack, theta).respond(stack, theta)
+        assert found.stress == pytest.approx(now.stress, abs=EXACT * np.abs(now.stress).max())
         assert found.tangent == pytest.approx(now.tangent, abs=1e-11 * np.abs(now.tangent).max())
         assert found.energies == pytest.approx(now.energies, abs=EXACT * np.abs(now.energies).max())
         assert np.abs(found.q[:, : 3 * len(fractions)]).max() < 1e-13
@@ -80,8 +77,7 @@ def test_elastic_sublayer_over_a_plastic_one_carries_its_limit():
         q = answer.q
         found.append(traction(answer.stress, E2[None])[0, 0])
     K = 1 / (0.4 / STIFF.mu + 0.6 / MISES.mu)
-    expected = np.minimum(K * np.linspace(0.0, 1.0, 21)[1:], t_T)
-    assert found == pytest.approx(expected, rel=1e-9)
+    assert found == pytest.approx(np.minimum(K * np.linspace(0.0, 1.0, 21)[1:], t_T), rel=1e-9)
     assert q[0, 0] == pytest.approx(t_T / STIFF.mu - 1.0, rel=1e-9)  # share of the elastic sublayer beyond the jump
 
 

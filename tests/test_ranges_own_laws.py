@@ -125,8 +125,7 @@ def test_negative_layer(law, kind):
 
 def test_negative_body():
     """A layer takes lmbda + 2 mu/3 < 0, a body does not: its bulk modulus is negative."""
-    law = Own(-2.0, 2.5)
-    model_of(law)
+    model_of(Own(-2.0, 2.5))
     with pytest.raises(InputError, match=r"Own: the stiffness at rest is negative.*\(of C\)"):
         model_of(FOURIER_LAYER, body=Own(-2e4, 1.5e4))
     model_of(FOURIER_LAYER, body=Own(-0.9e4, 1.5e4))

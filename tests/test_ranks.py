@@ -41,8 +41,7 @@ def assert_same(found: Any, expected: Any, tolerance: float, name: str) -> None:
         for k, (one, other) in enumerate(zip(found, expected, strict=True)):
             assert_same(one, other, tolerance, f"{name}, {k}")
     else:
-        size = np.abs(expected).max(initial=0.0)
-        least = max(0.01 * tolerance * size, 1e-3 * tolerance, 1e-12)
+        least = max(0.01 * tolerance * np.abs(expected).max(initial=0.0), 1e-3 * tolerance, 1e-12)
         assert found == pytest.approx(expected, rel=tolerance, abs=least), name
 
 

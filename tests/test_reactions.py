@@ -53,8 +53,7 @@ def test_a_column_between_rollers(kind):
     structure = Structure(joint, body=GLUE.scaled(EPS), supports=sides, tractions={"TOP": (0.0, -0.7)})
     state = solve(getattr(structure, kind)(*[ThinLayer(GLUE, EPS, at=1.0)] * (kind != "bonded")))
     lmbda, mu = GLUE.scaled(EPS).lmbda, GLUE.scaled(EPS).mu
-    height = {"full": 1.2, "interface": 1.1, "bonded": 1.1}[kind]
-    side = 0.7 * lmbda / (lmbda + 2 * mu) * height
+    side = 0.7 * lmbda / (lmbda + 2 * mu) * {"full": 1.2, "interface": 1.1, "bonded": 1.1}[kind]
     assert state.reaction("BOTTOM").force == pytest.approx([0.0, 1.4], abs=1e-9)
     assert state.reaction("BOTTOM").moment == pytest.approx(0.0, abs=1e-9)
     assert state.reaction("LEFT").force == pytest.approx([side, 0.0], abs=1e-9)

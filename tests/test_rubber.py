@@ -57,8 +57,7 @@ def jumps(layer: np.ndarray) -> np.ndarray:
     """Amplitudes of the jump of the Fourier problem, for the transfer matrix of the layer."""
     body = expm(transfer(*of(100 / 2.6, 0.3)) * 0.5)
     whole = body @ layer @ body
-    bottom = np.append([0.0, 0.0], np.linalg.solve(whole[2:, 2:], [0.5, 1.0]))
-    below = body @ bottom
+    below = body @ np.append([0.0, 0.0], np.linalg.solve(whole[2:, 2:], [0.5, 1.0]))
     return (layer @ below - below)[:2]
 
 

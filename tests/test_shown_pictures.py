@@ -41,8 +41,7 @@ def pictures():
 def test_pictures_are_figures_that_notebooks_display(pictures):
     for name, picture in pictures.items():
         assert isinstance(picture, Figure), name
-        image = imread(BytesIO(picture._repr_png_()))
-        assert image[..., :3].std() > 0.01, name
+        assert imread(BytesIO(picture._repr_png_()))[..., :3].std() > 0.01, name
     assert not pyplot.get_fignums()  # pyplot knows of none, and does not show or close them
 
 

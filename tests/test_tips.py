@@ -123,8 +123,7 @@ def test_upper_side_that_changes():
         values.append({tuple(np.round(at, 9)): value for at, value in zip(x, t, strict=True)})
     assert found[1] == pytest.approx(found[0], rel=1e-9)
     assert len(x) == 32 + 2  # where the upper side changes, two of the bodies' nodes lie on it
-    size = max(map(abs, values[0].values()))
-    assert values[1] == pytest.approx(values[0], abs=0.03 * size)
+    assert values[1] == pytest.approx(values[0], abs=0.03 * max(map(abs, values[0].values())))
     opened = [inflate(joint, 0.01, bodies="extended") for joint in (two, one)]
     assert [np.sort(volumes(joint)) for joint in opened][1] == pytest.approx(np.sort(volumes(opened[0])), rel=1e-9)
     words, shares = r"at \(.*the upper side changes, and their sublayers do not meet", (0.3, 0.7)

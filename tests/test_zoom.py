@@ -217,8 +217,7 @@ def test_layers_of_revolution_are_stretched_around_the_axis():
 
 
 def test_a_rigid_base_is_a_very_stiff_body():
-    stiff = LinearElastic.young(E=7e6, nu=0.2)
-    two = Zoom(state(of=joint(), body={"LOWER": stiff, "UPPER": BODY}))
+    two = Zoom(state(of=joint(), body={"LOWER": LinearElastic.young(E=7e6, nu=0.2), "UPPER": BODY}))
     upper = block(1.3, 0.4, 0.1, cell="quadrilateral", structured=True)
     pull = {"TOP": (0.3, -1.0), "RIGHT": (0.1, 0.2)}
     based = Zoom(solve(Structure(upper, body=BODY, supports={}, tractions=pull).interface(FREE)))
