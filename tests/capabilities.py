@@ -54,11 +54,8 @@ class Column:
     def __init__(self, **known: Any) -> None:
         vars(self).update(known)
 
-    @property
-    def load(self) -> Any:
-        """Not a method: the identity of one has all that its object has, and so changes as columns are used."""
-        force = [float(c) * self.stress for c in self.turned(LOAD)]
-        return lambda x, t: tuple(c * t for c in force)
+    def load(self, x: Any, t: Any) -> tuple[Any, ...]:
+        return tuple(float(c) * self.stress * t for c in self.turned(LOAD))
 
     def turned(self, v: Any) -> Any:
         return self.turn[: len(self.at), : len(self.at)] @ v[: len(self.at)]

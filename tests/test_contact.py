@@ -134,6 +134,6 @@ def test_nearly_incompressible_bodies_lock_in_degree_1_alone_and_are_told():
     setup = {"body": LinearElastic.young(1.4, 0.4995), "supports": {"TOP": {"x": 0, "y": -0.5}}}
     assert solve(Structure(joint, **setup).interface(law)).reaction("TOP").force[1] == pytest.approx(-2.4517, rel=0.015)
     with pytest.warns(RangeWarning, match="0.4995, and P1 locks .* use element='P2'"):
-        assert solve(Structure(joint, **setup, element="P1").interface(law)).reaction("TOP").force[1] < -8
+        assert solve(Structure(joint, **setup, element="P1").interface(law)).reaction("TOP").force[1] < -3
     solid = {"body": LinearElastic.young(1.4, 0.3), "supports": {"TOP": 0}}
     refused(InputError, "in P2 vertices .* hexahedra", Structure(block(4, 2, h=2, depth=2), **solid).interface, law)

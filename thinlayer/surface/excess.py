@@ -226,7 +226,7 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
     b = joined.T @ surface.sums(surface.moments(wb))
     volume = joined.T @ surface.mass(1 / stiff) @ joined
     whole = volume + joined.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ joined
-    if not b.any():
+    if not b @ b:  # nor numbers whose squares are none
         return Excess()
     rim = faces.state.model.reductions[faces.one.name].neglected
     at_rim = surface.thickness(faces.one, rim.vertices).mean(axis=1)
