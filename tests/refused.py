@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import pytest
 
+Raised = TypeVar("Raised", bound=Exception)
 
-def refused(
-    error: type[Exception], words: str, call: Callable[..., object], /, *given: object, **named: object
-) -> None:
-    """The call raises this error, and its message has these words (a regular expression)."""
-    with pytest.raises(error, match=words):
+
+def refused(error: type[Raised], words: str, call: Callable[..., object], /, *given: object, **named: object) -> Raised:
+    """The call raises this error, and its message has these words (a regular expression); the error."""
+    with pytest.raises(error, match=words) as caught:
         call(*given, **named)
+    return caught.value

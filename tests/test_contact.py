@@ -82,6 +82,8 @@ def test_three_dimensions(cell):
         assert report.equilibrium < 1e-9
     assert len({*reports[0].status}) >= 2
     assert np.abs(reports[0].t_T[:, 1]).max() > 1e-3 * np.abs(reports[0].t_T).max()
+    columns = [reports[0].table[f"{name}_T_{k}"] for name in "ut" for k in (1, 2)]
+    assert np.array_equal(columns, [*reports[0].u_T.T, *reports[0].t_T.T])
 
 
 # ------------------------------------------------------------------------ elements of degree 2

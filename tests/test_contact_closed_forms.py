@@ -76,9 +76,7 @@ def test_uniform_stress_without_any_support(method):
         assert report.t_T == pytest.approx(q, rel=1e-7)
         assert report.u_T == pytest.approx(q / 80.0, rel=1e-7)
         assert set(report.status) == {"stick"}
-    with pytest.raises(SolveError, match=r"support|load") as error:
-        sheared(law, 2.3, method)
-    assert len(error.value.residuals) > 1
+    assert len(refused(SolveError, r"support|load", sheared, law, 2.3, method).residuals) > 1
 
 
 ENDS = [(lambda x, t: (0.1, 1.5 * t - 2.0), 1.9 / 1.5), (lambda x, t: (t, -2.0), 0.9)]
@@ -94,9 +92,8 @@ def test_a_march_ends_at_the_limit_of_contact(method, load, limit):
     setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}, "element": "Q1"}
     structure = Structure(joint, body=LinearElastic.young(1e3, 0.2), **setup)
     model = structure.interface(IncrementalCoulomb(300.0, 80.0, 0.35, 0.2))
-    with pytest.raises(LimitLoad) as error:
-        march(model, [0.5, limit, 2.0], method=method, **few)  # a step ends at the limit itself
-    found, longest = error.value, max(limit - 0.5, 2.0 - limit)
+    found = refused(LimitLoad, "", march, model, [0.5, limit, 2.0], method=method, **few)
+    longest = max(limit - 0.5, 2.0 - limit)
     assert found.t == found.history.last.t > 0.5
     assert found.t <= limit * (1 + 1e-9)
     assert found.failed_at >= limit * (1 - 1e-9)

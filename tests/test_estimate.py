@@ -60,12 +60,12 @@ def estimated(kind):
     found = [goals.Compliance(), goals.MeanTraction(LOAD)]
     found += [goals.Functional("mean of u_y", lambda u, model: u[1] * model.dx)]
     found += [goals.Displacement((0.35, 0.25) if kind == "inclined" else (0.41, 0.17), LOAD)]
-    found += [goals.Reaction("TOP" if kind == "moved" else "BOTTOM", LOAD)] if kind != "base" else []
+    found += [goals.Reaction({"moved": "TOP", "bonded": "LEFT"}.get(kind, "BOTTOM"), LOAD)] if kind != "base" else []
     bodies = {"body": {"LOWER": LOWER, "UPPER": UPPER}}
     made = {
         "between": lambda: structure(**bodies),
         "skew": lambda: structure(body={"LOWER": Skew(60.0, 40.0), "UPPER": UPPER}),
-        "bonded": lambda: structure(**bodies),
+        "bonded": lambda: structure(supports={"BOTTOM": 0, "LEFT": {"x": 0}}, **bodies),
         "moved": lambda: structure(tractions={"LEFT/UPPER": LOAD}, **bodies, **MOVED),
         "heated": lambda: structure(eigenstrain={"UPPER": 0.002}, **bodies),
         "inclined": lambda: structure(JOINT.rotated(0.3), supports={"BOTTOM": {"n": 0.01}, "LEFT/LOWER": {"x": 0}}),

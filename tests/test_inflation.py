@@ -99,7 +99,7 @@ def test_curved_cells_stay_curved(name):
     for side, value in (("INSIDE", 1.0), ("OUTSIDE", 2.0)):
         nodes = opened.table.nodes(opened.table.index(opened.facets[side]), opened.cells, opened.cell_type)
         assert radius[nodes] == pytest.approx(value, abs=1e-6)
-    eps, profile = 1e-3, lambda x: 1 + 0.5 * np.sin(x[0] + 0.3)
+    eps, profile = 1e-3, lambda x: 1 + 0.5 * np.sin(x[0] + 2 * x[-1] + 0.3)
     opened = inflate(base, eps, cells_through=1, bodies="extended", profile=profile)
     corners = base.surface[:, : len(opened.facets["UPPER_FACE"][0])]
     out = np.hypot(*opened.points[:, :2].T)[: len(base.points)] - np.hypot(*base.points[:, :2].T)  # S's nodes go up

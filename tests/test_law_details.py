@@ -9,6 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from forms import (
+    Anisotropic,
     LinearElastic,
     Maxwell,
     MohrCoulomb,
@@ -97,9 +98,13 @@ def test_elastic_sublayers_of_any_contrast(stiffer, n):
         held = drive(law, [{f"w_{c}": 0.01 * a for c, a in tangential.items()} | {"w_N": 0.02}] * 2, n)
         t = held.tractions[-1]
         assert [np.linalg.norm(t[:-1]), t[-1]] == pytest.approx([0.01 * K_T, 0.02 * K_N], rel=1e-12)
-        pulled = drive(law, [{f"t_{c}": a for c, a in tangential.items()} | {"t_N": 2.0}], n)
-        w = pulled.jumps[-1]
+        w = drive(law, [{f"t_{c}": a for c, a in tangential.items()} | {"t_N": 2.0}], n).jumps[-1]
         assert [np.linalg.norm(w[:-1]), w[-1]] == pytest.approx([1 / K_T, 2 / K_N], rel=1e-10)
+
+
+def test_springs_in_three_dimensions():
+    pushed = drive(Anisotropic.springs(K_N=5.0, K_T=2.0), [{"t_T1": 0.6, "t_T2": 0.8, "t_N": 1.0}], (0.3, 0.5, -0.7))
+    assert pushed.jumps[-1] == pytest.approx([0.3, 0.4, 0.2], rel=1e-9)
 
 
 # ---------------------------------------------------------------- prescribed tractions

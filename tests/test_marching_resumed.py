@@ -102,8 +102,7 @@ def require_undisturbed(out: Path, names) -> None:
 @pytest.mark.parametrize("name", marching_run.MARCHES)
 def test_ended_and_resumed(tmp_path, name):
     """Amid its steps, or as it writes the files of one: every march goes on as if it had been left alone."""
-    with pytest.raises(Ended):
-        marching_run.run(tmp_path, [name], ending=Ending(4, writing=len(name) % 2 == 0, raises=True))
+    refused(Ended, "", marching_run.run, tmp_path, [name], ending=Ending(4, writing=len(name) % 2 == 0, raises=True))
     marching_run.run(tmp_path, [name], resume=True)
     require_undisturbed(tmp_path, [name])
 

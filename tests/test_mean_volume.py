@@ -9,6 +9,7 @@ from dolfinx import fem
 
 from forms import VonMises
 from geometry import sandwich
+from tests.refused import refused
 from thinlayer import LimitLoad, RangeWarning, Structure, march
 from thinlayer.pointwise.compiled_term import CompiledTerm
 
@@ -38,9 +39,8 @@ def tube(element, body=METAL, load=None):
 
 @pytest.mark.parametrize("element", ["S2", "P2", "Q2", "Q1"])
 def test_a_tube_of_revolution_has_its_limit_load(element):
-    with pytest.raises(LimitLoad) as found:
-        march(tube(element), [100.0, 120.0, 124.0, 130.0], keep="last")
-    assert found.value.t == pytest.approx(LIMIT, rel=0.02 if element == "Q1" else 0.01)
+    found = refused(LimitLoad, "", march, tube(element), [100.0, 120.0, 124.0, 130.0], keep="last")
+    assert found.t == pytest.approx(LIMIT, rel=0.02 if element == "Q1" else 0.01)
 
 
 def test_without_projection_loads_beyond_the_limit_are_borne_and_told():

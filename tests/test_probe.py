@@ -31,6 +31,8 @@ def test_displacements_and_stresses_of_a_linear_field(d, cell, element):
     assert probe.stress(x[0])[0, 1] == pytest.approx(stress[0, 1], rel=1e-8)
     assert probe.displacement(corners, side="lower") == pytest.approx(corners @ strain, rel=1e-8, abs=1e-11)
     assert probe.displacement(corners, side="upper") == pytest.approx(corners @ strain + jump, rel=1e-8, abs=1e-11)
+    every = probe.displacement(np.vstack([corners, x]), side="upper")
+    assert every == pytest.approx(np.vstack([corners @ strain + jump, x @ strain + above * jump]), rel=1e-8, abs=1e-11)
     refused(InputError, r"displacements jump at .*: give side=", probe.displacement, corners)
     if d == 2:
         nu = BODY.lmbda / (2 * (BODY.lmbda + BODY.mu))

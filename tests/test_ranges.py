@@ -136,6 +136,8 @@ def test_bodies_that_overlap():
     _, found = told(lambda: solve(model, t=0.134))
     assert len(found) == 1
     assert "at t = 0.134 the layer closes by 2.01 times its thickness, on average over S (most near (2, 0)" in found[0]
+    wedge = Structure(joint, **setup).interface(ThinLayer(law, 0.1, profile=lambda x: 1 + 0.5 * x[0], at=1.0))
+    assert "closes by 2.1 times its thickness, on average" in told(lambda: solve(wedge, t=0.21))[1][0]
     there_and_back = setup["supports"] | {"TOP": {"x": 0.0, "y": lambda x, t: -0.4 * t * (2 - t)}}
     model = Structure(joint, **setup | {"supports": there_and_back}).interface(ThinLayer(law, 0.1, at=1.0))
     _, found = told(lambda: march(model, [0.5, 1.0, 2.0]))

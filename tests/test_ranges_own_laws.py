@@ -86,7 +86,8 @@ def test_harder_than_a_body(kind):
     for factor, messages in ((0.99, 0), (1.01, 1)):
         e = LinearElastic.young(70.0 * factor, 0.3).scaled(1 / 0.01)
         law = {"layer": Own(e.lmbda, e.mu), "bodies": e, "incompressible": Incompressible(e.mu * 1.3 / 2 / 0.91)}[kind]
-        model = Structure(joint, **setup | {"body": bodies}).interface(ThinLayer(law, 0.01, at=1.0))
+        two = {"body": {"LOWER": STIFF, "UPPER": bodies}}
+        model = Structure(joint, **setup | two).interface(ThinLayer(law, 0.01, at=1.0))
         found = told(lambda model=model: solve(model))
         assert len(found) == messages
         assert not found or "the layer is 1.01 times as hard as the softer body" in found[0]

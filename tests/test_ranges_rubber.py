@@ -62,6 +62,11 @@ def test_disc_of_revolution():
     model = Structure(joint, **setup).interface(ThinLayer(law, eps, at=1.0))
     share = disc_share(R / (eps * np.sqrt(law.lmbda / law.mu / 12)))
     assert excess(model, lambda x: (0 * x[0], 1e-3 + 0 * x[0])) == pytest.approx(1 / share - 1, rel=3e-3)
+    rough = Structure(sandwich(R, 0.3, 0.3, 0.2), **setup).interface(
+        ThinLayer(law, eps / 8, at=1.0)
+    )  # cells of 3 delta
+    thin = disc_share(8 * R / (eps * np.sqrt(law.lmbda / law.mu / 12)))
+    assert excess(rough, lambda x: (0 * x[0], 1e-3 + 0 * x[0])) == pytest.approx(1 / thin - 1, rel=0.03)
     work, shear = law.lmbda * eps, law.mu / eps * R**2 / 2  # over pi R^2, of upper faces that move by r
     wanted = work * (1 - share) / (work * share + shear)
     assert excess(model, lambda x: (1e-3 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=3e-3)

@@ -28,6 +28,7 @@ from thinlayer import (
     plotting,
     solve,
 )
+from thinlayer.output import zooming
 
 pytestmark = pytest.mark.few(5)
 FACES = pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # they move as no equilibrium has it
@@ -175,7 +176,7 @@ def test_stresses_turn_with_the_structure(angle):
         np.testing.assert_allclose(same.H, one.H, rtol=1e-7)
 
 
-def test_a_rigid_rotation_does_not_strain_corners():
+def test_a_rigid_rotation_does_not_strain_corners(monkeypatch):
     """Nor does it the law of order 1 without constants of free ends, which are of jumps alone."""
     layer = ThinLayer(GLUE, EPS, order=1, edges="plain", at=1.0)
     rigid = {"BOTTOM": {"x": lambda x, t: -0.2 * x[1], "y": lambda x, t: 0.2 * x[0]}}
@@ -186,6 +187,11 @@ def test_a_rigid_rotation_does_not_strain_corners():
     plies = Stack((0.4, outer["lower"]), (0.6, outer["upper"]))
     for one in Zoom(state(ThinLayer(plies, EPS))).corners:  # each of its own sublayer
         assert one.exponent == Zoom(state(ThinLayer(outer[one.side], EPS))).corners[0].exponent
+    thin, H = state(ThinLayer(Stack((0.2, outer["lower"]), (0.8, outer["upper"])), EPS)), []
+    for radius in (0.3, 0.2):  # those of thin sublayers are in them
+        monkeypatch.setattr(zooming, "RADIUS", radius)
+        H.append(Zoom(thin).corners[0].H)
+    assert H[0] == pytest.approx(H[1], rel=1e-9)
 
 
 def test_three_dimensions_between_rollers_are_plane_strain():
