@@ -36,8 +36,7 @@ def test_back():
     assert history.t[-1] < -0.2 <= history.t[:-1].min()
     w = openings(history)
     assert history.t == pytest.approx(w + C * sigma(falling, w), abs=1e-10)
-    twice = history.t[np.flatnonzero(np.diff(np.sign(history.t - 0.3)))]
-    assert len(twice) == 2
+    assert len(history.t[np.flatnonzero(np.diff(np.sign(history.t - 0.3)))]) == 2
     words = r"has come back to t = -0\.5\d+ and has not reached end = 1; give back="  # 2 start - end
     refused(SolveError, words, march, bar(falling), ArcLength(end=1.0, first=0.05), start=0.25)
 

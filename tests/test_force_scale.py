@@ -45,18 +45,15 @@ def test_rigid_far_motion():
 def test_loads_that_end_at_zero():
     """Where they have moved the bodies before, rounding of that is all that is left."""
     scale = begun(moved=0.3)
-    assert scale.least == pytest.approx(1e-8 * STIFF * 0.3)
-    assert scale.allowed == pytest.approx(1e-14 * STIFF * 0.3)
+    assert (scale.least, scale.allowed) == pytest.approx((1e-8 * STIFF * 0.3, 1e-14 * STIFF * 0.3))
     assert begun(moved=0.3, loads=1.0).forces == 1.0
 
 
 def test_bodies_far_away_on_soft_springs():
     """Solvers may stop at rounding of stiffness times displacement, but never above the share of the loads for a state."""
     scale = begun(loads=1.0)
-    assert scale.aim(0.1) == pytest.approx(AIM)
-    assert scale.aim(1e2) == pytest.approx(EPSILON * STIFF * 1e2)
-    assert scale.aim(1e12) == pytest.approx(ALLOWED)
-    assert scale.allowed == pytest.approx(ALLOWED)
+    assert (scale.aim(0.1), scale.aim(1e2)) == pytest.approx((AIM, EPSILON * STIFF * 1e2))
+    assert (scale.aim(1e12), scale.allowed) == pytest.approx((ALLOWED, ALLOWED))
 
 
 def test_springs_between_bodies_round_more():

@@ -11,6 +11,7 @@ from forms.base import InputError
 from geometry import block, disc, ring, sandwich
 from geometry.inflating.inflation import inflate
 from geometry.joint import Joint
+from geometry.sheet import volume_of
 from tests.meshes import check_sound, grid, in_layer, volumes
 from tests.refused import refused
 
@@ -46,6 +47,7 @@ def joint_of(name: str) -> Joint:
 def check(base: Joint, opened: Joint, eps: float, area: float, kept_volume: float) -> None:
     """What holds for every layer of uniform thickness: nothing folded, volumes, faces, names."""
     n = len(base.cells)
+    assert volume_of(base, np.ones(n, bool)) == pytest.approx(volumes(base).sum(), rel=0.02)  # of faces alone
     check_sound(opened, opened.facets.keys() - {"LOWER_FACE", "UPPER_FACE"}, base)
     found = volumes(opened)
     assert found[n:].sum() == pytest.approx(eps * area, rel=0.02)

@@ -269,6 +269,7 @@ def test_refused_joints():
     joint = sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral")
     refused(InputError, "unknown side 'LEFTT', did you mean 'LEFT'", lambda: periodic(joint, ("LEFTT", "RIGHT")))
     refused(InputError, "'LEFT' is in two pairs", lambda: periodic(joint, ("LEFT", "RIGHT"), ("LEFT", "TOP")))
+    refused(InputError, "'LEFT' is in two pairs", periodic, periodic(joint, ("LEFT", "RIGHT")), ("LEFT", "TOP"))
     refused(InputError, r"'LEFT' and 'TOP' do not match: 'LEFT' has a node at \(", periodic, joint, ("LEFT", "TOP"))
     moved = joint.points.copy()
     moved[np.isclose(joint.points, (1.0, 0.25)).all(axis=1), 1] += 0.01

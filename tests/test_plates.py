@@ -183,6 +183,9 @@ def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():
         errors.append(apart(full, limit)[0])
         assert limit.load_work() == pytest.approx(full.load_work(), rel=1e-3)
         refused(InputError, "plates or inclined supports tie nodes on S", estimate, first)
+        thick = ThinLayer(law, 2 * eps, order=1, at=1.0)
+        anew, other = (solve(model).load_work() for model in (beam.interface(thick), limit.model.with_layer(thick)))
+        assert other == pytest.approx(anew, rel=1e-9)
     assert errors[1] < errors[0] / 3
     top = RigidPlate("TOP", force=(0.2, -0.3), moment=0.1)  # of one body: its own point stays where it is
     of_one = Structure(joint, body=LinearElastic.young(100.0, 0.3), supports={"BOTTOM": 0.0}, parts=[top])

@@ -205,8 +205,7 @@ class Rooted(TractionLaw):
     shift: float
 
     def traction(self, step):
-        w = ufl.dot(step.mid, step.n)
-        return self.k * ufl.sqrt(self.shift - w) * step.n + self.k * step.mid
+        return self.k * ufl.sqrt(self.shift - ufl.dot(step.mid, step.n)) * step.n + self.k * step.mid
 
 
 @pytest.mark.few(1)
