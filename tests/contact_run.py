@@ -54,4 +54,5 @@ def resumed(folder: Path) -> dict[str, list]:
 
 def content(report):
     arrays = {"u_T": report.u_T, "u_N": report.u_N, "p": report.p, "t_T": report.t_T}
-    return {"status": report.status.tolist()} | {name: array.ravel().tolist() for name, array in arrays.items()}
+    known = {"status": report.status.tolist(), "clapeyron": report.clapeyron}
+    return known | {name: array.ravel().tolist() for name, array in arrays.items()}

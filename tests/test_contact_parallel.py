@@ -17,6 +17,7 @@ def serial():
 
 def require_same(one, two):
     assert one["status"] == two["status"]
+    assert one["clapeyron"] == pytest.approx(two["clapeyron"], rel=1e-6, abs=1e-8)
     size = np.abs(one["u_T"]).max() + np.abs(one["u_N"]).max()
     for name in ("u_T", "u_N"):
         assert np.abs(np.subtract(one[name], two[name])).max() <= 1e-8 * size

@@ -40,12 +40,14 @@ def structure(joint=RODS, **given):
 SHARED = {"supports": {"BOTTOM": 0, "LEFT/LOWER": {"x": 0}}, "parts": [Springs("LEFT/UPPER", normal=5.0)]}
 ROLLER = {"supports": {"BOTTOM": 0, "TOP": {"x": 0}}, "tractions": {"RIGHT/UPPER": LOAD}}
 BOTH = [RigidPlate("TOP", force=(0, -0.7)), RigidPlate("BOTTOM", motion={"x": 0, "y": 0, "rotation": 0})]
+CORNER = (4.0, 1.0)
 HOLDERS = {
     "one of two plates": (ROLLER | {"supports": {"TOP": {"x": 0}}, "parts": BOTH}, "BOTTOM", (0, 1)),
     "supports and springs": (SHARED, "LEFT", (1, 0)),
     "a plate that is moved": (ROLLER | {"parts": [RigidPlate("TOP", motion={"y": 0.01})]}, "TOP", (0, 1)),
     "a support that moves": (ROLLER | {"supports": {"BOTTOM": 0, "TOP": {"y": lambda x, t: 0.01 * t}}}, "TOP", (0, 1)),
     "a plate that is pushed": (ROLLER | {"parts": [RigidPlate("TOP", force=(0, -0.7))]}, "TOP", (0, 1)),
+    "a vertex of a plate": (ROLLER | {"supports": {"BOTTOM": 0, CORNER: {"x": 0}}, "parts": BOTH[:1]}, CORNER, (1, 0)),
     "revolution": ({"plane": "axisymmetric"}, "BOTTOM", (1, 1)),
     "a vertex of S": ({"supports": {(4.0, 0.0): 0}, "joint": BLOCK}, (4.0, 0.0), (1, 0)),
 }
