@@ -54,8 +54,11 @@ class Column:
     def __init__(self, **known: Any) -> None:
         vars(self).update(known)
 
-    def load(self, x: Any, t: Any) -> tuple[Any, ...]:
-        return tuple(float(c) * self.stress * t for c in self.turned(LOAD))
+    @property
+    def load(self) -> Callable[..., tuple[Any, ...]]:
+        """Not a method: its identity would have all that the column has gathered so far."""
+        force = [float(c) * self.stress for c in self.turned(LOAD)]
+        return lambda x, t: tuple(c * t for c in force)
 
     def turned(self, v: Any) -> Any:
         return self.turn[: len(self.at), : len(self.at)] @ v[: len(self.at)]
@@ -67,9 +70,8 @@ class Column:
     def at_eps(self, eps: float) -> Any:
         """The layers of this thickness, or of others in their ratio, with the cells that they have."""
         of = lambda one: replace(one, eps=eps / EPS / self.length * one.eps, at=one.eps) if hasattr(one, "law") else one
-        return (
-            {name: of(one) for name, one in self.layers.items()} if isinstance(self.layers, dict) else of(self.layers)
-        )
+        every = self.layers
+        return {name: of(one) for name, one in every.items()} if isinstance(every, dict) else of(every)
 
     @cached_property
     def structure(self) -> Structure:

@@ -116,16 +116,13 @@ def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
 
 
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
-    """Raise InputError unless both models have the same data but for the layer's law.
-
-    Where both are of one structure they have, even if a load is a method of an object that has changed in between.
-    """
+    """Raise InputError unless both models have the same data but for the layer's law."""
     there, here = (
         {name: model.made_from[name] for name in ("plane", "bodies", "loads")}
         | {"supports": model.made_from["supports"][: len(model.supports.given)]}
         for model in (full, interface)
     )
-    if there != here and full.structure is not interface.structure:
+    if there != here:
         found = [*differences(there, here)]
         raise InputError(f"compare needs the same {found[0][0][0]}: {in_words(found)}")
     for name, layer in interface.layers.items():
