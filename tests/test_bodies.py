@@ -23,6 +23,7 @@ from geometry import sandwich, wall
 from tests.columns_in_time import column, joint
 from tests.orders import taylor_order
 from tests.refused import refused
+from tests.test_mean_volume import Pointwise
 from thinlayer import Adaptive, LimitLoad, Springs, Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.solving.solvers import Solver
@@ -144,12 +145,6 @@ def test_what_does_not_go_with_them_is_refused():
     object.__setattr__(springs, "key", "body UPPER")
     structure = Structure(JOINT, body=METAL, supports={}, parts=[springs], tractions=SHEARED)
     refused(InputError, "two parts are called 'body UPPER'", lambda: structure.bonded())
-
-
-class Pointwise(VonMises):
-    """With the strains of the displacements, as bodies in forms have them."""
-
-    isochoric = False
 
 
 STRONG = Pointwise(60.0, 40.0, strength=1e6)

@@ -21,7 +21,7 @@ from geometry.joint import Joint
 from studies.problems import FOURIER_BODY, fourier
 from tests import reference
 from tests.orders import observed_orders
-from tests.test_marching import StiffeningSolid
+from tests.own_laws import Stiffening
 from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, march, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -214,7 +214,7 @@ def test_beside_bodies_that_are_not_linear():
     """Bodies whose laws are next to linear, in forms and at points, give what linear ones give."""
     joint, layer = sandwich(1.0, 0.5, 0.5, 0.25, structured=True), ThinLayer(Incompressible(30.0), 0.1, at=1.0)
     data = dict(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, tractions={"TOP": (0.3, 1.0)})
-    elastic, stiffening = LinearElastic(0.0, 60.0), StiffeningSolid(60.0, 1e-6)
+    elastic, stiffening = LinearElastic(0.0, 60.0), Stiffening(0.0, 60.0, 1e-6)
     bodies = elastic, stiffening, VonMises(0.0, 60.0, strength=1e3)
     found = [solve(Structure(joint, body=body, **data).interface(layer)).energies() for body in bodies]
     assert found[1]["layer"] == pytest.approx(found[0]["layer"], rel=1e-6)

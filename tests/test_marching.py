@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 import ufl
 
 from forms import LinearElastic, Norton, Stack
 from forms.base import InputError
-from tests.own_laws import Cubic
+from tests.own_laws import Stiffening
 from tests.refused import refused
 from tests.viscous_joints import G_N, JOINT, K_N, PULL, SETUP, SLOW, SUDDEN, interface, opening
 from thinlayer import Adaptive, RangeWarning, Structure, Surface, ThinLayer, compare, march, solve
-
-
-@dataclass(frozen=True)
-class StiffeningSolid(Cubic):
-    """An energy of second and fourth degree."""
-
-    def energy(self, step):
-        size = ufl.inner(step.e, step.e)
-        return self.k * size + self.c * size**2 / 4
 
 
 def test_a_law_with_a_rate_starts_at_rest():
@@ -89,7 +78,7 @@ def test_energy_balance(law, theta):
 
 def test_energy_of_bodies_that_are_not_linear():
     """What is stored at the ends of steps differs by what the step stores."""
-    setup = SETUP | {"body": StiffeningSolid(100.0, 3e4)}
+    setup = SETUP | {"body": Stiffening(0.0, 100.0, 3e4)}
     model = Structure(JOINT, tractions={"TOP": (0.4, 2.0)}, **setup).interface(ThinLayer(SLOW, 0.1, at=1.0))
     history = march(model, [0.1, 0.3, 0.35])
     total = [state.audit.total for state in history]

@@ -22,7 +22,7 @@ METAL = VonMises.young(E=70e3, nu=0.3, strength=STRENGTH)
 
 
 class Pointwise(VonMises):
-    """The wrong law: with the volume strains of the displacements."""
+    """With the volume strains of the displacements, as bodies in forms have them."""
 
     isochoric = False
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import pytest
 import ufl
 
-from forms import BulkLaw, LinearElastic, NonMonotoneUnrelaxed
+from forms import LinearElastic, NonMonotoneUnrelaxed
 from forms.base import InputError
-from forms.elastic import lame
 from geometry import sandwich
 from studies.problems import phases_on_s
+from tests.own_laws import Stiffening
 from tests.refused import refused
 from thinlayer import Adaptive, SolveError, Structure, ThinLayer, march
 from thinlayer.pointwise.columns import TIE
@@ -24,19 +23,6 @@ pytestmark = pytest.mark.few(5)
 CHI = np.array([[-0.3, 0.5], [0.5, 0.9]])
 LAW = NonMonotoneUnrelaxed(60.0, 40.0, 1.2, 0.015, CHI)
 SOFT = LinearElastic.young(100.0, 0.3)
-
-
-@dataclass(frozen=True)
-class Stiffening(BulkLaw):
-    mu: float
-    c: float
-
-    def stress(self, step):
-        return lame(0.8 * self.mu, self.mu, step.mid) + self.c * ufl.inner(step.mid, step.mid) * step.mid
-
-    def energy(self, step):
-        e = step.e
-        return 0.4 * self.mu * ufl.tr(e) ** 2 + self.mu * ufl.inner(e, e) + self.c / 4 * ufl.inner(e, e) ** 2
 
 
 def blocks(of_t=lambda t: t, *, body=SOFT, law=LAW, top=None, kind=Structure.interface, eigenstrain=None):
@@ -125,7 +111,7 @@ def test_what_comes_back_within_a_step(name):
 
 def test_bodies_that_stiffen():
     """By Newton's method phases are held in a solve as well; the snaps are those of other steps, and not those of SOFT."""
-    one, three = (march(blocks(body=Stiffening(40.0, 1e4)), times) for times in ([0.6], [0.3, 0.6]))
+    one, three = (march(blocks(body=Stiffening(32.0, 40.0, 1e4)), times) for times in ([0.6], [0.3, 0.6]))
     check(one, [snap.t for snap in three.snaps], [snap.lost for snap in three.snaps])
     assert len(one.snaps) == 2
     assert abs(one.snaps[0].t - reference()[0][0]) > 1e-3
