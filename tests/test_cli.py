@@ -17,11 +17,11 @@ import dolfinx
 import pytest
 from petsc4py import PETSc
 
+from tests.documents import CLONE
 from thinlayer.running import cli
 from thinlayer.running.catalogue import GROUPS, duration
 from thinlayer.system.words import VERSION
 
-CLONE = Path(__file__).parent.parent
 ELASTIC = ("run", "rates", "--law", "elastic")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import dolfinx.jit
 import pytest
@@ -15,6 +14,7 @@ from forms import Incompressible, LinearElastic, Maxwell, Norton, Stack
 from forms.base import InputError
 from geometry import faults
 from studies.problems import fourier
+from tests.documents import CLONE
 from tests.own_laws import Cubic
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, compare, drive, march
@@ -24,7 +24,6 @@ from thinlayer.system.compilation import acquire
 
 pytestmark = pytest.mark.few(5)
 
-CLONE = Path(__file__).parent.parent
 NORTON = Norton(60.0, 40.0, 5.0, 1.5)
 
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from forms import Anisotropic, Incompressible, LinearElastic, Norton, Rubber, Stack, VonMises
+from tests.documents import CLONE
 from tests.refused import refused
 from thinlayer.running.description import Description
 from thinlayer.running.section import DescriptionError
 
-CLONE = Path(__file__).parent.parent
 LEAST = """
 mesh = "joint.msh"
 body = {E = 70e3, nu = 0.2}

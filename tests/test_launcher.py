@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-CLONE = Path(__file__).parent.parent
+from tests.documents import CLONE
+
 LAUNCHER = CLONE / "fenicsx"
 SET_BY_AN_OUTER_ONE = {"OMPI_MCA_shmem", "OMPI_MCA_mpi_yield_when_idle", "PYTHONPATH"}
 

@@ -15,12 +15,12 @@ from forms import LinearElastic, Maxwell, NonMonotone, Stack, Tabulated
 from forms.base import InputError
 from geometry import block, disc, sandwich
 from tests.refused import refused
+from tests.viscous_joints import JOINT
 from thinlayer import Adaptive, ArcLength, Pressure, Structure, ThinLayer, drive, march, piecewise, solve
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.solving.equations import Equations
 
 GLUE = LinearElastic(lmbda=60.0, mu=40.0)
-JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
 SIDES = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
 CHI = [[0.0, 0.5], [0.5, 1.0]]
 

@@ -16,7 +16,6 @@ from forms import (
     Stack,
 )
 from forms.base import InputError
-from geometry import sandwich
 from tests.own_laws import (
     AgeingFluid,
     AgeingSpring,
@@ -26,12 +25,11 @@ from tests.own_laws import (
 )
 from tests.refused import refused
 from tests.softening_bars import Undeclared
+from tests.viscous_joints import BODY, JOINT
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise
 
 pytestmark = pytest.mark.few(5)
 
-JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
-BODY = LinearElastic.young(100.0, 0.3)
 SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
 ELASTIC, CREEP = LinearElastic(60.0, 40.0), KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
 LOAD = piecewise({0.0: 0.1, 0.5: 1.7, 1.0: 1.7, 1.5: -0.4})  # up, held, turned back

@@ -15,18 +15,15 @@ import pytest
 from mpi4py import MPI
 
 import thinlayer
-from forms import KelvinVoigt, LinearElastic, VonMises
-from geometry import sandwich
+from forms import LinearElastic, VonMises
 from studies.timing import status
 from tests.folders_run import raised
 from tests.mpirun import mpirun
 from tests.on_ranks import on_ranks
+from tests.viscous_joints import BODY, JOINT, SLOW
 from thinlayer import Structure, ThinLayer, compare, estimate, fields, goals, march, solve, sweep
 
-JOINT = sandwich(1.0, 0.5, 0.5, 0.5)
 SUPPORTS = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
-BODY = LinearElastic.young(100.0, 0.3)
-SLOW = KelvinVoigt(60.0, 40.0, theta_lmbda=0.3, theta_mu=0.5)
 
 
 def model(eps=0.1, law=SLOW, profile=None, build=Structure.interface, **change):

@@ -7,18 +7,17 @@ import subprocess
 import sys
 import tomllib
 import warnings
-from pathlib import Path
 
 import pytest
 
 import geometry
 import thinlayer
 from forms.base import EXTRAS, InputError
+from tests.documents import CLONE
 from tests.refused import refused
 from thinlayer.errors import deprecated
 from thinlayer.running.cli import main
 
-CLONE = Path(__file__).parent.parent
 PROJECT = tomllib.loads((CLONE / "pyproject.toml").read_text())["project"]
 EXTRA = PROJECT["optional-dependencies"]
 OF_CONDA = {"gmsh": "python-gmsh", "matplotlib": "matplotlib-base"}  # where it has another name than PyPI

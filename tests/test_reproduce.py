@@ -15,6 +15,7 @@ import pytest
 
 from forms.base import InputError
 from studies import rates
+from tests.documents import CLONE
 from tests.refused import refused
 from thinlayer.running.batch import Job, run_all
 from thinlayer.running.markup import formula_of
@@ -22,7 +23,6 @@ from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
 from thinlayer.running.record import Record
 from thinlayer.running.reproduce import Page
 
-CLONE = Path(__file__).parent.parent
 BROWSERS = ("chromium", "chromium-headless-shell", "chromium-browser", "google-chrome")
 SQUARE = b'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><rect width="9" height="9"/></svg>'
 PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
