@@ -6,15 +6,13 @@ import warnings
 from dataclasses import replace
 from functools import cache, partial
 
-import numpy as np
 import pytest
 
-from forms import HolonomicCoulomb, Incompressible, LinearElastic, NonMonotone
-from geometry import block, faults
-from studies.dropped import free, known_cases, loaded, rollers, unwarned
+from forms import LinearElastic
+from geometry import faults
+from studies.dropped import free, known_cases, loaded, unwarned
 from studies.may_i_drop import Dropped, effectivities, solved
-from studies.problems import FOURIER_BODY
-from thinlayer import RangeWarning, Structure, ThinLayer, ThinlayerError, estimate, goals, solve
+from thinlayer import RangeWarning, ThinLayer, ThinlayerError, estimate, goals, solve
 
 COARSE = 1 / 16
 KNOWN = {case.name: case for case in known_cases()}
@@ -89,17 +87,10 @@ def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
 
 
 def test_where_there_is_no_number_a_sentence_says_why():
-    base = {"body": FOURIER_BODY, "supports": {"RIGHT": {"x": 0.0}}, "element": "P1"}
-    loads = {"TOP": (0.0, -1.0), "LEFT": (0.2, 0.0)}
-    pushed = Structure(block(1.0, 1.0, 1 / 8, structured=True), tractions=loads, **base)
     fault = loaded(faults(1.0, 1.0, {"CUT": ((-0.1, 0.5), (0.6, 0.5))}, 1 / 8), (0.3, -1.0))
     layer, elastic = partial(ThinLayer, eps=COARSE, at=1.0), LinearElastic.shear(30.0, 0.3)
-    falls = NonMonotone(60.0, 40.0, alpha=0.3, transformation_energy=1e-3, chi=np.diag([0.0, 1.0]))
     for structure, law, words in [
-        (pushed, HolonomicCoulomb(100.0, 40.0, friction=0.0), "without a thickness"),
         (fault, layer(elastic), "tip"),
-        (rollers(COARSE), layer(falls), "falls"),
-        (rollers(COARSE), layer(Incompressible(40.0)), "no side that is free"),
         (free(COARSE), layer(elastic, profile=lambda x: 1 + 0.3 * x[0]), "extended"),
     ]:
         with unwarned():

@@ -395,16 +395,16 @@ def test_layers_in_time_and_bodies_that_are_not_linear(name):
     found = estimate(state, goals=(WORK, MOVED))
     known = compare(true, state)
     assert (found.traction, found.jump) == pytest.approx((known["error_traction"], known["error_jump"]), rel=2e-4)
-    last = true.last if times else true
+    last, near = true.last if times else true, (1e-5, 0.02) if name == "creeps" else (5e-4, 0.09)
     for goal in (WORK, MOVED):
         one, meshed = found.goals[goal.name], goal.value(last, full if goal is WORK else model)
-        assert one.change == pytest.approx(meshed - one.value, rel=5e-4), goal.name
+        assert one.change == pytest.approx(meshed - one.value, rel=near[0]), goal.name
         assert one.bounded == (name == "at once")
     if "stiff as" in name:  # the change is not small beside the answer
         with pytest.warns(RangeWarning, match="adds up to"):
             assert np.isfinite(found.density()).all()
     else:
-        assert Surface(model).integral(found.density()) == pytest.approx(found.goals["compliance"].change, rel=0.09)
+        assert Surface(model).integral(found.density()) == pytest.approx(found.goals["compliance"].change, rel=near[1])
 
 
 def test_densities_of_laws_with_unsymmetric_tangents_have_the_transposed_ones():
