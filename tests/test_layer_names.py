@@ -12,7 +12,7 @@ from tests.meshed_cases import mortar, panel, yielding
 from tests.network_cases import springs
 from tests.refused import refused
 from tests.test_networks import cut_at, on
-from thinlayer import LimitLoad, Structure, Surface, ThinLayer, compare, march, solve
+from thinlayer import Structure, Surface, ThinLayer, compare, march, solve
 
 COLUMN = sandwich(2.0, 4.0, 4.0, 1.0, cell="quadrilateral")  # cut at two heights into three blocks
 BLOCKS = cut_at(COLUMN, {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))})
@@ -81,19 +81,7 @@ def test_the_order_of_layers_makes_no_difference(tmp_path):
     refused(InputError, "is of another march", march, bricks.interface(swapped), times, out=tmp_path, resume=True)
 
 
-# ---------------------------------------------------------------- limits, snaps, what is told
-def test_a_limit_load_tells_which_layer_gives_way():
-    """Of two layers that yield the weaker one, though it is the later one."""
-    strong, weak = (MohrCoulomb(3.0, 2.0, cohesion=c, friction_angle=0.0) for c in (0.9, 0.4))
-    data = {"supports": {"BOTTOM": 0.0, "TOP": {"y": 0.0}}, "tractions": {"TOP": lambda x, t: (t, 0.0)}}
-    layers = {"LOW": ThinLayer(strong, 0.1, at=1.0), "HIGH": ThinLayer(weak, 0.1, at=1.0)}
-    with pytest.raises(LimitLoad, match=r"with jumps at the seams 'HIGH' 100%\. The states before") as limit:
-        march(pulled(body=50.0, **data).interface(layers), [0.3, 0.6])
-    assert limit.value.t == pytest.approx(0.4, rel=1e-3)
-    assert list(limit.value.shares) == ["HIGH", "LOW"]
-    assert limit.value.shares["LOW"] < 1e-6
-
-
+# ---------------------------------------------------------------- snaps
 def test_snaps_of_each_layer():
     """Both layers open at a traction of their own, one after the other."""
     chi = [[0, 0], [0, 1]]

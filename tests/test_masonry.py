@@ -55,6 +55,7 @@ def test_limit_of_a_sheared_panel():
     layers = {"BED": ThinLayer(bed, 0.01, at=1.0), "HEAD": ThinLayer(head, 0.01, at=1.0)}
     limit = limit_of(structure, layers, C * cos(angle) + sin(angle) * p)
     assert limit.shares == pytest.approx({"BED": 1.0, "HEAD": 0.0}, abs=1e-3)
+    assert ", with jumps at the seams 'BED' 100%. The states before" in str(limit)
 
 
 def test_limit_of_a_pulled_panel():
