@@ -163,22 +163,6 @@ def test_order_2_away_from_free_ends(structure_at, law, low):
     assert max(observed_orders(EPS, wrong[:, k])[-1] for k in range(3)) < 1.3
 
 
-def test_a_plate_in_plane_strain_is_its_section():
-    """Straight edges in 3D against 2D; front and back hold the layer's sides and are no free ends."""
-    law, held = LinearElastic.shear(3.0, 0.35), {"BACK": {"z": 0.0}, "FRONT": {"z": 0.0}}
-
-    def work(edges, depth=None, more=None, load=(0.3, -1)):
-        size = {"depth": depth, "cell": "hexahedron"} if depth else {"cell": "quadrilateral"}
-        joint = sandwich(1.0, 0.3, 0.3, 0.15, structured=True, **size)
-        setup = Structure(joint, body=BODY, supports={"BOTTOM": 0} | (more or {}), tractions={"TOP": load})
-        state = solve(setup.interface(ThinLayer(law, 0.1, order=1, edges=edges, at=1.0)))
-        return state.energies()["loads"] / (depth or 1)
-
-    section, infinite, plate = work("free"), work("plain"), work("free", 0.15, held, (0.3, -1, 0))
-    assert section > 1.02 * infinite  # ends make it weaker
-    assert plate == pytest.approx(section, rel=1e-10)  # grids of the same displacements
-
-
 # ---------------------------------------------------------------- what is refused
 
 
