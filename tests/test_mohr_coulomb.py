@@ -116,15 +116,6 @@ def test_the_return_is_the_solution_of_the_six_planes(name, lmbda):
     assert answer.q[:, :6] == pytest.approx(e - compliance(answer.stress, lmbda), abs=1e-14)
 
 
-def test_another_dilatancy_is_not_the_solution():
-    e = strains(np.random.default_rng(8), 50, 0.004)
-    law = MohrCoulomb(LMBDA, MU, C, 35.0, dilatancy_angle=12.0)
-    found = respond(law, e, 0 * e, at_rest(law, len(e)), normals(len(e)))
-    for k in np.flatnonzero(kinds(found.stress, found.q) == 1):
-        solutions = enumerated(principal(elastic(e[k])), 10.0, C, 35.0)
-        assert np.abs(principal(found.stress[k]) - np.sort(solutions[0])[::-1]).max() > 1e-5
-
-
 def test_torn_material_closes_only_when_the_volume_is_pressed_out():
     """psi = 0: at the cut-off the volume is plastic; unloading is elastic from there, compression comes late."""
     apex, bulk = C / np.tan(np.radians(OMEGA)), LMBDA + 2 * MU / 3

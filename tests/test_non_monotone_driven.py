@@ -47,8 +47,8 @@ def test_drive_is_the_closed_formula(n):
     assert back.memory == pytest.approx(found.memory, abs=1e-9)
 
 
-def test_as_printed_it_is_another_law():
-    """Eqs. (41)-(43): lmbda + mu, [u_1] for [u_2], and a threshold for chi_12 [u_i]."""
+def test_pure_phases_have_the_closed_formula():
+    """Where each of them holds, and no other one."""
     law, path = PURE["2D"], np.array(PATHS[2])
     found = drive(law, pulled("w", path))
     t, z = found.tractions, found.memory[:, 0]
@@ -57,11 +57,6 @@ def test_as_printed_it_is_another_law():
         formula, holds = NonMonotoneLimit(LMBDA, MU, ALPHA, C, CHI2, np.eye(2)[1]).pure(path, phase)
         assert (holds == (z == phase)).all()
         assert t[holds] == pytest.approx(formula[holds], rel=1e-12)
-    softer = (LMBDA + MU) * path[:, 1] - z * ALPHA * CHI2[1, 1]
-    crossed = (LMBDA + 2 * MU) * path[:, 0] - z * ALPHA * CHI2[1, 1]
-    for printed in (softer, crossed):
-        assert np.abs(printed - t[:, 1]).max() > 0.1 * np.abs(t[:, 1]).max()
-    assert ((ALPHA * CHI2[0, 1] * path[:, 0] >= C) != (z == 1)).any()
 
 
 def test_pure_phases_switch_at_the_jump_where_their_energies_are_equal():

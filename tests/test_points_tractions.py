@@ -40,23 +40,6 @@ def test_kelvin_voigt_and_norton_traction(jumps, theta, p):
     assert traction_of(law, jumps, theta) == pytest.approx(np.array(expected), rel=EXACT)
 
 
-def test_norton_as_printed_is_another_law(jumps):
-    """Without the 1/2, or with the bars around the rate alone; both show only where the layer is sheared."""
-    p, (w_old, w, n) = 3.0, jumps
-    v = (w - w_old) / DT
-    v_N = np.einsum("ki,ki->k", v, n)[:, None] * n
-    v_T = v - v_N
-    modulus = np.sqrt(np.sum(v_N**2, axis=1) + np.sum(v_T**2, axis=1) / 2)[:, None]
-    viscous = traction_of(Norton(LMBDA, MU, 5.0, p), jumps) - traction_of(ELASTIC, jumps)
-    without_half = 5.0 * modulus ** (p - 2) * (v_N + v_T)
-    bars_around_rate = 5.0 * np.linalg.norm(v, axis=1)[:, None] ** (p - 2) * (v_N + v_T / 2)
-    right = 5.0 * modulus ** (p - 2) * (v_N + v_T / 2)
-    size = np.linalg.norm(right)
-    assert np.linalg.norm(viscous - right) < EXACT * size
-    assert np.linalg.norm(viscous - without_half) > 0.2 * size
-    assert np.linalg.norm(viscous - bars_around_rate) > 0.1 * size
-
-
 @pytest.mark.parametrize("theta", [1.0, 0.7])
 def test_maxwell_rate_form(jumps, theta):
     """t1 = t2: (t - t_old)/dt + t_mid/t1 = K_L d[u]/dt, the end value of t being what is remembered.
