@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from forms import HolonomicCoulomb, LinearElastic, MohrCoulomb
+from forms import HolonomicCoulomb, LinearElastic
 from geometry import wall
 from geometry.joint import Joint
 from geometry.seam import Seam
 from geometry.topology import FacetTable
-from thinlayer import Structure, Surface, ThinLayer, march, solve
+from thinlayer import Structure, ThinLayer, solve
 
 WALL = {"P1": 0.011796375720487, "P2": 0.011640644960255, "Q1": 0.011718794213387, "Q2": 0.011631044498488}
 PANEL = {"P2": 0.00029830576641769, "Q2": 0.00029827111412196}
@@ -33,30 +33,6 @@ def wall_energy(element: str, joint: Joint | None = None) -> float:
     bricks = Structure(joint, body=LinearElastic.young(20.0, 0.2), supports=supports, element=element)
     found = solve(bricks.interface({"BED": springs(5.0, 2.1), "HEAD": springs(3.0, 1.3)})).energies()
     return found["bodies"] + found["layer"]
-
-
-def panel(element: str, h: float = 0.0625, **layers: ThinLayer):
-    """A panel of two courses, under the shift of its top at t = 1."""
-    joint = wall(2, 2, (1.0, 0.5), h, cell=cell_of(element))
-    supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.01 * t, "y": lambda x, t: -0.02 * t}}
-    bricks = Structure(joint, body=LinearElastic.young(1.0, 0.2), supports=supports, element=element)
-    return bricks.interface({"BED": springs(2.0, 0.7, 0.01), "HEAD": springs(1.2, 0.45, 0.007)} | layers)
-
-
-def panel_energy(element: str) -> tuple[float, float, float]:
-    """Energy, and norms of traction and jump on S."""
-    model = panel(element)
-    state, surface = solve(model, 1.0), Surface(model)
-    found = state.energies()
-    return found["bodies"] + found["layer"], surface.norm(surface.traction(state)), surface.norm(surface.jump(state))
-
-
-def yielded(element: str) -> tuple[float, float, float]:
-    """Stored and dissipated energy of the panel whose heads yield, and the largest imbalance of its steps."""
-    mortar = MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=30.0)
-    history = march(panel(element, HEAD=ThinLayer(mortar, 0.007, at=1.0)), [0.25, 0.5, 0.75, 1.0])
-    audits = [state.audit for state in history]
-    return audits[-1].total, sum(one.dissipated for one in audits), max(abs(one.imbalance) for one in audits)
 
 
 def three_bricks(m: int, cell: str, cross: bool = False) -> Joint:

@@ -9,7 +9,8 @@ from dolfinx import fem
 from forms import LinearElastic
 from geometry import wall
 from geometry.joint import Joint
-from tests.network_cases import BED, HEAD, panel, pushed, springs, three_bricks
+from tests.meshed_cases import mortar, panel
+from tests.network_cases import BED, HEAD, pushed, springs, three_bricks
 from tests.test_networks import cut_at, on
 from thinlayer import Structure, Surface, solve
 from thinlayer.discretisation.state import State
@@ -72,7 +73,7 @@ def differences(state: State, names=STIFF) -> np.ndarray:
 
 @cache
 def panel_state(m: int) -> State:
-    return solve(panel("Q2", 0.5 / m), 1.0)
+    return solve(panel("Q2", 0.5 / m).interface(mortar(0.01)), 1.0)
 
 
 # ---------------------------------------------------------------- numbers on ranks
