@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 import ufl
@@ -11,12 +9,9 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from scipy.spatial.transform import Rotation
 
-from forms import BulkLaw, LinearElastic, Stack
+from forms import LinearElastic, Stack
 from forms.base import InputError
-from forms.elastic import lame
 from forms.work import Interface, energy, surface
-from geometry import sandwich
-from thinlayer import Structure, ThinLayer
 
 SUBLAYERS = [(0.3, 400.0, 20.0), (0.3, 20.0, 60.0), (0.4, 60.0, 5.0)]  # fraction, lmbda, mu
 ONE = [(1.0, 60.0, 5.0)]
@@ -101,26 +96,6 @@ def test_energy_of_the_stations(d, sublayers):
 
 
 # ---------------------------------------------------------------- what laws say
-@dataclass(frozen=True)
-class Locking(BulkLaw):
-    """Isotropic; the stations are those of all laws."""
-
-    lmbda: float
-    mu: float
-    powers = {"lmbda": 1, "mu": 1}
-    linear = True
-
-    def stress(self, step):
-        return lame(self.lmbda, self.mu, step.mid)
-
-
-def test_a_law_says_up_to_which_ratio_its_stations_hold():
-    plates = Structure(sandwich(1.0, 0.5, 0.5, 0.5), body=LinearElastic.young(100.0, 0.3), supports={"BOTTOM": 0.0})
-    plates.interface(ThinLayer(Locking(11.9, 1.0), 0.1, order=1, at=1.0))
-    with pytest.raises(InputError, match=r"order=1 of Locking with lmbda/mu = 12.1"):
-        plates.interface(ThinLayer(Locking(12.1, 1.0), 0.1, order=1, at=1.0))
-
-
 def test_functions_need_sides_that_know_them():
     facet, law = Facet(2), LinearElastic(lambda x: 60 + x[0], 40.0)
     with pytest.raises(InputError, match=r"parameters that are functions: the sides of S must know their values"):
