@@ -12,7 +12,7 @@ from studies.problems import sliding_bar
 from tests.contact_bars import bar, contact, coulomb, solved, stacked
 from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
-from thinlayer import Structure, Surface, ThinLayer, march, plotting, solve
+from thinlayer import Structure, Surface, ThinLayer, plotting, solve
 from thinlayer.discretisation.contact_nodes import frames_at
 from thinlayer.output.plotting.structures import _around
 
@@ -94,7 +94,6 @@ def test_refused_models():
     joint, setup = sliding_bar(4)
     law = coulomb("middle")
     refused(InputError, "alone", lambda: ThinLayer(law, 0.1, profile=lambda x: 1 + x[0], at=1.0))
-    refused(InputError, "without a thickness", lambda: Structure(joint, **setup).full(law))
     refused(InputError, "contact law", lambda: contact(solve(Structure(joint, **setup).bonded())))
     two, data = stacked()
     refused(InputError, "rigid motion", lambda: Structure(two, **data | {"supports": {}}).interface(law))
@@ -122,5 +121,3 @@ def test_refused_solves():
         refused(InputError, "allowed", solve, model, method="relaxation", options={f"relaxation_{name}": value})
     for name in ("snes_max_it", "relaxation_omga", "ksp_type"):
         refused(InputError, "not read", solve, model, method="condensed", options={name: "many"})
-    refused(InputError, "theta", lambda: march(model, [1.0], theta=0.5))
-    refused(InputError, "unknown seam 'BED'", lambda: contact(solve(model), "BED"))

@@ -9,7 +9,6 @@ import ufl
 from forms import Anisotropic, LinearElastic
 from forms.base import InputError
 from geometry import ring
-from geometry.inflating.inflation import inflate
 from geometry.seam import Seam
 from studies.cylinders import lame
 from studies.problems import FOURIER_LAYER, fourier
@@ -112,7 +111,7 @@ def test_rigid_base_takes_all_of_eps():
 
 
 def test_bodies_are_kept_on_shallow_arcs():
-    """They move apart in one piece, and bounds contain the goals of the meshed layer; steeper arcs are refused."""
+    """They move apart in one piece, and bounds contain the goals of the meshed layer."""
     joint, layer = ring(*RADII, 0.25, angle=0.5, degree=2), ThinLayer(GLUE, 0.02)
     structure = Structure(joint, **pressed(joint) | {"tractions": {"OUTSIDE": (0.4, 0.3)}})
     with pytest.warns(RangeWarning, match=r"its thickness is 0\.978 to 1\.010 of eps"):
@@ -121,7 +120,6 @@ def test_bodies_are_kept_on_shallow_arcs():
     found = estimate(solve(structure.interface(layer)), goals=[goal])
     bounds, value = found.goals[goal.name], goal.value(meshed, found.better.model)
     assert bounds.lower <= value <= bounds.upper < bounds.lower + 1e-3 * abs(bounds.better - bounds.value)
-    refused(InputError, "S is not planar", inflate, ring(*RADII, 0.25, angle=1.3), 0.02)
 
 
 # ---------------------------------------------------------------------------------------------- varying thickness

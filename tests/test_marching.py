@@ -32,7 +32,6 @@ def test_a_law_without_a_rate_answers_a_sudden_load_at_once():
     assert history.table["opening"] == pytest.approx((1 + np.array([0.0, 0.1, 0.2]) / 0.7) / K_N, rel=1e-9)
     with pytest.warns(RangeWarning, match=r"Maxwell relaxes with the time 0\.7, and a solve knows no time"):
         assert solve(model, 1.0).u.x.array == pytest.approx(history.at(1.0).u.x.array, abs=1e-12)
-    refused(InputError, "KelvinVoigt depends on rates: no equilibrium", lambda: solve(interface()))
 
 
 @pytest.mark.parametrize("law", [SLOW, SUDDEN, Stack((0.4, LinearElastic(6.0, 4.0)), (0.6, SLOW))], ids=str)

@@ -11,7 +11,7 @@ from dolfinx import fem
 from dolfinx.mesh import meshtags
 from petsc4py import PETSc
 
-from forms import Anisotropic, LinearElastic
+from forms import LinearElastic
 from forms.base import InputError
 from forms.work import work
 from geometry import sandwich
@@ -92,7 +92,6 @@ def test_failed_solves_say_why():
     hard = structure().interface(ThinLayer(Cubic(5.0, 4e9), 0.1, at=1.0))
     refused(SolveError, r"failed after \d steps: DIVERGED.*residual.*try", solve, hard, options={"snes_max_it": 2})
     refused(ValueError, "linear, newton", lambda: solve(model, method="simplex"))
-    refused(ValueError, "cannot solve a non-linear law", lambda: solve(hard, method="linear"))
 
 
 def test_models_that_cannot_be_built():
@@ -111,7 +110,6 @@ def test_models_that_cannot_be_built():
         (dict(tractions={"UP": (1.0, 2.0)}), "unknown facet set 'UP'"),
         (dict(body_force={"MIDDLE": (0.0, 1.0)}), "unknown body 'MIDDLE'"),
         (dict(body={"LOWER": BODY}), "body 'UPPER' has no law"),
-        (dict(body=Anisotropic.springs(1.0, 1.0)), "in a body use frame='global'"),
         (dict(plane="stres"), "did you mean 'stress'"),
         (dict(element="Q2"), "does not exist on triangle cells; allowed: P1, P2"),
         (dict(layer=GLUE), r"give ThinLayer\(law, eps\)"),
