@@ -135,15 +135,6 @@ def test_meshed_layer_does_not_lock():
     assert errors[1] > 5 * errors[0]
 
 
-def test_order_0_is_the_elastic_law():
-    """Without flow along S the pressure is lmbda [u_N]/eps."""
-    joint, setup = fourier(1 / 8)
-    layers = [ThinLayer(law(30.0, 20.0), 0.1, at=1.0) for law in (Rubber, LinearElastic)]
-    with_pressure, elastic = (solve(Structure(joint, **setup).interface(layer)) for layer in layers)
-    assert with_pressure.energies() == pytest.approx(elastic.energies(), rel=1e-4)  # p is of degree 1
-    assert with_pressure.p is not None
-
-
 def test_free_ends():
     """The pressure is zero at free ends that cells resolve, and at those alone."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, h_S=1 / 16, h_ends=1 / 40)
