@@ -143,7 +143,7 @@ def test_slip_of_a_layer_is_what_its_traction_says(written, stacked):
     assert ("plastic" in names) != stacked
     assert set(on_s["status"]) <= {0, 1}
     assert list(on_s.field_data["status codes"])[:2] == ["0 elastic", "1 sliding"]
-    t_T, w_T, n = (_means(on_s, one) for one in ("t_T", "w_T", "normal"))
+    t_T, w_T, n = (on_s.point_data_to_cell_data()[one] for one in ("t_T", "w_T", "normal"))
     tangent = np.column_stack([n[:, 1], -n[:, 0]])
     e = on_s[name]
     plastic = np.stack([e[:, [0, 3]], e[:, [3, 1]]], axis=1)
@@ -154,10 +154,6 @@ def test_slip_of_a_layer_is_what_its_traction_says(written, stacked):
     order = np.argsort(centres_of(on_s))[inner]
     assert 0.9 * slip[order] == pytest.approx((w_T - compliance * t_T)[order], rel=2e-2)  # an elastic fraction of .1
     assert slip[order] != pytest.approx((w_T - compliance * t_T)[order], rel=5e-2)
-
-
-def _means(block, name):
-    return block.point_data_to_cell_data()[name]
 
 
 def centres_of(block):

@@ -77,7 +77,8 @@ def test_lame():
     """A ring whose outer rim is held along its normal alone, pressed from inside: Lame's closed form of its stiffness."""
     a, b, E, nu, p = 1.0, 2.0, 100.0, 0.3, 2.0
     joint = ring(a, 1.5, b, h=0.25, degree=2)
-    held = {"OUTSIDE": {"n": 0.0}, _rightmost(joint): {"y": 0.0}}
+    rightmost = tuple(map(float, joint.points[joint.points[:, 0].argmax()]))
+    held = {"OUTSIDE": {"n": 0.0}, rightmost: {"y": 0.0}}
     structure = Structure(joint, body=LinearElastic.young(E, nu), supports=held, tractions={"INSIDE": Pressure(p)})
     state = solve(structure.bonded())
     # u = A r + B/r, u(b) = 0, sigma_r(a) = -p
@@ -86,10 +87,6 @@ def test_lame():
     inner = B * (1 / a - a / b**2)
     assert _mean_radial(state) == pytest.approx(inner, rel=2e-4)
     assert np.abs(state.reaction("OUTSIDE").force).max() < 1e-8  # each balances itself
-
-
-def _rightmost(joint):
-    return tuple(float(c) for c in joint.points[joint.points[:, 0].argmax()])
 
 
 def _mean_radial(state):
