@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms import Norton, Stack
+from forms import LinearElastic, Norton, Stack
 from tests.at_points import DT, E2, jump_strain, material, respond, situation, traction
 from tests.laws_at_points import (
     EXACT,
@@ -79,6 +79,17 @@ def test_elastic_sublayer_over_a_plastic_one_carries_its_limit():
     K = 1 / (0.4 / STIFF.mu + 0.6 / MISES.mu)
     assert found == pytest.approx(np.minimum(K * np.linspace(0.0, 1.0, 21)[1:], t_T), rel=1e-9)
     assert q[0, 0] == pytest.approx(t_T / STIFF.mu - 1.0, rel=1e-9)  # share of the elastic sublayer beyond the jump
+
+
+def test_elastic_sublayers_return_to_zero():
+    """Of a strain that ends at zero shares are rounding, which gets smaller from iteration to iteration."""
+    random, law = np.random.default_rng(3), Stack((0.3, LinearElastic(7.0, 3.0)), (0.7, STIFF))
+    e, n = random.normal(size=(200, 6)) * 10 ** random.uniform(-6, 0, (200, 1)), random.normal(size=(200, 3))
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    there = respond(law, e, 0 * e, np.zeros((200, material(law).memory)), n)
+    back = respond(law, 0 * e, e, there.q, n)
+    assert (there.failed, back.failed) == (0, 0)
+    assert np.abs(back.stress).max() < 1e-14
 
 
 SHARING = [(MAXWELL, NORTON_15), (MAXWELL, Norton(LMBDA, MU, 5.0, 1.2)), (KELVIN, MAXWELL, NORTON_15, NORTON_3, MISES)]

@@ -26,6 +26,7 @@ typedef struct {
 } frame;
 
 static const double root2 = 1.4142135623730951, FARTHEST = 1e3, NO_STRAIN = 1e-13, LIGHT = 1e-6;
+static const double SMALLEST = 1e-32; /* of the strains before: of a return to zero the rest only gets smaller and smaller */
 
 static void evaluate_in_space(sublayer *a)
 {
@@ -235,20 +236,20 @@ static int in_series(sublayer *layers, int count, const double *e, const frame *
         }
         const int kind = step_of(layers, count, S, A, 1);
         if (!kind) return 0;
-        double whole = 0, largest = 0, force = 0, apart = 0, rounding = 0;
+        double whole = 0, largest = 0, force = 0, apart = 0, rounding = 0, stiffest = 0;
         for (int k = 0; k < 6; k++) whole = fmax(whole, fabs(e[k]));
         for (int i = 0; i < count; i++) {
             const sublayer *a = &layers[i];
-            double strain = 0, stiffest = 0;
+            double strain = 0, stiff = 0;
             for (int k = 0; k < 6; k++) strain = fmax(strain, fabs(a->in[k]));
             for (int j = 0; j < 3; j++) {
                 force = fmax(force, fabs(a->t[j])), whole = fmax(whole, fabs(a->g[j]));
                 apart = fmax(apart, fabs(a->t[j] - A[(3 * count + j) * stride + size]));
-                for (int k = 0; k < 6; k++) stiffest = fmax(stiffest, fabs(a->across[k][j]));
+                for (int k = 0; k < 6; k++) stiff = fmax(stiff, fabs(a->across[k][j]));
             }
-            rounding = fmax(rounding, stiffest * strain);
+            rounding = fmax(rounding, stiff * strain), stiffest = fmax(stiffest, stiff);
         }
-        converged = apart <= 1e-14 * force + 1e-16 * rounding;
+        converged = apart <= 1e-14 * force + 1e-16 * rounding + SMALLEST * stiffest * strains;
         if (converged) break;
         for (int i = 0; i < count; i++)
             for (int j = 0; j < 3; j++) largest = fmax(largest, fabs(layers[i].step[j] = A[(3 * i + j) * stride + size]));
