@@ -8,6 +8,7 @@ import basix
 import numpy as np
 import ufl
 from dolfinx import fem
+from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, require
 from forms.planes import Kinematics
@@ -15,7 +16,7 @@ from geometry.domain import Domain, cell_nodes, cells_of_facets
 from geometry.joint import Joint
 from geometry.refusals import refuse, require_known
 from geometry.seam import LAYER, S
-from geometry.topology import BoolArray, Indices, IntArray, connected, sums
+from geometry.topology import BoolArray, Indices, IntArray, connected, facet_normals, sums
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.ranks import send
 
@@ -99,8 +100,10 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
         raise InputError(f"{what}: this side is identified with another one, the structure goes on there; {remedy}")
 
 
-def node_normals(domain: Domain, V: fem.FunctionSpace, facets: Indices) -> tuple[IntArray, Array]:
+def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntArray, Array]:
     """Outer normals of facets at their nodes, with weights whose sum at a vertex on a circle or sphere is along its normal.
+
+    A layer's side has the normals of the side that it continues: bodies that have made room may stand askew.
 
     The weight is sin(angle)/(product of lengths) of the facet's edges at a vertex (Max 1999, Weights for computing vertex
     normals from facet normals), in 2D 1/length, so that the triangulation of a smooth side does not show. Collective.
@@ -108,16 +111,17 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, facets: Indices) -> tuple
     Args:
         domain: the domain.
         V: a space of nodal displacements.
-        facets: local facets of the outer boundary; ghosts are left out.
+        place: name of facets on the outer boundary; ghosts are left out.
 
     Returns:
         (n,) local numbers of blocks of this rank, one for each of the facets around a node, and (n, d) normals.
     """
     mesh, d = domain.mesh, domain.joint.dim
     kind, points, layout = basix.CellType[domain.joint.cell_type], interpolation_points(V), V.dofmap.dof_layout
+    facets = domain.facets(place, layer_sides=True)
     cells, local = cells_of_facets(mesh, facets)
     owned = cells < mesh.topology.index_map(d).size_local
-    cells, local = cells[owned], local[owned]
+    cells, local, continued = cells[owned], local[owned], _continued(domain, place, facets[owned])
     jacobian = fem.Expression(ufl.Jacobian(mesh), points)
     J = jacobian.eval(mesh, cells).reshape(len(cells), len(points), d, d) if len(cells) else np.empty((0, 1, d, d))
     outward, corners = basix.cell.facet_outward_normals(kind), basix.topology(kind)[d - 1]
@@ -128,12 +132,35 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, facets: Indices) -> tuple
         inverse = np.linalg.inv(J[here][:, nodes])
         n = np.einsum("cnji,j->cni", inverse, outward[number])  # the normal is along J^-T of the reference's
         n /= np.linalg.norm(n, axis=2)[..., None]
+        n = np.where(np.isnan(continued[here]), n.swapaxes(0, 1), continued[here]).swapaxes(0, 1)
         x = mesh.geometry.x[cell_nodes(mesh)[cells[here]][:, corners[number]]]
         for k, corner in enumerate(corners[number]):
             n[:, nodes == layout.entity_dofs(0, corner)[0]] *= _weights(x, k)[:, None, None]
         blocks.append(np.asarray(V.dofmap.list)[cells[here]][:, nodes].ravel().astype(np.int64))
         normals.append(n.reshape(-1, d))
     return _at_owners(domain, V, np.concatenate(blocks), np.concatenate(normals))
+
+
+def _continued(domain: Domain, place: str, facets: Indices) -> Array:
+    """(n, d) outer unit normals of the side that facets of layers continue, before inflating; NaN for other facets."""
+    joint, band, name = domain.joint, domain.joint.band, place.split("/")[0]
+    out = np.full((len(facets), joint.dim), np.nan)
+    if band is None or name not in band.base.facets or not len(facets):
+        return out
+    base, rows = band.base, band.base.facets[name]
+    cells = base.table.cells[base.table.index(rows), 0]
+    inward = base.points[base.corners[cells]].mean(axis=1) - base.points[rows].mean(axis=1)
+    normals = facet_normals(base.points, rows[:, : joint.dim], {2: "triangle", 3: "tetrahedron"}[joint.dim])[:, 0]
+    normals *= -np.sign((normals * inward).sum(axis=1))[:, None]
+    numbers = domain.numbers(joint.dim - 1, facets)
+    regions = np.array(joint.regions)[joint.region[joint.table.cells[numbers, 0]]]
+    layers = np.flatnonzero(np.isin(regions, band.regions))
+    _, of_base = cKDTree(base.points).query(band.reference[joint.table.vertices[numbers[layers]]])
+    for facet, vertices in zip(layers, of_base, strict=True):
+        beside = np.isin(rows, vertices).sum(axis=1) == len(np.unique(vertices))
+        if length := np.linalg.norm(mean := normals[beside].sum(axis=0)):
+            out[facet] = mean / length
+    return out
 
 
 def _weights(x: Array, k: int) -> Array:

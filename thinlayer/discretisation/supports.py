@@ -252,7 +252,7 @@ class Prescribed:
         columns: list[Array] = [np.empty((0, d + 2))]  # source, block, normal
         for number, one in enumerate(self._sources):
             if one.axis == NORMAL:
-                nodes, n = node_normals(domain, self.V, domain.facets(str(one.place), layer_sides=True))
+                nodes, n = node_normals(domain, self.V, str(one.place))
                 columns.append(np.column_stack([np.full(len(nodes), number), nodes, n]))
         table, rows = np.concatenate(columns), [np.empty((0, d + 2))]
         table = table[np.argsort(table[:, 1], kind="stable")]
