@@ -8,7 +8,8 @@ import pytest
 from forms import KelvinVoigt, LinearElastic
 from geometry import sandwich
 from studies.problems import FOURIER_BODY, fourier
-from thinlayer import Structure, ThinLayer, compare, march, solve
+from tests.refused import refused
+from thinlayer import InputError, Structure, ThinLayer, compare, march, solve
 
 pytestmark = pytest.mark.few(5)
 
@@ -29,6 +30,7 @@ def test_the_next_order_is_one_more(plane, order, rate):
         errors.append(compare(*(march(model, [0.2, 0.5]) for model in models)))
     for key in ("error_traction", "error_jump"):
         assert np.log2(errors[0][key] / errors[1][key]) == pytest.approx(rate, abs=0.1), key
+    refused(InputError, "KelvinVoigt depends on rates", lambda: solve(models[1]))
 
 
 def compliance_of_a_lap_joint(plane: str = "strain", depth: float | None = None) -> float:

@@ -311,7 +311,9 @@ class State(Configuration):
                 yield p, stress(p, self.u), p.measure
                 continue
             if p.measure.integral_type() != "cell":
-                raise InputError(f"the stress of {type(p.law).__name__} on S is no field; see Surface.traction")
+                raise InputError(
+                    f"the stress of {type(p.law.in_space).__name__} on S is no field; see Surface.traction"
+                )
             rules = self.model.quadratures.items()
             key, points = next((key, one) for key, one in rules if one.term.measure is p.measure)
             values = self.stresses.get(key, np.zeros((points.count, len(MANDEL))))

@@ -34,7 +34,7 @@ def falls(points: CompiledTerm, e: Array, e_old: Array, memory: Array, response:
     """Name of a law whose stress falls at strains e or since e_old, and where; None: it does not. Collective."""
     term = points.term
     count = points.comm.allreduce(points.falls(e, e_old, memory, response))
-    return (type(term.law).__name__, f"at {count} points of the {term.key or LAYER}") if count else None
+    return (type(term.law.in_space).__name__, f"at {count} points of the {term.key or LAYER}") if count else None
 
 
 class GivenAtPoints:
@@ -88,7 +88,7 @@ class CompiledPart(Part):
         self.traits = replace(PartTraits.of(law), inner=self._in_body)
 
     def named(self) -> dict[str, PartTraits]:
-        return {type(law).__name__: PartTraits.of(law) for _, law in self.law.sublayers}
+        return {type(law.in_space).__name__: PartTraits.of(law) for _, law in self.law.sublayers}
 
     def destroy(self) -> None:
         destroy(self.points, self._tangent)
@@ -141,7 +141,7 @@ class CompiledPart(Part):
     def tangents(self, relative_residual: float) -> list[Block]:
         """As in `Part`. InputError: a law declares a symmetric tangent and has another; half of it would be lost."""
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY:
-            raise InputError(NOT_SYMMETRIC.format(type(self.law).__name__, skew))
+            raise InputError(NOT_SYMMETRIC.format(type(self.law.in_space).__name__, skew))
         self._tangent = self.points.stiffness(self._response.tangent, relative_residual, self._tangent)
         return [Block(one, kept=True) for one in (self._tangent, *self.points.constant)]
 
@@ -206,12 +206,12 @@ class CompiledPart(Part):
         return falls(self.points, self._e, self._e_old, self._memory, self._response)
 
     def takes_time(self) -> str:
-        return next((type(law).__name__ for _, law in self.law.sublayers if takes_time(law)), "")
+        return next((type(law.in_space).__name__ for _, law in self.law.sublayers if takes_time(law)), "")
 
     def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
         for (_, law), changes in zip(self.law.sublayers, self._change(times), strict=True):
             if not takes_time(law) and (changes or not law.traits.linear):
-                return type(law).__name__, bool(changes)
+                return type(law.in_space).__name__, bool(changes)
         return None
 
     def _change(self, times: Sequence[float]) -> Array:

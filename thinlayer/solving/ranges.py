@@ -285,7 +285,7 @@ def warn_of_no_time(model: Model) -> None:
 def _own_times(model: Model) -> list[tuple[str, float]]:
     """Names of laws with a time each, where parameters are numbers."""
     laws = [*model.body_laws.values(), *(law for one in model.layers.values() for _, law in one.law.sublayers)]
-    return [(type(law).__name__, float(own)) for law in laws if not law.fields for own in law.own_times]
+    return [(type(law.in_space).__name__, float(own)) for law in laws if not law.fields for own in law.own_times]
 
 
 def _step_error(x: float, theta: float) -> float:
