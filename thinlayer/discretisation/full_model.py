@@ -115,6 +115,8 @@ class FullModel(Model):
                     law = law if law.traits.compiled else law.for_points()
                     degree = quadrature_degree(self.V, ufl.dS) + self.kinematics.degree
                     rule = {"metadata": {"quadrature_degree": degree}}
+                elif not rule and needs_director(law):  # whose length is a root: UFL would take degree 100
+                    rule = {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx)}}
                 law = law if law.traits.compiled else constants(law, mesh)
                 cells = self.dx(self.domain.cell_values(region, *self._shared(name)), **rule)
                 term = forms.band(law, cells, n, self.kinematics)
