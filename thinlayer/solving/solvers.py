@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, TypedDict
 
@@ -270,7 +270,8 @@ class Solver(AbstractContextManager["Solver"]):
         try:
             return self._accept(found.x, Report(self.method, found.iterations, found.residual, seconds))
         except LooseBody:  # the loads may be at their limit itself: then displacements run away a little beyond it
-            follow(2 * t - old.t)
+            with suppress(InputError):  # what is given as a table may end before
+                follow(2 * t - old.t)
             raise
 
     def _from_like(self, attempt: Attempt, old: State) -> tuple[Found, int] | None:
