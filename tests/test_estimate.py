@@ -9,7 +9,7 @@ from functools import cache
 import pytest
 import ufl
 
-from forms import Incompressible, LinearElastic, Maxwell, Norton
+from forms import Incompressible, LinearElastic, Maxwell, Norton, NortonCreep, VonMises
 from forms.base import InputError
 from geometry import block, faults, sandwich
 from tests.own_laws import Skew
@@ -119,6 +119,31 @@ def test_histories_that_are_not_marched_again():
     model = structure().interface(ThinLayer(Norton(lmbda=1.2, mu=2.0, eta=0.7, p=1.5), EPS / 2, at=1.0))
     refused(InputError, "marched with theta", lambda: estimate(march(model, [0.5], theta=0.5)))
     refused(InputError, "goes on from a state", lambda: estimate(march(march(model, [0.3]), [0.9])))
+
+
+def test_a_density_beside_a_support_of_one_side_is_told():
+    """Equilibrium gives the reaction, and bonds hold the other side at the end of S, where the density lacks it."""
+    bonded = solve(structure(supports={"BOTTOM": {"y": 0}, "LEFT/LOWER": {"x": 0}}).bonded())
+    found = estimate(bonded, LAYER, goals.Reaction("LEFT", LOAD))
+    with pytest.warns(RangeWarning, match="not to .*, as a support holds one side of a bond's end"):
+        found.density(next(iter(found.goals)))
+
+
+@pytest.mark.parametrize("law", [GLUE, NortonCreep(3.0, 2.0, 0.05, 3.0)])
+def test_a_history_may_begin_where_supports_have_moved_what_bears_nothing(law):
+    """Its first state is rounding; the last one errs as where nothing has moved."""
+    load = {"tractions": {"TOP": lambda x, t: (0.3 * t, -t)}}
+    made = [structure(supports={"BOTTOM": shift}, **load) for shift in (0, {"x": 0.004, "y": -0.003})]
+    still, moved = (estimate(march(one.interface(ThinLayer(law, EPS)), [0.5, 1.0])) for one in made)
+    assert (moved.traction, moved.jump) == pytest.approx((still.traction, still.jump), rel=1e-6)
+
+
+def test_a_pressure_beside_a_layer_that_yields_is_no_softening():
+    made = structure(faults(1.0, 1.0, TWO, 0.2), supports=ROLLERS, tractions={"TOP": lambda x, t: (0.3, x[0] - 1)})
+    yielding, found = ThinLayer(VonMises(3.0, 2.0, strength=0.3, hardening=0.5), EPS), []
+    for law in (Incompressible(2.0), LinearElastic(2e4, 2.0)):
+        found.append(estimate(march(made.interface({"A": ThinLayer(law, EPS), "B": yielding}), [1.0])).jump)
+    assert found[0] == pytest.approx(found[1], rel=1e-2)
 
 
 # ---------------------------------------------------------------- words

@@ -133,6 +133,8 @@ def estimate(
         has_bounds = bounded and at.upper - at.lower < math.inf
         slack = ROUNDING * max(abs(values[name]), abs(at.told)) + at.rounding if has_bounds else math.nan
         found[name] = GoalError(values[name], at.told, scale, at.lower - slack, at.upper + slack)
+        if not math.isfinite(at.told):
+            raise SolveError(f"estimate: {name} is not finite where a law fails", advice=REMEDY)
         if at.lower - at.upper > slack + FIXED * scale:
             contradiction = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
             raise SolveError(f"estimate: the bounds of {name} contradict each other: {contradiction}", advice=REMEDY)

@@ -28,6 +28,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 from numpy.linalg import norm
 
 from forms.base import Array, InputError
@@ -263,12 +264,18 @@ class GlobalLocal:
         """The iterate, with bodies in equilibrium but for S, to first order, where they are not linear."""
         if not self._nonlinear:
             return one
-        missing, (dofs, _) = self._lack(one.u), self.layers.of_faces(one.F)
-        missing[dofs] = 0.0
-        missing[self.equations.constraints.held] = 0.0
+        missing = self._lack(one.u)
+        missing[self.layers.of_faces(one.F)[0]] = 0.0
         d = self.adjoint.displacements(np.arange(self.n), missing)
         v, F = one.v + self.layers.at_faces(d), one.F - self._pulled(self._resisted(d))
-        return replace(one, u=one.u + d, v=v, F=F, gained=one.gained + self._product(missing, d))
+        return replace(one, u=one.u + d, v=v, F=F, gained=one.gained + self._work(missing, d))
+
+    def _work(self, forces: Array, d: Array) -> float:
+        """Of nodal forces (m,) in small displacements (m,); reactions have none, though rounding moves supports."""
+        constraints = self.equations.constraints
+        forces = constraints.forces(forces).copy()
+        forces[constraints.held] = 0.0
+        return self._product(forces, constraints.unknowns(d))
 
     def newton_step(self, one: Iterate) -> Iterate:
         """Toward meshed layers whose laws are not linear: conjugate steps with their tangent, while the energy falls."""
@@ -287,7 +294,7 @@ class GlobalLocal:
             u = one.u + share * du
             lack = self._lack(u)
             new = self._settled(replace(aim, u=u, v=one.v + share * dv, F=self._pulled(lack)))
-            return self._product(lack, du) - float(self.layers.held(new.v, new.load, new.values) @ dv)
+            return self._work(lack, du) - float(self.layers.held(new.v, new.load, new.values) @ dv)
 
         if (start := aim.gained - one.gained) > LOST * abs(one.F @ one.v):
             share_of_step(slope, start)
@@ -299,7 +306,12 @@ class GlobalLocal:
         Raises:
             SolveError: it is not found.
         """
-        one = self.first()
+        one, u = self.first(), self.state.u.x.array
+        moved = self.model.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
+        if (
+            norm(one.F) <= ROUNDING * self.equations.scale.stiffness[0] * moved
+        ):  # supports have moved what bears nothing
+            return one
         least = BALANCED * norm(self.residual(one)) + UNBALANCED * norm(one.F)
         for _ in range(NEWTON_STEPS):
             old, one = one, self.newton_step(one)

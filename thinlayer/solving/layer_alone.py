@@ -34,6 +34,7 @@ Vertices = tuple[int, ...]
 NEWTON_STEPS = 100  # at most
 REMEDY = "mesh the layer (structure.full), in smaller steps of time if it slips or opens far"
 SETTLED = 1e-9  # what a step of Newton's changes, in the energy norm and relative, that counts as none
+ROUNDING = 1e-14  # of a step of Newton's, over the displacements
 LEAST_SHARE, SHARES = 0.1, 8  # of a step in the one before, number of them in turn
 PARTS = 32  # of a straight way between two displacements, over which work is summed
 MOST_LOST = 0.01  # of the work of forces in what they move, by which the energy there may differ from it
@@ -146,8 +147,9 @@ class HeldLayers:
             self.linearise(w)
             d = np.zeros_like(w)
             first = factor().solve(forces - self.residual(w), d)
-            if first <= SETTLED**2 * abs(w @ (self.K @ w)):
-                if factor().indefinite:
+            rounding = ROUNDING * np.abs(w[: self._displacements]).max(initial=0.0)
+            if first <= max(SETTLED**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
+                if factor().negative > self._inside[self._displacements :].sum():  # each pressure has one
                     raise SolveError("the layer by itself softens: its stress falls as strains grow", advice=REMEDY)
                 return w
             w = w + d * share_of_step(slope, first)
@@ -316,11 +318,11 @@ class _Factor:
         self._x, self._b = A.createVecs()
 
     @property
-    def indefinite(self) -> bool:
-        """Whether a symmetric matrix has negative eigenvalues."""
+    def negative(self) -> int:
+        """Number of negative eigenvalues of a symmetric matrix."""
         if not (self._symmetric and self._which.any()):
-            return False
-        return bool(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12) > 0)  # negative pivots
+            return 0
+        return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12))  # negative pivots
 
     def solve(self, b: Array, out: Array) -> float:
         """Write the solution into `out`; returns its product with b."""
@@ -334,11 +336,12 @@ class _Factor:
 
 def share_of_step(slope: Callable[[float], float], start: float) -> float:
     """The share of a step at which the slope of a convex energy, `start` > 0 downhill at first, is not far uphill."""
-    share = 1.0
-    while not (end := slope(share)) >= -start / 2:  # a law that fails has none
+    share = 1.0 if math.isfinite(start) else 0.0
+    while share and not (end := slope(share)) >= -start / 2:  # a law that fails has none
         share *= max(start / (start - end), LEAST_SHARE) if end < 0 else LEAST_SHARE
-        if share < LEAST_SHARE**SHARES:
-            raise SolveError("the layer by itself: Newton's steps lead nowhere; it fails, or softens", advice=REMEDY)
+        share = share if share >= LEAST_SHARE**SHARES else 0.0
+    if not share:
+        raise SolveError("the layer by itself: Newton's steps lead nowhere; it fails, or softens", advice=REMEDY)
     return share
 
 
