@@ -1,0 +1,55 @@
+"""Golden tables: `python3 -m tests.tables OUT` compares those that `thinlayer run --all --quick --out OUT` has written.
+
+They are no truths, as in `tests/golden.json`: they hold every number of the studies while code moves. `--write` writes them
+anew. Meshes are gmsh's; another version of it has other numbers.
+"""
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+NUMBERS = Path(__file__).with_name("tables.json")
+CLOSE = 1e-4  # relative to the largest value of a column
+ROUNDING = 1e-8
+COSTS = {"seconds", "newton_steps", "sweeps", "equilibrium", "remainder"}
+
+
+def sums(path: Path) -> dict[str, list[float]]:
+    """Of each column of numbers: of its values, and of its values times the number of their row."""
+    with path.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    found = {}
+    for name in rows[0] if rows else ():
+        try:
+            values = np.array([float(row[name] or "nan") for row in rows])
+        except ValueError:
+            continue
+        if not COSTS & {*name.split()}:
+            three = np.nansum(values), np.nansum(values * np.arange(1, len(rows) + 1)), np.nanmax(np.abs([*values, 0]))
+            found[name] = [float(f"{value:.9g}") for value in three]
+    return found
+
+
+def main(out: str, *options: str) -> int:
+    """Print what differs; 1 if something does."""
+    found = {str(path.relative_to(out)): sums(path) for path in sorted(Path(out).rglob("*.csv"))}
+    if "--write" in options:
+        rows = [f"{json.dumps(name)}: {json.dumps(columns)}" for name, columns in found.items()]
+        NUMBERS.write_text("{" + ",\n".join(rows) + "}\n", encoding="utf-8")
+        return 0
+    golden, differ = json.loads(NUMBERS.read_text(encoding="utf-8")), []
+    for name in {**golden, **found}:
+        theirs, ours = golden.get(name, {}), found.get(name, {})
+        for column in {**theirs, **ours}:
+            a, b = theirs.get(column, [np.inf]), ours.get(column, [np.inf])
+            if len(a) != len(b) or not np.allclose(a, b, rtol=CLOSE, atol=max(CLOSE * a[-1], ROUNDING)):
+                differ.append(f"{name}, {column}: {a} -> {b}")
+    print("\n".join(differ) or f"{len(found)} tables are as they were")
+    return bool(differ)
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
