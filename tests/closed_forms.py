@@ -42,8 +42,7 @@ def stratified(fractions: Sequence[float], stiffnesses: Sequence[Array]) -> Arra
     Equations (51)-(52) give 1/mu = sum a_i/mu_i and, with lmbda averaged alone, a wrong normal part; the sums that the
     paper calls stiffnesses are compliances. It is 1/(lmbda + 2 mu) that averages.
     """
-    compliance = sum(a * np.linalg.inv(K) for a, K in zip(fractions, stiffnesses, strict=True))
-    return np.asarray(np.linalg.inv(compliance))
+    return np.asarray(np.linalg.inv(sum(a * np.linalg.inv(K) for a, K in zip(fractions, stiffnesses, strict=True))))
 
 
 # ---------------------------------------------------------------- laws with time: tractions at a point

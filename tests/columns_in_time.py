@@ -90,5 +90,4 @@ def jump_of(history: History, mode: str, state=None) -> float:
 
 
 def marched(law: BulkLaw, mode: str, theta: float, times, **ends) -> History:
-    model = Structure(joint(), **column(mode, **ends)).interface(ThinLayer(law, 0.1, at=1.0))
-    return march(model, times, theta=theta)
+    return march(Structure(joint(), **column(mode, **ends)).interface(ThinLayer(law, 0.1, at=1.0)), times, theta=theta)

@@ -27,8 +27,7 @@ CASES = [(2, "triangle", "P1"), (2, "quadrilateral", "S2"), (3, "hexahedron", "Q
 def axes(d: int) -> np.ndarray:
     """Rows: the turned axes."""
     c, s = np.cos(ANGLE), np.sin(ANGLE)
-    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    return turn[:d, :d]
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])[:d, :d]
 
 
 def uniform(
@@ -61,8 +60,7 @@ def slipping(kind: str = "interface", law: object = None):
     """A layer that slips, between blocks that are pressed and sheared."""
     law = law or MohrCoulombMonodirectional(3.0, 2.0, cohesion=0.05, friction_angle=20.0, elastic_fraction=0.1)
     joint = sandwich(2.0, 0.5, 0.7, 0.5, h_S=0.25)
-    supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.4 * t, "y": -0.05}}
-    structure = Structure(joint, body=BODY, supports=supports)
+    structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.4 * t, "y": -0.05}})
     return march(getattr(structure, kind)(ThinLayer(law, EPS, at=1.0)), [0.5, 1.0])
 
 
@@ -78,8 +76,7 @@ def network():
 def on_a_base():
     """A bar pushed along a rigid base, with friction and memory, in 3D."""
     joint, loads = block(2.0, 1.0, 0.5, depth=1.0, cell="hexahedron"), {"LEFT": (0.8, 0, 0), "TOP": (0, -0.5, 0.1)}
-    supports = {"RIGHT": {"x": 0.0}, "BACK": {"z": 0.0}}
-    bar = Structure(joint, body=BODY, supports=supports, tractions=loads, element="Q1")
+    bar = Structure(joint, body=BODY, supports={"RIGHT": {"x": 0.0}, "BACK": {"z": 0.0}}, tractions=loads, element="Q1")
     return march(bar.interface(IncrementalCoulomb(K_N=90.0, K_T=30.0, friction=0.4)), [1.0])
 
 

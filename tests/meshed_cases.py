@@ -30,11 +30,11 @@ def bricks(cell: str, h: float) -> Joint:
 
 
 @cache
-def panel(element: str, h: float = 0.125, **data) -> Structure:
+def panel(element: str, h: float = 0.125) -> Structure:
     """Two courses, whose top is shifted up to t = 1."""
     joint = bricks(cell_of(element), h)
     supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.01 * t, "y": lambda x, t: -0.02 * t}}
-    return Structure(joint, body=LinearElastic.young(1.0, 0.2), supports=supports, element=element, **data)
+    return Structure(joint, body=LinearElastic.young(1.0, 0.2), supports=supports, element=element)
 
 
 def inner(surface: Surface, distance: float = DISTANCE):
@@ -46,15 +46,14 @@ def inner(surface: Surface, distance: float = DISTANCE):
     return cKDTree(joint.points[special]).query(np.moveaxis(surface.x, 0, -1))[0] > distance
 
 
-def jump_errors(element: str, sizes, h: float = 0.125, parts=(), **choices) -> np.ndarray:
+def jump_errors(element: str, sizes, **choices) -> np.ndarray:
     """(sizes, 2) errors of the jump of the interface model against meshed layers, on all of S and on its inner part."""
-    structure = panel(element, h)
-    meshed = panel(element, h, parts=parts) if parts else structure
+    structure = panel(element)
     limit = structure.interface(mortar(0.01))
     surface, rows = Surface(limit), []
     by_law = surface.jump(solve(limit, 1.0))
     for eps in sizes:
-        w = surface.jump(solve(meshed.full(mortar(eps), **choices), 1.0))
+        w = surface.jump(solve(structure.full(mortar(eps), **choices), 1.0))
         rows.append([surface.norm(w - by_law, part) / surface.norm(by_law, part) for part in (1, inner(surface))])
     return np.array(rows)
 

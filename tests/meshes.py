@@ -199,8 +199,7 @@ def parted(whole, region):
     """A mesh with S between all cells of different regions; the outer facets are OUT."""
     table = whole.table
     first, second = table.cells.T
-    cut = (second >= 0) & (region[first] != region[second])
-    facets = {"S": table.vertices[cut], "OUT": table.vertices[second < 0]}
+    facets = {"S": table.vertices[(second >= 0) & (region[first] != region[second])], "OUT": table.vertices[second < 0]}
     names = tuple(f"B{k}" for k in range(region.max() + 1))
     return Joint(whole.points, whole.cells, whole.cell_type, region, names, facets, {"S": Seam()})
 

@@ -30,17 +30,16 @@ def spring(lmbda: float, mu: float) -> np.ndarray:
     return J
 
 
-def next_order(lmbda: float, mu: float, eps: float, locked: bool = False) -> np.ndarray:
+def next_order(lmbda: float, mu: float, eps: float) -> np.ndarray:
     """Transfer across the interface law of order 1 of a layer with real moduli, from its energy over half a wave.
 
     Strains of a mode with jumps (U, V) and means <U>, <V>: e0 = (k <U>, V/eps, U/eps - k <V>) in 11, 22, 2 12, and
-    e1 = (k U, e, g): locked, (e, g) = (0, -k V); else what leaves no stress on the faces, (-lmbda k U/M, 0).
+    e1 = (k U, e, g) with what leaves no stress on the faces, (e, g) = (-lmbda k U/M, 0).
     """
     M = lmbda + 2 * mu
     C = np.array([[M, lmbda, 0], [lmbda, M, 0], [0, 0, mu]])
     e0 = np.array([[0, 0, K, 0], [0, 1 / eps, 0, 0], [1 / eps, 0, 0, -K]])
-    others = [[0] * 4, [0, -K, 0, 0]] if locked else [[-lmbda * K / M, 0, 0, 0], [0] * 4]
-    e1 = np.array([[K, 0, 0, 0], *others])
+    e1 = np.array([[K, 0, 0, 0], [-lmbda * K / M, 0, 0, 0], [0] * 4])
     return across(eps * e0.T @ C @ e0 + eps / 12 * e1.T @ C @ e1)
 
 
@@ -53,10 +52,9 @@ def across(energy: np.ndarray) -> np.ndarray:
     return np.vstack([moved, np.hstack([across.T, np.zeros((2, 2))]) + above @ moved])
 
 
-def next_order_errors(lmbda: float, mu: float, eps: float, locked: bool = False) -> tuple[float, float]:
+def next_order_errors(lmbda: float, mu: float, eps: float) -> tuple[float, float]:
     """Errors as in `sweep_errors` of the law of order 1, for moduli per thickness, in kept geometry."""
-    layer = expm(strip(lmbda * eps, mu * eps) * eps)
-    return errors(layer, next_order(lmbda * eps, mu * eps, eps, locked))[:2]
+    return errors(expm(strip(lmbda * eps, mu * eps) * eps), next_order(lmbda * eps, mu * eps, eps))[:2]
 
 
 def errors(layer: np.ndarray, limit: np.ndarray) -> tuple[float, float, float]:
@@ -73,12 +71,11 @@ def stacked(sublayers: list, eps: float) -> np.ndarray:
     return through(sublayers, eps)[0]
 
 
-def in_series(sublayers: list, eps: float, way: str = "") -> np.ndarray:
+def in_series(sublayers: list, eps: float) -> np.ndarray:
     """Transfer across the interface law of order 1 of such sublayers, at two Gauss points in each.
 
     Displacements are <u> + Phi [u], Phi from -1/2 to 1/2 in proportion to the compliances. Strains are such that tractions
-    are equal in all sublayers; "straight": those of these displacements alone; "no moments": as if the means of Phi and of
-    lmbda/(lmbda + 2 mu) Phi were zero, as in a symmetric stack.
+    are equal in all sublayers.
     """
     M = 1 / sum(a / (lmbda + 2 * shear) for a, lmbda, shear in sublayers)
     mu = 1 / sum(a / shear for a, _, shear in sublayers)
@@ -90,18 +87,14 @@ def in_series(sublayers: list, eps: float, way: str = "") -> np.ndarray:
         A, B = A + a * lateral * (phi_t + across_t / 2), B + a * (phi_n + across_n / 2)
         r += a * lateral
         for y in (0.5 - 12**-0.5, 0.5 + 12**-0.5):
-            points.append((a, lmbda, shear, M / stiff, mu / shear, phi_n + y * across_n, phi_t + y * across_t))
+            points.append((a, lmbda, shear, M / stiff, mu / shear, phi_t + y * across_t))
         phi_n, phi_t = phi_n + across_n, phi_t + across_t
-    if way == "no moments":
-        A = B = 0.0
     opening, turned = np.array([K * A, 1 / eps, K * r, 0]), np.array([1 / eps, -K * B, 0, -K])
     energy = np.zeros((4, 4))
-    for a, lmbda, shear, s_n, s_t, p_n, p_t in points:
+    for a, lmbda, shear, s_n, s_t, p_t in points:
         e_11 = np.array([K * p_t, 0, K, 0])
         e_22 = s_n * opening - lmbda / (lmbda + 2 * shear) * e_11
         gamma = s_t * turned
-        if way == "straight":
-            e_22, gamma = np.array([0, s_n / eps, 0, 0]), np.array([s_t / eps, -K * p_n, 0, -K])
         C = eps * np.array([[lmbda + 2 * shear, lmbda, 0], [lmbda, lmbda + 2 * shear, 0], [0, 0, shear]])
         e = np.array([e_11, e_22, gamma])
         energy += a * eps / 2 * e.T @ C @ e

@@ -73,11 +73,9 @@ def test_a_load_that_has_a_limit():
 
 def test_piecewise_supports():
     """A path that would leave the times they are known at ends there with an error; difference quotients do not leave."""
-    known = piecewise({0.0: 0.0, 0.3: 0.2, FAR: FAR})
-    history = march(bar(STEEP, known), ArcLength(end=FAR, first=0.05))
+    history = march(bar(STEEP, piecewise({0.0: 0.0, 0.3: 0.2, FAR: FAR})), ArcLength(end=FAR, first=0.05))
     w = openings(history)
-    ends = np.interp(history.t, [0.0, 0.3, FAR], [0.0, 0.2, FAR])
-    assert ends == pytest.approx(w + C * sigma(STEEP, w), abs=1e-9)
+    assert np.interp(history.t, [0.0, 0.3, FAR], [0.0, 0.2, FAR]) == pytest.approx(w + C * sigma(STEEP, w), abs=1e-9)
     late = piecewise({0.4: 0.4, FAR: FAR})
     words = r"of the path, from t = 0\.4.* a prescribed displacement is not finite at t = 0\."
     refused(SolveError, words, march, bar(STEEP, late), ArcLength(end=FAR, first=0.05), start=0.4)

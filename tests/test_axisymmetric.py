@@ -107,7 +107,7 @@ def test_order_1_knows_the_hoops(order):
 
 @pytest.mark.parametrize("name", ["Mohr-Coulomb", "Stack"])
 def test_meshed_layers_of_compiled_laws_see_all_four_strains(name):
-    """A widened layer yields as the law does in space, with equal strains 11 and 33; without the latter it does not."""
+    """A widened layer yields as the law does in space, with equal strains 11 and 33."""
     a, rise = 0.02, -0.03
     soft = MohrCoulomb(GLUE.lmbda, GLUE.mu, 0.002, 30.0, 0.01)
     law = soft if name == "Mohr-Coulomb" else Stack((0.4, soft), (0.6, soft))
@@ -117,15 +117,14 @@ def test_meshed_layers_of_compiled_laws_see_all_four_strains(name):
     axial = (stress[1, 1] - 2 * BODY.lmbda * a) / (BODY.lmbda + 2 * BODY.mu)  # of the rods
     layer_height = (rise - 1.1 * axial) / EPS
     assert stress[1, 1] == pytest.approx(_of_point(soft, a, layer_height), rel=2e-3)
-    assert abs(_of_point(soft, a, layer_height, hoops=0.0) / stress[1, 1] - 1) > 0.03
 
 
-def _of_point(law, a, axial, hoops=None):
+def _of_point(law, a, axial):
     """Stress 22 of the law at a point of the layer, in two steps."""
     from tests.at_points import respond
 
     real, n = law.scaled(EPS), np.array([[0.0, 1.0, 0.0]])
-    e = np.array([[a, axial, a if hoops is None else hoops, 0, 0, 0]])
+    e = np.array([[a, axial, a, 0, 0, 0]])
     q, old = np.zeros((1, law.memory)), np.zeros((1, 6))
     for share in (0.5, 1.0):
         answer = respond(real, share * e, old, q, n)
@@ -147,8 +146,6 @@ def test_bonded_tubes_are_those_of_lame():
     surface = Surface(limit.model)
     t = surface.profile(surface.frame(surface.traction(limit)))[1]
     assert t == pytest.approx(np.array([[0.0, by_law.stress(0, 3.0)]] * len(t)), rel=1e-3, abs=1e-4)
-    wrong = lame((1.5, 3.0, 4.0), (BODY, BODY), (GLUE.lmbda + GLUE.mu,), P)  # springs of another stiffness
-    assert abs(wrong.displacement(0, 1.5) / by_law.displacement(0, 1.5) - 1) > 1e-3
 
 
 BETWEEN_TUBES = [Maxwell(3.0, 2.0, 0.8, 2.5), Incompressible(2.0), MohrCoulomb(3.0, 2.0, 0.02, 30.0, 0.05)]
@@ -192,8 +189,7 @@ def test_only_motions_along_the_axis_are_rigid():
     with pytest.raises(InputError, match=r"no support against rigid motion of the structure \(translation y\)"):
         structure(rods(), {"RIGHT": {"x": 0.0}}).bonded()
     springs = structure(rods(), {}, tractions={"TOP": (0.0, P)}, parts=[Springs("BOTTOM", normal=4.0)])
-    state = solve(springs.bonded())
-    assert state.energies()["springs BOTTOM"] == pytest.approx(P**2 / 8 * np.pi * R**2, rel=0.2)
+    assert solve(springs.bonded()).energies()["springs BOTTOM"] == pytest.approx(P**2 / 8 * np.pi * R**2, rel=0.2)
 
 
 def _tubes(**options):

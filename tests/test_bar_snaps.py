@@ -64,8 +64,7 @@ def test_equilibrium_path_of_a_uniform_layer(mixing):
     delta = U + sigma * LONG.l * (1 - LONG.eps) / LONG.K
     vertices = LONG.path(mixing, end=10.0)
     assert vertices[-1, 0] == 10.0
-    gaps = [distance_to_polygon(np.array(p), vertices) for p in zip(delta, sigma, strict=True)]
-    assert max(gaps) < 1e-12
+    assert max(distance_to_polygon(np.array(p), vertices) for p in zip(delta, sigma, strict=True)) < 1e-12
     assert set(phase[[0, -1]]) == {0, 1}
     h = 1e-6
     slope = (LONG.layer(U + h, mixing)[1] - LONG.layer(U - h, mixing)[1]) / (2 * h)
@@ -76,8 +75,7 @@ def test_equilibrium_path_of_a_uniform_layer(mixing):
     if mixing == 1:
         assert vertices[1:3] == pytest.approx(np.array([[at, LONG.sigma_m] for at in (LONG.delta_0, LONG.delta_1)]))
     if back.any():
-        lost = LONG.free_elongation * LONG.alpha * excess
-        assert lost_in_both(LONG, vertices) == pytest.approx(lost, rel=1e-12)
+        assert lost_in_both(LONG, vertices) == pytest.approx(LONG.free_elongation * LONG.alpha * excess, rel=1e-12)
 
 
 def distance_to_polygon(p, vertices):

@@ -107,8 +107,6 @@ def test_yielding_bodies_in_shear():
         for key, memory in state.memory.items():
             assert key in ("body LOWER", "body UPPER")
             assert memory[:, 6] == pytest.approx(slip / math.sqrt(3), rel=EXACT)
-        wrong = replace(METAL, hardening=3 * H)
-        assert top(march(models(wrong, "shear", load=load)[0], [1.0]).last) < 0.9 * top(history.at(1.0))
 
 
 @pytest.mark.parametrize("theta", [1.0, 0.7])
@@ -174,8 +172,7 @@ def test_a_body_that_does_not_yield_is_elastic(name):
 
 def test_adaptive_steps_see_stresses_that_no_displacement_shows():
     """A bar that relaxes between supports: its displacements are those of the supports, whatever the steps."""
-    way = piecewise({0: 0.0, 2: -0.01, 6: -0.01})
-    supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "TOP": {"y": way}}
+    supports = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "TOP": {"y": piecewise({0: 0.0, 2: -0.01, 6: -0.01})}}
     bar = Structure(joint(), body=Maxwell(60.0, MU, 3.0), supports=supports).bonded()
     pushed = lambda history: np.array([state.reaction("TOP").force[1] for state in history])
     exact = march(bar, np.linspace(0, 6, 241)[1:])

@@ -48,8 +48,7 @@ def test_boxes(cell, structured):
         check(joint, names | {"BOTTOM"} if two else names)
         assert joint.cell_type == cell
         assert region_volumes(joint) == pytest.approx({"LOWER": 1.6, "UPPER": 2.2} if two else {"BODY": 3.0})
-        normal = np.eye(joint.dim)[1]
-        assert joint.interface_normals == pytest.approx(np.tile(normal, (len(joint.facets["S"]), 1)))
+        assert joint.interface_normals == pytest.approx(np.tile(np.eye(joint.dim)[1], (len(joint.facets["S"]), 1)))
     planes = {"S": (1, 0), "BOTTOM": (1, -0.8), "TOP": (1, 1.1), "LEFT": (0, 0), "RIGHT": (0, 2)}
     for name, (axis, value) in (planes | ({"BACK": (2, 0), "FRONT": (2, 1)} if depth else {})).items():
         assert on(joint, name)[:, axis] == pytest.approx(value, abs=1e-12), name
@@ -58,8 +57,7 @@ def test_boxes(cell, structured):
 @pytest.mark.parametrize(("cell", "structured"), BOXES)
 def test_grading_of_boxes(cell, structured):
     """Sizes at the edges of S, on it and away from it are what was asked for, to half."""
-    joint = sandwich(2.0, 1.0, 1.0, 0.5, depth=2.0, h_S=0.2, h_ends=0.05, cell=cell, structured=structured)
-    x, y, z = joint.points.T
+    x, y, z = sandwich(2.0, 1.0, 1.0, 0.5, depth=2.0, h_S=0.2, h_ends=0.05, cell=cell, structured=structured).points.T
     along_edge = np.diff(np.sort(z[(np.abs(x) < 1e-9) & (np.abs(y) < 1e-9)]))
     if cell == "tetrahedron" and not structured:
         assert along_edge.mean() == pytest.approx(0.05, rel=0.5)
@@ -126,8 +124,7 @@ def test_ring(cell, angle, degree):
 def test_curved_cells_meet_circles_to_fourth_order(cell):
     errors = []
     for h in (0.2, 0.1, 0.05):
-        joint = ring(0.5, 1.0, 2.0, h, angle=2.0, cell=cell, degree=2)
-        errors.append(abs(region_volumes(joint)["OUTER"] / 3 - 1))
+        errors.append(abs(region_volumes(ring(0.5, 1.0, 2.0, h, angle=2.0, cell=cell, degree=2))["OUTER"] / 3 - 1))
     assert all(coarse / fine == pytest.approx(16, rel=0.1) for coarse, fine in pairwise(errors))
     assert errors[-1] < 1e-7
 

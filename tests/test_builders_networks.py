@@ -55,8 +55,7 @@ def test_grains_meet_by_threes(number, seed):
     found = counts(joint)
     assert max(found) <= 3
     assert found.get(3, 0) + ends_on_sides(joint) == 2 * (number - 1)
-    again = grains(3.0, 2.0, number, 2.0 / np.sqrt(number) / 4, seed=seed)
-    assert np.array_equal(again.points, joint.points)
+    assert np.array_equal(grains(3.0, 2.0, number, 2.0 / np.sqrt(number) / 4, seed=seed).points, joint.points)
 
 
 def test_grains_do_not_depend_on_cells_or_units_but_on_their_seed():
@@ -122,8 +121,7 @@ def test_a_fault_that_branches_and_one_that_ends():
     assert counts(joint)[3] == 1
     assert joint.points[joint.splitting.valence == 3][0] == pytest.approx((2.0, 1.5))
     ends = np.setdiff1d(joint.table.vertices[joint.rows_of("C")], np.flatnonzero(joint.splitting.valence > 1))
-    tips = joint.points[ends]
-    assert np.array(sorted(tips.tolist())) == pytest.approx(np.array([(5.5, 1.0), (7.5, 1.5)]))
+    assert np.array(sorted(joint.points[ends].tolist())) == pytest.approx(np.array([(5.5, 1.0), (7.5, 1.5)]))
     assert len(joint.regions) == 3
 
     layers = {"A": springs(2.0, 0.7), "B": springs(1.0, 0.4), "C": springs(0.5, 0.3)}

@@ -106,14 +106,13 @@ def test_refused_solves():
     askew = Structure(joint.rotated(0.3), **setup | {"supports": {"RIGHT": {"x": 0.0}}}).interface(coulomb("middle"))
     squared = Structure(joint, **setup | {"element": "P2"}).interface(elastic.on_seams)
     other, data = sliding_bar(5)
-    another = Structure(other, **data).interface(coulomb("middle"))
     rows = [
         (ValueError, "condensed", model, {"method": "linear"}),
         (InputError, "supports along the axes of S at its nodes", askew, {"method": "relaxation"}),
         (InputError, "like", model, {"like": 3}),
         (InputError, "for another one", elastic.structure.bonded(), {"like": solve(elastic)}),
         (InputError, "for another one, with the same element", elastic, {"like": solve(squared)}),
-        (InputError, "same joint", model, {"like": solve(another)}),
+        (InputError, "same joint", model, {"like": solve(Structure(other, **data).interface(coulomb("middle")))}),
     ]
     for kind, words, one, choices in rows:
         refused(kind, words, solve, one, **choices)

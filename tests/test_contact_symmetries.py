@@ -19,8 +19,7 @@ def test_one_step_is_ten_proportional_steps(kind):
     law = kind(4e5, 6e4, 0.6)
     once = solved(joint, law, setup)
     growing = {"LEFT": lambda x, t: (100 * t, 0), "TOP": lambda x, t: (0, -50 * t)}
-    model = Structure(joint, **setup | {"tractions": growing}).interface(law)
-    history = march(model, [0.1 * k for k in range(1, 11)])
+    history = march(Structure(joint, **setup | {"tractions": growing}).interface(law), [0.1 * k for k in range(1, 11)])
     last = Surface(history.last.model).contact(history.last)
     assert last.u_T == pytest.approx(once.u_T, rel=1e-7, abs=1e-11)
     assert (last.status == once.status).all()

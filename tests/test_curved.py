@@ -53,8 +53,7 @@ def test_pressed_tube():
         state = solve(Structure(joint, **pressed(joint)).interface(ThinLayer(GLUE, 0.1, at=1.0)))
         surface = Surface(state.model)
         r = surface.x / np.hypot(*surface.x)
-        found = surface.norm(surface.jump(state) - jump * r) / surface.norm(jump * r)
-        errors.append(found)
+        errors.append(surface.norm(surface.jump(state) - jump * r) / surface.norm(jump * r))
         assert surface.norm(surface.traction(state) - traction * r) < 1e-2 * abs(traction)
     assert errors[0] < 1e-2
     assert errors[1] < 5e-5  # 4.0e-5
@@ -65,8 +64,6 @@ LOADS = [(pressed, "quadrilateral", 2), (twisted, "triangle", 1), (pressed, "tri
 
 @pytest.mark.parametrize(("load", "cell", "degree"), LOADS)
 def test_error_is_of_first_order(load, cell, degree):
-    """And a wrong law leaves a floor."""
-    wrong, floor = LinearElastic(lmbda=GLUE.lmbda - GLUE.mu, mu=GLUE.mu), []
     joint = ring(*RADII, 0.25, angle=np.pi / 2 if load is pressed else 2 * np.pi, cell=cell, degree=degree)
     rows = []
     for eps in EPS:
@@ -74,9 +71,6 @@ def test_error_is_of_first_order(load, cell, degree):
         limit = solve(Structure(joint, **load(joint)).interface(layer))
         full = solve(Structure(joint, **load(joint)).full(layer, bodies="extended"))
         rows.append(compare(full, limit))
-        off = solve(Structure(joint, **load(joint)).interface(ThinLayer(wrong, eps, at=1.0)))
-        floor.append(compare(full, off)["error_jump"])
-    assert load is twisted or floor[2] > max(0.09, floor[1])
     # statics fix the torque's traction
     for name in ("error_traction", "error_jump") if load is pressed else ("error_jump",):
         assert observed_orders(EPS, [row[name] for row in rows])[1:] == pytest.approx([1.0, 1.0], abs=0.1)

@@ -200,8 +200,7 @@ def test_settings_refused(tmp_path):
         ("goals.traction=true", "goals.traction: this quantity is told of every layer"),
         ("goals={reaction = {place = 'LEFT'}}", "goals.reaction: direction is missing: reaction has place"),
     ):
-        words = re.escape(f"--set {setting!r}: {message}")
-        refused(DescriptionError, words, described, tmp_path, LEAST, setting)
+        refused(DescriptionError, re.escape(f"--set {setting!r}: {message}"), described, tmp_path, LEAST, setting)
 
 
 def test_options_are_named_beside_the_file(tmp_path):

@@ -49,8 +49,7 @@ def distributed(domain: Domain, dim: int, entities: np.ndarray, values: np.ndarr
         entities, values = entities[:0], values[:0]
     mesh.topology.create_connectivity(dim, 0)
     local, tags = dolfinx.io.utils.distribute_entity_data(mesh, dim, entities.astype(np.int64), values.astype(np.int32))
-    adjacency = dolfinx.graph.adjacencylist(local)
-    return dolfinx.mesh.meshtags_from_entities(mesh, dim, adjacency, tags.astype(np.int32))
+    return dolfinx.mesh.meshtags_from_entities(mesh, dim, dolfinx.graph.adjacencylist(local), tags.astype(np.int32))
 
 
 def compare_tags() -> None:

@@ -168,8 +168,7 @@ def test_an_error_of_petsc_keeps_the_march(monkeypatch):
         return solve_linear(finder, b, x)
 
     monkeypatch.setattr(Equilibrium, "_solve_linear", breaks_down)
-    caught = refused(SolveError, r"error 76", march, linear(), [1.0, 2.0, 3.0])
-    assert list(caught.history.t) == [0.0, 1.0]
+    assert list(refused(SolveError, r"error 76", march, linear(), [1.0, 2.0, 3.0]).history.t) == [0.0, 1.0]
 
 
 # ---------------------------------------------------------------------------------- one matrix

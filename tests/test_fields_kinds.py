@@ -48,8 +48,7 @@ def test_stress_out_of_the_plane(written, law, plane, out):
     structure = Structure(strips(), body=law, supports=ROLLERS, tractions={"TOP": (0.0, -0.3)}, plane=plane)
     stress = written(march(structure.interface(ThinLayer(K, EPS, at=1.0)), [1.0]))["bodies"]["stress"]
     along = -0.3 * (NU / (1 - NU) if plane == "strain" else NU)
-    wanted = np.tile([along, -0.3, out * along, 0, 0, 0], (len(stress), 1))
-    assert stress == pytest.approx(wanted, rel=1e-6, abs=1e-8)
+    assert stress == pytest.approx(np.tile([along, -0.3, out * along, 0, 0, 0], (len(stress), 1)), rel=1e-6, abs=1e-8)
 
 
 def test_two_points_through_a_layer_of_order_1(written):

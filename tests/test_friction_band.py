@@ -1,9 +1,8 @@
-"""The layer that slips on planes parallel to S without cohesion is contact on S: columns, errors, wrong laws beside it."""
+"""The layer that slips on planes parallel to S without cohesion is contact on S: columns, errors."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,7 +12,6 @@ from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirection
 from studies.bands import ONCE
 from studies.problems import pressed
 from tests.orders import observed_orders
-from tests.own_laws import layer_of
 from tests.test_mohr_coulomb_models import LMBDA, MU, check_jumps, column
 from thinlayer import Structure, Surface, ThinLayer, compare, solve
 
@@ -49,8 +47,7 @@ def test_the_band_is_contact_on_columns(moves, eps, angle):
     limit, full, point = column(BAND, np.array(moves), eps, angle, on_s=CONTACT)
     for history in (limit, full):
         check_jumps(history, Surface(limit.model), point)
-    slips = point.energies[:, 1] > 1e-12
-    assert 3 <= slips.sum() < len(moves)
+    assert 3 <= (point.energies[:, 1] > 1e-12).sum() < len(moves)
     assert np.sign(point.tractions[1, 0]) == 1  # the upper body moves towards +x and pulls the lower one along
     if len(moves[0]) == 3:
         (a, b, _), (u, v, _) = point.tractions[2], point.jumps[2]
@@ -58,35 +55,18 @@ def test_the_band_is_contact_on_columns(moves, eps, angle):
 
 
 # ------------------------------------------------------------------------ error O(eps)
-def errors(eps, band=BAND, on_s=None, cells=32):
-    where, setup = pressed(1 / cells, ONCE)
-    setup |= {"element": "Q1"}
-    on_s = on_s or HolonomicCoulomb.of_layer(LMBDA, MU, friction=FRICTION)
-    plates = Structure(where, **setup)
-    full = solve(plates.full(ThinLayer(band, eps, at=1.0), cells_through=1))
-    return compare(full, solve(plates.interface(layer_of(on_s, eps))))
-
-
 @cache
-def right(eps):
-    return errors(eps)
+def errors(eps):
+    where, setup = pressed(1 / 32, ONCE)
+    plates = Structure(where, **setup | {"element": "Q1"})
+    full = solve(plates.full(ThinLayer(BAND, eps, at=1.0), cells_through=1))
+    return compare(full, solve(plates.interface(HolonomicCoulomb.of_layer(LMBDA, MU, friction=FRICTION))))
 
 
 @pytest.mark.parametrize("name", ["error_traction", "error_jump"])
 def test_order_1(name):
     eps = (1 / 64, 1 / 128)
-    *_, order = observed_orders(eps, [right(e)[name] for e in eps])
+    found = [errors(e)[name] for e in eps]
+    *_, order = observed_orders(eps, found)
     assert order == pytest.approx(1.0, abs=0.1)
-
-
-SINE = HolonomicCoulomb.of_layer(LMBDA, MU, friction=math.sin(math.radians(OMEGA)))
-WRONG = [(SINE, 0.02), (replace(BAND, unilateral=False), 0.15)]
-
-
-@pytest.mark.few(5)
-@pytest.mark.parametrize(("wrong", "floor"), WRONG)
-def test_wrong_laws_leave_an_error(wrong, floor):
-    for eps in (1 / 64, 1 / 256):
-        row = errors(eps, on_s=wrong)
-        assert min(row["error_traction"], row["error_jump"]) > floor
-    assert max(right(1 / 256)["error_traction"], right(1 / 256)["error_jump"]) < floor / 3
+    assert found[1] < 0.013

@@ -153,8 +153,7 @@ def test_names():
     between = read((plane, bodies), S=None, lower="1", upper="2")
     assert set(between.facets) == {"S"}
     assert len(between.facets["S"]) == len(numbers.facets["S"]) == 6
-    several = REGIONS | {"GLUE": (1, 3), "ENDS": (1, 4, 5)}
-    merged = read((plane, bodies, sides), names=several, S="GLUE", upper="UPPER")
+    merged = read((plane, bodies, sides), names=REGIONS | {"GLUE": (1, 3), "ENDS": (1, 4, 5)}, S="GLUE", upper="UPPER")
     assert len(merged.facets["ENDS"]) == 12
     cut = read((plane, None, sides), names={"S": (1, 3)}, direction=(0, 1))
     assert (cut.bodies, cut.seams["S"].direction) == (("BODY",), (0.0, 1.0))

@@ -39,8 +39,7 @@ def problem(rng, law, ends, d, spread=1e3):
     frames = np.linalg.qr(rng.normal(size=(count, d, d)))[0]
     slip, gap, weights = rng.normal(size=(count, d - 1)), rng.normal(size=count), 10 ** rng.uniform(-1, 1, count)
     A = sp.bsr_matrix(stiffness(rng, n * d, spread), blocksize=(d, d))
-    g = A @ rng.normal(size=n * d) + 10 * rng.normal(size=n * d)
-    return pairs_of(law, ends, frames, weights, slip, gap), A, g
+    return pairs_of(law, ends, frames, weights, slip, gap), A, A @ rng.normal(size=n * d) + 10 * rng.normal(size=n * d)
 
 
 def residual(pairs, A, g, u):

@@ -70,8 +70,7 @@ def test_what_is_refused():
 
 def test_s_must_separate_two_bodies():
     table, s = SANDWICH.table, SANDWICH.facets["S"]
-    same = np.ptp(SANDWICH.region[table.cells], axis=1) == 0
-    inside = table.vertices[(table.cells[:, 1] >= 0) & same][:3]
+    inside = table.vertices[(table.cells[:, 1] >= 0) & (np.ptp(SANDWICH.region[table.cells], axis=1) == 0)][:3]
     for facets, message in (
         ({"S": s[: len(s) // 2]}, r"S ends inside the bodies \(near .*, 0\)\): .*interface model"),
         ({"S": SANDWICH.facets["TOP"]}, "lie on the outer boundary"),

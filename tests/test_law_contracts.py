@@ -357,5 +357,4 @@ def test_what_nobody_would_ask_of_a_law_is_refused():
         (BulkLaw, {"dissipation": lambda law, step: 1.0}, "a dissipation but no energy"),
         (BulkLaw, {"internal": {"q": (2, 2)}}, r"variable 'q' has the shape \(2, 2\); allowed: \(\), \(3,\), \(3, 3\)"),
     ]:
-        asked = {"stress" if parent is BulkLaw else "traction": of_mid}
-        refused(InputError, message, own, parent, **names | asked)
+        refused(InputError, message, own, parent, **names | {"stress" if parent is BulkLaw else "traction": of_mid})

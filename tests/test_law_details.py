@@ -95,8 +95,7 @@ def test_elastic_sublayers_of_any_contrast(stiffer, n):
     K_N = 1 / (0.4 / 140.0 + 0.6 / (130.0 * stiffer))
     tangential = {"T": 1.0} if len(n) == 2 else {"T1": 0.6, "T2": 0.8}
     for law in (stack, Stack(*reversed(stack.sublayers))):
-        held = drive(law, [{f"w_{c}": 0.01 * a for c, a in tangential.items()} | {"w_N": 0.02}] * 2, n)
-        t = held.tractions[-1]
+        t = drive(law, [{f"w_{c}": 0.01 * a for c, a in tangential.items()} | {"w_N": 0.02}] * 2, n).tractions[-1]
         assert [np.linalg.norm(t[:-1]), t[-1]] == pytest.approx([0.01 * K_T, 0.02 * K_N], rel=1e-12)
         w = drive(law, [{f"t_{c}": a for c, a in tangential.items()} | {"t_N": 2.0}], n).jumps[-1]
         assert [np.linalg.norm(w[:-1]), w[-1]] == pytest.approx([1 / K_T, 2 / K_N], rel=1e-10)

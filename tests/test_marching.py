@@ -89,8 +89,7 @@ def test_energy_of_bodies_that_are_not_linear():
 
 def test_states_know_the_loads_of_their_time():
     """Body forces reach S: tractions of earlier states are those of their own loads."""
-    setup = SETUP | {"body_force": lambda x, t: (0.0, t)}
-    model = Structure(JOINT, **setup).interface(ThinLayer(SUDDEN, 0.1, at=1.0))
+    model = Structure(JOINT, **SETUP | {"body_force": lambda x, t: (0.0, t)}).interface(ThinLayer(SUDDEN, 0.1, at=1.0))
     history, surface = march(model, [1.0, 2.0]), Surface(model)
     for state in [*history, *reversed([*history])]:  # the time of the last solve, or question, is another one
         moved = state.integral(state.u[1] * ufl.dx)

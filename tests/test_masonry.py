@@ -123,8 +123,7 @@ def test_status_along_a_seam(tmp_path):
     assert surface.table(state).rows == [{"seam": "S", "size": pytest.approx(4.0), "elastic": pytest.approx(0.75),
                                           "open": pytest.approx(0.25), "sliding": 0, "crushed": 0, "torn": 0}]  # fmt: skip
     states, view = {"tilted": state, "again": state}, plotting.View(scale=1.0)
-    picture = plotting.on_surface(states, Surface.status, view, save=tmp_path / "a.png")
-    assert_coloured(picture, {"elastic", "open"})
+    assert_coloured(plotting.on_surface(states, Surface.status, view, save=tmp_path / "a.png"), {"elastic", "open"})
     assert_drawn(tmp_path / "a.png")
     refused(InputError, "scale is 'x'", lambda: plotting.View(scale="x"))
     assert set(surface.status(solve(structure.bonded(), 1.0)).ravel()) == {"bonded"}

@@ -78,8 +78,7 @@ def test_cubes_of_blocks(kind, cell, wanted):
     """Nothing is folded or free inside, triangles or quadrilaterals fill the lines, and numbers do not depend on eps."""
     base, counts = renumbered(cube(kind, cell)), set()
     for eps, through, bodies in ((0.1, 2, "extended"), (1e-4, 2, "extended"), (0.02, 2, "kept"), (0.02, 4, "extended")):
-        thick = {name: THICK[name] * eps for name in base.seams}
-        opened = inflate(base, thick, bodies=bodies, cells_through=through)
+        opened = inflate(base, {name: THICK[name] * eps for name in base.seams}, bodies=bodies, cells_through=through)
         check(base, opened)
         assert opened.band.junctions == {"LAYER/JUNCTIONS": "X"}
         found = volumes(opened)

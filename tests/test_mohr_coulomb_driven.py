@@ -47,16 +47,14 @@ def test_friction_of_the_layer():
         held = drive(dilatant, [{"w_T": w, "t_N": -1.4} for w in np.linspace(0, 2.0, 60)]).tractions[-1]
         assert held == pytest.approx([1.4 * value, -1.4], rel=1e-7)
     pressed = [{"w_T": w, "w_N": -0.01} for w in np.linspace(0, 0.3, 50)]
-    opened = [{"w_T": 0.3, "w_N": w} for w in np.linspace(-0.01, -0.002, 400)]
-    t = drive(law, [*pressed, *opened]).tractions
+    t = drive(law, [*pressed, *({"w_T": 0.3, "w_N": w} for w in np.linspace(-0.01, -0.002, 400))]).tractions
     assert t[49, 0] / -t[49, 1] == pytest.approx(0.5, rel=1e-8)
     assert (t[:, 0] / -t[:, 1]).max() == pytest.approx(np.tan(np.radians(OMEGA)), rel=2e-5)
 
 
 def test_drive_under_a_constant_normal_stress():
     """The tractions asked for are there, the closed formula gives them at the jumps found, and energies balance."""
-    path = [{"w_T": 0.0, "t_N": -1.0}, *({"t_T": t, "t_N": -1.0} for t in (0.2, 0.4, 0.55, -0.5, 0.3))]
-    found = drive(LAW, path)
+    found = drive(LAW, [{"w_T": 0.0, "t_N": -1.0}, *({"t_T": t, "t_N": -1.0} for t in (0.2, 0.4, 0.55, -0.5, 0.3))])
     assert found.tractions[:, 0] == pytest.approx([0.0, 0.2, 0.4, 0.55, -0.5, 0.3], abs=1e-11)
     assert found.tractions[:, 1] == pytest.approx(-np.ones(6), abs=1e-11)
     assert (found.parts == 1).all()
@@ -76,8 +74,7 @@ def test_drive_under_a_constant_normal_stress():
 def test_traction_beyond_the_limit():
     """The steps before are kept, up to them all is as without the step too many."""
     path = [{"w_T": 0.0, "t_N": -1.0}, *({"t_T": t, "t_N": -1.0} for t in (0.3, 0.58, 0.59))]
-    bound = C * np.cos(np.radians(OMEGA)) + np.sin(np.radians(OMEGA))
-    assert 0.58 < bound < 0.59
+    assert 0.58 < C * np.cos(np.radians(OMEGA)) + np.sin(np.radians(OMEGA)) < 0.59
     caught = refused(SolveError, r"step 4 of 4 \(t_T = 0.59, t_N = -1\): no jump was found", drive, LAW, path)
     kept = caught.history
     assert len(kept) == 3

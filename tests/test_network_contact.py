@@ -80,8 +80,7 @@ def on_a_floor():
     facets = {"FLOOR" if name == "BOTTOM" else name: rows for name, rows in joint.facets.items()}
     joint = replace(joint, facets=facets, seams=joint.seams | {"FLOOR": Seam()})
     loads = {"TOP": (0.2, -1.0)}
-    body = LinearElastic.young(50.0, 0.2)
-    structure = Structure(joint, body=body, supports={}, tractions=loads, element="Q1")
+    structure = Structure(joint, body=LinearElastic.young(50.0, 0.2), supports={}, tractions=loads, element="Q1")
     return structure.interface({"BED": BED, "HEAD": HEAD, "FLOOR": HEAD})
 
 

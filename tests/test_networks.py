@@ -81,8 +81,7 @@ def test_components_around_vertices():
 def test_components_follow_cells_not_numbers():
     bond = wall(2, 3, (1.0, 0.5), 0.25, cell="triangle")
     assert counts(renumbered(bond)) == counts(bond)
-    table = FacetTable.of(bond.cells, bond.cell_type)
-    whole = Splitting(bond.cells, bond.cell_type, table, np.empty(0, np.int64))
+    whole = Splitting(bond.cells, bond.cell_type, FacetTable.of(bond.cells, bond.cell_type), np.empty(0, np.int64))
     assert whole.valence.max() == 1
     assert not whole.components(0).any()
     assert whole.pieces.max() == 0

@@ -65,10 +65,8 @@ def test_pure_phases_switch_at_the_jump_where_their_energies_are_equal():
     threshold = C / (ALPHA * direction @ CHI2[:, 1])
     sizes = np.array([1 - 1e-9, 1, 1 + 1e-9, 1, 1 - 1e-9, -1 + 1e-9, -1, -1 - 1e-9, -1, 3, 0, -3, 1e-3])
     phases = [0, 0, 1, 1, 0, 0, 0, -1, -1, 1, 0, -1, 0]
-    found = drive(law, pulled("w", threshold * sizes[:, None] * direction))
-    assert found.memory[:, 0].tolist() == phases
-    turned = drive(law, pulled("w", threshold * sizes[:, None] * direction), (-0.6, 0.8))
-    assert turned.memory[:, 0].tolist() == phases
+    assert drive(law, pulled("w", threshold * sizes[:, None] * direction)).memory[:, 0].tolist() == phases
+    assert drive(law, pulled("w", threshold * sizes[:, None] * direction), (-0.6, 0.8)).memory[:, 0].tolist() == phases
 
 
 @pytest.mark.parametrize("sign", [1, -1])

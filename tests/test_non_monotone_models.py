@@ -53,16 +53,13 @@ def test_relaxed_law_in_columns(eps, angle):
     for history in (limit, full):
         assert np.abs(history.table["imbalance"]).max() < 1e-9
         assert np.abs(history.table["dissipated"]).max() < 1e-12 * history.table["energy"].max()
-    n, mirrored = np.array([0.0, 1.0]), CHI * [[1, -1], [-1, 1]]
-    limit_law = NonMonotoneLimit(LMBDA, MU, ALPHA, RELAXED.transformation_energy, CHI, n)
+    limit_law = NonMonotoneLimit(LMBDA, MU, ALPHA, RELAXED.transformation_energy, CHI, np.array([0.0, 1.0]))
     t, phases = limit_law.relaxed(point.jumps)
     assert point.tractions == pytest.approx(t, abs=1e-9 * np.abs(t).max())
     for k, phase in enumerate(phases):
         assert phase_shares(limit.at(k + 1.0), "S")["plus"] == pytest.approx(max(phase, 0), abs=1e-9)
         assert phase_shares(full.at(k + 1.0), "S")["minus"] == pytest.approx(max(-phase, 0), abs=1e-9)
     assert {-1, 1} <= {int(np.sign(phase)) for phase in phases if 0 < abs(phase) < 1}
-    wrong, _ = replace(limit_law, chi=mirrored).relaxed(point.jumps)
-    assert np.abs(wrong - t).max() > 0.2 * np.abs(t).max()  # the tangent is (n_2, -n_1), not its opposite
 
 
 def test_pure_phases_in_columns():
@@ -141,8 +138,7 @@ def test_bar():
         assert table["energy"][1:] == pytest.approx(bar.energy(deltas), rel=1e-9)
         assert table["plus"][1:] == pytest.approx(share, abs=1e-9)
         assert table["boundary"][1:] == pytest.approx(BAR.eps * (1 - share), abs=1e-10)
-        jumps = [surface.integral(surface.jump(state)[1]) for state in found]
-        assert jumps == pytest.approx(bar.U(deltas), rel=1e-9)
+        assert [surface.integral(surface.jump(state)[1]) for state in found] == pytest.approx(bar.U(deltas), rel=1e-9)
         tractions = [surface.integral(surface.traction(state)[1]) for state in found]
         assert tractions == pytest.approx(bar.sigma(deltas), rel=1e-9)
         assert np.abs(table["imbalance"]).max() < 1e-9

@@ -242,8 +242,7 @@ def test_a_strip_that_repeats_in_one_direction():
     model = structure.interface(springs(4.0, 1.5))
     state, M = solve(model), ROCK.lmbda + 2 * ROCK.mu
     assert not model.supports.anchored
-    loads = 0.3**2 * (1 / ROCK.mu + 1 / 1.5) + 1 / M + 1 / 4.0
-    assert state.energies()["loads"] == pytest.approx(loads, rel=1e-11)
+    assert state.energies()["loads"] == pytest.approx(0.3**2 * (1 / ROCK.mu + 1 / 1.5) + 1 / M + 1 / 4.0, rel=1e-11)
     assert state.mean_stress()[:, 1] == pytest.approx([0.3, -1.0], rel=1e-11)
 
 

@@ -27,22 +27,18 @@ def structure(joint: Joint, **loads) -> Structure:
 
 # ---------------------------------------------------------------- both ways
 def test_the_coating_meshed_and_as_a_law():
-    """Rate 1 of the whole stiffness, and of each of its entries; without the law's tangential part there is a floor."""
+    """Rate 1 of the whole stiffness, and of each of its entries."""
     one = structure(periodic(cell(), *SIDES))
-    errors, floors, eps = [], [], np.array([0.04, 0.02, 0.01])
-    smooth = LinearElastic(lmbda=COATING.lmbda + 2 * COATING.mu, mu=1e-9)
-    for e in eps:
+    errors = []
+    for e in (0.04, 0.02, 0.01):
         full = homogenised_stiffness(one.full(ThinLayer(COATING, e, at=1.0), bodies="extended"))
-        limit, wrong = (homogenised_stiffness(one.interface(ThinLayer(law, e, at=1.0))) for law in (COATING, smooth))
+        limit = homogenised_stiffness(one.interface(ThinLayer(COATING, e, at=1.0)))
         assert np.abs(full - full.T).max() < 1e-12
         errors.append(np.abs(full - limit).max() / np.abs(limit).max())
-        floors.append(np.abs(full - wrong).max() / np.abs(limit).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (orders > 0.9).all()
     assert (orders < 1.1).all()
     assert errors[-1] < 0.01
-    assert floors[-1] > 4 * errors[-1]
-    assert floors[-1] > floors[0]
 
 
 def test_mean_stresses_and_strains():

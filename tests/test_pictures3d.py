@@ -73,8 +73,7 @@ def test_view_zoom_and_cut(pulled, tmp_path):
     law = pulled["law"]
     default = picture(tmp_path / "a.png", law)
     np.testing.assert_array_equal(default, picture(tmp_path / "b.png", law, towards=2 * np.array(VIEWS[3])))
-    options = [{"towards": (0, 1, 0)}, {"zoom": (0.2, 0.9, -0.4, 0.4)}, {"cut": True}]
-    for k, option in enumerate(options):
+    for k, option in enumerate([{"towards": (0, 1, 0)}, {"zoom": (0.2, 0.9, -0.4, 0.4)}, {"cut": True}]):
         other = picture(tmp_path / f"{k}.png", law, **option)
         assert other.shape != default.shape or np.abs(other - default).max() > 0.5
 

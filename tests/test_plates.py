@@ -111,8 +111,7 @@ def test_the_limit_load_of_a_plate():
     top = RigidPlate("TOP", force=lambda x, t: (t, -0.4), motion={"rotation": 0.0})
     made = model(Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[top]), "interface", MORTAR)
     limit = refused(LimitLoad, "", march, made, [0.05 * k for k in range(1, 12)])
-    expected = 2.0 * 0.05 * np.cos(np.pi / 6) + 0.5 * 0.4
-    assert limit.t == pytest.approx(expected, rel=5e-3)
+    assert limit.t == pytest.approx(2.0 * 0.05 * np.cos(np.pi / 6) + 0.5 * 0.4, rel=5e-3)
     assert limit.resultant == pytest.approx((limit.t, -0.4), abs=1e-12)
 
 

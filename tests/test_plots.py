@@ -34,8 +34,7 @@ def test_contact_along_s():
     report = bar(8, coulomb("soft"))
     p, t_T, u_T, opening = plotting.along(report.surface, report).axes
     (line,) = report.surface.along(report.p)
-    wanted = ((p, report.p), (t_T, report.t_T[:, 0]), (u_T, report.u_T[:, 0]), (opening, -report.u_N))
-    for axes, values in wanted:
+    for axes, values in ((p, report.p), (t_T, report.t_T[:, 0]), (u_T, report.u_T[:, 0]), (opening, -report.u_N)):
         x, y = axes.lines[0].get_xydata().T
         known = np.isfinite(y)
         assert x == pytest.approx(line.s)

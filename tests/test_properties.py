@@ -38,8 +38,7 @@ def test_numbers_places_units_and_orders_do_not_matter(tmp_path_factory, seed):
         """Of the loads, in the interface and in the full model."""
         blocks = [*(("line", nodes[rows]) for rows in FACETS.values()), ("quad", nodes[quads])]
         write(path, points, blocks, [[1, 1], [2, 2], [3, 3], [4, 4], regions], NAMES)
-        joint = read(path, upper="UP", scale=scale)
-        structure = Structure(joint, body=bodies, supports={"BED": 0.0}, tractions=loads)
+        structure = Structure(read(path, upper="UP", scale=scale), body=bodies, supports={"BED": 0.0}, tractions=loads)
         return [solve(one).load_work() for one in (structure.interface(layer), structure.full(layer))]
 
     own = LinearElastic(SOFT.lmbda * eps / at, SOFT.mu * eps / at)

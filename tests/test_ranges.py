@@ -38,8 +38,7 @@ def test_slip_on_straight_facets():
     """Of a curved S: they open and close as they slide, and the law resists, to more than twice what the layer does."""
     supports, tractions = {"OUTSIDE": 0.0}, {"INSIDE": lambda x, t: (-x[1], x[0])}
     layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 0.05, at=1.0)
-    joint = ring(1.0, 1.5, 2.0, h=0.3)
-    model = Structure(joint, body=STIFF, supports=supports, tractions=tractions).interface(layer)
+    model = Structure(ring(1.0, 1.5, 2.0, h=0.3), body=STIFF, supports=supports, tractions=tractions).interface(layer)
     per_area = layer.law.lmbda + 2 * layer.law.mu, layer.law.mu  # of a law per thickness
     assert stiffness_of_jumps(model.layers["S"]) == pytest.approx(per_area, rel=1e-12)
     _, (before, after) = told(lambda: solve(model))

@@ -33,8 +33,7 @@ def test_strip_on_a_rigid_base_under_a_profile():
     joint = block(1.0, 0.5, 1 / 64, structured=True)
     profile = lambda x: 1 + 0.5 * x[0]
     law, eps = LinearElastic.shear(3.0, 0.499), 1 / 16
-    layer = ThinLayer(law, eps, profile=profile, at=1.0)
-    model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(layer)
+    model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(ThinLayer(law, eps, profile=profile, at=1.0))
     found = excess(model, lambda x: (0 * x[0], 1e-3 * (1 + x[0])))
     n = 1000
     x = (np.arange(n) + 0.5) / n
@@ -44,8 +43,7 @@ def test_strip_on_a_rigid_base_under_a_profile():
     ends = 2 * (eps * np.array([1.0, 1.5])) ** 3 / (12 * mu) * n**2
     diagonal = e / lmbda + np.append(flow, 0) + np.append(0, flow)
     diagonal[[0, -1]] += ends
-    matrix = np.diag(diagonal) - np.diag(flow, 1) - np.diag(flow, -1)
-    p = np.linalg.solve(matrix, w)
+    p = np.linalg.solve(np.diag(diagonal) - np.diag(flow, 1) - np.diag(flow, -1), w)
     assert found == pytest.approx(np.sum(lmbda * w**2 / e) / np.sum(p * w) - 1, rel=5e-3)
 
 

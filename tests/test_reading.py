@@ -89,8 +89,7 @@ def test_round_trip(tmp_path, cell, suffix):
     else:
         meshio.Mesh(np.pad(joint.points, ((0, 0), (0, 1))), blocks, cell_data={"tags": tags}).write(path)
         facets, regions = (tuple(str(k + 1) for k in range(len(names))) for names in (facets, regions))
-    upper = None if joint.rigid_base else regions[-1]
-    back = read(path, S=facets[list(joint.facets).index("S")], upper=upper)
+    back = read(path, S=facets[list(joint.facets).index("S")], upper=None if joint.rigid_base else regions[-1])
     assert (back.rigid_base, len(back.regions)) == (joint.rigid_base, len(joint.regions))
     assert back.points == pytest.approx(joint.points, abs=1e-12)
     assert (back.cells == joint.cells).all()
@@ -104,8 +103,7 @@ def test_round_trip(tmp_path, cell, suffix):
 def test_whole_boundary_between_bodies(draw, tmp_path):
     """S=None; three regions, two of them one body."""
     low, left, right = boxes(draw, (0, -1, 2, 1), (0, 0, 1, 1), (1, 0, 1, 1))
-    groups = {(2, "LOW"): [low], (2, "LEFT"): [left], (2, "RIGHT"): [right]}
-    path = save(tmp_path / "a.msh", 2, groups)
+    path = save(tmp_path / "a.msh", 2, {(2, "LOW"): [low], (2, "LEFT"): [left], (2, "RIGHT"): [right]})
     joint = read(path, S=None, upper=["LEFT", "RIGHT"], lower="LOW")
     assert np.ptp(joint.points[joint.facets["S"]][..., 0]) == pytest.approx(2.0)
     assert joint.tip is None
@@ -124,8 +122,7 @@ def test_whole_boundary_between_bodies(draw, tmp_path):
 
 def test_rigid_base(draw, tmp_path):
     one, two = boxes(draw, (0, 0, 1, 1), (1, 0, 1, 1), dim=3)
-    groups = {(3, "ONE"): [one], (3, "TWO"): [two], (2, "FOOT"): sides(0, 0, 2, 0, 3)}
-    path = save(tmp_path / "a.msh", 3, groups)
+    path = save(tmp_path / "a.msh", 3, {(3, "ONE"): [one], (3, "TWO"): [two], (2, "FOOT"): sides(0, 0, 2, 0, 3)})
     joint = read(path, S="FOOT")
     assert joint.rigid_base
     assert (joint.seams["S"].upper, set(joint.facets)) == (("ONE", "TWO"), {"S"})

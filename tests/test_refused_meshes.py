@@ -147,8 +147,7 @@ def test_branching_interface(tmp_path):
 def test_no_room_for_the_layer(draw, tmp_path):
     """A C on a rigid base at the lower face of its upper arm: the layer grows down into the lower arm."""
     parts = boxes(draw, (0, 0, 1, 4), (1, 0, 1.7, 1), (1, 2, 2, 2))
-    groups = {(2, "C"): parts, (1, "S"): sides(1, 2, 2, 0)}
-    joint = read(save(tmp_path / "a.msh", 2, groups), scale=10.0)
+    joint = read(save(tmp_path / "a.msh", 2, {(2, "C"): parts, (1, "S"): sides(1, 2, 2, 0)}), scale=10.0)
     assert joint.rigid_base
     assert volume(inflate(joint, 9.0)) == pytest.approx(100 * (8 + 1.7) + 20 * 9)
     refused(InputError, r"no room for a layer of thickness 11 at \([\d.]+, [\d.]+\)", lambda: inflate(joint, 11.0))

@@ -25,8 +25,7 @@ def of(mu: float, nu: float) -> tuple[float, float]:
 
 
 def law_of(lmbda: float, mu: float, eps: float) -> Rubber | Incompressible:
-    law = Rubber(lmbda, mu) if math.isfinite(lmbda) else Incompressible(mu)
-    return law.scaled(1 / eps)
+    return (Rubber(lmbda, mu) if math.isfinite(lmbda) else Incompressible(mu)).scaled(1 / eps)
 
 
 def transfer(lmbda: float, mu: float) -> np.ndarray:

@@ -86,19 +86,7 @@ def test_moment_of_a_tilted_strip(nu):
     wanted = rubber_strip_tilted(modulus(nu), MU, EPS, STRIP)
     assert state.reaction("TOP").at((0.0, 0.0)).moment / rotation == pytest.approx(wanted, rel=2e-3)
     surface = Surface(state.model)
-    moment = surface.integral(surface.x[0] * surface.traction(state)[1])
-    assert moment / rotation == pytest.approx(wanted, rel=2e-3)
-
-
-TOO_STIFF = [("strip", 0.3, 1.01, 0), ("disc", 0.45, 1.07, 1), ("annulus", 0.49, 1.2, 0)]
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize(("bearing", "nu", "factor", "order"), TOO_STIFF)
-def test_without_a_pressure_that_flows_bearings_are_too_stiff(bearing, nu, factor, order):
-    law = LinearElastic(modulus(nu), MU)
-    found = stiffness(bearing, solve(structure(bearing).interface(layer(law, order))))
-    assert found > factor * closed_form(bearing, modulus(nu))
+    assert surface.integral(surface.x[0] * surface.traction(state)[1]) / rotation == pytest.approx(wanted, rel=2e-3)
 
 
 # stiffness of layers between rigid plates, from elements of degree 4 and more in graded grids, by another program

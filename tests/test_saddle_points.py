@@ -36,8 +36,7 @@ def bearing(nu: float, *, upper: LinearElastic = UPPER, held: bool = False) -> M
     if held:
         setup: dict[str, Any] = {"supports": {**sides, "TOP": {"x": 0.0, "y": -0.02, "z": 0.0}}}
     else:
-        load = {"TOP": lambda x, t: (0.02, -0.1 - 0.05 * x[0], 0.03 * x[2])}
-        setup = {"supports": sides, "tractions": load}
+        setup = {"supports": sides, "tractions": {"TOP": lambda x, t: (0.02, -0.1 - 0.05 * x[0], 0.03 * x[2])}}
     return Structure(joint, body={"LOWER": LOWER, "UPPER": upper}, **setup).interface(layer(nu))
 
 
@@ -60,8 +59,7 @@ def measured(state: State) -> dict[str, float]:
 def numbers(options: dict[str, str] = BLOCKS) -> dict[str, float]:
     found = {}
     for nu in (0.4, 0.5):
-        state = solve(bearing(nu), options=options)
-        found |= {f"{name}, nu = {nu}": value for name, value in measured(state).items()}
+        found |= {f"{name}, nu = {nu}": value for name, value in measured(solve(bearing(nu), options=options)).items()}
     return found
 
 

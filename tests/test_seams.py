@@ -34,8 +34,7 @@ def path(tmp_path_factory):
 @pytest.mark.parametrize("seams", [["TWO", "ONE"], {"ONE": ("B", "A"), "TWO": (0.2, -1)}])
 def test_layers_in_series(path, seams):
     """Each seam has its own layer; which side is the upper one makes no difference."""
-    joint = read(path, S=seams)
-    structure = Structure(joint, body=BODY, supports={"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.1}, **ROLLERS})
+    structure = Structure(read(path, S=seams), body=BODY, supports={"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.1}, **ROLLERS})
     state = solve(structure.interface({"ONE": ThinLayer(SOFT, 0.01, at=1.0), "TWO": ThinLayer(STIFF, 0.02, at=1.0)}))
     t = 0.1 / (3 / 70 + SHARE)
     for name, stiffness in (("ONE", 5), ("TWO", 9)):

@@ -44,8 +44,7 @@ def mean(state, place):
     model = state.model
     there = model.ds(model.domain.values(place))
     u = [state.integral(state.u[k] * there) for k in range(model.joint.dim)]
-    area = state.integral(fem.Constant(model.domain.mesh, 1.0) * there)
-    return axes(model.joint.dim) @ np.array(u) / area
+    return axes(model.joint.dim) @ np.array(u) / state.integral(fem.Constant(model.domain.mesh, 1.0) * there)
 
 
 def relaxing(kind: str = "interface", closing: float = 0.02):
@@ -142,8 +141,7 @@ def test_a_softening_interface_in_series_with_springs():
     history = march(structure.interface(law), ArcLength(end=0.3, first=0.01))
     sigma = np.sqrt([2 * bed.normal * state.energies()["springs BOTTOM"] for state in history])
     c = 2 * HEIGHT / E + 1 / bed.normal
-    w = history.t - c * sigma
-    assert sigma == pytest.approx(law.sigma(w, lambda a, b, x, y: np.where(a < b, x, y)), abs=1e-9)
+    assert sigma == pytest.approx(law.sigma(history.t - c * sigma, lambda a, b, x, y: np.where(a < b, x, y)), abs=1e-9)
     assert c * law.fall > 1 > 2 * HEIGHT / E * law.fall
     assert np.count_nonzero(np.diff(np.sign(np.diff(history.t)))) == 2
     assert np.abs(history.table["imbalance"]).max() < 1e-9

@@ -78,7 +78,7 @@ def exact(sublayers, w, mean, slope, n):
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("sublayers", [SUBLAYERS, ONE], ids=["stack", "one law"])
 def test_energy_of_the_stations(d, sublayers):
-    """Of linear displacements on both sides of a tilted facet; that of the mirrored stack is another one."""
+    """Of linear displacements on both sides of a tilted facet."""
     facet, random = Facet(d), np.random.default_rng(3)
     A, b, C, c = (random.normal(size=shape) for shape in ((d, d), d, (d, d), d))
     V = fem.functionspace(facet.mesh, ("DG", 1, (d,)))
@@ -86,13 +86,10 @@ def test_energy_of_the_stations(d, sublayers):
     both.interpolate(lambda x: C @ x[:d] + c[:, None])
     above.interpolate(lambda x: A @ x[:d] + b[:, None], cells0=facet.upper)
     laws = [(a, LinearElastic(lmbda, mu)) for a, lmbda, mu in sublayers]
-    law = Stack(*laws) if len(laws) > 1 else laws[0][1]
-    terms = surface(law, Interface.between_bodies(facet.dS), EPS, 1)
+    terms = surface(Stack(*laws) if len(laws) > 1 else laws[0][1], Interface.between_bodies(facet.dS), EPS, 1)
     pairs = [*zip(facet.places, facet.weights, strict=True)]
-    whole = lambda some: sum(weight * exact(some, A @ x + b, C + A / 2, A, facet.normal) for x, weight in pairs)
-    wanted, mirrored = whole(sublayers), whole(sublayers[::-1])
+    wanted = sum(weight * exact(sublayers, A @ x + b, C + A / 2, A, facet.normal) for x, weight in pairs)
     assert fem.assemble_scalar(fem.form(energy(terms, both + above))) == pytest.approx(wanted, rel=1e-11)
-    assert len(laws) == 1 or abs(mirrored / wanted - 1) > 1e-3
 
 
 # ---------------------------------------------------------------- what laws say

@@ -82,8 +82,7 @@ def test_supports_of_the_sides_take_nothing_from_the_traction(cell, element, ang
 @pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
 def test_a_support_that_moves_a_body_on_a_rigid_base(cell):
     """u = w + a y above the base, of one stress."""
-    depth = 0.8 if cell == "hexahedron" else None
-    one = block(1.6, 0.7, 0.4, depth=depth, cell=cell)
+    one = block(1.6, 0.7, 0.4, depth=0.8 if cell == "hexahedron" else None, cell=cell)
     d = one.dim
     a, n = np.array([0.02, -0.03, 0.01])[:d], np.eye(d)[1]
     strain = (np.outer(a, n) + np.outer(n, a)) / 2

@@ -31,8 +31,7 @@ def test_a_uniform_cell_that_relaxes(d, unit, dt):
     strain[0, 1] = strain[1, 0] = 1.5e-3
     law = Maxwell(LMBDA * unit, MU * unit, TAU)
     last = march(Structure(CELLS[d], body=law, supports={}, strain=strain.tolist()).bonded(), [dt, 2 * dt]).last
-    found = last.mean_stress()[0, 1]
-    assert found == pytest.approx(2 * MU * unit * 1.5e-3 / (1 + dt / TAU) ** 2, rel=ROUNDED)
+    assert last.mean_stress()[0, 1] == pytest.approx(2 * MU * unit * 1.5e-3 / (1 + dt / TAU) ** 2, rel=ROUNDED)
     assert np.abs(last.u.x.array).max() < 1e-12 * 1.5e-3
 
 
@@ -60,10 +59,8 @@ SHRINKING = [
 def test_bodies_that_shrink_away_from_each_other(kind, method, unit, initial):
     """The gap opens by (1 + nu) e h in plane strain, beside an initial one, and all forces vanish."""
     bodies = LinearElastic.young(1e4 * unit, NU)
-    joint = sandwich(10.0, 4.0, 6.0, 2.0)
-    structure = Structure(joint, body=bodies, supports=SHRUNK, eigenstrain=-1e-3, element="P1")
-    law = kind(1e5 * unit, 8e4 * unit, friction=0.3, gap=initial)
-    state = solve(structure.interface(law), method=method)
+    structure = Structure(sandwich(10.0, 4.0, 6.0, 2.0), body=bodies, supports=SHRUNK, eigenstrain=-1e-3, element="P1")
+    state = solve(structure.interface(kind(1e5 * unit, 8e4 * unit, friction=0.3, gap=initial)), method=method)
     largest = np.abs(state.u.x.array.reshape(-1, 2)[:, 1]).max()
     assert largest == pytest.approx((1 + NU) * 1e-3 * 6.0, rel=1e-8)  # of the upper side of S, from TOP
     assert np.abs(Surface(state.model).contact(state).normal_force) < 1e-9 * 1e4 * unit * 1e-3 * 10.0

@@ -193,8 +193,7 @@ def test_a_rigid_rotation_does_not_strain_corners(monkeypatch):
 def test_three_dimensions_between_rollers_are_plane_strain():
     plain, rollers = Zoom(state()), {"BOTTOM": 0, "FRONT": {"z": 0}, "BACK": {"z": 0}}
     base = sandwich(1.3, 0.3, 0.4, 0.1, depth=0.1, cell="hexahedron", structured=True)
-    pull = {"TOP": (0.3, -1.0, 0.0), "RIGHT/UPPER": (0.1, 0.2, 0.0)}
-    deep = Zoom(state(of=base, supports=rollers, tractions=pull))
+    deep = Zoom(state(of=base, supports=rollers, tractions={"TOP": (0.3, -1.0, 0.0), "RIGHT/UPPER": (0.1, 0.2, 0.0)}))
     x = np.pad(PLACES, ((0, 0), (0, 1)), constant_values=0.037)
     known = plain.stress(PLACES, HEIGHTS)
     np.testing.assert_allclose(deep.stress(x, HEIGHTS), known, atol=1e-7 * np.abs(known).max())
@@ -245,8 +244,7 @@ def test_layers_of_a_network_beside_their_junction():
     full = solve(bricks.full(layer, cells_through=8))
     x = np.array([[1.0 + 0.15, 1.0], [1.0 - 0.4, 1.0], [1.6, 1.0]])
     known = Probe(full).stress(Surface(full.model, "BED").in_layer(x, 0.1))
-    zoom = Zoom(estimate(solve(bricks.interface(layer))).better, "BED")
-    assert relative(zoom.stress(x, 0.1), known) < 0.03
+    assert relative(Zoom(estimate(solve(bricks.interface(layer))).better, "BED").stress(x, 0.1), known) < 0.03
 
 
 # ---------------------------------------------------------------- refusals
