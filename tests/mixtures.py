@@ -224,7 +224,10 @@ class Mixture:
                 found = told(answer)
             except ThinlayerError as refusal:
                 answer, found = None, [f"{type(refusal).__name__}: {words(str(refusal))}"]
-        self.answers[name] = [*found, *sorted({words(str(one.message)) for one in heard})]
+        self.answers[name] = [
+            *found,
+            *sorted({words(str(one.message)) for one in heard if one.category is RangeWarning}),
+        ]
         return answer
 
     def all(self, folder: Path) -> dict[str, list[Any]]:

@@ -234,7 +234,7 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
     flow = surface.lengths(rim) * at_rim**2 / (12 * layer.mu * resistance)
     ends, k = np.searchsorted(used, joint.masters[rim.vertices]), rim.vertices.shape[1]
     outflow = np.bincount(ends.ravel(), np.repeat(flow / k, k), len(used))
-    p = scipy.sparse.linalg.spsolve(whole + scipy.sparse.diags_array(outflow, format="csc"), b)
+    p = scipy.sparse.linalg.spsolve(whole + scipy.sparse.diags_array(outflow.astype(float), format="csc"), b)
     p_0 = scipy.sparse.linalg.spsolve(volume, b)
     of_law, of_layer = float(surface.integral(stiff * wb**2)), float(b @ p)
     slip = surface.between(faces.slip_squared) / eps
