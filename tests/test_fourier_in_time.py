@@ -194,3 +194,18 @@ def test_right_traction_laws_are_the_layers_law(law, limit, dt):
     found, right = errors(law, steps(dt, 3), limits=(limit, None))
     assert found == pytest.approx(right, rel=1e-6)
     assert last_orders(right) == pytest.approx([1.0, 1.0], abs=0.07)
+
+
+WRONG = [  # E/(1 + nu) = 2 mu stands in (19)
+    pytest.param(MAXWELL, 0.1, Relaxing(2 * MU, K_N, 0.7, 0.7), (0.12, 0.11), id="(19), its shear alone"),
+    pytest.param(THINNING, 0.05, Dashpot(5.0, 1.5, 1.0), (0.08, 0.3), id="Norton without 1/2"),
+]
+
+
+@pytest.mark.parametrize(("law", "dt", "wrong", "floors"), WRONG)
+def test_printed_laws_leave_an_error(law, dt, wrong, floors):
+    """As `docs/laws/maxwell.md` says: errors beside a wrong law stay, those of the right one go to zero with order 1."""
+    found, right = errors(law, steps(dt), limits=(wrong, None))
+    assert last_orders(right) == pytest.approx([1.0, 1.0], abs=0.07)
+    assert max(last_orders(found)) < 0.2
+    assert (found[-1] > floors).all()
