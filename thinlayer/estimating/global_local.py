@@ -37,12 +37,11 @@ from thinlayer.errors import SolveError
 from thinlayer.estimating.goals import Goal
 from thinlayer.pointwise.integrals import give
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.balance import PartSum
+from thinlayer.solving.balance import ROUNDING_SHARE, PartSum
 from thinlayer.solving.layer_alone import REMEDY, LayerAlone, share_of_step
 
 STEPS = 5
 SAME = 1e-10  # difference of two iterates, relative, that counts as rounding
-ROUNDING = 1e-14  # of these forces, over the stiffness times displacements
 UNBALANCED = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
 CLOSER = 0.01  # part of that which couples leave
 NEW_AXIS = 0.1  # part of a resultant that is along no axis yet, over all of it
@@ -196,7 +195,7 @@ class GlobalLocal:
     def _resultant(self, one: Iterate) -> tuple[float, float]:
         """The largest resultant of the forces on the layers, and what counts as rounding."""
         forces, layers = one.F + one.load, self.layers
-        rounding = ROUNDING * float(np.abs(layers.K.diagonal()).sum() * np.abs(one.v).max())
+        rounding = ROUNDING_SHARE * float(np.abs(layers.K.diagonal()).sum() * np.abs(one.v).max())
         return np.abs(layers.R.T @ forces).max(initial=0.0), UNBALANCED * float(np.abs(forces).sum()) + rounding
 
     # ---------------------------------------------------------------- iterates
@@ -308,9 +307,8 @@ class GlobalLocal:
         """
         one, u = self.first(), self.state.u.x.array
         moved = self.model.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
-        if (
-            norm(one.F) <= ROUNDING * self.equations.scale.stiffness[0] * moved
-        ):  # supports have moved what bears nothing
+        rounding = ROUNDING_SHARE * self.equations.scale.stiffness[0] * moved
+        if norm(one.F) <= rounding:  # supports have moved what bears nothing
             return one
         least = BALANCED * norm(self.residual(one)) + UNBALANCED * norm(one.F)
         for _ in range(NEWTON_STEPS):

@@ -166,11 +166,13 @@ class Estimate:
         require_known("goal", goal, self._goals, "estimate")
         of_laws = self._first if self.state.model.bonds else self.state
         with Adjoint(of_laws, self._old, self._options) as adjoint:
-            found = density_of(GlobalLocal(adjoint, self._layers), self.state, self.better, self._weights[goal])
+            iteration = GlobalLocal(adjoint, self._layers)
+            found = density_of(iteration, self.state, self.better, self._weights[goal])
+            linear = iteration.model.linear and self._goals[goal].is_linear(iteration.model)
         total, error = Surface(self.better.model).integral(found), self.goals[goal]
         if abs(total - error.change) > FAR_OFF * abs(error.change) + ROUNDING * error.scale:
             reason = f"the density of the change of {goal} adds up to {total:.3g}, not to {error.change:.3g}"
-            why = "a support holds one side of a bond's end" if self.state.model.linear else "laws are not linear"
+            why = "a support holds one side of a bond's end" if linear else "laws or the goal are not linear"
             remedy = "take it for a picture of where the change comes from"
             warn("density", f"{reason}, as {why}; {remedy}", self.better.model.comm)
         return found

@@ -27,6 +27,7 @@ from thinlayer.discretisation.state import Configuration, Report, State
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import Interval
+from thinlayer.solving.balance import ROUNDING_SHARE
 from thinlayer.solving.equations import Equations
 from thinlayer.system.compat import interpolation_points
 
@@ -34,7 +35,6 @@ Vertices = tuple[int, ...]
 NEWTON_STEPS = 100  # at most
 REMEDY = "mesh the layer (structure.full), in smaller steps of time if it slips or opens far"
 SETTLED = 1e-9  # what a step of Newton's changes, in the energy norm and relative, that counts as none
-ROUNDING = 1e-14  # of a step of Newton's, over the displacements
 LEAST_SHARE, SHARES = 0.1, 8  # of a step in the one before, number of them in turn
 PARTS = 32  # of a straight way between two displacements, over which work is summed
 MOST_LOST = 0.01  # of the work of forces in what they move, by which the energy there may differ from it
@@ -147,7 +147,7 @@ class HeldLayers:
             self.linearise(w)
             d = np.zeros_like(w)
             first = factor().solve(forces - self.residual(w), d)
-            rounding = ROUNDING * np.abs(w[: self._displacements]).max(initial=0.0)
+            rounding = ROUNDING_SHARE * np.abs(w[: self._displacements]).max(initial=0.0)
             if first <= max(SETTLED**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
                 if factor().negative > self._inside[self._displacements :].sum():  # each pressure has one
                     raise SolveError("the layer by itself softens: its stress falls as strains grow", advice=REMEDY)
