@@ -141,25 +141,33 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
     return _at_owners(domain, V, np.concatenate(blocks), np.concatenate(normals))
 
 
+def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
+    """Mean outer unit normals (n, d) of the facets of a name at ridges, (n, k) vertices; NaN where it has none."""
+    rows, kind = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
+    cells = joint.table.cells[joint.table.index(rows), 0]
+    inward = joint.points[joint.corners[cells]].mean(axis=1) - joint.points[rows].mean(axis=1)
+    normals = facet_normals(joint.points, rows[:, : joint.dim], kind)[:, 0]
+    normals *= -np.sign((normals * inward).sum(axis=1))[:, None]
+    out = np.full((len(ridges), joint.dim), np.nan)
+    for k, ridge in enumerate(ridges):
+        mean = normals[np.isin(rows, ridge).sum(axis=1) == len(np.unique(ridge))].sum(axis=0)
+        if length := np.linalg.norm(mean):
+            out[k] = mean / length
+    return out
+
+
 def _continued(domain: Domain, place: str, facets: Indices) -> Array:
     """(n, d) outer unit normals of the side that facets of layers continue, before inflating; NaN for other facets."""
     joint, band, name = domain.joint, domain.joint.band, place.split("/")[0]
     out = np.full((len(facets), joint.dim), np.nan)
     if band is None or name not in band.base.facets or not len(facets):
         return out
-    base, rows = band.base, band.base.facets[name]
-    cells = base.table.cells[base.table.index(rows), 0]
-    inward = base.points[base.corners[cells]].mean(axis=1) - base.points[rows].mean(axis=1)
-    normals = facet_normals(base.points, rows[:, : joint.dim], {2: "triangle", 3: "tetrahedron"}[joint.dim])[:, 0]
-    normals *= -np.sign((normals * inward).sum(axis=1))[:, None]
     numbers = domain.numbers(joint.dim - 1, facets)
     regions = np.array(joint.regions)[joint.region[joint.table.cells[numbers, 0]]]
     layers = np.flatnonzero(np.isin(regions, band.regions))
-    _, of_base = cKDTree(base.points).query(band.reference[joint.table.vertices[numbers[layers]]])
-    for facet, vertices in zip(layers, of_base, strict=True):
-        beside = np.isin(rows, vertices).sum(axis=1) == len(np.unique(vertices))
-        if length := np.linalg.norm(mean := normals[beside].sum(axis=0)):
-            out[facet] = mean / length
+    _, of_base = cKDTree(band.base.points).query(band.reference[joint.table.vertices[numbers[layers]]])
+    ridges, number = np.unique(np.sort(of_base, axis=1), axis=0, return_inverse=True)
+    out[layers] = side_normals(band.base, name, ridges)[number.ravel()]
     return out
 
 

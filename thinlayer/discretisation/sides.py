@@ -16,9 +16,9 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet, StraightEnd, continued, share_within
-from geometry.topology import FloatArray, facet_normals, ridge_keys
+from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.addition import Addition
-from thinlayer.discretisation.boundary import AXES, on_axis
+from thinlayer.discretisation.boundary import AXES, on_axis, side_normals
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import cellwise
 
@@ -67,14 +67,8 @@ def held_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:
 
 def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
     """(n, d) mean unit normal of the facets of a name at each ridge: that of a layer's side if S ends at right angles."""
-    rows, out = joint.facets[name], rim.outward.copy()
-    normals = facet_normals(joint.points, rows[:, : joint.dim], "triangle" if joint.dim == 2 else "tetrahedron")[:, 0]
-    for k, ridge in enumerate(rim.vertices):
-        at = normals[np.isin(rows, ridge).sum(axis=1) == joint.dim - 1]
-        mean = (at * np.sign(at @ rim.outward[k])[:, None]).sum(axis=0)
-        if length := np.linalg.norm(mean):
-            out[k] = mean / length
-    return out
+    found = side_normals(joint, name, rim.vertices)
+    return np.where(np.isnan(found), rim.outward, found)
 
 
 def mean_on_facets(sheet: Sheet, values: FloatArray) -> FloatArray:
