@@ -217,8 +217,7 @@ class Domain:
         """Whether all facets of a name lie on the outer boundary."""
         joint = self.joint
         known = [one for one in (name, name.split("/")[0]) if one in joint.facets]
-        facets = joint.facets[known[0]] if known else np.empty((0, joint.dim), np.int64)
-        return bool((joint.table.cells[joint.table.index(facets), 1] < 0).all())
+        return not known or bool((joint.table.cells[joint.table.index(joint.facets[known[0]]), 1] < 0).all())
 
     def facets(self, name: str, *, layer_sides: bool = False) -> Indices:
         """Local facets (ghosts included) of a name; arguments and errors as in `values`."""

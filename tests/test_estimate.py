@@ -56,10 +56,11 @@ def dropped(made, layer=LAYER, **given):
 @cache
 def estimated(kind):
     """The estimate of a structure with goals of all kinds."""
-    found = [goals.Compliance(), goals.MeanTraction(LOAD)]
+    solid = {"solid base": (0.2,)}.get(kind, ())
+    found = [goals.Compliance(), goals.MeanTraction((*LOAD, *solid))]
     found += [goals.Functional("mean of u_y", lambda u, model: u[1] * model.dx)]
-    found += [goals.Displacement((0.35, 0.25) if kind == "inclined" else (0.41, 0.17), LOAD)]
-    found += [goals.Reaction({"moved": "TOP", "bonded": "LEFT"}.get(kind, "BOTTOM"), LOAD)] if kind != "base" else []
+    found += [goals.Displacement(((0.35, 0.25) if kind == "inclined" else (0.41, 0.17)) + solid, (*LOAD, *solid))]
+    found += [goals.Reaction({"moved": "TOP", "bonded": "LEFT"}.get(kind, "BOTTOM"), LOAD)] if "base" not in kind else []
     bodies = {"body": {"LOWER": LOWER, "UPPER": UPPER}}
     made = {
         "between": lambda: structure(**bodies),
@@ -69,6 +70,9 @@ def estimated(kind):
         "heated": lambda: structure(eigenstrain={"UPPER": 0.002}, **bodies),
         "inclined": lambda: structure(JOINT.rotated(0.3), supports={"BOTTOM": {"n": 0.01}, "LEFT/LOWER": {"x": 0}}),
         "base": lambda: structure(block(1.3, 0.4, 0.3, h_ends=0.15), supports={}),
+        "solid base": lambda: structure(
+            block(1.3, 0.4, 0.3, h_ends=0.15, depth=0.4, cell="hexahedron"), supports={}, tractions={"TOP": (*LOAD, 0.2)}
+        ),
     }[kind]()
     return estimate(solve(made.bonded()), LAYER, found) if kind == "bonded" else dropped(made, goals=found)
 
@@ -79,7 +83,7 @@ def total(found, goal="compliance"):
 
 
 # ---------------------------------------------------------------- goals
-@pytest.mark.parametrize("kind", ["inclined", "heated", "base", "bonded", "moved", "skew"])
+@pytest.mark.parametrize("kind", ["inclined", "heated", "base", "solid base", "bonded", "moved", "skew"])
 def test_the_densities_of_goals_add_up_to_their_changes(kind):
     """Whatever the goal."""
     found = estimated(kind)
@@ -88,11 +92,12 @@ def test_the_densities_of_goals_add_up_to_their_changes(kind):
         assert total(found, name) == pytest.approx(goal.change, rel=1e-8, abs=least), name
 
 
-@pytest.mark.parametrize("kind", ["between", "base", "skew"])
+@pytest.mark.parametrize("kind", ["between", "base", "solid base", "skew"])
 def test_the_mean_traction_is_that_of_the_load(kind):
     """What is pulled along (0.3, -1) bears it, between bodies and on a rigid base."""
     found = next(goal for name, goal in estimated(kind).goals.items() if name.startswith("mean traction"))
-    assert [found.value, found.better] == pytest.approx([math.hypot(0.3, 1.0)] * 2, rel=1e-9)
+    load = math.hypot(*LOAD, 0.2 * (kind == "solid base"))
+    assert [found.value, found.better] == pytest.approx([load] * 2, rel=1e-9)
 
 
 def test_the_mean_traction_has_nothing_of_supports_at_ends_of_s():

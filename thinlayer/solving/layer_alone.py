@@ -354,7 +354,7 @@ def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, Int
         facets = np.sort(base.surface[base.seam_numbers == number][:, : base.table.vertices.shape[1]], axis=1)
         prefix = f"{seam}/" if len(base.seams) > 1 else ""
         for side, name in enumerate(("LOWER_FACE", "UPPER_FACE")):
-            faces = band.facets.get(prefix + name, np.empty((0, d), np.int64))
+            faces = band.facets.get(prefix + name, facets[:0])
             for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
                 below = dict(zip(face, facet, strict=True))
                 cell, local = band.table.cells[row, 0], band.table.local[row, 0]
