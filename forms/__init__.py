@@ -13,6 +13,6 @@ from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
 from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, VonMises
 from forms.rubber import Incompressible, Rubber
 from forms.series import Stack
-from forms.temperature import Tabulated
+from forms.temperature import TemperatureTable
 from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, Maxwell, Norton, NortonCreep

@@ -39,7 +39,7 @@ def require(good: object, what: str, value: object, wanted: str) -> None:
         raise InputError(f"{what} is {value!r:.200}; {wanted}")
 
 
-def optional(name: str) -> ModuleType:
+def import_optional(name: str) -> ModuleType:
     """Import a module of `EXTRAS`, or a module of ours that imports them.
 
     Raises:
@@ -54,7 +54,7 @@ def optional(name: str) -> ModuleType:
         raise InputError(f"{missing} is not installed: pip install 'thinlayer[{EXTRAS[missing]}]'") from error
 
 
-def unknown(kind: str, name: object, known: Iterable[str]) -> str:
+def unknown_name_message(kind: str, name: object, known: Iterable[str]) -> str:
     """Message for a name that does not exist: the nearest known one, or the only one that starts so, and the whole list."""
     known, start = sorted(known), str(name).lower()
     lowered = {one.lower(): one for one in known}
@@ -75,6 +75,6 @@ def is_finite(value: Any) -> bool:
     return is_number(plain) and bool(abs(plain) <= sys.float_info.max)
 
 
-def is_whole(value: Any, least: int) -> bool:
+def is_integer(value: Any, least: int) -> bool:
     """Whether a value is a whole number, and not less than another one; 3.0 is whole, too."""
     return is_finite(value) and value == int(value) and value >= least

@@ -13,10 +13,10 @@ from ufl.classes import Zero
 from ufl.indexed import Indexed
 
 from forms.base import Array, InputError, require
-from forms.kinematics import Expr, mandel
-from forms.law import BulkLaw, Law, Step, explained, shaped
+from forms.kinematics import Expr, mandel_vector
+from forms.law import BulkLaw, Law, Step, explained_errors, require_shape
 from forms.parameter_fields import is_field
-from forms.trace import named, numbers, symbolic
+from forms.trace import evaluate, law_identity, symbolic
 
 STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
 TOLERANCE = 1e-8  # relative difference that counts as rounding
@@ -53,7 +53,7 @@ def check(law: Law, d: int | None = 3) -> None:
         one: Any = sublayer.in_space
         values = [np.asarray(_number(value)).tobytes() for value in one.parameters().values()]
         key = type(one), d, repr(one.choices()), *values
-        if named(one) is None and key not in _PASSED:
+        if law_identity(one) is None and key not in _PASSED:
             require_computed(one, d)
             _PASSED.add(key)
 
@@ -65,14 +65,14 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
     given, name, method = law.mapped(lambda value, _: _number(value)), type(law).__name__, law.methods[0]
     d = 3 if law.traits.compiled else d
     point = symbolic(given, d=d)
-    found = _computed(point.law, point.step)
+    found = _evaluate_methods(point.law, point.step)
     if isinstance(found[method], Zero) and not law.traits.compiled:
         raise InputError(f"{name}.{method} is zero, whatever the strain; a law of this kind needs a stiffness")
-    flat = mandel(found[method])
+    flat = mandel_vector(found[method])
     asked: dict[str, Expr] = {**found, "tangent": ufl.diff(flat, point.strain)}
     if law.traits.has_energy and law.traits.symmetric and not (law.traits.rate or law.internal):
         asked["slope"] = ufl.diff(found["energy"], point.strain) - flat
-    with explained(law, method):
+    with explained_errors(law, method):
         asked = {key: expand_derivatives(one) for key, one in asked.items()}
 
     def values(key: str, sample: Array) -> Array | None:
@@ -83,17 +83,17 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
         _require_no_decisions(law, d, sample, values)
         for key in found:
             tensor = values(key, sample)
-            if tensor is not None and tensor.ndim == 2 and (skew := _apart(tensor, tensor.T)):
+            if tensor is not None and tensor.ndim == 2 and (skew := _relative_difference(tensor, tensor.T)):
                 why = f"it differs from its transpose by {skew:.1e} of its size"
                 remedy = "use ufl.sym, or vectors (3,) as internal variables"
                 raise InputError(f"{name}.{key} is not symmetric: {why}; {remedy}")
         turned = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
         tangents = [C for one in turned if (C := values("tangent", one)) is not None]
         for C in tangents:
-            if law.traits.linear and _apart(C, tangents[0]):
+            if law.traits.linear and _relative_difference(C, tangents[0]):
                 remedy = "write linear = False in the class, or correct the stress"
                 raise InputError(f"{name} declares linear = True, but its stress is not affine in the strain; {remedy}")
-            if law.traits.symmetric and (skew := _apart(C, C.T)):
+            if law.traits.symmetric and (skew := _relative_difference(C, C.T)):
                 fed = f". The memory was random numbers: {', '.join(law.internal)}" * bool(law.internal)
                 raise InputError(NOT_SYMMETRIC.format(name, skew) + fed)
         slope, stress = (values(key, sample) if "slope" in asked else None for key in ("slope", method))
@@ -103,27 +103,27 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
             raise InputError(f"{name}: the derivative of the energy by the strain is not the stress, {away}; {remedy}")
 
 
-def _computed(law: BulkLaw, step: Step) -> dict[str, Expr]:
+def _evaluate_methods(law: BulkLaw, step: Step) -> dict[str, Expr]:
     """What a law gives in a step, by its methods.
 
     Raises:
         InputError: a method fails, or gives another shape.
     """
     name, (method, advances) = type(law).__name__, law.methods
-    with explained(law, method):
-        found = {method: shaped(law, method, law.stress(law.own_step(step)), (3, 3))}
-    with explained(law, advances):
+    with explained_errors(law, method):
+        found = {method: require_shape(law, method, law.stress(law.own_step(step)), (3, 3))}
+    with explained_errors(law, advances):
         new = law.advance(step)
     if not isinstance(new, dict) or set(new) != set(law.internal):
         given = sorted(new) if isinstance(new, dict) else repr(new)
         raise InputError(f"{name}.{advances} gives {given}; it must give {sorted(law.internal)}")
     for variable, shape in law.internal.items():
         key = f"{advances}[{variable!r}]"
-        found[key] = shaped(law, key, new[variable], shape)
+        found[key] = require_shape(law, key, new[variable], shape)
     if law.traits.has_energy:
-        with explained(law, "energy or dissipation"):
-            found["energy"] = shaped(law, "energy", law.energy(Step(step.e, step.n, q=new)), ())
-            found["dissipation"] = shaped(law, "dissipation", law.dissipated(step), ())
+        with explained_errors(law, "energy or dissipation"):
+            found["energy"] = require_shape(law, "energy", law.energy(Step(step.e, step.n, q=new)), ())
+            found["dissipation"] = require_shape(law, "dissipation", law.dissipated(step), ())
     return found
 
 
@@ -145,18 +145,18 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
         inputs = np.concatenate([sample[: place + 3], [dt, theta], given.parameter_values()])
         try:
             point = symbolic(given, inputs, d)
-            found = _computed(point.law, point.step)
+            found = _evaluate_methods(point.law, point.step)
         except Exception:  # numbers that cannot be divided, say
             continue
         for key, one in found.items():
             direct, traced = _evaluated(one), values(key, inputs)
-            if direct is not None and traced is not None and _apart(direct, traced, least.get(key, 0.0)):
+            if direct is not None and traced is not None and _relative_difference(direct, traced, least.get(key, 0.0)):
                 what = "a parameter, or a value computed from it, is compared or used as a condition in Python"
                 remedy = "laws are traced once for all numbers: write ufl.conditional(ufl.eq(a, b), c, d)"
                 raise InputError(f"{type(law).__name__}.{key}: {what}; {remedy}")
 
 
-def _apart(a: Array, b: Array, least: float = 0.0) -> float:
+def _relative_difference(a: Array, b: Array, least: float = 0.0) -> float:
     """Largest difference of two arrays over their largest number, or over `least`; 0 if it is rounding."""
     apart, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least, SMALLEST)
     return float(apart / largest) if apart > TOLERANCE * largest else 0.0
@@ -166,7 +166,7 @@ def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Arr
     """The numbers of an expression; None if it has none, or they are not finite."""
     try:
         with warnings.catch_warnings(action="ignore"):  # UFL warns where it finds no number
-            found = numbers(expand_derivatives(expression), values)
+            found = evaluate(expand_derivatives(expression), values)
     except Exception:  # parts without a value, such as a coordinate: the compiler will report errors
         return None
     return found if np.isfinite(found).all() else None

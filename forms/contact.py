@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from forms.base import Array, InputError
 from forms.elastic import LinearElastic
-from forms.law import Law, positive
-from forms.parameter_fields import place_of
-from forms.temperature import values_of
+from forms.law import Law, require_positive
+from forms.parameter_fields import place_text
+from forms.temperature import checked_values
 
 
 class Status(IntEnum):
@@ -54,7 +54,7 @@ class ContactLaw(Law):
     memory: ClassVar[bool] = False
 
     def check(self) -> None:
-        positive(self, "K_N", "K_T")
+        require_positive(self, "K_N", "K_T")
         self.require(callable(self.gap) or bool(np.isfinite(self.gap)), "gap", "a finite number, or a function")
 
     def parameters(self) -> dict[str, Any]:
@@ -65,7 +65,9 @@ class ContactLaw(Law):
         if not callable(self.gap):
             return np.full(x.shape[1], float(self.gap))
         it = "it must be a numpy function of places (d, n) that gives n lengths"
-        return values_of(f"{type(self).__name__}: gap(x)", self.gap, x, it=it, where=lambda k: f" at {place_of(x, k)}")
+        return checked_values(
+            f"{type(self).__name__}: gap(x)", self.gap, x, it=it, where=lambda k: f" at {place_text(x, k)}"
+        )
 
     def _traits_of_methods(self) -> dict[str, bool]:
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}
@@ -165,9 +167,9 @@ class ContactLaw(Law):
         stored = (t[:, -1] ** 2 / self.K_N + (t[:, :-1] ** 2).sum(axis=1) / self.K_T) / 2
         return stored, (t[:, :-1] * (self.slip_after(w, slip) - slip)).sum(axis=1)
 
-    def eased(self, share: float) -> EasedContact:
+    def eased(self, share: float) -> ContactHomotopy:
         """This law in parallel with springs that neither open nor slide, for continuation."""
-        return EasedContact(self, share)
+        return ContactHomotopy(self, share)
 
     @property
     def numbers(self) -> tuple[float, float, float, float] | None:
@@ -191,7 +193,7 @@ class ContactLaw(Law):
 
 
 @dataclass(frozen=True)
-class EasedContact:
+class ContactHomotopy:
     """t = (1 - share) t_law + share K (w - slip), K = diag(K_T, ..., K_N): its equilibrium is easier to find.
 
     Every jump is resisted, so that an equilibrium exists under all loads.

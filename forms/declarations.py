@@ -148,7 +148,7 @@ def _own(kind: Any, name: str) -> bool:
     return getattr(vars(defining)[name], "__module__", None) not in DEFAULTS  # as restored by `_reset`
 
 
-def trait(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> Any:
+def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> Any:
     """A field of `Traits`: `fold` makes the trait of a Stack from those of its sublayers; `default` if not declared."""
     return field(default=default, metadata={"fold": fold})
 
@@ -186,27 +186,27 @@ class Traits:
         compiled: the law is compiled and evaluated on arrays of points; otherwise its stress is a part of a UFL form.
     """
 
-    linear: bool = trait(all)
-    symmetric: bool = trait(all, default=True)
-    quadratic: bool = trait(all)
-    rate: bool = trait(any)
-    constrained: bool = trait(any)
-    bounded: bool = trait(any)
-    singular: bool = trait(any)
-    isochoric: bool = trait(any)
-    softens: bool = trait(any)
-    plateau: bool = trait(any)
-    varies: bool = trait(any)
-    phases: bool = trait(any)
-    switches: bool = trait(any)
-    has_energy: bool = trait(all)
-    eases: bool = trait(any)
-    in_series: bool = trait(all)
-    remembers: bool = trait(any)
-    in_ufl: bool = trait(all)
-    of_jumps: bool = trait(any)
-    nodal: bool = trait(any)
-    compiled: bool = trait(lambda _: True)  # of every Stack
+    linear: bool = trait_field(all)
+    symmetric: bool = trait_field(all, default=True)
+    quadratic: bool = trait_field(all)
+    rate: bool = trait_field(any)
+    constrained: bool = trait_field(any)
+    bounded: bool = trait_field(any)
+    singular: bool = trait_field(any)
+    isochoric: bool = trait_field(any)
+    softens: bool = trait_field(any)
+    plateau: bool = trait_field(any)
+    varies: bool = trait_field(any)
+    phases: bool = trait_field(any)
+    switches: bool = trait_field(any)
+    has_energy: bool = trait_field(all)
+    eases: bool = trait_field(any)
+    in_series: bool = trait_field(all)
+    remembers: bool = trait_field(any)
+    in_ufl: bool = trait_field(all)
+    of_jumps: bool = trait_field(any)
+    nodal: bool = trait_field(any)
+    compiled: bool = trait_field(lambda _: True)  # of every Stack
 
     @property
     def may_soften(self) -> bool:

@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from forms.base import Array, InputError, is_finite, require
 from forms.ends.constants import free_end
-from forms.ends.weights import EndWeights, Strips
-from forms.kinematics import MANDEL, ROOT2, Expr, condensed_onto, isotropic, layer_frame
+from forms.ends.weights import EndStrips, EndWeights
+from forms.kinematics import MANDEL, ROOT2, Expr, condensed_tangent, isotropic_tensor, layer_frame
 from forms.law import BulkLaw, Step, choice
-from forms.parameter_fields import Field, OutOfRange, Parameter, field_of, is_field
-from forms.stations import Faces, Station, at_gauss_points
+from forms.parameter_fields import Parameter, ParameterField, ParameterRangeError, as_parameter_field, is_field
+from forms.stations import Faces, Station, gauss_stations
 
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 VOIGT_PLACES = ((0, 5, 4), (5, 1, 3), (4, 3, 2))  # of the components of a tensor
@@ -27,7 +27,7 @@ OUT_OF_PLANE = [2, 3, 4]
 IN_PLANE = [0, 1, 5]
 
 
-def lame(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
+def lame_stress(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
     """Isotropic stress lmbda tr(e) I + 2 mu e."""
     return lmbda * ufl.tr(e) * ufl.Identity(3) + 2 * mu * e
 
@@ -47,7 +47,7 @@ class IsotropicLaw(BulkLaw):
 
     def stiffness(self, n: Array) -> Array:
         named = self.parameters()
-        return isotropic(float(named["lmbda"]), float(named["mu"]))
+        return isotropic_tensor(float(named["lmbda"]), float(named["mu"]))
 
 
 def poisson_ratio(law: Any) -> float:
@@ -91,9 +91,9 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
         Both may be numpy functions of places (d, n) in the joint that give n values.
         """
-        values = field_of(E), field_of(nu)
+        values = as_parameter_field(E), as_parameter_field(nu)
         if any(map(is_field, values)):
-            return cls(Field(_lmbda_of_young, values), Field(_mu_of_young, values))  # type: ignore[arg-type]
+            return cls(ParameterField(_lmbda_of_young, values), ParameterField(_mu_of_young, values))  # type: ignore[arg-type]
         return cls(_lmbda_of_young(*values), _mu_of_young(*values))
 
     @classmethod
@@ -102,13 +102,13 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
         Both may be functions, as in `young`.
         """
-        mu, nu = field_of(mu), field_of(nu)
+        mu, nu = as_parameter_field(mu), as_parameter_field(nu)
         for name, value in (("mu", mu), ("nu", nu)):
             require(is_field(value) or is_finite(value), f"LinearElastic.shear: {name}", value, "it must be a number")
         return cls.young(2 * mu * (1 + nu), nu)  # type: ignore[operator]
 
     def stress(self, step: Step) -> Expr:
-        return lame(self.lmbda, self.mu, step.mid)
+        return lame_stress(self.lmbda, self.mu, step.mid)
 
     def elastic_moduli(self) -> tuple[Any, Any]:
         return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
@@ -119,7 +119,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         The displacements are then parabolas through the thickness; with straight lines a nearly incompressible layer
         would lock.
         """
-        return at_gauss_points(self, self._change)
+        return gauss_stations(self, self._change)
 
     @staticmethod
     def _change(law: LinearElastic, faces: Faces) -> Expr:
@@ -130,7 +130,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
     def _share(self) -> Any:
         return self.lmbda / (self.lmbda + 2 * self.mu)
 
-    def end_strips(self) -> Strips | None:
+    def end_strips(self) -> EndStrips | None:
         """Known for Poisson's ratios from 0 to `LARGEST_NU`, beyond which the pressure falls over more than the strip.
 
         In plane stress, where the law's moduli are those of `plane_stress`, its ratio is nu/(1 + nu).
@@ -138,7 +138,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         if self.fields:
             return None
         nu = poisson_ratio(self)
-        return Strips.of(free_end(nu)) if 0 <= nu <= LARGEST_NU * (1 + ROUNDING) else None
+        return EndStrips.of(free_end(nu)) if 0 <= nu <= LARGEST_NU * (1 + ROUNDING) else None
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
         """Two strains give the energy of the mean strain (`forms.ends.weights`), a third one that of its change."""
@@ -163,13 +163,13 @@ def _mu_of_young(E: Any, nu: Any) -> Any:
 
 
 def _require_young(E: Any, nu: Any) -> None:
-    """Raise OutOfRange unless E > 0 and -1 < nu < 1/2 at all places; InputError unless they are numbers."""
+    """Raise ParameterRangeError unless E > 0 and -1 < nu < 1/2 at all places; InputError unless they are numbers."""
     for name, values, least, most, allowed in (("E", E, 0.0, math.inf, "> 0"), ("nu", nu, -1.0, 0.5, "-1 < nu < 0.5")):
         require(np.asarray(values).dtype.kind in "iuf", f"LinearElastic: {name}", values, f"allowed: {allowed}")
         good = (np.asarray(values) > least) & (np.asarray(values) < most)
         if not np.all(good):
             k = int(np.argmin(good))
-            raise OutOfRange(f"{name} is {np.ravel(values)[k]:g}; allowed: {allowed}", k)
+            raise ParameterRangeError(f"{name} is {np.ravel(values)[k]:g}; allowed: {allowed}", k)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,6 +233,6 @@ class Anisotropic(LinearLaw):
 
     def plane_stress(self) -> Anisotropic:
         C = np.zeros((6, 6))
-        C[np.ix_(IN_PLANE, IN_PLANE)] = condensed_onto(self.C, IN_PLANE, OUT_OF_PLANE)
+        C[np.ix_(IN_PLANE, IN_PLANE)] = condensed_tangent(self.C, IN_PLANE, OUT_OF_PLANE)
         C[3:5, 3:5] = self.C[3:5, 3:5]  # these shear strains are zero, but sublayers in series need a stiffness
         return self.with_parameters({"C": C})

@@ -90,7 +90,7 @@ def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
     Raises:
         InputError: an argument out of range.
     """
-    return (held(lmbda, mu, a / eps, 0.5) + 2 * mu) / eps
+    return (retained_pressure_share(lmbda, mu, a / eps, 0.5) + 2 * mu) / eps
 
 
 def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
@@ -99,10 +99,10 @@ def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
     [lmbda (1 - 2 I_1(x)/(x I_0(x))) + 2 mu]/eps with x = radius/delta; 3 mu radius^2/(2 eps^3) + 2 mu/eps for an infinite
     lmbda. Arguments and errors as of `rubber_strip`.
     """
-    return (held(lmbda, mu, radius / eps, 1.0) + 2 * mu) / eps
+    return (retained_pressure_share(lmbda, mu, radius / eps, 1.0) + 2 * mu) / eps
 
 
-def held(lmbda: float, mu: float, slenderness: float, k: float) -> float:
+def retained_pressure_share(lmbda: float, mu: float, slenderness: float, k: float) -> float:
     """lmbda times the share I_(k+1)(x)/I_(k-1)(x) = 1 - 2 k I_k(x)/(x I_(k-1)(x)) of the load that flow leaves.
 
     k = 1/2, 3/2 of strips (opened, tilted), 1 of a disc. Written like this it loses no digits for any x.
@@ -182,7 +182,7 @@ def phase_energy(x: Array, cost: float, g: float, phase: Array | float) -> Array
     return np.asarray(cost * share - x * phase - share * (1 - share) * g / 2)
 
 
-class Response(NamedTuple):
+class BarResponse(NamedTuple):
     """A bar whose layer is in given phases; all of one shape.
 
     Attributes:
@@ -199,11 +199,11 @@ class Response(NamedTuple):
     energy: Array
     local: npt.NDArray[np.bool_]
 
-    def least(self) -> Response:
+    def least(self) -> BarResponse:
         """The response of least energy along the last axis; of several the one with the least transformed part."""
         where = np.argmin(self.energy, axis=-1)[..., None]
         phase, sigma, U, energy = (np.asarray(np.take_along_axis(a, where, -1)[..., 0], float) for a in self[:4])
-        return Response(phase, sigma, U, energy, np.asarray(np.take_along_axis(self.local, where, -1)[..., 0], bool))
+        return BarResponse(phase, sigma, U, energy, np.asarray(np.take_along_axis(self.local, where, -1)[..., 0], bool))
 
 
 @dataclass(frozen=True)
@@ -316,20 +316,20 @@ class Bar:
         return self.eps * self.l * (1 - np.abs(self.phase(delta)))
 
     # ------------------------------------------------------------ local minimisers
-    def branch(self, delta: Array | float, phase: int) -> Response:
+    def branch(self, delta: Array | float, phase: int) -> BarResponse:
         """The layer all in phase -1, 0 or 1, whether it holds there or not."""
         return self._response(delta, phase)
 
-    def layouts(self, delta: Array | float, n: int) -> Response:
+    def layouts(self, delta: Array | float, n: int) -> BarResponse:
         """The layer as n equal elements, m = 0, ..., n of them in phase 1 (delta < 0: -1); the last axis is m.
 
         Their places do not matter, and no layout with both 1 and -1, or with -1 instead of 1, has less energy.
-        `Response.least` is the global minimiser of n elements; its energy tends to `energy` from above like n^-2.
+        `BarResponse.least` is the global minimiser of n elements; its energy tends to `energy` from above like n^-2.
         """
         delta = np.asarray(delta, float)[..., None]
         return self._response(delta, np.where(delta < 0, -1, 1) * (np.arange(n + 1) / n))
 
-    def _response(self, delta: Array | float, phase: Array | float) -> Response:
+    def _response(self, delta: Array | float, phase: Array | float) -> BarResponse:
         delta, phase = np.broadcast_arrays(np.asarray(delta, float), np.asarray(phase, float))
         share = np.abs(phase)
         sigma = np.asarray((delta - phase * self.free_elongation) / (self.l * self.R), float)
@@ -337,7 +337,7 @@ class Bar:
         energy = self.l * self.R * sigma**2 / 2 + share * self.sigma_m * self.free_elongation
         kept = (share == 1) | (np.abs(sigma) <= self.sigma_up)
         changed = (share == 0) | (np.sign(phase) * sigma >= self.sigma_up - self.alpha)
-        return Response(phase, sigma, U, energy, kept & changed)
+        return BarResponse(phase, sigma, U, energy, kept & changed)
 
     # ------------------------------------------------------------ a uniform layer that softens
     def layer(self, U: Array | float, mixing: float = 1.0) -> tuple[Array, Array, Array]:

@@ -13,7 +13,7 @@ from forms.base import Array
 Expr = Any  # a UFL expression; ufl's own types are not annotated
 
 
-def lift(a: Expr) -> Expr:
+def three_dimensional(a: Expr) -> Expr:
     """A (2,) vector or (2, 2) tensor with zeros added to (3,) or (3, 3); three-dimensional ones unchanged."""
     if a.ufl_shape[0] == 3:
         return a
@@ -24,12 +24,12 @@ def lift(a: Expr) -> Expr:
 
 def strain(u: Expr) -> Expr:
     """Small strain sym(grad u), (3, 3); Eq. (2)."""
-    return lift(ufl.sym(ufl.grad(u)))
+    return three_dimensional(ufl.sym(ufl.grad(u)))
 
 
 def jump_strain(w: Expr, n: Expr) -> Expr:
     """Symmetrised product of a jump w and the director n, (w (x) n + n (x) w)/2, (3, 3); divided by eps, a strain."""
-    return ufl.sym(ufl.outer(lift(w), lift(n)))
+    return ufl.sym(ufl.outer(three_dimensional(w), three_dimensional(n)))
 
 
 MANDEL = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -38,34 +38,34 @@ UNITS = np.array([np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL])  # (
 UNITS = (UNITS + UNITS.swapaxes(1, 2)) / np.linalg.norm(UNITS + UNITS.swapaxes(1, 2), axis=(1, 2), keepdims=True)
 
 
-def vectors(tensors: Array) -> Array:
+def mandel_vectors(tensors: Array) -> Array:
     """Mandel vectors (..., 6) of the symmetric parts of tensors of numbers (..., 3, 3)."""
     return np.asarray(np.einsum("...ij,kij->...k", tensors, UNITS))
 
 
-def tensors(vectors: Array) -> Array:
+def mandel_tensors(vectors: Array) -> Array:
     """Symmetric tensors (..., 3, 3) of Mandel vectors of numbers (..., 6)."""
     return np.asarray(np.einsum("...k,kij->...ij", vectors, UNITS))
 
 
-def mandel(a: Expr, slots: Sequence[int] = range(6)) -> Expr:
+def mandel_vector(a: Expr, slots: Sequence[int] = range(6)) -> Expr:
     """A symmetric (3, 3) tensor as a vector (6,) in Mandel's order 11, 22, 33, 12, 13, 23, with a.b = A:B; or slots."""
     return ufl.as_vector([a[i, j] if i == j else ROOT2 * a[i, j] for i, j in (MANDEL[k] for k in slots)])
 
 
-def from_mandel(a: Expr) -> Expr:
+def mandel_tensor(a: Expr) -> Expr:
     """The symmetric (3, 3) tensor of a Mandel vector (6,)."""
     entries = {pair: a[k] if pair[0] == pair[1] else a[k] / ROOT2 for k, pair in enumerate(MANDEL)}
     return ufl.as_tensor([[entries[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
 
 
-def isotropic(lmbda: float, mu: float) -> Array:
+def isotropic_tensor(lmbda: float, mu: float) -> Array:
     """The tensor (6, 6) in Mandel's order of an isotropic material."""
     volume = np.repeat([1.0, 0.0], 3)
     return np.asarray(lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6))
 
 
-def condensed_onto(C: Array, kept: Sequence[int], out: Sequence[int]) -> Array:
+def condensed_tangent(C: Array, kept: Sequence[int], out: Sequence[int]) -> Array:
     """A tangent (6, 6) for some components, where the stresses of the others vanish."""
     inner = np.linalg.pinv(C[np.ix_(out, out)])
     return np.asarray(C[np.ix_(kept, kept)] - C[np.ix_(kept, out)] @ inner @ C[np.ix_(out, kept)])

@@ -17,12 +17,21 @@ import ufl
 
 from forms.base import Array, InputError
 from forms.declarations import SIZES, Traits, require_declarations, reset_inherited
-from forms.kinematics import Expr, average_lame, condensed_onto, isotropic
-from forms.parameter_fields import MANY, Field, OutOfRange, extremes, field_of, is_field, number_of, place_of
-from forms.stations import Station, at_gauss_points
+from forms.kinematics import Expr, average_lame, condensed_tangent, isotropic_tensor
+from forms.parameter_fields import (
+    MANY,
+    ParameterField,
+    ParameterRangeError,
+    as_parameter_field,
+    extreme_places,
+    is_field,
+    parameter_numbers,
+    place_text,
+)
+from forms.stations import Station, gauss_stations
 
 if TYPE_CHECKING:
-    from forms.ends.weights import EndWeights, Strips
+    from forms.ends.weights import EndStrips, EndWeights
 
 
 UNKNOWN = object()
@@ -37,7 +46,7 @@ class Step(NamedTuple):
             their stress, in a body, in the layer, on S and in a `Stack`, e is the strain at t + theta dt.
         n: director of the layer: unit vector from the lower to the upper body; None inside a body. Compiled laws
             (`Traits.compiled`) get (3,), in 2D with a zero; laws whose stress is a part of a form get (d,).
-            `forms.kinematics.lift(n)` is (3,) in both cases.
+            `forms.kinematics.three_dimensional(n)` is (3,) in both cases.
         e_old: strain at the beginning; None in problems without time, and for laws without rate and internal variables.
         q: internal variables at the beginning, by name.
         dt: length of the step; 0 at a sudden load; None in problems without time.
@@ -108,9 +117,9 @@ class Law:
             self.require(not isinstance(getattr(self, f.name), ufl.core.expr.Expr), f.name, allowed, "a UFL expression")
         kind: Any = type(self)
         for f in fields(self):
-            if f.name in scalars(kind) and f.name not in self.functions and self.takes_fields:
-                object.__setattr__(self, f.name, field_of(getattr(self, f.name)))
-            self._check_number(f.name, getattr(self, f.name), f.default is None, f.name in scalars(kind))
+            if f.name in scalar_fields(kind) and f.name not in self.functions and self.takes_fields:
+                object.__setattr__(self, f.name, as_parameter_field(getattr(self, f.name)))
+            self._check_number(f.name, getattr(self, f.name), f.default is None, f.name in scalar_fields(kind))
         own_places = kind.at is not Law.at
         for name in self.fields:
             self.require(not own_places, name, "a number, as `at` gives what varies", "a function of the place")
@@ -202,7 +211,9 @@ class Law:
 
     def parameter_values(self) -> Array:
         """The parameters one after the other, (k,); NaN for functions."""
-        return np.concatenate([np.empty(0), *[np.ravel(number_of(value)) for value in self.parameters().values()]])
+        return np.concatenate(
+            [np.empty(0), *[np.ravel(parameter_numbers(value)) for value in self.parameters().values()]]
+        )
 
     def with_parameters(self, values: Mapping[str, Any]) -> Self:
         """The same law with other values (numbers or UFL), unchecked."""
@@ -219,7 +230,7 @@ class Law:
 
     # ---------------------------------------------------------------- parameters that are functions of the place
     @property
-    def fields(self) -> dict[str, Field]:
+    def fields(self) -> dict[str, ParameterField]:
         """The parameters that are functions of the place, by name."""
         return {name: value for name, value in vars(self).items() if is_field(value)}
 
@@ -231,12 +242,12 @@ class Law:
         """
         return {name: self._field_at(name, one, x) for name, one in self.fields.items()}
 
-    def _field_at(self, name: str, one: Field, x: Array) -> Array:
+    def _field_at(self, name: str, one: ParameterField, x: Array) -> Array:
         try:
             return one(x)
-        except OutOfRange as error:
+        except ParameterRangeError as error:
             said = str(error) if str(error)[:1].isalpha() and " is " in str(error) else f"{name} is {error}"
-            raise InputError(f"{type(self).__name__}: {said}, at {place_of(x, error.k)}") from None
+            raise InputError(f"{type(self).__name__}: {said}, at {place_text(x, error.k)}") from None
         except Exception as error:
             why = f"fails for x of shape {x.shape}: {type(error).__name__}: {error}"
             needs = "it must be a numpy function of places (d, n) in the joint that gives n numbers"
@@ -257,18 +268,18 @@ class Law:
         if not self.fields:
             return
         values, n = list(self.fields_at(x).values()), x.shape[1]
-        at = sorted({*extremes(values, differences=True), *range(0, n, max(n // MANY, 1))})
+        at = sorted({*extreme_places(values, differences=True), *range(0, n, max(n // MANY, 1))})
         for k, one in zip(at, self.at_places(x[:, at]), strict=True):
             try:
                 one.check()
             except InputError as error:
-                raise InputError(f"{error}, at {place_of(x, k)}") from None
+                raise InputError(f"{error}, at {place_text(x, k)}") from None
 
     def samples(self, x: Array) -> list[Self]:
         """The law with numbers, at those of the places x (d, n) where a parameter or a ratio of two is extreme."""
         if not self.fields:
             return [self]
-        extreme = x[:, extremes(list(self.fields_at(x).values()))]
+        extreme = x[:, extreme_places(list(self.fields_at(x).values()))]
         self.check_at(extreme)
         return list(self.at_places(extreme))
 
@@ -326,7 +337,7 @@ class BulkLaw(Law):
         """Dissipated energy per unit volume in the step, UFL; of laws without rate it has no power."""
         return step.dt * self.dissipation(step)
 
-    def end_strips(self) -> Strips | None:
+    def end_strips(self) -> EndStrips | None:
         """Strips along a free end of a layer with this law, for its interface law of order 1; None: they are not known."""
         return None
 
@@ -349,7 +360,7 @@ class BulkLaw(Law):
         if self.traits.plateau:
             why = "strains are not uniform through the layer, and the next term depends on where the sheets lie"
             raise InputError(f"order=1 of {self!r}: where phases mix in sheets parallel to S, {why}; use order=0")
-        return at_gauss_points(self)
+        return gauss_stations(self)
 
     def elastic_moduli(self) -> tuple[Any, Any]:
         """Lame's moduli lmbda and mu of an isotropic linear elastic law.
@@ -398,7 +409,7 @@ class BulkLaw(Law):
         return self
 
     def plane_stress(self) -> BulkLaw:
-        """The law of in-plane strains whose out-of-plane stresses are zero; by default `PlaneStress`.
+        """The law of in-plane strains whose out-of-plane stresses are zero; by default `PlaneStressLaw`.
 
         Raises:
             InputError: a law with a pressure, or whose phases switch, that has no method plane_stress of its own.
@@ -408,7 +419,7 @@ class BulkLaw(Law):
             why = f"because {what} would need more than a strain out of the plane at each point"
             remedy = "use plane='strain', or write a method plane_stress beside its stress"
             raise InputError(f"plane stress is not defined for {type(self).__name__}, {why}; {remedy}")
-        return PlaneStress(self)
+        return PlaneStressLaw(self)
 
     @property
     def in_space(self) -> BulkLaw:
@@ -424,13 +435,13 @@ class BulkLaw(Law):
         return self.mapped(lambda value, power: (value if is_field(value) else np.asarray(value, float)) * ratio**power)
 
 
-def _of_its_law(name: str) -> Any:
-    """Property of an `OfLaw` that is an attribute or a method of its law."""
+def _delegated(name: str) -> Any:
+    """Property of an `WrappedLaw` that is an attribute or a method of its law."""
     return property(attrgetter(f"law.{name}"))
 
 
 @dataclass(frozen=True, eq=False)
-class OfLaw(BulkLaw):
+class WrappedLaw(BulkLaw):
     """A law that is another one in other words: it has the parameters and the memory of that one.
 
     Attributes:
@@ -442,9 +453,9 @@ class OfLaw(BulkLaw):
     def __post_init__(self) -> None:
         """Nothing: the law has been checked."""
 
-    powers, internal, break_times, fields = map(_of_its_law, ("powers", "internal", "break_times", "fields"))
-    fields_at, at, parameters = map(_of_its_law, ("fields_at", "at", "parameters"))
-    check, check_dimension = map(_of_its_law, ("check", "check_dimension"))
+    powers, internal, break_times, fields = map(_delegated, ("powers", "internal", "break_times", "fields"))
+    fields_at, at, parameters = map(_delegated, ("fields_at", "at", "parameters"))
+    check, check_dimension = map(_delegated, ("check", "check_dimension"))
 
     def choices(self) -> tuple[tuple[str, Any], ...]:
         return ("law", type(self.law)), *self.law.choices()
@@ -467,7 +478,7 @@ OUT_OF_PLANE_STRAINS = "out_of_plane"  # internal variable: strains 33, 13 and 2
 IN_PLANE, OUT_OF_PLANE = [0, 1, 3], [2, 4, 5]  # Mandel's components
 
 
-class PlaneStress(OfLaw):
+class PlaneStressLaw(WrappedLaw):
     """A law whose strains out of the plane are those at which the stresses there are zero, at t + theta dt.
 
     They are found point by point by Newton's method in compiled code (`thinlayer/pointwise/response.c`) and kept as
@@ -504,13 +515,13 @@ class PlaneStress(OfLaw):
         """C (6, 6) condensed; the rows out of the plane are those of the isotropic tensor nearest to it in plane stress."""
         lmbda, mu = average_lame(C)
         lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0
-        out = isotropic(lmbda, mu)
-        out[np.ix_(IN_PLANE, IN_PLANE)] = condensed_onto(C, IN_PLANE, OUT_OF_PLANE)
+        out = isotropic_tensor(lmbda, mu)
+        out[np.ix_(IN_PLANE, IN_PLANE)] = condensed_tangent(C, IN_PLANE, OUT_OF_PLANE)
         return out
 
 
 @cache
-def scalars(kind: Any) -> frozenset[str]:
+def scalar_fields(kind: Any) -> frozenset[str]:
     """Names of a dataclass's fields annotated as one number: float or int, or a union of these with None or functions.
 
     It is the text of an annotation that counts.
@@ -520,7 +531,7 @@ def scalars(kind: Any) -> frozenset[str]:
 
 
 @contextmanager
-def explained(law: Law, method: str) -> Iterator[None]:
+def explained_errors(law: Law, method: str) -> Iterator[None]:
     """Turn errors of a law's method into LawErrors that name the law and say how laws are written."""
     try:
         yield
@@ -535,7 +546,7 @@ def explained(law: Law, method: str) -> Iterator[None]:
         ) from error
 
 
-def shaped(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Expr:
+def require_shape(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Expr:
     """The value as UFL; raises InputError unless it is a UFL expression (or number) of this shape."""
     try:
         found = ufl.as_ufl(value)
@@ -546,7 +557,7 @@ def shaped(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Expr:
     return found
 
 
-def positive(law: Law, *names: str) -> None:
+def require_positive(law: Law, *names: str) -> None:
     """Raise InputError unless these parameters of the law are finite and > 0."""
     for name in names:
         value = getattr(law, name)

@@ -11,10 +11,17 @@ import numpy as np
 import ufl
 
 from forms.base import Array, InputError, is_finite
-from forms.elastic import IsotropicLaw, lame
-from forms.kinematics import Expr, layer_frame, lift
+from forms.elastic import IsotropicLaw, lame_stress
+from forms.kinematics import Expr, layer_frame, three_dimensional
 from forms.law import Step
-from forms.temperature import Field, OfTemperature, evaluated, place, real, values_of
+from forms.temperature import (
+    TemperatureField,
+    TemperatureFunction,
+    checked_values,
+    evaluated,
+    place_and_time_text,
+    real_values,
+)
 from forms.viscous import isotropic_energy
 
 
@@ -57,10 +64,10 @@ class Phases(IsotropicLaw):
         InputError: a parameter out of range, a function without a temperature.
     """
 
-    alpha: float | OfTemperature
-    transformation_energy: float | OfTemperature
+    alpha: float | TemperatureFunction
+    transformation_energy: float | TemperatureFunction
     chi: Array
-    T: float | Field | None = None
+    T: float | TemperatureField | None = None
     powers: ClassVar[Mapping[str, float]] = {"lmbda": 1, "mu": 1, "transformation_energy": -1}
     functions: ClassVar = ("alpha", "transformation_energy", "T")
     phases: ClassVar = True
@@ -124,9 +131,9 @@ class Phases(IsotropicLaw):
             return {}
         it = "T(x, t) must be a numpy function of places (d, n) and a time that gives n temperatures"
         T: Any = self.T
-        T = values_of(f"{type(self).__name__}: T", T, x, t, it=it, where=lambda k: place(x, t, k))
+        T = checked_values(f"{type(self).__name__}: T", T, x, t, it=it, where=lambda k: place_and_time_text(x, t, k))
         values = {name: evaluated(self, name, getattr(self, name), T) for name in ("alpha", "transformation_energy")}
-        self._check_phases(values["alpha"], values["transformation_energy"], lambda k: place(x, t, k))
+        self._check_phases(values["alpha"], values["transformation_energy"], lambda k: place_and_time_text(x, t, k))
         return values | {"T": T}
 
     def mapped(self, change: Callable[[Any, float], Any]) -> Phases:
@@ -136,9 +143,9 @@ class Phases(IsotropicLaw):
         functions = {name: self._mapped_function(name, change) for name in ("alpha", "transformation_energy")}
         return law.with_parameters(functions | {"T": self.T})
 
-    def _mapped_function(self, name: str, change: Callable[[Any, float], Any]) -> float | OfTemperature:
+    def _mapped_function(self, name: str, change: Callable[[Any, float], Any]) -> float | TemperatureFunction:
         given, power = getattr(self, name), self.powers.get(name, 0)
-        return (lambda T: change(real(given(T)), power)) if callable(given) else change(given, power)
+        return (lambda T: change(real_values(given(T)), power)) if callable(given) else change(given, power)
 
     # ---------------------------------------------------------------- of a step, UFL
     def _drive(self, e: Expr, n: Expr) -> Expr:
@@ -148,7 +155,7 @@ class Phases(IsotropicLaw):
     def _transformation_stress(self, n: Expr) -> Expr:
         """alpha chi in the axes of the joint, (3, 3)."""
         turn = layer_frame(n)
-        return self.alpha * turn * lift(ufl.as_tensor(self.chi)) * turn.T
+        return self.alpha * turn * three_dimensional(ufl.as_tensor(self.chi)) * turn.T
 
     def remainder(self, step: Step) -> Expr:
         """Error of the time scheme in the energy balance, with the energy set free by a change of temperature or phase."""
@@ -224,7 +231,7 @@ class NonMonotone(Phases):
 
     def stress(self, step: Step) -> Expr:
         phase = self._phase(self._drive(step.mid, step.n))
-        return lame(self.lmbda, self.mu, step.mid) - phase * self._transformation_stress(step.n)
+        return lame_stress(self.lmbda, self.mu, step.mid) - phase * self._transformation_stress(step.n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
         return {"phase": self._phase(self._drive(step.e, step.n)), "stored": self.energy(step)}
@@ -256,7 +263,7 @@ class NonMonotoneUnrelaxed(Phases):
     switches: ClassVar = True
 
     def stress(self, step: Step) -> Expr:
-        return lame(self.lmbda, self.mu, step.mid) - step.q["phase"] * self._transformation_stress(step.n)
+        return lame_stress(self.lmbda, self.mu, step.mid) - step.q["phase"] * self._transformation_stress(step.n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
         drive, bound = self._drive(step.e, step.n), ufl.as_ufl(self.transformation_energy)

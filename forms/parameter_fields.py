@@ -16,7 +16,7 @@ MANY = 1000  # number of places at which parameters are checked beside those whe
 Parameter = float | Callable[[Array], Any]  # a number, or a numpy function of places (d, n) that gives n values
 
 
-class OutOfRange(InputError):
+class ParameterRangeError(InputError):
     """A value of a parameter out of range at the k-th place."""
 
     def __init__(self, message: str, k: int) -> None:
@@ -25,12 +25,12 @@ class OutOfRange(InputError):
 
 
 def _operators(combine: Callable[[Any, Any], Any]) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
-    """The methods of `Field` that combine it with another value, on its right and on its left."""
+    """The methods of `ParameterField` that combine it with another value, on its right and on its left."""
     return lambda one, other: one._with(combine, other), lambda one, other: one._with(combine, other, turned=True)
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class ParameterField:
     """A parameter as a function of the place, or a value computed from such parameters and numbers.
 
     Attributes:
@@ -46,10 +46,10 @@ class Field:
         """Values (n,) at places x (d, n).
 
         Raises:
-            OutOfRange: a value is not finite, or out of the range of the function. TypeError: not n real numbers.
+            ParameterRangeError: a value is not finite, or out of the range of the function. TypeError: not n real numbers.
         """
         if self.operands:
-            given = [one(x) if isinstance(one, Field) else one for one in self.operands]
+            given = [one(x) if isinstance(one, ParameterField) else one for one in self.operands]
             found = np.asarray(self.function(*given), float)
         else:
             found = np.asarray(self.function(x.copy()))
@@ -59,7 +59,7 @@ class Field:
             raise TypeError(f"it gives the shape {found.shape} for x of shape {x.shape}; allowed: {x.shape[1:]}")
         values = np.broadcast_to(found, x.shape[1:]).astype(float)
         if len(bad := np.flatnonzero(~np.isfinite(values))):
-            raise OutOfRange(f"{values[bad[0]]}; allowed: finite numbers", int(bad[0]))
+            raise ParameterRangeError(f"{values[bad[0]]}; allowed: finite numbers", int(bad[0]))
         return values
 
     def __repr__(self) -> str:
@@ -68,10 +68,10 @@ class Field:
 
     def _with(self, combine: Callable[[Any, Any], Any], other: Any, *, turned: bool = False) -> Any:
         numeric = is_number(other) or (isinstance(other, np.ndarray) and not other.ndim and other.dtype.kind in "iuf")
-        if not (isinstance(other, Field) or numeric):
+        if not (isinstance(other, ParameterField) or numeric):
             return NotImplemented
-        other = other if isinstance(other, Field) else float(other)
-        return Field(combine, (other, self) if turned else (self, other))
+        other = other if isinstance(other, ParameterField) else float(other)
+        return ParameterField(combine, (other, self) if turned else (self, other))
 
     __add__, __radd__ = _operators(operator.add)
     __sub__, __rsub__ = _operators(operator.sub)
@@ -81,25 +81,25 @@ class Field:
 
 def is_field(value: Any) -> bool:
     """Whether a parameter is a function of the place."""
-    return isinstance(value, Field)
+    return isinstance(value, ParameterField)
 
 
-def field_of(value: Any) -> Any:
+def as_parameter_field(value: Any) -> Any:
     """A function as a Field; other values unchanged."""
-    return Field(value) if callable(value) and not isinstance(value, Field) else value
+    return ParameterField(value) if callable(value) and not isinstance(value, ParameterField) else value
 
 
-def number_of(value: Any) -> Array:
+def parameter_numbers(value: Any) -> Array:
     """A parameter as numbers, NaN for a Field."""
-    return np.asarray(np.nan if isinstance(value, Field) else value, float)
+    return np.asarray(np.nan if isinstance(value, ParameterField) else value, float)
 
 
-def place_of(x: Array, k: int) -> str:
+def place_text(x: Array, k: int) -> str:
     """Text of the k-th of the places x (d, n), for messages."""
     return f"x = ({', '.join(f'{c:g}' for c in x[:, k])})"
 
 
-def extremes(values: Sequence[Array], *, differences: bool = False) -> list[int]:
+def extreme_places(values: Sequence[Array], *, differences: bool = False) -> list[int]:
     """Numbers of the places at which one of some values (n,), or a ratio, or a difference of two is smallest or largest."""
     fields = list(values)
     with np.errstate(all="ignore"):

@@ -9,7 +9,7 @@ import numpy as np
 import ufl
 
 from forms.base import Array
-from forms.kinematics import MANDEL, Expr, lift, strain
+from forms.kinematics import MANDEL, Expr, strain, three_dimensional
 from forms.law import BulkLaw
 
 
@@ -78,7 +78,7 @@ class Kinematics:
 
     def along(self, gradient: Expr, u: Expr) -> Expr:
         """Strain (3, 3) along S of displacements u (d,) with this gradient along S (d, d)."""
-        return lift(ufl.sym(gradient))
+        return three_dimensional(ufl.sym(gradient))
 
     def seen(self, a: Expr) -> Expr:
         """The part of a tensor (3, 3) that there is: of a stress, or of a given strain as the laws of `law` take it."""

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from forms.base import Array
-from forms.elastic import IsotropicLaw, LinearElastic, LinearLaw, lame, poisson_ratio
+from forms.elastic import IsotropicLaw, LinearElastic, LinearLaw, lame_stress, poisson_ratio
 from forms.ends.constants import free_end
-from forms.ends.weights import EndWeights, Strips, of_pressure_at_ends
-from forms.kinematics import Expr, isotropic
-from forms.law import Step, positive
-from forms.stations import Station, of_pressure
+from forms.ends.weights import EndStrips, EndWeights, pressure_stations_at_ends
+from forms.kinematics import Expr, isotropic_tensor
+from forms.law import Step, require_positive
+from forms.stations import Station, pressure_stations
 
 
-class WithPressure(LinearLaw):
+class PressureLaw(LinearLaw):
     """Isotropic elasticity with a pressure field, stress = 2 mu e + p I."""
 
     mu: float
@@ -24,21 +24,21 @@ class WithPressure(LinearLaw):
 
     def stress(self, step: Step) -> Expr:
         """The stress without p I."""
-        return lame(0, self.mu, step.mid)
+        return lame_stress(0, self.mu, step.mid)
 
     def stations(self) -> list[Station[Any]]:
         """The pressure is a field on S, which flows along S."""
-        return of_pressure(self)
+        return pressure_stations(self)
 
-    def end_strips(self) -> Strips | None:
-        return None if self.fields else Strips.with_pressure(free_end(self._nu))
+    def end_strips(self) -> EndStrips | None:
+        return None if self.fields else EndStrips.with_pressure(free_end(self._nu))
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
-        return of_pressure_at_ends(self, weights)
+        return pressure_stations_at_ends(self, weights)
 
 
 @dataclass(frozen=True)
-class Incompressible(WithPressure):
+class Incompressible(PressureLaw):
     """Incompressible elasticity, stress = 2 mu e + p I with tr e = 0; the pressure p is an unknown field.
 
     As a layer's law: w_N = 0, t_N = p free, t_T = mu/eps w_T with the jump w. The paper gives only the constraint, Eqs.
@@ -57,18 +57,18 @@ class Incompressible(WithPressure):
     volume_compliance: ClassVar = 0.0
 
     def check(self) -> None:
-        positive(self, "mu")
+        require_positive(self, "mu")
 
     def plane_stress(self) -> LinearElastic:
         """Not constrained in the plane: e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22)."""
         return LinearElastic(1.0, 1.0).with_parameters({"lmbda": 2 * self.mu, "mu": self.mu})
 
     def stiffness(self, n: Array) -> Array:
-        return isotropic(0.0, float(self.mu))
+        return isotropic_tensor(0.0, float(self.mu))
 
 
 @dataclass(frozen=True)
-class Rubber(WithPressure, IsotropicLaw):
+class Rubber(PressureLaw, IsotropicLaw):
     """Isotropic elasticity with a pressure field: stress = 2 mu e + p I with p = lmbda tr e, for any lmbda/mu > 0.
 
     The same material as `LinearElastic`. Here a pressure of degree 1 controls the volume, in the meshed layer and on S, so
@@ -100,7 +100,7 @@ class Rubber(WithPressure, IsotropicLaw):
     def check(self) -> None:
         hint = "> 0 (for other layers there is LinearElastic)"
         self.require(math.isfinite(self.lmbda) and self.lmbda > 0, "lmbda", hint)
-        positive(self, "mu")
+        require_positive(self, "mu")
 
     @property
     def _nu(self) -> float:  # type: ignore[override]

@@ -9,16 +9,16 @@ from typing import Any, ClassVar
 
 import ufl
 
-from forms.base import Array, InputError, is_whole, require
+from forms.base import Array, InputError, is_integer, require
 from forms.declarations import Traits, require_declarations
 from forms.elastic import LinearElastic
-from forms.kinematics import Expr, jump_strain, lift
+from forms.kinematics import Expr, jump_strain, three_dimensional
 from forms.law import BulkLaw
-from forms.parameter_fields import Field
+from forms.parameter_fields import ParameterField
 from forms.stations import Faces, Station
 
 
-class Moments(LinearElastic):
+class AveragedElastic(LinearElastic):
     """Averages of elastic laws, whose moduli may be negative."""
 
     def check(self) -> None:
@@ -26,7 +26,7 @@ class Moments(LinearElastic):
 
 
 @dataclass(frozen=True)
-class Across(Moments):
+class EqualTractionSublayers(AveragedElastic):
     """All sublayers under tractions on planes parallel to S, which are equal in all of them.
 
     Averages are over the thickness; Phi_N and Phi_T as in `in_series`.
@@ -46,7 +46,7 @@ class Across(Moments):
 
     def strain(self, faces: Faces) -> Expr:
         """The mean strain across the layer, and what strains along S add to it where no traction acts."""
-        n, across = lift(faces.n), faces.across() + faces.mean
+        n, across = three_dimensional(faces.n), faces.across() + faces.mean
         thinned = faces.split(self.lateral_normal, self.lateral_tangential).difference
         turned = faces.split(self.normal, self.tangential).difference
         stretch = self.lateral * ufl.tr(faces.in_s(across)) + ufl.tr(faces.in_s(thinned))
@@ -63,8 +63,8 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]
     parallel to S, equal in all sublayers as each is strained across S a little further, and what strains along S add to it;
     the energies of both add up. (With the strains of <u> + Phi [u] alone a nearly incompressible sublayer would lock.)
 
-    The first station is `Across`. The others have the strains along S. Their energy is quadratic in Phi_T, so that three
-    places, Phi_T = -1/2, 0 and 1/2, with the right moments of the moduli give its integral over any number of sublayers.
+    The first is `EqualTractionSublayers`. The others have the strains along S. Their energy is quadratic in Phi_T, so that
+    three places, Phi_T = -1/2, 0 and 1/2, with the right moments of the moduli give its integral over any sublayers.
 
     Raises:
         InputError: a sublayer of another kind.
@@ -90,13 +90,13 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]
         return [a * b for a, b in zip(first, second, strict=True)]
 
     def along(phi: float, shares: list[Any]) -> Station:
-        law = Moments(2 * mean(times(times(shares, r), mu)), mean(times(shares, mu)))
+        law = AveragedElastic(2 * mean(times(times(shares, r), mu)), mean(times(shares, mu)))
         return Station(law, 1, lambda law, faces: faces.in_s(faces.mean + phi * faces.difference))
 
     of_phi = {"normal": normal, "tangential": tangential}
     beside = {"lateral": r, "lateral_normal": times(r, normal), "lateral_tangential": times(r, tangential)}
     means = {name: mean(values) for name, values in (beside | of_phi).items()}
-    across = Across(whole - 2 * sheared, sheared, **means)
+    across = EqualTractionSublayers(whole - 2 * sheared, sheared, **means)
     return [
         Station(across, 1, lambda law, faces: law.strain(faces)),
         along(-0.5, [2 * p - q for p, q in zip(squared, tangential, strict=True)]),
@@ -157,7 +157,7 @@ class Stack(BulkLaw):
                 its middle, so that the error is O(1/n^2).
             n: number of sublayers, >= 1.
         """
-        require(is_whole(n, 1), "Stack.graded: the number of sublayers", n, "allowed: whole numbers >= 1")
+        require(is_integer(n, 1), "Stack.graded: the number of sublayers", n, "allowed: whole numbers >= 1")
         return cls(*((1 / int(n), law((k + 0.5) / int(n))) for k in range(int(n))))
 
     @property
@@ -178,7 +178,7 @@ class Stack(BulkLaw):
         return replace(found, varies=True) if self.fields else found
 
     @property
-    def fields(self) -> dict[str, Field]:
+    def fields(self) -> dict[str, ParameterField]:
         return {f"{k}.{name}": one for k, law in enumerate(self.laws) for name, one in law.fields.items()}
 
     def fields_at(self, x: Array) -> dict[str, Array]:

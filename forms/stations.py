@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import ufl
 
-from forms.kinematics import Expr, jump_strain, lift
+from forms.kinematics import Expr, jump_strain, three_dimensional
 
 L = TypeVar("L")  # a law of strains, `forms.law.BulkLaw`
 GAUSS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
@@ -62,7 +62,7 @@ class Faces:
     @property
     def normal(self) -> Expr:
         """n (x) n, (3, 3)."""
-        return ufl.outer(lift(self.n), lift(self.n))
+        return ufl.outer(three_dimensional(self.n), three_dimensional(self.n))
 
     def in_s(self, e: Expr) -> Expr:
         """The part P e P of a strain (3, 3) that lies in S, P = I - n (x) n."""
@@ -97,7 +97,7 @@ class Station(Generic[L]):
     largest_ratio: float = math.inf
 
 
-def at_gauss_points(law: L, difference: Callable[[L, Faces], Expr] | None = None) -> list[Station[L]]:
+def gauss_stations(law: L, difference: Callable[[L, Faces], Expr] | None = None) -> list[Station[L]]:
     """Two stations, at the Gauss points through the thickness: the strain changes linearly from face to face.
 
     Args:
@@ -115,7 +115,7 @@ def at_gauss_points(law: L, difference: Callable[[L, Faces], Expr] | None = None
     return [Station(law, 1 / 2, at(z), largest_ratio=largest_ratio) for z in GAUSS]
 
 
-def of_pressure(law: Any) -> list[Station[Any]]:
+def pressure_stations(law: Any) -> list[Station[Any]]:
     """The stations of a law of shear modulus mu with a pressure, a field on S.
 
     It acts with the mean strain. The difference of the faces changes no tractions, so that it meets the stiffness of plane

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from forms.base import Array, InputError, require
-from forms.parameter_fields import place_of
+from forms.parameter_fields import place_text
 
-OfTemperature = Callable[[Any], Any]  # (n,) temperatures -> (n,) values, numpy
-Field = Callable[[Any, float], Any]  # places (d, n), time -> (n,) temperatures, numpy
+TemperatureFunction = Callable[[Any], Any]  # (n,) temperatures -> (n,) values, numpy
+TemperatureField = Callable[[Any, float], Any]  # places (d, n), time -> (n,) temperatures, numpy
 
 
 @dataclass(frozen=True)
-class Tabulated:
+class TemperatureTable:
     """A parameter known at some temperatures, linear in between: a function T -> value for numbers or arrays.
 
     Attributes:
@@ -30,7 +30,7 @@ class Tabulated:
 
     def __init__(self, values: Iterable[tuple[float, float]]) -> None:
         try:
-            rows = real([(T, value) for T, value in values])
+            rows = real_values([(T, value) for T, value in values])
         except (TypeError, ValueError) as error:
             raise InputError(f"Tabulated needs pairs (T, value), not {values!r}: {error}") from error
         if len(rows) < 2 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
@@ -48,7 +48,7 @@ class Tabulated:
         return np.asarray(np.interp(T, rows[:, 0], rows[:, 1]))
 
 
-def real(values: Any) -> Array:
+def real_values(values: Any) -> Array:
     """Numbers as float64; raises TypeError for complex and boolean values, which a conversion would change silently."""
     array = np.asarray(values)
     if array.dtype.kind not in "iuf":
@@ -59,22 +59,22 @@ def real(values: Any) -> Array:
     return array.astype(float)
 
 
-def finite(values: Any, *shapes: tuple[int, ...]) -> Array | None:
+def finite_values(values: Any, *shapes: tuple[int, ...]) -> Array | None:
     """Finite real numbers of one of some shapes (none: of any), where a first -1 is any length; None: they are none."""
     try:
-        array = real(values)
+        array = real_values(values)
     except (TypeError, ValueError):
         return None
     fits = not shapes or array.shape in shapes or (-1, *array.shape[1:]) in shapes
     return array if fits and np.isfinite(array).all() else None
 
 
-def place(x: Array, t: float, k: int) -> str:
+def place_and_time_text(x: Array, t: float, k: int) -> str:
     """Text of the k-th of the places x (d, n) and of the time t, for messages."""
-    return f" at {place_of(x, k)}, t = {t:g}"
+    return f" at {place_text(x, k)}, t = {t:g}"
 
 
-def values_of(
+def checked_values(
     what: str, function: Callable[..., Any], x: Array, *more: Any, it: str, where: Callable[[int], str]
 ) -> Array:
     """Values (n,) of a user's function at x, (n,) or (d, n).
@@ -90,7 +90,7 @@ def values_of(
         InputError: the function fails, or does not return n finite real numbers.
     """
     try:
-        values = np.array(np.broadcast_to(real(function(x.copy(), *more)), x.shape[-1:]))
+        values = np.array(np.broadcast_to(real_values(function(x.copy(), *more)), x.shape[-1:]))
     except InputError as error:
         raise InputError(f"{what}: {error}") from None
     except Exception as error:
@@ -100,9 +100,9 @@ def values_of(
     return values
 
 
-def evaluated(law: object, name: str, given: float | OfTemperature, T: Array) -> Any:
+def evaluated(law: object, name: str, given: float | TemperatureFunction, T: Array) -> Any:
     """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,)."""
     if not callable(given):
         return np.full(len(T), float(given))
     it = "it must be a numpy function of temperatures, or Tabulated([(T, value), ...])"
-    return values_of(f"{type(law).__name__}: {name}(T)", given, T, it=it, where=lambda k: f" at T = {T[k]:g}")
+    return checked_values(f"{type(law).__name__}: {name}(T)", given, T, it=it, where=lambda k: f" at T = {T[k]:g}")

@@ -45,15 +45,15 @@ from ufl.core.expr import Expr as Node
 from ufl.corealg.traversal import traverse_unique_terminals, unique_post_traversal
 
 from forms.base import Array, InputError
-from forms.kinematics import Expr, average_lame, from_mandel, isotropic, vectors
-from forms.kinematics import mandel as in_mandel
+from forms.kinematics import Expr, average_lame, isotropic_tensor, mandel_tensor, mandel_vectors
+from forms.kinematics import mandel_vector as in_mandel
 from forms.law import BulkLaw, Step
 
 _DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
 
 
 @dataclass(frozen=True)
-class Symbolic:
+class SymbolicLaw:
     """A law whose parameters are symbols, and a step of symbols.
 
     Attributes:
@@ -79,7 +79,7 @@ def _symbols(length: int) -> Expr:
     return ufl.Constant(_DOMAIN, shape=(length,))
 
 
-def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> Symbolic:
+def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> SymbolicLaw:
     """A law at a point, in a step, with a director of d components or None; with numbers as inputs, if they are given."""
     shapes = {name: _shape(value) for name, value in law.parameters().items()}
     length = 6 + 6 + law.memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
@@ -90,11 +90,11 @@ def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> Sy
         return ufl.as_tensor([take(shape[1:]) for _ in range(shape[0])]) if shape else next(inputs)
 
     end, old = variable(take((6,))), take((6,))
-    q = {name: from_mandel(take((6,))) if shape == (3, 3) else take(shape) for name, shape in law.internal.items()}
+    q = {name: mandel_tensor(take((6,))) if shape == (3, 3) else take(shape) for name, shape in law.internal.items()}
     normal, dt, theta = take((3,)), take(()), take(())
     n = None if d is None else normal if d == 3 else ufl.as_vector([normal[0], normal[1]])
-    step = Step(from_mandel(end), n, from_mandel(old), q, dt, theta, law.traits.rate)
-    return Symbolic(law.with_parameters({name: take(shape) for name, shape in shapes.items()}), step, end, numbers)
+    step = Step(mandel_tensor(end), n, mandel_tensor(old), q, dt, theta, law.traits.rate)
+    return SymbolicLaw(law.with_parameters({name: take(shape) for name, shape in shapes.items()}), step, end, numbers)
 
 
 def _shape(value: Any) -> tuple[int, ...]:
@@ -102,14 +102,14 @@ def _shape(value: Any) -> tuple[int, ...]:
     return tuple(value.ufl_shape) if isinstance(value, Node) else np.shape(value)
 
 
-def named(law: BulkLaw) -> tuple[Any, ...] | None:
+def law_identity(law: BulkLaw) -> tuple[Any, ...] | None:
     """Identity of a law of this package apart from its numbers; None for users' laws, whose code may read changing data."""
     if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
         return None
     return (type(law), repr(law.choices()), *map(_shape, law.parameters().values()))
 
 
-def reads(law: BulkLaw, name: str) -> bool:
+def reads_input(law: BulkLaw, name: str) -> bool:
     """Whether the stress of a law in UFL, or its new internal variables, depend on `n` or `dt` of the step."""
     point = symbolic(law)
     symbol = ufl.Constant(_DOMAIN, shape=getattr(point.step, name).ufl_shape)
@@ -138,7 +138,7 @@ FUNCTIONS: dict[type, Any] = {
 }
 
 
-def numbers(expression: Expr, values: Mapping[Expr, Values] | None = None) -> Values:
+def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> Values:
     """The numbers of an expression after `expand_derivatives`; NaN or infinite where a function has none.
 
     Args:
@@ -152,11 +152,11 @@ def numbers(expression: Expr, values: Mapping[Expr, Values] | None = None) -> Va
     with np.errstate(all="ignore"):
         for part in unique_post_traversal(expression):
             if part not in known:
-                known[part] = _numbers(part, [known[operand] for operand in part.ufl_operands])
+                known[part] = _evaluate_node(part, [known[operand] for operand in part.ufl_operands])
     return np.asarray(known[expression])
 
 
-def _numbers(part: Any, operands: list[Any]) -> Any:
+def _evaluate_node(part: Any, operands: list[Any]) -> Any:
     if isinstance(part, MultiIndex):
         return part.indices()
     if isinstance(part, Label):
@@ -176,32 +176,32 @@ def _numbers(part: Any, operands: list[Any]) -> Any:
         inner, named = [*part.ufl_operands[0].ufl_free_indices], [i.count() for i in indices if isinstance(i, Index)]
         if isinstance(part, Indexed):
             place = tuple(slice(None) if isinstance(i, Index) else int(i) for i in indices)
-            return _summed(values[place], named + inner, free)
+            return _index_sum(values[place], named + inner, free)
         if isinstance(part, ComponentTensor):
-            return _summed(values, inner, named + free)
+            return _index_sum(values, inner, named + free)
         shape = [-1 - k for k in range(len(part.ufl_shape))]
-        return _summed(values, shape + inner, shape + free)
+        return _index_sum(values, shape + inner, shape + free)
     if not isinstance(part, Sum):  # whose operands have the same indices
         pairs = zip(operands, part.ufl_operands, strict=True)
-        operands = [_spread(values, of, len(part.ufl_shape), free) for values, of in pairs]
-    function = FUNCTIONS.get(type(part)) or np.vectorize(lambda *values: _scalar(part, values))
+        operands = [_broadcast(values, of, len(part.ufl_shape), free) for values, of in pairs]
+    function = FUNCTIONS.get(type(part)) or np.vectorize(lambda *values: _scalar_function(part, values))
     return function(*operands)
 
 
-def _summed(values: Values, axes: list[int], kept: list[int]) -> Values:
+def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
     """Values whose axes are named, summed over those that are not kept."""
     places = {name: k for k, name in enumerate(dict.fromkeys(axes))}
     return np.einsum(values, [places[name] for name in axes], [places[name] for name in kept])
 
 
-def _spread(values: Any, operand: Any, axes: int, free: list[int]) -> Values:
+def _broadcast(values: Any, operand: Any, axes: int, free: list[int]) -> Values:
     """Values with so many axes of their shape, and one for each free index, also for those they do not depend on."""
     shape = operand.ufl_shape
     own = dict(zip(operand.ufl_free_indices, np.shape(values)[len(shape) :], strict=True))
     return np.reshape(values, [*[1] * (axes - len(shape)), *shape, *(own.get(name, 1) for name in free)])
 
 
-def _scalar(part: Any, values: tuple[Any, ...]) -> Any:
+def _scalar_function(part: Any, values: tuple[Any, ...]) -> Any:
     """A function of scalars, or a comparison, at numbers; NaN where it has none."""
     try:
         found = part._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values)))
@@ -234,7 +234,7 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     """
     C = law.in_space.stiffness(n)
     if C is None:
-        C = _computed(law.in_space, n, LONG if law.traits.rate else 0.0)
+        C = _rest_tangent(law.in_space, n, LONG if law.traits.rate else 0.0)
     return None if C is None else law.condensed(C)
 
 
@@ -249,11 +249,11 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
         n: director, (d,).
         dt: time > 0.
     """
-    C = _computed(law.in_space, n, dt) if law.traits.linear else None
+    C = _rest_tangent(law.in_space, n, dt) if law.traits.linear else None
     return None if C is None else law.condensed(C)
 
 
-def _computed(law: BulkLaw, n: Array, dt: float) -> Array | None:
+def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
     """The tangent at the end of a step from rest, the mean of those of two small opposite strains; None without numbers."""
     if not law.traits.in_ufl:
         return None
@@ -266,7 +266,7 @@ def _computed(law: BulkLaw, n: Array, dt: float) -> Array | None:
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
             known = (np.zeros(6 + law.memory), n3, [dt, 1.0], given.parameter_values())
             inputs = [np.concatenate([e, *known]) for e in (SMALL_STRAIN, -SMALL_STRAIN)]
-            C = np.mean([numbers(tangent, {point.numbers: one}) for one in inputs], axis=0)
+            C = np.mean([evaluate(tangent, {point.numbers: one}) for one in inputs], axis=0)
     except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None
     return np.asarray(C) if np.isfinite(C).all() else None
@@ -275,13 +275,13 @@ def _computed(law: BulkLaw, n: Array, dt: float) -> Array | None:
 def needs_director(law: BulkLaw) -> bool:
     """Whether the stress of a law depends on the director n; a kernel says so itself (`KernelLaw.isotropic`)."""
     one: Any = law.in_space
-    return reads(one, "n") if one.traits.in_ufl else not one.isotropic
+    return reads_input(one, "n") if one.traits.in_ufl else not one.isotropic
 
 
-def takes_time(law: BulkLaw) -> bool:
+def depends_on_step_length(law: BulkLaw) -> bool:
     """Whether a law creeps or relaxes: its response depends on the length of the step. A kernel says so itself."""
     one: Any = law.in_space
-    return bool(one.traits.rate or (reads(one, "dt") if one.traits.in_ufl else one.relaxes))
+    return bool(one.traits.rate or (reads_input(one, "dt") if one.traits.in_ufl else one.relaxes))
 
 
 def is_checked_at_rest(law: BulkLaw) -> bool:
@@ -294,13 +294,13 @@ def is_checked_at_rest(law: BulkLaw) -> bool:
     return not (law.traits.softens or (law.traits.rate and law.internal) or at_jumps)
 
 
-def across(C: Array, n: Array) -> Array:
+def acoustic_tensor(C: Array, n: Array) -> Array:
     """n.C.n of a tangent, (d, d): the traction of a jump over the thickness."""
-    N = np.array([mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
+    N = np.array([symmetric_mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
     return np.asarray(N @ C @ N.T)
 
 
-def known_at_rest(law: BulkLaw, n: Array) -> Array | None:
+def declared_or_computed_tangent(law: BulkLaw, n: Array) -> Array | None:
     """The tangent (6, 6) of a law at rest, computed or else declared; None: it is not known. As in `tangent_at_rest`."""
     return tangent_at_rest(law, n) if is_checked_at_rest(law) else law.stiffness(n)
 
@@ -318,7 +318,9 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
     """
     if C is None or not np.isfinite(C).all():
         return
-    A, what = (C[np.ix_(slots, slots)], "(of C)") if n is None else (across(C, n), "across the layer (of n.C.n)")
+    A, what = (
+        (C[np.ix_(slots, slots)], "(of C)") if n is None else (acoustic_tensor(C, n), "across the layer (of n.C.n)")
+    )
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
     if lowest < -NEGATIVE * size:
         known = f"the smallest eigenvalue {what} is {lowest:.4g}, the largest entry of C {size:.4g}; allowed: >= 0"
@@ -326,14 +328,14 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
         raise InputError(f"{type(law).__name__}: the stiffness at rest is negative, {known}. {remedy}")
 
 
-def mandel(a: Array) -> Array:
+def symmetric_mandel(a: Array) -> Array:
     """A symmetric tensor of numbers, (2, 2) or (3, 3), as a vector (6,) in Mandel's order."""
-    return vectors(np.pad(a, (0, 3 - len(a))))
+    return mandel_vectors(np.pad(a, (0, 3 - len(a))))
 
 
 def is_isotropic(C: Array) -> bool:
     """Whether a tangent (6, 6) is that of an isotropic material."""
-    return bool(np.abs(C - isotropic(*average_lame(C))).max() <= UNCOUPLED * np.abs(C).max())
+    return bool(np.abs(C - isotropic_tensor(*average_lame(C))).max() <= UNCOUPLED * np.abs(C).max())
 
 
 def in_plane_modulus(C: Array, n: Array) -> float:
@@ -348,6 +350,8 @@ def in_plane_modulus(C: Array, n: Array) -> float:
     normal = np.pad(n, (0, 3 - len(n)))
     frame = np.linalg.svd(normal[None])[2]  # first row: n
     along = frame[1:] if len(n) == 3 else np.array([[n[1], -n[0], 0.0]])
-    out = np.array([mandel((np.outer(normal, a) + np.outer(a, normal)) / 2) for a in frame])
+    out = np.array([symmetric_mandel((np.outer(normal, a) + np.outer(a, normal)) / 2) for a in frame])
     condensed = C - (out @ C).T @ np.linalg.pinv(out @ C @ out.T) @ (out @ C)
-    return float(np.mean([mandel(np.outer(a, a)) @ condensed @ mandel(np.outer(a, a)) for a in along]))
+    return float(
+        np.mean([symmetric_mandel(np.outer(a, a)) @ condensed @ symmetric_mandel(np.outer(a, a)) for a in along])
+    )

@@ -10,7 +10,7 @@ import ufl
 from forms.base import InputError
 from forms.declarations import OF_ONE_STRESS, Traits
 from forms.kinematics import Expr
-from forms.law import BulkLaw, Law, OfLaw, Step, shaped
+from forms.law import BulkLaw, Law, Step, WrappedLaw, require_shape
 
 
 class JumpStep(Step):
@@ -57,7 +57,7 @@ class TractionLaw(Law):
 
     def of_strains(self) -> BulkLaw:
         kind: Any = type(self)
-        return _of_jumps(kind)(self)
+        return _bulk_law_class(kind)(self)
 
     def traction(self, step: JumpStep) -> Expr:
         """Traction at t + theta dt, (3,)."""
@@ -77,7 +77,7 @@ class TractionLaw(Law):
         return ufl.as_ufl(0.0)
 
 
-class OfJumps(OfLaw):
+class TractionAsBulkLaw(WrappedLaw):
     """A traction law as a law of strains sym(w (x) n): its stress is the T with T n = t and T : sym(v (x) n) = t . v.
 
     It is the same in plane stress.
@@ -93,7 +93,7 @@ class OfJumps(OfLaw):
         return self.law.traits
 
     def stress(self, step: Step) -> Expr:
-        t, n = shaped(self, "traction", self.law.traction(JumpStep.of(step)), (3,)), step.n
+        t, n = require_shape(self, "traction", self.law.traction(JumpStep.of(step)), (3,)), step.n
         return ufl.outer(t, n) + ufl.outer(n, t) - ufl.dot(t, n) * ufl.outer(n, n)
 
     def advance(self, step: Step) -> dict[str, Expr]:
@@ -107,6 +107,6 @@ class OfJumps(OfLaw):
 
 
 @cache
-def _of_jumps(kind: Any) -> type[OfJumps]:
-    """The class `OfJumps` for the laws of a class, with its name and module, which messages and keys show."""
-    return type(kind.__name__, (OfJumps,), {"__module__": kind.__module__, "__qualname__": kind.__qualname__})
+def _bulk_law_class(kind: Any) -> type[TractionAsBulkLaw]:
+    """The class `TractionAsBulkLaw` for the laws of a class, with its name and module, which messages and keys show."""
+    return type(kind.__name__, (TractionAsBulkLaw,), {"__module__": kind.__module__, "__qualname__": kind.__qualname__})

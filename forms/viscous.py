@@ -9,9 +9,9 @@ from typing import ClassVar
 
 import ufl
 
-from forms.elastic import IsotropicLaw, lame
+from forms.elastic import IsotropicLaw, lame_stress
 from forms.kinematics import Expr
-from forms.law import Step, positive
+from forms.law import Step, require_positive
 
 # Largest tangent of a power-law dashpot in a step, relative to its spring's modulus; a stiffer dashpot is taken as linear.
 MOST_STIFFNESS = 1e6
@@ -25,7 +25,7 @@ def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
     return lmbda * ufl.tr(e) ** 2 / 2 + mu * ufl.inner(e, e)
 
 
-class SpringBesideDashpot(IsotropicLaw):
+class ParallelDashpot(IsotropicLaw):
     """An elastic spring and a dashpot in parallel; subclasses give the dashpot's stress."""
 
     rate = True
@@ -35,7 +35,7 @@ class SpringBesideDashpot(IsotropicLaw):
         raise NotImplementedError
 
     def stress(self, step: Step) -> Expr:
-        return lame(self.lmbda, self.mu, step.mid) + self._viscous(step)
+        return lame_stress(self.lmbda, self.mu, step.mid) + self._viscous(step)
 
     def energy(self, step: Step) -> Expr:
         return isotropic_energy(self.lmbda, self.mu, step.e)
@@ -45,7 +45,7 @@ class SpringBesideDashpot(IsotropicLaw):
 
 
 @dataclass(frozen=True)
-class KelvinVoigt(SpringBesideDashpot):
+class KelvinVoigt(ParallelDashpot):
     """Elastic spring and viscous dashpot in parallel: stress = C(lmbda, mu) : e + C(lmbda theta_lmbda, mu theta_mu) : rate.
 
     As a layer's law, Eqs. (16)-(17): t = K w + K_theta dw/dt with the jump w, eps K = mu, lmbda + 2 mu and
@@ -65,7 +65,7 @@ class KelvinVoigt(SpringBesideDashpot):
 
     def check(self) -> None:
         super().check()
-        positive(self, "theta_mu")
+        require_positive(self, "theta_mu")
         bulk = self.lmbda * self.theta_lmbda + 2 / 3 * self.mu * self.theta_mu
         self.require(math.isfinite(bulk) and bulk >= 0, "theta_lmbda", "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0")
 
@@ -76,10 +76,10 @@ class KelvinVoigt(SpringBesideDashpot):
         return self.theta_mu, *((bulk / (self.lmbda + 2 * self.mu / 3),) if bulk > 0 else ())
 
     def _viscous(self, step: Step) -> Expr:
-        return lame(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, step.rate)
+        return lame_stress(self.lmbda * self.theta_lmbda, self.mu * self.theta_mu, step.rate)
 
 
-class SpringBeforeDashpot(IsotropicLaw):
+class SeriesDashpot(IsotropicLaw):
     """An elastic spring and dashpots in series; subclasses give the rates of relaxation in a step."""
 
     internal: ClassVar = {"stress": (3, 3)}
@@ -123,7 +123,7 @@ class SpringBeforeDashpot(IsotropicLaw):
 
 
 @dataclass(frozen=True)
-class Maxwell(SpringBeforeDashpot):
+class Maxwell(SeriesDashpot):
     """Elastic spring and viscous dashpot in series, E rate = (1 + nu)(ds/dt + s/t1) - nu tr(ds/dt + s/t2) I.
 
     Equation (18) prints strains on the left for strain rates; s is the three-dimensional stress, s_33 included. The
@@ -153,7 +153,7 @@ class Maxwell(SpringBeforeDashpot):
 
     def check(self) -> None:
         super().check()
-        positive(self, "t1")
+        require_positive(self, "t1")
         nu = self.lmbda / (2 * (self.lmbda + self.mu))
         bound = 3 * nu * self.t1 / (1 + nu)
         allowed = f"> 0 and >= 3 nu t1/(1 + nu) = {bound:g}"
@@ -177,7 +177,7 @@ class Maxwell(SpringBeforeDashpot):
 
 
 @dataclass(frozen=True)
-class Norton(SpringBesideDashpot):
+class Norton(ParallelDashpot):
     """Elastic spring parallel to a power-law dashpot, stress = C(lmbda, mu) : e + eta |rate|^(p - 2) rate, Eq. (21).
 
     Its creep stops where the spring carries the load; the creep of data sheets, of steady rate A s^n, is `NortonCreep`.
@@ -211,7 +211,7 @@ class Norton(SpringBesideDashpot):
 
     def check(self) -> None:
         super().check()
-        positive(self, "eta")
+        require_positive(self, "eta")
         self.require(math.isfinite(self.rest) and self.rest >= 0, "rest", ">= 0")
         self.require(math.isfinite(self.p) and self.p > 1, "p", "> 1")
 
@@ -225,7 +225,7 @@ class Norton(SpringBesideDashpot):
 
 
 @dataclass(frozen=True)
-class NortonCreep(SpringBeforeDashpot):
+class NortonCreep(SeriesDashpot):
     """Norton's creep: elastic spring and power-law dashpot in series, E rate = C^-1 : ds/dt + 3/2 A q^(n - 1) dev s.
 
     q = sqrt(3/2) |dev s| is the equivalent stress. In uniaxial tension creep goes on with the steady rate A s^n of data
@@ -248,7 +248,7 @@ class NortonCreep(SpringBeforeDashpot):
 
     def check(self) -> None:
         super().check()
-        positive(self, "A")
+        require_positive(self, "A")
         self.require(math.isfinite(self.n) and self.n >= 1, "n", ">= 1")
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:

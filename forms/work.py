@@ -12,13 +12,13 @@ from ufl.classes import Zero
 
 from forms.base import InputError
 from forms.ends.weights import EndWeights
-from forms.kinematics import Expr, jump_strain, lift
-from forms.law import BulkLaw, Step, explained, shaped
+from forms.kinematics import Expr, jump_strain, three_dimensional
+from forms.law import BulkLaw, Step, explained_errors, require_shape
 from forms.planes import LIFTED, Kinematics
 from forms.stations import Faces, Station
 
 
-def of_numbers(law: BulkLaw) -> BulkLaw:
+def constant_law(law: BulkLaw) -> BulkLaw:
     """A law of numbers or UFL expressions, itself.
 
     Raises:
@@ -31,7 +31,7 @@ def of_numbers(law: BulkLaw) -> BulkLaw:
 
 
 @dataclass(frozen=True)
-class Side:
+class InterfaceSide:
     """One side of S.
 
     Attributes:
@@ -75,11 +75,11 @@ class Interface:
     x: Expr
     n: Expr
     fibre: Expr
-    upper: Side
-    lower: Side
+    upper: InterfaceSide
+    lower: InterfaceSide
     kinematics: Kinematics = LIFTED
     area: Expr = 1
-    known: Callable[[BulkLaw], BulkLaw] = of_numbers
+    known: Callable[[BulkLaw], BulkLaw] = constant_law
 
     @classmethod
     def between_bodies(cls, dS: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None) -> Interface:
@@ -90,31 +90,33 @@ class Interface:
             kinematics: of the mesh.
             to_s: (d,) how far S is from the facets' places, on either side; None: it is there.
         """
-        mesh, upper, lower = dS.ufl_domain(), Side(lambda v: v("+")), Side(lambda v: v("-"))
+        mesh, upper, lower = dS.ufl_domain(), InterfaceSide(lambda v: v("+")), InterfaceSide(lambda v: v("-"))
         if to_s is None:
             x, n = upper(ufl.SpatialCoordinate(mesh)), ufl.FacetNormal(mesh)("-")
             return cls(dS, x, n, n, upper, lower, kinematics)
-        return cls._apart(dS, kinematics, to_s, upper, Side(lower.restrict, _back(to_s)("-")))
+        return cls._apart(dS, kinematics, to_s, upper, InterfaceSide(lower.restrict, _inverse_gradient(to_s)("-")))
 
     @classmethod
     def on_rigid_base(cls, ds: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None) -> Interface:
         """S on the boundary of the upper body; the base below does not move; arguments as in `between_bodies`."""
-        mesh, upper, lower = ds.ufl_domain(), Side(lambda v: v), Side(lambda v: 0 * v)
+        mesh, upper, lower = ds.ufl_domain(), InterfaceSide(lambda v: v), InterfaceSide(lambda v: 0 * v)
         if to_s is None:
             n = -ufl.FacetNormal(mesh)
             return cls(ds, ufl.SpatialCoordinate(mesh), n, n, upper, lower, kinematics)
         return cls._apart(ds, kinematics, to_s, upper, lower)
 
     @classmethod
-    def _apart(cls, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: Side, lower: Side) -> Interface:
+    def _apart(
+        cls, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: InterfaceSide, lower: InterfaceSide
+    ) -> Interface:
         """S apart from the facets of the mesh, seen from the upper side, whose facets the measure is of (Nanson)."""
-        mesh, back = measure.ufl_domain(), upper(_back(to_s))
+        mesh, back = measure.ufl_domain(), upper(_inverse_gradient(to_s))
         N = -ufl.dot(upper(ufl.FacetNormal(mesh)), back)
         length = ufl.sqrt(ufl.dot(N, N))
         n, x = N / length, upper(ufl.SpatialCoordinate(mesh) + to_s)
         fibre = upper(to_s) / ufl.dot(upper(to_s), n)
         area = length / abs(ufl.det(back))
-        return cls(measure, x, n, fibre, Side(upper.restrict, back), lower, kinematics.at(x), area)
+        return cls(measure, x, n, fibre, InterfaceSide(upper.restrict, back), lower, kinematics.at(x), area)
 
     @property
     def factor(self) -> Any:
@@ -133,7 +135,7 @@ class Interface:
         return Faces(self.n, eps, self.jump(u), upper - lower, mean, self.kinematics.along, slope)
 
 
-def _back(to_s: Expr) -> Expr:
+def _inverse_gradient(to_s: Expr) -> Expr:
     return ufl.inv(ufl.Identity(len(to_s)) + ufl.grad(to_s))
 
 
@@ -185,9 +187,9 @@ class Term:
         return all(isinstance(self._unstrained(law), Zero) for law in numbered)
 
     def _unstrained(self, law: BulkLaw) -> Expr:
-        n = lift(self.n) if self.n is not None and self.law.traits.compiled else self.n
-        with explained(law, "stress"):
-            return shaped(law, "stress", law.stress(Step(ufl.zero(3, 3), n)), (3, 3))
+        n = three_dimensional(self.n) if self.n is not None and self.law.traits.compiled else self.n
+        with explained_errors(law, "stress"):
+            return require_shape(law, "stress", law.stress(Step(ufl.zero(3, 3), n)), (3, 3))
 
 
 def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = LIFTED, volume: int | None = None) -> Term:
@@ -200,7 +202,7 @@ def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = L
     return Term(law, kinematics.strain, kinematics.factor, measure, n, kinematics=kinematics)
 
 
-def of_jumps(law: BulkLaw, sides: Interface) -> Term:
+def jump_terms(law: BulkLaw, sides: Interface) -> Term:
     """A law of jumps on S, as one of strains (`TractionLaw.of_strains`): strain sym([u] (x) n), weight 1."""
     n, kinematics = sides.n, sides.kinematics
     return Term(law, lambda u: jump_strain(sides.jump(u), n), sides.factor, sides.measure, n, kinematics=kinematics)
@@ -261,20 +263,20 @@ def surface(
     return [at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 
 
-def added(terms: Iterable[Term], strain: Expr) -> list[Term]:
+def with_added_strain(terms: Iterable[Term], strain: Expr) -> list[Term]:
     """The terms, a strain (3, 3) added to those that are given."""
-    return [replace(p, given=strain if p.given is None else summed(p.given, strain)) for p in terms]
+    return [replace(p, given=strain if p.given is None else sum_strains(p.given, strain)) for p in terms]
 
 
-def summed(*strains: Expr) -> Expr:
+def sum_strains(*strains: Expr) -> Expr:
     """The sum of strains (3, 3), component by component, so that zeros stay zeros."""
     return ufl.as_tensor([[sum(e[i, j] for e in strains) for j in range(3)] for i in range(3)])
 
 
 def stress(term: Term, u: Expr) -> Expr:
     """The stress (3, 3) of a term's law at displacements u."""
-    with explained(term.law, "stress"):
-        return term.kinematics.seen(shaped(term.law, "stress", term.law.stress(term.step(u)), (3, 3)))
+    with explained_errors(term.law, "stress"):
+        return term.kinematics.seen(require_shape(term.law, "stress", term.law.stress(term.step(u)), (3, 3)))
 
 
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:

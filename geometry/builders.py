@@ -12,16 +12,16 @@ from geometry.joint import Joint
 from geometry.parallel import on_root
 from geometry.periodic import periodic
 from geometry.shapes.boxes import Boxes, repeated_bond, running_bond
-from geometry.shapes.cuts import faulted, grained
+from geometry.shapes.cuts import faulted_rectangle, grain_rectangle
 from geometry.shapes.rounds import Discs, Fibre, Rings
-from geometry.shapes.sizing import Cells, Curved, Grid, Sizes
+from geometry.shapes.sizing import CurvedArgs, GridArgs, MeshOptions, SizeArgs
 
 Size = float | None  # a length; None: the default
 Comm = MPI.Intracomm | None
 
 
 def block(
-    width: float, height: float, h: Size = None, *, depth: Size = None, comm: Comm = None, **cells: Unpack[Grid]
+    width: float, height: float, h: Size = None, *, depth: Size = None, comm: Comm = None, **cells: Unpack[GridArgs]
 ) -> Joint:
     """A body (0, width) x (0, height), in 3D x (0, depth), on a rigid base; S is its bottom side. Collective.
 
@@ -44,7 +44,7 @@ def block(
     Raises:
         InputError: a size is not positive, a name is unknown, a cell is of the other dimension.
     """
-    return on_root(comm, Boxes(Cells.of(h, cells, Grid), depth, width, (("BODY", height),)).build)
+    return on_root(comm, Boxes(MeshOptions.of(h, cells, GridArgs), depth, width, (("BODY", height),)).build)
 
 
 def sandwich(
@@ -55,7 +55,7 @@ def sandwich(
     *,
     depth: Size = None,
     comm: Comm = None,
-    **cells: Unpack[Grid],
+    **cells: Unpack[GridArgs],
 ) -> Joint:
     """Two bodies, stacked: (0, width) x (-lower, 0) and (0, width) x (0, upper), in 3D x (0, depth). Collective.
 
@@ -71,7 +71,9 @@ def sandwich(
     Raises:
         InputError: a size is not positive, a name is unknown, a cell is of the other dimension.
     """
-    return on_root(comm, Boxes(Cells.of(h, cells, Grid), depth, width, (("LOWER", lower), ("UPPER", upper))).build)
+    return on_root(
+        comm, Boxes(MeshOptions.of(h, cells, GridArgs), depth, width, (("LOWER", lower), ("UPPER", upper))).build
+    )
 
 
 def disc(
@@ -82,7 +84,7 @@ def disc(
     *,
     hole: float = 0.0,
     comm: Comm = None,
-    **cells: Unpack[Curved],
+    **cells: Unpack[CurvedArgs],
 ) -> Joint:
     """Two coaxial cylinders, stacked along their axis, the y axis; S is the disc at y = 0 where they meet. Collective.
 
@@ -103,7 +105,7 @@ def disc(
     Raises:
         InputError: a size is not positive, the hole does not fit, a name is unknown, the degree is not 1 or 2.
     """
-    return on_root(comm, Discs(Cells.of(h, cells, Curved), radius, lower, upper, hole).build)
+    return on_root(comm, Discs(MeshOptions.of(h, cells, CurvedArgs), radius, lower, upper, hole).build)
 
 
 def ring(
@@ -115,7 +117,7 @@ def ring(
     angle: float = tau,
     depth: Size = None,
     comm: Comm = None,
-    **cells: Unpack[Curved],
+    **cells: Unpack[CurvedArgs],
 ) -> Joint:
     """Two concentric rings about the origin, or sectors of them, in 3D tubes; S is where they meet. Collective.
 
@@ -141,11 +143,16 @@ def ring(
         InputError: a size is not positive, the radii do not grow, the angle is out of range, a name is unknown, a
             cell is of the other dimension, the degree is not 1 or 2.
     """
-    return on_root(comm, Rings(Cells.of(h, cells, Curved), depth, inner, interface, outer, angle).build)
+    return on_root(comm, Rings(MeshOptions.of(h, cells, CurvedArgs), depth, inner, interface, outer, angle).build)
 
 
 def fibre(
-    radius: float, around: float | tuple[float, float], h: Size = None, *, comm: Comm = None, **cells: Unpack[Curved]
+    radius: float,
+    around: float | tuple[float, float],
+    h: Size = None,
+    *,
+    comm: Comm = None,
+    **cells: Unpack[CurvedArgs],
 ) -> Joint:
     """A fibre, the disc r < radius about the origin, in its matrix; S is the circle between them. Collective.
 
@@ -168,7 +175,7 @@ def fibre(
             degree is not 1 or 2.
     """
     lengths = around if isinstance(around, tuple) else (around,)
-    return on_root(comm, lambda: Fibre(Cells.of(h, cells, Curved), radius, lengths).build())
+    return on_root(comm, lambda: Fibre(MeshOptions.of(h, cells, CurvedArgs), radius, lengths).build())
 
 
 def wall(
@@ -200,7 +207,7 @@ def wall(
         InputError: a size is not positive, a number is not whole, a cell is of the other dimension.
     """
     size = tuple(brick) if depth is None else (*brick, depth)
-    return on_root(comm, lambda: running_bond(Cells(h, cell=cell), size, bricks, courses))
+    return on_root(comm, lambda: running_bond(MeshOptions(h, cell=cell), size, bricks, courses))
 
 
 def bond_cell(
@@ -235,7 +242,7 @@ def bond_cell(
         InputError: a size is not positive, a cell is of the other dimension, the cut is along a joint.
     """
     size = tuple(brick) if depth is None else (*brick, depth)
-    joint = on_root(comm, lambda: repeated_bond(Cells(h, cell=cell), size, cut))
+    joint = on_root(comm, lambda: repeated_bond(MeshOptions(h, cell=cell), size, cut))
     return periodic(joint, ("LEFT", "RIGHT"), ("BOTTOM", "TOP"))
 
 
@@ -248,7 +255,7 @@ def grains(
     seed: int = 0,
     seams: Callable[[int, int], str] | None = None,
     comm: Comm = None,
-    **cells: Unpack[Sizes],
+    **cells: Unpack[SizeArgs],
 ) -> Joint:
     """The rectangle (0, width) x (0, height), filled with Voronoi grains; S is all boundaries between them. Collective.
 
@@ -273,7 +280,9 @@ def grains(
         InputError: a size or number out of range; points outside, or two at one place; a name of a seam that sides have;
             a side of a grain shorter than half a cell, with the place.
     """
-    return on_root(comm, lambda: grained(Cells.of(h, cells, Sizes), width, height, grains, seed, seams).build())
+    return on_root(
+        comm, lambda: grain_rectangle(MeshOptions.of(h, cells, SizeArgs), width, height, grains, seed, seams).build()
+    )
 
 
 def faults(
@@ -283,7 +292,7 @@ def faults(
     h: Size = None,
     *,
     comm: Comm = None,
-    **cells: Unpack[Sizes],
+    **cells: Unpack[SizeArgs],
 ) -> Joint:
     """The block (0, width) x (0, height) with faults, which may cross, branch, and end inside or outside. Collective.
 
@@ -307,4 +316,4 @@ def faults(
             or has the name of a side; faults that end nearer to each other or to a side than half a cell without
             touching, with the place.
     """
-    return on_root(comm, lambda: faulted(Cells.of(h, cells, Sizes), width, height, faults).build())
+    return on_root(comm, lambda: faulted_rectangle(MeshOptions.of(h, cells, SizeArgs), width, height, faults).build())

@@ -21,11 +21,11 @@ import ufl
 from mpi4py import MPI
 
 from geometry.joint import Joint
-from geometry.parallel import on_root, world
-from geometry.partition import partitioner, sent_by
+from geometry.parallel import default_comm, on_root
+from geometry.partition import partitioner, rows_of_rank
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, S
-from geometry.sheet import continued
+from geometry.sheet import continued_ridges
 from geometry.topology import FloatArray, Indices, IntArray, geometry_degree, local_facets
 
 FEW = 100  # number of meshes after which Python's collector frees those that cycles of references keep
@@ -33,7 +33,7 @@ _MADE = count(1)
 NAMES = 30  # number after which combinations of names are numbered anew: int64 holds so many, and numbers of facets
 
 
-def first_that_fits(*calls: Callable[[], Any]) -> Any:
+def first_accepted(*calls: Callable[[], Any]) -> Any:
     """Result of the first call whose signature exists (a wrong signature raises TypeError before any work is done)."""
     for call in calls[:-1]:
         try:
@@ -56,7 +56,7 @@ def create_mesh(
         map_of_cells = dolfinx.fem.coordinate_element(element.basix_element)._cpp_object
         return dolfinx.mesh.Mesh(dolfinx.cpp.mesh.create_mesh(**arguments, element=map_of_cells), ufl.Mesh(element))
 
-    return first_that_fits(by_names, lambda: dolfinx.mesh.create_mesh(**arguments, e=element))
+    return first_accepted(by_names, lambda: dolfinx.mesh.create_mesh(**arguments, e=element))
 
 
 def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
@@ -91,10 +91,10 @@ def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) ->
     """Index map of n owned indices and ghosts given by global number and owner. Collective."""
     arguments = (comm, n, np.asarray(ghosts, np.int64), np.asarray(owners, np.int32))
     create = dolfinx.cpp.common.IndexMap
-    return first_that_fits(lambda: create(*arguments), lambda: create(*arguments, 1801))
+    return first_accepted(lambda: create(*arguments), lambda: create(*arguments, 1801))
 
 
-def connect(mesh: dolfinx.mesh.Mesh, dim: int) -> None:
+def create_connectivity(mesh: dolfinx.mesh.Mesh, dim: int) -> None:
     """Find which entities of a dimension each local cell has, and which cells each entity has."""
     mesh.topology.create_connectivity(dim, mesh.topology.dim)
     mesh.topology.create_connectivity(mesh.topology.dim, dim)
@@ -103,7 +103,7 @@ def connect(mesh: dolfinx.mesh.Mesh, dim: int) -> None:
 def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Indices) -> tuple[Indices, IntArray]:
     """The local cell of each local facet, inside the mesh one of its two, and the facet's number in this cell."""
     topology, dim = mesh.topology, mesh.topology.dim
-    connect(mesh, dim - 1)
+    create_connectivity(mesh, dim - 1)
     to_cells = topology.connectivity(dim - 1, dim)
     cells = to_cells.array[to_cells.offsets[facets]]
     return cells, (_facets_of_cells(mesh)[cells] == facets[:, None]).argmax(axis=1)
@@ -161,10 +161,10 @@ class Domain:
     @classmethod
     def of(cls, joint: Joint, comm: MPI.Intracomm | None = None) -> Domain:
         """Distribute a joint. Collective."""
-        comm = comm or world()
+        comm = comm or default_comm()
         if comm.size > 1 or not next(_MADE) % FEW:
             gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
-        points, cells = (sent_by(one, comm.rank, comm.size) for one in (joint.points, joint.cells))
+        points, cells = (rows_of_rank(one, comm.rank, comm.size) for one in (joint.points, joint.cells))
         mesh = create_mesh(comm, points, cells, joint.cell_type, partitioner(joint, comm))
         original = np.asarray(mesh.topology.original_cell_index, np.int64)
         if joint.parted is not None:
@@ -245,7 +245,7 @@ def _local_facets(
 
     A cell of the mesh has its vertices, and so its facets, in the order of the joint's cell.
     """
-    connect(mesh, joint.dim - 1)
+    create_connectivity(mesh, joint.dim - 1)
     of_cells = _facets_of_cells(mesh)
     local = np.full(len(joint.cells), -1)
     local[original] = np.arange(len(original))
@@ -274,7 +274,7 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
         for number, region in enumerate(joint.regions):
             if region.split("/")[0] != LAYER:
                 yield f"{name}/{region}", rows[joint.region[cells] == number]
-        if joint.band is None and np.isin(facets, on_s).any() and len(continued(joint, facets)):
+        if joint.band is None and np.isin(facets, on_s).any() and len(continued_ridges(joint, facets)):
             yield f"{name}/{LAYER}", rows[:0]
 
 

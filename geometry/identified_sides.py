@@ -63,10 +63,10 @@ class Periods:
         nodes = corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])].reshape(-1, 2)
         names = " and ".join(f"{first!r} and {second!r}" for first, second in self.sides)
         narrow = f"a periodic cell needs three cells or more between its sides ({names}); use a finer mesh near {{at}}"
-        refuse(_folded(points, nodes, master), points[nodes], narrow)
+        refuse(_folded_edges(points, nodes, master), points[nodes], narrow)
 
 
-def _folded(points: FloatArray, nodes: IntArray, master: IntArray) -> BoolArray:
+def _folded_edges(points: FloatArray, nodes: IntArray, master: IntArray) -> BoolArray:
     """(n,) whether edges, by their nodes (n, 2), have the ends of another one, or one end twice, in the periodic mesh.
 
     Args:

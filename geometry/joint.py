@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from forms.base import InputError, is_finite, require
-from forms.temperature import finite
+from forms.temperature import finite_values
 from geometry.identified_sides import Periods
-from geometry.refusals import place, refuse, require_known
+from geometry.refusals import place_text, refuse, require_known
 from geometry.seam import JUNCTIONS, LAYER, RESERVED, S, Seam
 from geometry.topology import (
     CELL_TYPES,
@@ -43,7 +43,7 @@ def _digest(*arrays: IntArray) -> str:
 
 
 @dataclass(frozen=True)
-class Band:
+class InflatedBand:
     """Result of inflating: the layers' thickness, their regions, and how the bodies made room for them.
 
     Attributes:
@@ -108,7 +108,7 @@ class Joint:
     regions: tuple[str, ...]
     facets: Mapping[str, IntArray]
     seams: Mapping[str, Seam]
-    band: Band | None = field(default=None, repr=False)
+    band: InflatedBand | None = field(default=None, repr=False)
     periods: Periods | None = None
     parted: FloatArray | None = field(default=None, repr=False)
 
@@ -408,7 +408,7 @@ class Joint:
         values[vertices] = given
         bad = vertices[~(np.isfinite(values[vertices]) & (values[vertices] > 0))]
         if len(bad):
-            at = place(self.points[bad[0]])
+            at = place_text(self.points[bad[0]])
             raise InputError(f"the thickness profile is {values[bad[0]]:g} at {at}; it must be > 0 on S")
         surface, k = self.surface[np.searchsorted(self.surface_rows, rows)], corner_count(FACET_TYPES[self.cell_type])
         if self.degree == 2:
@@ -456,10 +456,10 @@ class Joint:
     def nearest_point(self, x: Sequence[float]) -> int:
         """Number of the mesh vertex at x; raises InputError, naming the nearest vertex, if there is none."""
         vertices = np.unique(self.corners)
-        if finite(x, (self.dim,)) is None:
+        if finite_values(x, (self.dim,)) is None:
             raise InputError(f"point {x!r} is not a place; give {self.dim} coordinates")
         distance = np.linalg.norm(self.reference[vertices] - np.asarray(x, float), axis=1)
         nearest = int(vertices[np.argmin(distance)])
         if distance.min() > 1e-6 * np.ptp(self.reference, axis=0).max():
-            raise InputError(f"no mesh vertex at {tuple(x)}; the nearest is {place(self.reference[nearest])}")
+            raise InputError(f"no mesh vertex at {tuple(x)}; the nearest is {place_text(self.reference[nearest])}")
         return nearest

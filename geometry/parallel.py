@@ -22,13 +22,13 @@ LINE = 64  # bytes at whose multiples arrays begin
 _WORLD: ContextVar[MPI.Intracomm] = ContextVar("_WORLD", default=MPI.COMM_WORLD)
 
 
-def world() -> MPI.Intracomm:
-    """The communicator of calls that are given none: MPI.COMM_WORLD, or that of `within`."""
+def default_comm() -> MPI.Intracomm:
+    """The communicator of calls that are given none: MPI.COMM_WORLD, or that of `use_comm`."""
     return _WORLD.get()
 
 
 @contextmanager
-def within(comm: MPI.Intracomm) -> Iterator[None]:
+def use_comm(comm: MPI.Intracomm) -> Iterator[None]:
     """In this block calls that are given no communicator use this one, so that groups of ranks work side by side."""
     token = _WORLD.set(comm)
     try:
@@ -43,7 +43,7 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
     The ranks of one machine share the large arrays of the result, which nobody may write.
     The exception has an attribute `on_all_ranks`: it shows that no rank is left waiting.
     """
-    comm = world() if comm is None else comm
+    comm = default_comm() if comm is None else comm
     require(isinstance(comm, MPI.Comm), "comm", comm, "it must be an MPI communicator")
     result: T | Exception | None = None
     if comm.rank == 0:
@@ -54,13 +54,13 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
             result = error
     received = result
     if comm.size > 1:
-        received = _sent(comm, _sendable(result) if isinstance(result, Exception) else result)
+        received = _broadcast(comm, _sendable(result) if isinstance(result, Exception) else result)
     if isinstance(received, Exception):
         raise result if isinstance(result, Exception) else received
     return cast(T, received)
 
 
-def _sent(comm: MPI.Intracomm, result: Any) -> Any:
+def _broadcast(comm: MPI.Intracomm, result: Any) -> Any:
     """What rank 0 gives, on every rank. Collective."""
     large: list[memoryview] = []
 
@@ -72,10 +72,10 @@ def _sent(comm: MPI.Intracomm, result: Any) -> Any:
 
     content = pickle.dumps(result, 5, buffer_callback=is_small) if comm.rank == 0 else b""
     content, sizes = comm.bcast((content, [raw.nbytes for raw in large]))
-    return pickle.loads(content, buffers=_shared(comm, large, sizes) if sizes else ())
+    return pickle.loads(content, buffers=_shared_copies(comm, large, sizes) if sizes else ())
 
 
-def _shared(comm: MPI.Intracomm, given: list[memoryview], sizes: list[int]) -> list[memoryview]:
+def _shared_copies(comm: MPI.Intracomm, given: list[memoryview], sizes: list[int]) -> list[memoryview]:
     """Copies of buffers of rank 0 in memory that the ranks of a machine share; it goes with the last user. Collective.
 
     Args:

@@ -65,7 +65,7 @@ def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
     return np.append(0, times.cumsum()), np.insert(owner, seen[:, 0] + 1, seen[:, 1])
 
 
-def sent_by(rows: Any, rank: int, ranks: int) -> Any:
+def rows_of_rank(rows: Any, rank: int, ranks: int) -> Any:
     """The rows, of points or cells, that a rank sends to their owners."""
     return rows[len(rows) * rank // ranks : len(rows) * (rank + 1) // ranks]
 
@@ -75,7 +75,7 @@ def partitioner(joint: Joint, comm: MPI.Intracomm) -> Callable[..., Any] | None:
     if comm.size == 1:
         return None
     starts, ranks = on_root(comm, lambda: destinations(joint, comm.size))
-    first = sent_by(np.arange(len(joint.cells)), comm.rank, comm.size)
+    first = rows_of_rank(np.arange(len(joint.cells)), comm.rank, comm.size)
     own = starts[first[0] : first[-1] + 2] if len(first) else starts[:1]
     lists = dolfinx.cpp.graph.AdjacencyList_int32(ranks[own[0] : own[-1]], (own - own[0]).astype(np.int32))
     return lambda *_: lists

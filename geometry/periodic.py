@@ -10,7 +10,7 @@ import scipy.spatial
 from forms.base import InputError, require
 from geometry.identified_sides import CUT, SAME_PLACE, Periods
 from geometry.joint import Joint
-from geometry.refusals import place, refuse, unknown
+from geometry.refusals import place_text, refuse, unknown_name_message
 from geometry.topology import IntArray
 
 
@@ -36,17 +36,17 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise InputError(f"{twice[0]!r} is in two pairs of periodic sides; a side has one other side")
-    pairs = tuple(_matched(joint, *pair) for pair in sides)
+    pairs = tuple(_matching_nodes(joint, *pair) for pair in sides)
     return replace(joint, periods=Periods(before.sides + sides, before.pairs + pairs))
 
 
-def repeated(inflated: Joint, periods: Periods) -> Joint:
+def with_periods_of(inflated: Joint, periods: Periods) -> Joint:
     """An inflated joint, whose periodic sides have not moved, with the periods of the one that it came from."""
-    pairs = tuple(_matched(inflated, *names) for names in periods.sides)
+    pairs = tuple(_matching_nodes(inflated, *names) for names in periods.sides)
     return replace(inflated, periods=Periods(periods.sides, pairs))
 
 
-def _matched(joint: Joint, first: str, second: str) -> IntArray:
+def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
     """(n, 2) nodes on the first side and the same ones on the second."""
     rows = [_outer_rows(joint, name) for name in (first, second)]
     nodes = [np.unique(joint.table.nodes(row, joint.cells, joint.cell_type)) for row in rows]
@@ -60,7 +60,7 @@ def _matched(joint: Joint, first: str, second: str) -> IntArray:
         partners.append(at)
         if apart.max() > SAME_PLACE * size:
             lost = places[apart.argmax()]
-            both = f"{name!r} has a node at {place(lost)}, and {other!r} has none at {place(lost + move)}"
+            both = f"{name!r} has a node at {place_text(lost)}, and {other!r} has none at {place_text(lost + move)}"
             raise InputError(f"{unlike}: {both}; {remedy}")
     image = np.full(len(joint.points), -1)
     image[nodes[0]] = nodes[1][partners[0]]
@@ -73,7 +73,7 @@ def _matched(joint: Joint, first: str, second: str) -> IntArray:
 def _outer_rows(joint: Joint, name: str) -> IntArray:
     """Rows of the joint's table of the facets of a side."""
     if name not in joint.facets:
-        raise InputError(unknown("side", name, joint.facets.keys() - joint.seams.keys()))
+        raise InputError(unknown_name_message("side", name, joint.facets.keys() - joint.seams.keys()))
     if name in joint.seams:
         raise InputError(f"the seam {name!r} cannot be a periodic side: {CUT}")
     rows = np.unique(joint.table.index(joint.facets[name]))

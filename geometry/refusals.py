@@ -7,11 +7,11 @@ from collections.abc import Collection, Hashable
 import numpy as np
 
 from forms.base import InputError
-from forms.base import unknown as unknown
+from forms.base import unknown_name_message as unknown_name_message
 from geometry.topology import BoolArray, FloatArray
 
 
-def place(x: FloatArray) -> str:
+def place_text(x: FloatArray) -> str:
     """Coordinates for a message, short."""
     return f"({', '.join(f'{c:.6g}' for c in x)})"
 
@@ -19,7 +19,7 @@ def place(x: FloatArray) -> str:
 def require_known(kind: str, name: object, known: Collection[str], what: str = "") -> None:
     """Raise InputError for a name that does not exist; `what` begins the message."""
     if not (isinstance(name, Hashable) and name in known):
-        raise InputError((f"{what}: " if what else "") + unknown(kind, name, known))
+        raise InputError((f"{what}: " if what else "") + unknown_name_message(kind, name, known))
 
 
 def refuse(bad: BoolArray | np.bool_, x: FloatArray, message: str) -> None:
@@ -32,6 +32,6 @@ def refuse(bad: BoolArray | np.bool_, x: FloatArray, message: str) -> None:
     """
     if bad.any():
         first = x[bad.argmax()].reshape(-1, x.shape[-1]).mean(axis=0)
-        for name, value in {"at": place(first), "bad": bad.sum(), "all": np.size(bad)}.items():
+        for name, value in {"at": place_text(first), "bad": bad.sum(), "all": np.size(bad)}.items():
             message = message.replace(f"{{{name}}}", str(value))
         raise InputError(message)

@@ -26,7 +26,7 @@ CLOSED = 0.1  # length of the mean unit normal below which S counts as closed
 CORNER = 0.7  # cosine of the least angle between straight ends that meet: at smaller ones the end counts as curved
 
 
-def from_segments(x: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
+def vectors_from_segments(x: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
     """(n, m, d) vectors to places x (n, d) from the nearest points of segments between `first` and `last` (m, d)."""
     along, to = last - first, x[:, None] - first
     share = (to * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
@@ -62,11 +62,11 @@ class Rim:
         """(n,) distances of places (n, d) from the ridges, whose vertices are some of these points; inf: there are none."""
         found = np.full(len(x), np.inf)
         for ends in points[self.vertices][:, [0, -1], None]:
-            found = np.minimum(found, np.linalg.norm(from_segments(x, *ends)[:, 0], axis=1))
+            found = np.minimum(found, np.linalg.norm(vectors_from_segments(x, *ends)[:, 0], axis=1))
         return found
 
 
-def continued(joint: Joint, facets: IntArray) -> IntArray:
+def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
     """Keys of the ridges of S where facets go on over the layer's side: they are all outer facets there.
 
     So they are on the bodies at both its faces, or beside layers that meet in the ridge. On a rigid base there is one

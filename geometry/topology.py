@@ -59,7 +59,7 @@ def local_facets(cell_type: str, degree: int = 1) -> IntArray:
     return np.array(lagrange(cell_type, degree).entity_closure_dofs[-2], np.int64)
 
 
-def sums(number: IntArray, values: FloatArray, n: int) -> FloatArray:
+def sum_by_number(number: IntArray, values: FloatArray, n: int) -> FloatArray:
     """(n, ...) sums of the values (..., ...) of equal numbers from 0 to n - 1."""
     out = np.zeros((n, *values.shape[number.ndim :]))
     np.add.at(out, number, values)

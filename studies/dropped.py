@@ -30,7 +30,7 @@ from forms import (
     Stack,
     VonMises,
 )
-from forms.elastic import VOIGT, lame
+from forms.elastic import VOIGT, lame_stress
 from forms.kinematics import Expr
 from forms.law import Step
 from geometry import block, faults, ring, sandwich
@@ -212,7 +212,7 @@ class Hardening(BulkLaw):
 
     def stress(self, step: Step) -> Expr:
         """The stress."""
-        return lame(self.lmbda, self.mu, step.e) + self.c * ufl.inner(step.e, step.e) * step.e
+        return lame_stress(self.lmbda, self.mu, step.e) + self.c * ufl.inner(step.e, step.e) * step.e
 
     def energy(self, step: Step) -> Expr:
         """Its potential."""

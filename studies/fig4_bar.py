@@ -22,7 +22,7 @@ from thinlayer.discretisation.supports import Support
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 from thinlayer.system.progress import track
-from thinlayer.time.journal import Observe
+from thinlayer.time.journal import Observers
 
 BAR = formulas.Bar(l=1.0, K=2.0, kbar=3.0, alpha=1.2, cbar=0.9, eps=0.1)
 EPS = (BAR.eps, 0.05, 0.01, 0.0)  # thicknesses over the length of the bar; 0: the interface law
@@ -80,7 +80,7 @@ class Strip:
     def march(self, law: type[Phases], steps: int) -> History:
         """Up to END in equal steps, and back; U is measured on S, sigma at the end that moves."""
         model, times = self._model(self.bar, law), [END * k / steps for k in range(1, 2 * steps + 1)]
-        measured: Observe = {
+        measured: Observers = {
             "U": lambda state: self.surface.integral(self.surface.jump(state)[1]),
             "sigma": lambda state: state.reaction("TOP").force[1],
         }

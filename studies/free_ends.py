@@ -16,7 +16,7 @@ import ufl
 from forms import BulkLaw, Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from forms.ends import FreeEnd, free_end
-from forms.ends.constants import COLUMNS, nodes, shipped
+from forms.ends.constants import COLUMNS, chebyshev_ratios, shipped_table
 from forms.kinematics import Expr
 from geometry import block
 from geometry.joint import Joint
@@ -170,10 +170,10 @@ def _difference(found: FreeEnd) -> float:
 def _nodes(record: Record) -> None:
     """Solve for the rows of the package's table, and write them as it has them."""
     table = record.table("nodes.csv")
-    for ratio in track(list(nodes(ROWS)), "free_ends", "row of the table, nu = {:g}"):
+    for ratio in track(list(chebyshev_ratios(ROWS)), "free_ends", "row of the table, nu = {:g}"):
         found = half_strip(float(ratio))
         table.append({name: getattr(found, name) for name in COLUMNS})
-    known = shipped()
+    known = shipped_table()
     error = max(float(np.abs(table[name] / known[name] - 1).max()) for name in COLUMNS[1:])
     record.check("largest difference of a row from the package's table", error, high=1e-9)
 

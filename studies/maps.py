@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
-from thinlayer.output.plotting.picture import Picture, finish
+from thinlayer.output.plotting.picture import Picture, finish_picture
 
 RANGES = ("#5e9bc8", "#b7dfc0", "#fff7b0", "#f8b26a", "#dd5a4d")  # colours of the ranges, from the lowest values
 CELL, MARGIN = (0.37, 0.25), (0.45, 0.35)  # inches: of a cell, and of a panel around its cells
@@ -53,4 +53,4 @@ def maps(
     patches = [Patch(color=colour, label=name) for colour, name in zip(colours, ranges, strict=True)]
     figure.legend(handles=patches, loc="outside lower center", ncols=len(ranges), frameon=False, fontsize=SIZE + 1)
     figure.suptitle(title, fontsize=SIZE + 2)
-    return finish(figure, save)
+    return finish_picture(figure, save)

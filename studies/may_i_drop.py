@@ -29,7 +29,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import FIELDS
 from thinlayer.output.plotting.curves import fraction
-from thinlayer.pointwise.integrals import values_of
+from thinlayer.pointwise.integrals import assemble_values
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 from thinlayer.system.progress import track
@@ -226,7 +226,7 @@ def _of_layer(one: Dropped, at: Array) -> Array:
     work = ufl.inner(state.stress(term), term.strain(v)) * term.weight * q * term.measure
     mine = Q.dofmap.index_map.size_local
     near = np.abs(Q.tabulate_dof_coordinates()[:mine, 0] - at[:, None]) < 10.0**-ROUND
-    return np.asarray(comm.allreduce(near @ values_of(fem.form(work), mine)))
+    return np.asarray(comm.allreduce(near @ assemble_values(fem.form(work), mine)))
 
 
 # ---------------------------------------------------------------- pictures

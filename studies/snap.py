@@ -18,7 +18,7 @@ from forms.base import Array
 from forms.non_monotone import Phases
 from geometry import block
 from geometry.joint import Joint
-from geometry.sheet import from_segments
+from geometry.sheet import vectors_from_segments
 from studies.problems import SNAPPING, phases_on_s
 from thinlayer import ArcLength, Structure, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.model import Model
@@ -91,7 +91,7 @@ def switches(history: History) -> Array:
 def distance(points: Array, vertices: Array) -> Array:
     """Distances (n,) of points (n, d) from a polygon (m, d), over the size of its components."""
     size = np.ptp(vertices, axis=0)
-    apart = from_segments(points / size, vertices[:-1] / size, vertices[1:] / size)
+    apart = vectors_from_segments(points / size, vertices[:-1] / size, vertices[1:] / size)
     return np.asarray(np.linalg.norm(apart, axis=2).min(axis=1))
 
 

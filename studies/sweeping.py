@@ -15,7 +15,7 @@ from forms.law import Law
 from geometry.joint import Joint
 from studies.problems import fourier
 from thinlayer import Structure, Surface, Table, ThinLayer, compare, plotting, solve
-from thinlayer.discretisation.layer import LawOnS
+from thinlayer.discretisation.layer import SurfaceLaw
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.comparison import Where
@@ -73,7 +73,7 @@ class Row:
     orders: tuple[float, float | None] | None = (0.93, 1.07)
     times: Sequence[float] | None = None
     steps: slice = slice(None)
-    instead: BulkLaw | LawOnS | None = None
+    instead: BulkLaw | SurfaceLaw | None = None
     bodies: str = "kept"
     cells_through: int = 4
     where: Where | None = None
@@ -98,7 +98,7 @@ class Row:
         def solved(model: Model, what: str) -> Solution:
             return record.march(model, times, f"{what}_{case}") if times else record.solved(solve(model))
 
-        def by_law(layer: ThinLayer | LawOnS, what: str) -> Solution:
+        def by_law(layer: ThinLayer | SurfaceLaw, what: str) -> Solution:
             bodies = self.bodies if isinstance(layer, ThinLayer) and layer.order else "kept"
             return solved(structure.interface(layer, bodies=bodies), what)
 

@@ -14,7 +14,7 @@ import ufl
 
 from forms import Incompressible, LinearElastic, Rubber
 from forms.base import Array
-from geometry.parallel import world
+from geometry.parallel import default_comm
 from studies.maps import maps
 from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
 from studies.sweeping import difference
@@ -76,7 +76,7 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
         with warnings.catch_warnings(record=True, action="always") as found:
             state = record.solved(solve(structure.interface(layer)))
         warned = any(issubclass(one.category, RangeWarning) for one in found)
-        told[f"warned_{law}"] = float(world().bcast(warned))  # rank 0 warns
+        told[f"warned_{law}"] = float(default_comm().bcast(warned))  # rank 0 warns
         errors |= {f"{quantity}_{law}": error for quantity, error in zip(QUANTITIES, compared(state), strict=True)}
         if law == "order_0" and nu < 0.5:
             told["too_stiff"] = Surface(state.model).table(state)["too_stiff"][0]

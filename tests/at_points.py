@@ -9,17 +9,17 @@ import numpy as np
 from mpi4py import MPI
 
 from forms import BulkLaw
-from forms.kinematics import tensors as tensor
-from forms.kinematics import vectors as vector
-from thinlayer.pointwise.material import Material
+from forms.kinematics import mandel_tensors as tensor
+from forms.kinematics import mandel_vectors as vector
+from thinlayer.pointwise.material import CompiledLaw
 
 DT = 0.1
 E2 = np.array([0.0, 1.0, 0.0])
 
 
 @cache
-def material(law: BulkLaw) -> Material:
-    return Material(MPI.COMM_SELF, law.of_strains())
+def material(law: BulkLaw) -> CompiledLaw:
+    return CompiledLaw(MPI.COMM_SELF, law.of_strains())
 
 
 @dataclass(frozen=True)

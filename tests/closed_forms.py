@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ive, kve
 
-from forms.formulas import fraction, held, phase_energy
+from forms.formulas import fraction, phase_energy, retained_pressure_share
 from forms.non_monotone import lamination_gain
 
 Array = npt.NDArray[np.float64]
@@ -298,7 +298,7 @@ def rubber_strip_tilted(lmbda: float, mu: float, eps: float, a: float) -> float:
 
     w_N = theta x gives p = (lmbda theta/eps) (x - a sinh(x/delta)/sinh(a/delta)), and with 2 mu w_N/eps the moment.
     """
-    return (held(lmbda, mu, a / eps, 1.5) + 2 * mu) / eps * 2 * a**3 / 3
+    return (retained_pressure_share(lmbda, mu, a / eps, 1.5) + 2 * mu) / eps * 2 * a**3 / 3
 
 
 def rubber_disc_pressure(lmbda: float, mu: float, eps: float, radius: float, r: Array) -> Array:

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import pytest
 from mpi4py import MPI
 
-from geometry.parallel import on_root, within
+from geometry.parallel import on_root, use_comm
 from tests.mpirun import BROKEN, LAUNCHES, launched
 
 FEW = 2  # ranks; more of them on two cores take long
@@ -53,7 +53,7 @@ def alone(act: Callable[[], Any]) -> None:
     """Let one rank do something by itself, before all go on. Collective."""
 
     def run() -> None:
-        with within(MPI.COMM_SELF):
+        with use_comm(MPI.COMM_SELF):
             act()
 
     on_root(MPI.COMM_WORLD, run)

@@ -8,17 +8,17 @@ from typing import ClassVar
 import numpy as np
 import ufl
 
-from forms.elastic import lame
+from forms.elastic import lame_stress
 from forms.law import BulkLaw, Law
 from forms.plastic import VonMises
 from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, isotropic_energy
-from thinlayer.discretisation.layer import LawOnS, Layer, ThinLayer
+from thinlayer.discretisation.layer import Layer, SurfaceLaw, ThinLayer
 
 
 def layer_of(law: Law, eps: float) -> Layer:
     """A layer of a law: laws on S are layers by themselves, others have a thickness."""
-    return law if isinstance(law, LawOnS) else ThinLayer(law, eps, at=1.0)
+    return law if isinstance(law, SurfaceLaw) else ThinLayer(law, eps, at=1.0)
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class StandardSolid(BulkLaw):
         return ufl.dev(step.mid) - step.between(step.q["viscous"], self.advance(step)["viscous"])
 
     def stress(self, step):
-        return lame(self.lmbda, self.mu, step.mid) + 2 * self.mu_1 * self._branch(step)
+        return lame_stress(self.lmbda, self.mu, step.mid) + 2 * self.mu_1 * self._branch(step)
 
     def energy(self, step):
         branch = ufl.dev(step.e) - step.q["viscous"]
@@ -75,7 +75,7 @@ class Hardening(BulkLaw):
     def stress(self, step):
         pulled = ufl.sym(ufl.outer(step.q["drift"], step.n)) + step.q["mean"]
         closing = self.lmbda * ufl.tr(step.mid) ** 2 * ufl.Identity(3)
-        hardened = (1 + step.q["path"] + self._changed(step)) * lame(self.lmbda, self.mu, step.mid)
+        hardened = (1 + step.q["path"] + self._changed(step)) * lame_stress(self.lmbda, self.mu, step.mid)
         return hardened + self.mu * pulled - closing
 
     def energy(self, step):
@@ -151,7 +151,7 @@ class Skew(BulkLaw):
 
     def stress(self, step):
         turn = ufl.as_matrix([[0, 1, 0], [-1, 0, 0], [0, 0, 0]])
-        return lame(self.mu, self.mu, step.mid) + self.c * ufl.sym(turn * step.mid)
+        return lame_stress(self.mu, self.mu, step.mid) + self.c * ufl.sym(turn * step.mid)
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ class Stiffening(BulkLaw):
     a: float
 
     def stress(self, step):
-        return lame(self.lmbda, self.mu, step.mid) + self.a * ufl.inner(step.mid, step.mid) * step.mid
+        return lame_stress(self.lmbda, self.mu, step.mid) + self.a * ufl.inner(step.mid, step.mid) * step.mid
 
     def energy(self, step):
         return isotropic_energy(self.lmbda, self.mu, step.e) + self.a * ufl.inner(step.e, step.e) ** 2 / 4
@@ -182,7 +182,7 @@ class Swelling(BulkLaw):
         return e - self.own * ufl.Identity(3)
 
     def stress(self, step):
-        return lame(self.lmbda, self.mu, self._elastic(step.mid))
+        return lame_stress(self.lmbda, self.mu, self._elastic(step.mid))
 
     def energy(self, step):
         return isotropic_energy(self.lmbda, self.mu, self._elastic(step.e))
@@ -218,7 +218,7 @@ class Breaking(BulkLaw):
         return ufl.max_value(step.q["d"], ufl.min_value(self.k * (x - 1) / (x * (self.k - 1)), 1.0))
 
     def stress(self, step):
-        return (1 - self._damage(step, step.mid)) * lame(self.lmbda, self.mu, step.mid)
+        return (1 - self._damage(step, step.mid)) * lame_stress(self.lmbda, self.mu, step.mid)
 
     def advance(self, step):
         return {"d": self._damage(step, step.e)}

@@ -12,7 +12,7 @@ from forms import LinearElastic
 from tests.meshes import upper_cells
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import RangeWarning
-from thinlayer.surface.excess import Faces, pressure_excess, sublayers_of
+from thinlayer.surface.excess import FaceDisplacements, pressure_excess, resting_sublayers
 
 STIFF = LinearElastic.young(1e5, 0.3)
 
@@ -30,11 +30,11 @@ def opened(model, upper):
     cells = np.flatnonzero(model.domain.on_cells(upper_cells(model.joint))).astype(np.int32)
     u.interpolate(lambda x: np.array(upper(x)), cells0=cells)
     u.x.scatter_forward()
-    return Faces.of(State(u, 0.0, model=model, report=Report("none", 0, 0.0, 0.0)), model.layers["S"])
+    return FaceDisplacements.of(State(u, 0.0, model=model, report=Report("none", 0, 0.0, 0.0)), model.layers["S"])
 
 
 def excess(model, upper):
-    (layer,) = sublayers_of(model.layers["S"])
+    (layer,) = resting_sublayers(model.layers["S"])
     return pressure_excess(opened(model, upper), layer).work
 
 

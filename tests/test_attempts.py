@@ -10,7 +10,7 @@ from geometry import sandwich
 from tests.refused import refused
 from thinlayer import SolveError, Structure, ThinLayer, march, solve
 from thinlayer.solving.contact.methods import CONDENSED_UP_TO
-from thinlayer.solving.equilibrium import Equilibrium
+from thinlayer.solving.equilibrium import NewtonSolver
 
 JOINT = sandwich(8, 2, 2, h=1.0, structured=True)
 STEEL = LinearElastic.young(E=20e3, nu=0.2)
@@ -27,12 +27,12 @@ def failing(monkeypatch, times, after=0):
     """Let some solves fail: so many, after so many others."""
     solves = iter(range(after + times))
 
-    def find(self, start=None, real=Equilibrium.find):
+    def find(self, start=None, real=NewtonSolver.find):
         if next(solves, -1) >= after:
             raise SolveError("it was told to", residuals=(1.0, 0.5))
         return real(self, start)
 
-    monkeypatch.setattr(Equilibrium, "find", find)
+    monkeypatch.setattr(NewtonSolver, "find", find)
 
 
 def messages(caplog, name, level=logging.INFO):

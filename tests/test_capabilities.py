@@ -35,7 +35,7 @@ from thinlayer import (
     thin_enough,
 )  # fmt: skip
 from thinlayer.errors import ThinlayerError
-from thinlayer.running.case import Case
+from thinlayer.running.case import DescribedCase
 from thinlayer.running.description import Description
 
 Numbers = list[tuple[float, int, int]]  # values, and their powers of length and of stress
@@ -219,7 +219,7 @@ def swept(c, folder):
 
 def described(c, folder):
     """A structure that a file describes has the same work of its loads."""
-    case = Case.of(Description.read(on_root(c.model.comm, lambda: c.described(folder))))
+    case = DescribedCase.of(Description.read(on_root(c.model.comm, lambda: c.described(folder))))
     model, times = case.structure.bonded() if case.given.bonded else case.model(), case.given.times
     found = march(model, times).last if times else solve(model)
     near(found.load_work(), c.state.load_work())

@@ -13,8 +13,8 @@ from tests.contact_bars import bar, contact, coulomb, solved, stacked
 from tests.pictures import assert_coloured, assert_drawn
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, plotting, solve
-from thinlayer.discretisation.contact_nodes import frames_at
-from thinlayer.output.plotting.structures import _around
+from thinlayer.discretisation.contact_nodes import normal_frames
+from thinlayer.output.plotting.structures import _corner_points
 
 
 # ------------------------------------------------------------------------ reports and pictures
@@ -47,11 +47,13 @@ def test_frames_in_three_dimensions():
     """The smallest rotation that takes e_2 to the normal, and a half turn where there is none."""
     normals = np.random.default_rng(5).normal(size=(50, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    for n, frame in zip(normals, frames_at(normals), strict=True):
+    for n, frame in zip(normals, normal_frames(normals), strict=True):
         axis = np.cross((0.0, 1.0, 0.0), n)
         turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.arccos(n[1])).as_matrix()
         assert frame == pytest.approx(turn[:, [0, 2, 1]].T, abs=1e-12)
-    assert frames_at(np.array([[0.0, -1.0, 0.0]]))[0] == pytest.approx(np.array([(-1, 0, 0), (0, 0, 1), (0, -1, 0)]))
+    assert normal_frames(np.array([[0.0, -1.0, 0.0]]))[0] == pytest.approx(
+        np.array([(-1, 0, 0), (0, 0, 1), (0, -1, 0)])
+    )
 
 
 def test_pictures(tmp_path):
@@ -73,7 +75,7 @@ def test_pictures(tmp_path):
 
 def test_colours_of_a_corner_fill_the_quarter_of_the_facet_around_it():
     square = np.array([[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]])
-    for corner, part in zip(square[0], _around(square)[0], strict=True):
+    for corner, part in zip(square[0], _corner_points(square)[0], strict=True):
         assert part.mean(axis=0) == pytest.approx(corner / 2 + 1 / 4)
 
 

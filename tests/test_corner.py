@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forms.ends.corner import Corner
+from forms.ends.corner import CornerField
 
 RATIOS = (0.1, 0.3, 0.45, 0.5)
 
@@ -13,12 +13,12 @@ RATIOS = (0.1, 0.3, 0.45, 0.5)
 def test_exponents_that_are_known():
     """Of Williams; tests of the field hold the others."""
     for nu, known in ((0.0, 1.0), (0.3, 0.71117), (0.5, 0.59461)):  # 0.3: stresses ~ r^-0.289
-        assert Corner(nu).exponent == pytest.approx(known, abs=1e-5)
+        assert CornerField(nu).exponent == pytest.approx(known, abs=1e-5)
 
 
 @pytest.mark.parametrize("nu", RATIOS)
 def test_the_singular_field_is_elastic_and_in_equilibrium(nu):
-    corner, r, h = Corner(nu), 0.7, 1e-5
+    corner, r, h = CornerField(nu), 0.7, 1e-5
     angles = np.array([0.2, 0.9, 1.4])
     x = r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
@@ -40,7 +40,7 @@ def test_the_singular_field_is_elastic_and_in_equilibrium(nu):
 
 
 def test_strengths_do_not_depend_on_the_radius():
-    corner, H = Corner(0.2), 2.7
+    corner, H = CornerField(0.2), 2.7
 
     for r in (0.01, 0.1, 0.45):
         u, stress = corner.field(np.array(r), corner._arc[0])

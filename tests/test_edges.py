@@ -12,7 +12,7 @@ import ufl
 
 from forms import LinearElastic, Rubber
 from forms.ends import free_end
-from forms.ends.weights import EndWeights, Strips
+from forms.ends.weights import EndStrips, EndWeights
 from forms.law import Step
 from forms.planes import Kinematics
 from forms.stations import Faces
@@ -89,7 +89,7 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
 def weights_on(joint, eps, ends=None):
     sheet = Sheet(joint)
     ends = straight_ends(sheet.rim, sheet) if ends is None else ends
-    strips = Strips.of(free_end(0.3))
+    strips = EndStrips.of(free_end(0.3))
     area = np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)
     return FacetWeights.of(ends, sheet, eps, strips), area, strips, ends
 
@@ -107,7 +107,7 @@ def test_weights_have_the_deficit_of_the_end(cell):
     length = 2 * depth.get("depth", 1.0)
     assert found.a_N @ area == pytest.approx(strips.opening.c * eps * length, rel=1e-12)
     assert found.a_T @ area == pytest.approx(strips.shear.c * eps * length, rel=1e-12)
-    of_pressure = FacetWeights.of(opposite, Sheet(joint), eps, Strips.with_pressure(free_end(0.3)))
+    of_pressure = FacetWeights.of(opposite, Sheet(joint), eps, EndStrips.with_pressure(free_end(0.3)))
     assert of_pressure.resistance @ area == pytest.approx((1 / free_end(0.3).kappa - 1) * eps * length, rel=1e-12)
     assert not of_pressure.a_N.any()
     np.testing.assert_array_equal(of_pressure.a_T, found.a_T)

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from forms import LinearElastic, Rubber, work
 from forms.ends import free_end
-from forms.ends.weights import Strip, Strips
+from forms.ends.weights import EndStrip, EndStrips
 from geometry import sandwich
 from geometry.sheet import straight_ends
 from thinlayer import Structure, ThinLayer
@@ -65,7 +65,7 @@ def test_openings_that_are_weaker_alone_are_not_convex():
     law = LinearElastic.shear(1.0, 0.45)
     one = model(law, 0.25, "plain")
     end, layer, sides = free_end(0.45), one.layers["S"], one.sides_of("S")
-    strips = Strips(Strip(end.c_N, 1.0), Strip(), Strip(), 0.0, 0.0)
+    strips = EndStrips(EndStrip(end.c_N, 1.0), EndStrip(), EndStrip(), 0.0, 0.0)
     ends = straight_ends(one.reductions["S"].free, layer.sheet)
     weights = FacetWeights.of(ends, layer.sheet, EPS, strips).expressions(one.domain, sides)
     opened = lambda u: ufl.dot(sides.jump(u), sides.n)

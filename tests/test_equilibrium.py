@@ -12,13 +12,13 @@ from forms import Anisotropic, HolonomicCoulomb, LinearElastic, MohrCoulomb, Non
 from geometry import sandwich
 from tests.refused import refused
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
-from thinlayer.discretisation.constraints import csr_of
+from thinlayer.discretisation.constraints import local_csr
 from thinlayer.parts.part import Block
 from thinlayer.solving import equilibrium
-from thinlayer.solving.balance import lent
-from thinlayer.solving.contact.finder import ContactFinder
+from thinlayer.solving.balance import augmented_in_place
+from thinlayer.solving.contact.finder import ContactSolver
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import Equilibrium
+from thinlayer.solving.equilibrium import NewtonSolver
 
 STEEL = LinearElastic.young(E=210e3, nu=0.3)
 PLATES = sandwich(40, 4, 6, h=2.0)
@@ -105,7 +105,7 @@ def test_options_do_not_weaken_the_check(option):
 @pytest.mark.parametrize("solver", ["linear", "newton", "condensed", "multigrid", "relaxation", "contact newton"])
 def test_a_solver_that_lies_is_found_out(solver, monkeypatch):
     """Whoever finds the unknowns: a thousandth more of them is no equilibrium."""
-    for finder in (Equilibrium, ContactFinder):
+    for finder in (NewtonSolver, ContactSolver):
 
         def find(self, *given, real=finder.find):
             found = real(self, *given)
@@ -159,7 +159,7 @@ def test_a_step_whose_pivots_show_that_nothing_can_move_is_solved_once(monkeypat
 
 
 def test_an_error_of_petsc_keeps_the_march(monkeypatch):
-    solve_linear, seen = Equilibrium._solve_linear, []
+    solve_linear, seen = NewtonSolver._solve_linear, []
 
     def breaks_down(finder, b, x):
         seen.append(1)
@@ -167,7 +167,7 @@ def test_an_error_of_petsc_keeps_the_march(monkeypatch):
             raise PETSc.Error(76)
         return solve_linear(finder, b, x)
 
-    monkeypatch.setattr(Equilibrium, "_solve_linear", breaks_down)
+    monkeypatch.setattr(NewtonSolver, "_solve_linear", breaks_down)
     assert list(refused(SolveError, r"error 76", march, linear(), [1.0, 2.0, 3.0]).history.t) == [0.0, 1.0]
 
 
@@ -186,7 +186,7 @@ def test_a_lent_matrix_is_the_sum_with_supports_and_afterwards_what_it_was(place
     spring[np.ix_([1, 6], [1, 6])] = [[3.0, -1 / 3], [-1 / 3, 2.0]]
     K, whole = matrix(chain, places * spring), chain + 0.1 * spring
     whole[held], whole[:, held], whole[held, held] = 0.0, 0.0, 5.0
-    with lent(MPI.COMM_SELF, K, [Block(matrix(spring), 0.1)], held, 5.0) as A:
+    with augmented_in_place(MPI.COMM_SELF, K, [Block(matrix(spring), 0.1)], held, 5.0) as A:
         np.testing.assert_allclose(A[:, :], whole, rtol=1e-15)
     assert np.array_equal(K[:, :], chain)
 
@@ -194,6 +194,6 @@ def test_a_lent_matrix_is_the_sum_with_supports_and_afterwards_what_it_was(place
 def test_the_matrix_of_the_bodies_has_places_for_laws_on_S():
     model = Structure(PLATES, body=STEEL, supports=HELD).interface(ThinLayer(LinearElastic(6.0, 4.0), 0.4, at=1.0))
     equations = Equations(model)
-    body, law = (csr_of(part.K) for part in (*equations.bodies, *equations.layers))
+    body, law = (local_csr(part.K) for part in (*equations.bodies, *equations.layers))
     body.data[:] = law.data[:] = 1.0
     assert law.multiply(body).nnz == law.nnz > 0

@@ -20,7 +20,7 @@ from tests.refused import refused
 from tests.test_cli import rows, thinlayer
 from thinlayer import Surface, estimate, solve
 from thinlayer.estimating import goals
-from thinlayer.running.case import Case
+from thinlayer.running.case import DescribedCase
 from thinlayer.running.description import Description
 from thinlayer.running.section import DescriptionError
 from thinlayer.system.folder import hash_of
@@ -87,10 +87,10 @@ def test_description_and_script_agree_and_another_glue_does_not(lap, wanted, tmp
 
 def test_a_goal_of_another_name_is_of_its_kind(lap, wanted):
     """As what is known of it depends on that."""
-    compliance, pull = Case.of(Description.read(lap)).goals
+    compliance, pull = DescribedCase.of(Description.read(lap)).goals
     assert (compliance.name, pull.name) == ("compliance", "pull")
     assert isinstance(pull, goals.Reaction)
-    work = Case.of(Description.read(lap, ["goals={work = {kind = 'compliance'}}"])).goals[0]
+    work = DescribedCase.of(Description.read(lap, ["goals={work = {kind = 'compliance'}}"])).goals[0]
     assert work.name == "work"
     assert isinstance(work, goals.Compliance)
     assert work.value(wanted.state, wanted.state.model) == wanted.goals["compliance"].value

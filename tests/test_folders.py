@@ -25,7 +25,7 @@ from tests.viscous_joints import SUDDEN, interface
 from thinlayer import Table, march, plotting, sweep
 from thinlayer.running import cli
 from thinlayer.running.record import Record
-from thinlayer.system.folder import owned
+from thinlayer.system.folder import own_folder
 
 FACTOR = 2.0
 
@@ -73,7 +73,7 @@ def test_the_second_run_at_a_time_is_refused(tmp_path):
 
 def test_a_lock_of_this_process_and_folders_for_nothing(tmp_path):
     out = tmp_path / "a" / "b"
-    with owned(out), pytest.raises(InputError, match=f"process {os.getpid()} on "), Record("s", out, {}):
+    with own_folder(out), pytest.raises(InputError, match=f"process {os.getpid()} on "), Record("s", out, {}):
         pass
     assert not (tmp_path / "a").exists()
     refused(InputError, r"no files can be written in .*: ", lambda: march(interface(), [0.1], out="/proc/no/such"))
@@ -90,7 +90,7 @@ def test_a_lock_is_that_of_the_file_which_is_there(tmp_path, monkeypatch):
         flock(file, flags)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with owned(tmp_path), pytest.raises(InputError, match="another run"), owned(tmp_path):
+    with own_folder(tmp_path), pytest.raises(InputError, match="another run"), own_folder(tmp_path):
         pass
 
 

@@ -12,7 +12,7 @@ from scipy.linalg import solveh_banded
 from forms.base import InputError
 from forms.ends import free_end
 from forms.ends.constants import COLUMNS, flow_factor
-from forms.ends.corner import Corner
+from forms.ends.corner import CornerField
 from studies.half_strip import half_strip
 from tests.refused import refused
 
@@ -75,5 +75,5 @@ def test_the_factor_of_the_flow():
 
 
 def test_other_ratios_are_refused():
-    for nu, solve in itertools.product((-0.1, 0.51, math.nan), (free_end, half_strip, Corner)):
+    for nu, solve in itertools.product((-0.1, 0.51, math.nan), (free_end, half_strip, CornerField)):
         refused(InputError, r"from 0 to 0\.5", solve, nu)

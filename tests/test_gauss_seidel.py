@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from forms.contact import Status, Tresca
 from tests.contact_laws import EXACT, LAWS
-from thinlayer.solving.contact.pairs import Pairs
+from thinlayer.solving.contact.pairs import ContactPairs
 
 pytestmark = pytest.mark.few(5)
 
@@ -30,7 +30,7 @@ def pairs_of(law, ends, frames, weights, slip, gap=None, held=()):
     nodes = SimpleNamespace(dim=d, pairs=ends, frames=frames, weights=weights, gap=gap)
     mask = np.zeros((ends.max() + 1) * d, bool)
     mask[list(held)] = True
-    return Pairs([SimpleNamespace(nodes=nodes, now=law, slip=slip)], mask)
+    return ContactPairs([SimpleNamespace(nodes=nodes, now=law, slip=slip)], mask)
 
 
 def problem(rng, law, ends, d, spread=1e3):

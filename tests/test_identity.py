@@ -26,7 +26,7 @@ from tests.refused import refused
 from tests.viscous_joints import JOINT, SETUP, SLOW
 from thinlayer import Structure, ThinLayer, compare, march, piecewise, solve
 from thinlayer.system import identity
-from thinlayer.system.identity import code_of, described, differences, in_words, random_states
+from thinlayer.system.identity import code_of, describe, differences, differences_text, random_states
 
 LAYER = ThinLayer(SLOW, 0.1, at=1.0)
 FACTOR = 2.0
@@ -50,12 +50,12 @@ def test_functions_are_the_numbers_they_refer_to(monkeypatch):
     def load(F, k=1.0):
         return lambda x, t: (k * F, scaled(t))
 
-    first, law = described(load(-60.0)), described(Spring(60.0, 40.0))
-    assert described(load(np.float64(-60))) == described(load(-60)) == first
-    assert described([Spring(60, np.int64(40)), Spring(60.0, 40.0)]) == described([Spring(60.0, 40.0)] * 2)
+    first, law = describe(load(-60.0)), describe(Spring(60.0, 40.0))
+    assert describe(load(np.float64(-60))) == describe(load(-60)) == first
+    assert describe([Spring(60, np.int64(40)), Spring(60.0, 40.0)]) == describe([Spring(60.0, 40.0)] * 2)
     monkeypatch.setitem(globals(), "FACTOR", 2.5)  # of a function that the function calls
-    assert in_words([*differences(first, described(load(-60.0)))]) == "scaled.FACTOR: 2.0 there, 2.5 here"
-    assert described(Spring(60.0, 40.0)) != law
+    assert differences_text([*differences(first, describe(load(-60.0)))]) == "scaled.FACTOR: 2.0 there, 2.5 here"
+    assert describe(Spring(60.0, 40.0)) != law
 
 
 # ---------------------------------------------------------------- files
@@ -93,10 +93,10 @@ def test_functions_are_the_files_of_ones_own_that_they_stand_in(own):
         (dict(units="F = 0.75\n"), ["load"]),
         (dict(units="F = 1 / 2\n"), []),
     ]:
-        of = lambda files: {name: described(vars(own(**files))[name]) for name in ("load", "late")}
+        of = lambda files: {name: describe(vars(own(**files))[name]) for name in ("load", "late")}
         before, after = of({}), of(changed)
         assert [name for name in before if before[name] != after[name]] == others
-        assert in_words([*differences(before, after)]).count("(file): ") in (0, 1)  # it is named once
+        assert differences_text([*differences(before, after)]).count("(file): ") in (0, 1)  # it is named once
 
 
 def test_a_march_of_another_file_is_resumed_by_who_knows_better(own, tmp_path):
@@ -158,7 +158,7 @@ THINGS = {
 
 
 def descriptions():
-    return {name: [described(thing(v)) for v in (5.0, 6.0)] for name, thing in THINGS.items()}
+    return {name: [describe(thing(v)) for v in (5.0, 6.0)] for name, thing in THINGS.items()}
 
 
 def test_things_are_the_same_in_another_process_and_others_if_they_differ():
@@ -200,7 +200,7 @@ def test_observed_functions_are_all_code_that_they_call():
     """And the numbers that they refer to, but no values that they collect."""
 
     def observed(function):
-        return code_of(described(function))
+        return code_of(describe(function))
 
     for way in (functools.cache, partial, lambda f: lambda state: f(state), lambda f: Times(f, 1)):
         assert observed(way(scaled)) == observed(way(scaled)) != observed(way(same))
@@ -223,7 +223,7 @@ def test_what_no_other_process_knows_is_not_resumed(tmp_path, monkeypatch):
 def test_two_functions_on_one_mesh_are_two():
     V = Structure(JOINT, **SETUP).bonded().V
     one, other = fem.Function(V), fem.Function(V)
-    assert described(one) == described(one) != described(other)
+    assert describe(one) == describe(one) != describe(other)
 
 
 def test_models_are_what_they_were_built_with():

@@ -12,7 +12,7 @@ from dolfinx import fem
 from forms import LinearElastic
 from forms.base import InputError
 from geometry import ring, sandwich
-from geometry.topology import sums
+from geometry.topology import sum_by_number
 from tests.refused import refused
 from tests.supports_run import BODY, EPS, GLUE, KINDS, model, out_of_balance, turn
 from thinlayer import Pressure, Structure, ThinLayer, solve
@@ -105,7 +105,7 @@ def test_normals_at_vertices_on_a_sphere(cell, element, around):
     model = Structure(bent, body=BODY, supports={"BOTTOM": 0.0}, element=element).bonded()
     blocks, normals = node_normals(model.domain, model.V, "TOP")
     vertices, here = np.unique(blocks, return_inverse=True)
-    mean = sums(here, normals, len(vertices))
+    mean = sum_by_number(here, normals, len(vertices))
     radii = model.V.tabulate_dof_coordinates()[vertices] - centre
     inside = np.bincount(here) == around
     assert inside.sum() >= 4

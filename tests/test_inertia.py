@@ -11,12 +11,12 @@ import pytest
 from forms import LinearElastic
 from forms.base import InputError
 from geometry import sandwich
-from geometry.parallel import world
+from geometry.parallel import default_comm
 from tests.on_ranks import alone, on_ranks
 from tests.own_scripts.inertia import Inertia, Newmark
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, march, solve
-from thinlayer.discretisation.addition import Addition
+from thinlayer.discretisation.addition import PartDefinition
 
 LAYER = ThinLayer(LinearElastic(0.0, 0.02), 0.01)  # with a quarter of the compliance of the bar: 1 for E = rho = L = 1
 STATIC = {"bonded": 1.0, "interface": 1.25}  # shortening under the pressure 1
@@ -32,7 +32,7 @@ def bar(kind: str, part: Inertia | None, h: float = 0.02):
 
 
 def shortening(state) -> float:
-    return world().allreduce(-float(state.u.x.array.min(initial=0.0)), max)
+    return default_comm().allreduce(-float(state.u.x.array.min(initial=0.0)), max)
 
 
 LARGEST = [("interface", 1.962, 2.175), pytest.param("bonded", 1.992, 2.015, marks=pytest.mark.long)]
@@ -75,7 +75,7 @@ def test_resumed_on_two_ranks(there):
 
 
 @dataclass(frozen=True)
-class WithoutWork(Addition):
+class WithoutWork(PartDefinition):
     key: str = "inertia"
 
     def part(self, model):

@@ -16,10 +16,10 @@ import forms
 from forms import Anisotropic, BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Stack, TractionLaw
 from forms.base import InputError
 from forms.check import require_computed
-from forms.elastic import lame
-from forms.kinematics import lift
-from forms.law import PlaneStress
-from forms.trace import numbers, tangent_at_rest
+from forms.elastic import lame_stress
+from forms.kinematics import three_dimensional
+from forms.law import PlaneStressLaw
+from forms.trace import evaluate, tangent_at_rest
 from forms.viscous import isotropic_energy
 from geometry import sandwich
 from tests.own_laws import Mises
@@ -44,11 +44,11 @@ def own(parent: type[BulkLaw] = BulkLaw, **names) -> BulkLaw:
 
 
 def of_end(law, step):
-    return lame(law.l, law.m, step.e)
+    return lame_stress(law.l, law.m, step.e)
 
 
 def of_mid(law, step):
-    return lame(law.l, law.m, step.mid)
+    return lame_stress(law.l, law.m, step.mid)
 
 
 @cache
@@ -112,7 +112,7 @@ def told(place):
 
 def sheared(law, step):
     """Pressure that grows with shear, shear that does not grow with closing."""
-    n = lift(step.n)
+    n = three_dimensional(step.n)
     return of_mid(law, step) + law.l * step.mid[0, 1] * ufl.outer(n, n)
 
 
@@ -223,7 +223,7 @@ OURS = [
 
 def test_laws_of_this_package_are_what_they_say(monkeypatch):
     """They are not asked where they are solved; all that is asked has numbers."""
-    value = lambda expression, values=None: numbers(expand_derivatives(expression), values)
+    value = lambda expression, values=None: evaluate(expand_derivatives(expression), values)
     monkeypatch.setattr(sys.modules["forms.check"], "_evaluated", value)
     for law in OURS:
         require_computed(law.of_strains())
@@ -244,8 +244,8 @@ def test_numbers_are_those_of_ufl():
     ):
         lowered = expand_derivatives(expression)
         theirs = [lowered((0.0,), component=place) for place in np.ndindex(*lowered.ufl_shape)]
-        assert numbers(lowered).ravel() == pytest.approx(theirs, rel=1e-14)
-    assert np.isnan(numbers(ufl.as_ufl(none)))
+        assert evaluate(lowered).ravel() == pytest.approx(theirs, rel=1e-14)
+    assert np.isnan(evaluate(ufl.as_ufl(none)))
 
 
 # ---------------------------------------------------------------- what belongs to a stress that was replaced
@@ -289,7 +289,7 @@ class Cubic(LinearElastic):
 
 def test_a_plane_stress_is_of_the_stress_beside_it():
     """The law's own, or the one that is found point by point; never that of the elastic law. A free layer opens."""
-    assert isinstance(Hot(L, M, P).plane_stress(), PlaneStress)
+    assert isinstance(Hot(L, M, P).plane_stress(), PlaneStressLaw)
     for law in (Hot(L, M, P), HotInPlane(L, M, P)):
         free = drive(law.plane_stress(), [{"w_T": 0.0, "t_N": 0.0}])
         assert free.jumps[0, 1] == pytest.approx(P * 2 * M / (L + 2 * M) / (NU_E + 2 * M), rel=ROUNDED)

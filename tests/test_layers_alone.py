@@ -43,7 +43,7 @@ from thinlayer.discretisation.state import displacements_of
 from thinlayer.estimating import global_local
 from thinlayer.running.estimation import _near_ends
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.layer_alone import LayerAlone
+from thinlayer.solving.layer_alone import LayerSubproblem
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 
@@ -175,7 +175,7 @@ def test_densities_of_what_bonds_leave_out_add_up_to_changes(name):
 def test_steps_lead_to_the_meshed_layer_and_half_the_gap_is_the_distance_from_the_centre(name):
     """Of Prager and Synge: |u_full - u|^2 in the bodies and |F_full - (F + E u)/2|^2 in the layer add up to g^2/4."""
     state, _ = told(name)
-    layers = LayerAlone(state.model, dict(state.model.on_seams), 0.0)
+    layers = LayerSubproblem(state.model, dict(state.model.on_seams), 0.0)
     true = displacements_of(meshed(name), state.model).x.array[: state.model.V.dofmap.index_map.size_local * 2]
     with Adjoint(state) as adjoint:
         iteration = global_local.GlobalLocal(adjoint, layers)
@@ -198,7 +198,7 @@ def test_forces_of_order_0_without_couples_are_no_equilibrium(monkeypatch):
     """The law resists rotations of the layer, which by itself cannot bear what does."""
 
     def plain(self, u, F, load, values):
-        return global_local.Iterate(u, self.layers.at_faces(u), F, load, values)
+        return global_local.BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
 
     monkeypatch.setattr(global_local.GlobalLocal, "_balanced", plain)
     structure, layers, _ = CASES["free ends"]
@@ -211,7 +211,7 @@ def test_weights_of_the_other_sign_contradict(monkeypatch):
 
     def turned(self, at_rest, q, one, z):
         found, weighed = bounds(self, at_rest, q, one, z), z.v @ self.residual(one)
-        return global_local.Bounds(*(x - 2 * weighed for x in (found.told, found.lower, found.upper)))
+        return global_local.GoalBounds(*(x - 2 * weighed for x in (found.told, found.lower, found.upper)))
 
     structure, layers, wanted = CASES["moved"]
     monkeypatch.setattr(global_local.GlobalLocal, "bounds", turned)
@@ -343,7 +343,7 @@ def test_layers_that_yield_are_told_as_the_meshed_layer_has_them(name):
 def test_the_energy_above_the_least_is_between_its_bounds(name):
     """By what states store and dissipate: bodies at u_0 with the layer meshed between them, and the meshed structure."""
     state, found, full = yielding(name)
-    layers = LayerAlone(state.model, dict(state.model.on_seams), 0.0)
+    layers = LayerSubproblem(state.model, dict(state.model.on_seams), 0.0)
     layers.settled(layers.at_faces(state.u.x.array))
     outcomes, _ = layers._equations.end_parts(layers._equations.u, 0.0)
     in_layers = sum(one.after + one.dissipated for one in outcomes.values())
@@ -361,7 +361,7 @@ def test_a_layer_that_softens_at_its_ends_without_saying_so_is_refused():
 
 
 def test_an_energy_that_is_not_convex_has_no_bounds():
-    layers = LayerAlone(yielding("stiffens")[0].model, {"S": ThinLayer(Cubic(2.0, -50.0), EPS)}, 0.0)
+    layers = LayerSubproblem(yielding("stiffens")[0].model, {"S": ThinLayer(Cubic(2.0, -50.0), EPS)}, 0.0)
     pressed = layers.on_face * 0.1 * np.random.default_rng(3).normal(size=len(layers.load))
     refused(SolveError, "not convex", layers.divergence, pressed, 0 * pressed)
 

@@ -13,7 +13,7 @@ from tests.closed_forms import NonMonotoneLimit
 from tests.non_monotone_points import ALPHA, CHI2, EPS, LMBDA, MU, TABLE, C
 from tests.refused import refused
 from thinlayer import ThinLayer, drive
-from thinlayer.discretisation.layer import real_law
+from thinlayer.discretisation.layer import law_with_numbers
 
 
 def test_a_table_is_linear_in_between():
@@ -58,7 +58,7 @@ def test_a_field_of_temperatures():
     assert values["T"] == pytest.approx([3.0, 13.0, 23.0])
     assert values["transformation_energy"] == pytest.approx([0.013, 0.023, 0.033])
     assert values["alpha"] == pytest.approx(3 * [ALPHA])
-    real = real_law(ThinLayer(law, EPS, at=1.0), LIFTED)
+    real = law_with_numbers(ThinLayer(law, EPS, at=1.0), LIFTED)
     assert real.at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"] / EPS)
     assert real.scaled(1 / EPS).at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"])
     w = np.array([[0.0, 0.02, 0.0]] * 3)

@@ -12,7 +12,7 @@ from forms.base import InputError
 from studies.problems import FOURIER_LAYER, fourier
 from tests.refused import refused
 from thinlayer import Structure, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
-from thinlayer.output.grid import gather
+from thinlayer.output.grid import gather_grid
 from thinlayer.solving.history import History
 
 pytestmark = pytest.mark.few(5)
@@ -114,7 +114,7 @@ def states(request):
 
 def test_gathered_field_keeps_the_jump(states):
     full, limit = states
-    grid = gather(limit)
+    grid = gather_grid(limit)
     at_s = grid.u[np.abs(grid.points[:, 1]) < 1e-12]
     x = grid.points[np.abs(grid.points[:, 1]) < 1e-12][:, 0]
     assert len(x) == 2 * len(np.unique(x.round(12)))
@@ -123,7 +123,7 @@ def test_gathered_field_keeps_the_jump(states):
     first = at_s[np.lexsort((at_s[:, 1], x.round(12)))][:2]
     assert abs(first[1, 1] - first[0, 1]) == pytest.approx(abs(jump[0, 1]), rel=2e-2)
     assert place[0, 0] == pytest.approx(0.0, abs=1e-12)
-    assert set(np.unique(gather(full).region)) == {0, 1, -1}
+    assert set(np.unique(gather_grid(full).region)) == {0, 1, -1}
 
 
 def test_states_stay_what_they_are_as_they_are_written(states, tmp_path):

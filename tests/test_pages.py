@@ -17,7 +17,7 @@ import pytest
 from studies.rates import LAWS
 from tests.documents import CLONE, PAGES, Block, anchors, sections
 from thinlayer import RangeWarning, compare, solve
-from thinlayer.running.case import Case
+from thinlayer.running.case import DescribedCase
 from thinlayer.running.cli import main, studies
 from thinlayer.running.description import READERS, Description
 
@@ -101,7 +101,7 @@ def test_the_first_scripts_are_short():
 
 
 def test_errors_of_the_first_example_are_those_of_a_meshed_layer():
-    given = Case.of(Description.read(LAP))
+    given = DescribedCase.of(Description.read(LAP))
     full, limit = (solve(make(given.layer)) for make in (given.structure.full, given.structure.interface))
     row = compare(full, limit)
     work = [state.energies()["loads"] for state in (full, limit)]

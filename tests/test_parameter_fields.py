@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from forms import Anisotropic, LinearElastic, Maxwell, MohrCoulomb, NonMonotone, Stack, VonMises, work
 from forms.base import InputError
-from forms.parameter_fields import field_of
+from forms.parameter_fields import as_parameter_field
 from geometry import sandwich
 from studies.problems import fourier
 from tests.columns_in_time import column
@@ -151,7 +151,7 @@ def test_ranges_are_those_of_the_extreme_values():
 
 
 def test_numbers_and_functions_combine_in_their_order():
-    x, k = np.array([[4.0, 8.0], [0.0, 0.0]]), field_of(lambda x: x[0])
+    x, k = np.array([[4.0, 8.0], [0.0, 0.0]]), as_parameter_field(lambda x: x[0])
     assert [(1 - k)(x).tolist(), (2 / k)(x).tolist()] == [[-3.0, -7.0], [0.5, 0.25]]
     assert (k * np.array(3))(x).tolist() == [12.0, 24.0]
     refused(TypeError, "Field", lambda: k * np.array(True))

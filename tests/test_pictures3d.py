@@ -10,8 +10,8 @@ from forms import LinearElastic
 from geometry import block, sandwich
 from tests.refused import refused
 from thinlayer import Structure, ThinLayer, plotting, solve
-from thinlayer.output.grid import gather
-from thinlayer.output.plotting.scene import VIEWS, Shape, edges, surface
+from thinlayer.output.grid import gather_grid
+from thinlayer.output.plotting.scene import VIEWS, DeformedShape, outer_surface, sharp_edges
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)
 EPS = 0.015
@@ -62,7 +62,7 @@ def test_rigid_base_is_grey_and_stays(pushed, tmp_path):
     grey = (0.412, 0.412, 0.412)  # dimgrey
     assert near(law, grey).sum() > 2000
     for state, y in zip(pushed.values(), (-EPS, 0.0), strict=True):
-        base = gather(state).base
+        base = gather_grid(state).base
         assert base.shape[1:] == (3, 3)
         np.testing.assert_allclose(base[..., 1], y, atol=1e-12)
         area = np.linalg.norm(np.cross(base[:, 1] - base[:, 0], base[:, 2] - base[:, 0]), axis=1).sum() / 2
@@ -79,25 +79,25 @@ def test_view_zoom_and_cut(pulled, tmp_path):
 
 
 def check_box(region, *size):
-    outside = surface(region)
+    outside = outer_surface(region)
     a, b, c = size
     assert outside.area == pytest.approx(2 * (a * b + b * c + a * c), rel=0.02)
-    assert edges(outside).compute_cell_sizes()["Length"].sum() == pytest.approx(4 * (a + b + c), rel=0.02)
+    assert sharp_edges(outside).compute_cell_sizes()["Length"].sum() == pytest.approx(4 * (a + b + c), rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["pulled", "pushed"])
 def test_bodies_have_twelve_edges_and_no_inner_faces(request, name):
     w, h, d = SIZE
     for state in request.getfixturevalue(name).values():
-        for number, region in Shape.of(gather(state), "size", 0.01).regions.items():
+        for number, region in DeformedShape.of(gather_grid(state), "size", 0.01).regions.items():
             check_box(region, w, h if number >= 0 else EPS, d)
 
 
 def test_cut_leaves_the_half_behind(pulled):
     w, h, d = SIZE
-    grid = gather(pulled["meshed"])
+    grid = gather_grid(pulled["meshed"])
     for front in (1.0, -1.0):
-        shape = Shape.of(grid, "size", 0.01, (0.0, 0.0, front))
+        shape = DeformedShape.of(grid, "size", 0.01, (0.0, 0.0, front))
         assert front * (shape.points[:, 2].mean() - d / 2) < 0
         for number, region in shape.regions.items():  # the lower one's fixed nodes are in the middle of the cut
             check_box(region, w, h if number >= 0 else EPS, d / 2)

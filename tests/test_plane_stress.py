@@ -24,14 +24,14 @@ from forms import (
     Stack,
 )
 from forms.base import InputError
-from forms.elastic import lame
-from forms.law import PlaneStress
+from forms.elastic import lame_stress
+from forms.law import PlaneStressLaw
 from forms.non_monotone import lamination_gain
 from forms.planes import Kinematics
 from tests.own_laws import Stiffening
 from tests.refused import refused
 from thinlayer import SolveError, drive
-from thinlayer.pointwise.material import Material
+from thinlayer.pointwise.material import CompiledLaw
 
 L, M = 3.0, 1.7
 NU = L / (2 * (L + M))
@@ -47,7 +47,7 @@ class Point:
     """A law in plane stress at one point, from rest."""
 
     def __init__(self, law):
-        self.material = Material(MPI.COMM_SELF, law.plane_stress())
+        self.material = CompiledLaw(MPI.COMM_SELF, law.plane_stress())
         self.e, self.q = np.zeros((1, 3)), np.zeros((1, self.material.memory))
 
     def respond(self, e, dt=0.1, theta=1.0):
@@ -90,7 +90,7 @@ class Tilted(BulkLaw):
         flow = step.between(step.q["flow"], self.advance(step)["flow"])
         elastic = step.mid - flow
         stiffens = 200 * ufl.inner(elastic, elastic) * elastic
-        return spring.stress(step._replace(e=elastic, e_old=None)) + lame(0.4, 0.3, step.rate) + stiffens
+        return spring.stress(step._replace(e=elastic, e_old=None)) + lame_stress(0.4, 0.3, step.rate) + stiffens
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def test_tangents_are_condensed_and_energies_balance(name):
 def test_no_stress_acts_out_of_the_plane_at_the_balanced_time(name, theta):
     """The law in space gives it for all strains, old and new, that are kept."""
     law, random = LAWS[name], np.random.default_rng(4)
-    point, space = Point(law), Material(MPI.COMM_SELF, law)
+    point, space = Point(law), CompiledLaw(MPI.COMM_SELF, law)
     whole, order = np.zeros((1, 6)), [2, 4, 5]
     for _ in range(4):
         old, memory = whole.copy(), point.q[:, : law.memory]
@@ -175,20 +175,20 @@ def test_laws_with_a_closed_form_are_the_same():
     """Elastic laws through the local solve against their own; plane strain is another one."""
     w = {"w_T": 0.01, "w_N": 0.02}
     for law in (LinearElastic(L, M), Anisotropic(C6)):
-        ours, theirs, strained = (drive(one, [w]) for one in (PlaneStress(law), law.plane_stress(), law))
+        ours, theirs, strained = (drive(one, [w]) for one in (PlaneStressLaw(law), law.plane_stress(), law))
         assert ours.tractions == pytest.approx(theirs.tractions, rel=ROUNDED)
         assert abs(strained.tractions[0, 1] / ours.tractions[0, 1] - 1) > 0.05
     law = LinearElastic(L, M)
-    assert PlaneStress(law).condensed(law.stiffness(N[:2])) == pytest.approx(law.plane_stress().stiffness(N[:2]))
+    assert PlaneStressLaw(law).condensed(law.stiffness(N[:2])) == pytest.approx(law.plane_stress().stiffness(N[:2]))
     soft = drive(Incompressible(M).plane_stress(), [w])  # E/(1 - nu^2) with nu = 1/2
     assert soft.tractions[0] == pytest.approx([M * 0.01, 4 * M * 0.02], rel=ROUNDED)
     law = NonMonotone(L, M, 0.4, 0.05, np.array([[0.0, 0.0], [0.0, 1.0]]))
     assert lamination_gain(2 * L * M / (L + 2 * M), M, law.chi) == law.plane_stress().G
-    assert drive(PlaneStress(law), [w]).tractions[0, 0] == pytest.approx(M * 0.01, rel=ROUNDED)
+    assert drive(PlaneStressLaw(law), [w]).tractions[0, 0] == pytest.approx(M * 0.01, rel=ROUNDED)
 
 
 def test_what_has_no_plane_stress():
-    assert isinstance(PlaneStress(LAWS["Maxwell"]).plane_stress(), PlaneStress)
+    assert isinstance(PlaneStressLaw(LAWS["Maxwell"]).plane_stress(), PlaneStressLaw)
     refused(SolveError, "the law failed", lambda: drive(Pressed(M).plane_stress(), [{"w_T": 0.0, "w_N": 0.01}]))
     constrained = type("Constrained", (Incompressible,), {"plane_stress": BulkLaw.plane_stress})
     with pytest.raises(InputError, match="plane stress is not defined for Constrained, because its pressure"):

@@ -25,7 +25,7 @@ from thinlayer import (
     piecewise,
     solve,
 )
-from thinlayer.discretisation.addition import Addition
+from thinlayer.discretisation.addition import PartDefinition
 from thinlayer.errors import LooseBody
 from thinlayer.solving.solvers import Solver
 
@@ -200,7 +200,7 @@ class Late(RigidPlate):
 LATE = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, -1.0), 2.0: (0.0, -3.0)})
 
 
-class Nothing(Addition):
+class Nothing(PartDefinition):
     key = "nothing"
 
 

@@ -16,7 +16,7 @@ from forms.law import Step
 from tests.at_points import E2, respond
 from tests.laws_at_points import KELVIN
 from tests.refused import refused
-from thinlayer.pointwise.material import Material
+from thinlayer.pointwise.material import CompiledLaw
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ SPOILED = {
 def test_a_law_that_gives_something_else_than_it_must(name):
     """The message names the law."""
     kind, message = SPOILED[name]
-    refused(InputError, message, lambda: Material(MPI.COMM_SELF, kind(1.0).of_strains()))
+    refused(InputError, message, lambda: CompiledLaw(MPI.COMM_SELF, kind(1.0).of_strains()))
 
 
 def test_the_law_in_order_is_accepted():

@@ -14,7 +14,7 @@ from tests import reference
 from tests.ranges_told import STIFF, opened, strip_excess, times_too_stiff, told
 from tests.test_networks import cut_at, on
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, compare, solve
-from thinlayer.surface.excess import pressure_excess, sublayers_of
+from thinlayer.surface.excess import pressure_excess, resting_sublayers
 
 HALF_WIDTH = 0.5
 LAYERS = {"LOW": ThinLayer(LinearElastic.shear(3.0, 0.49), 1 / 16, at=1.0)}
@@ -72,7 +72,7 @@ def test_it_does_not_depend_on_cells():
         structure = Structure(sandwich(1.0, 0.3, 0.3, h, **size), body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0})
         moved = [0.0, 1e-3, *[0.0] * len(size)]
         faces = opened(structure.interface(ThinLayer(law, eps, at=1.0)), lambda x, w=moved: [k + 0 * x[0] for k in w])
-        assert pressure_excess(faces, *sublayers_of(faces.one)).opening == pytest.approx(wanted, rel=0.02)
+        assert pressure_excess(faces, *resting_sublayers(faces.one)).opening == pytest.approx(wanted, rel=0.02)
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.36, 0.42])
@@ -91,7 +91,7 @@ def test_shear_does_not_hide_it(plates):
     """Slip that takes nearly all of the work leaves the factor, which is told until slip takes the traction, too."""
     eps, law = 1 / 16, LinearElastic.shear(1.0, 0.499).scaled(1 / (1 / 16))
     model = plates.interface(ThinLayer(law, eps, at=1.0))
-    (layer,) = sublayers_of(model.layers["S"])
+    (layer,) = resting_sublayers(model.layers["S"])
     pure = strip_excess(0.5 / (eps * layer.length))
     told_with, share = {}, {}
     for slip in (0.0, 0.06, 60.0):

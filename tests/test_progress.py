@@ -13,7 +13,7 @@ from forms import LinearElastic
 from tests.viscous_joints import JOINT, SETUP
 from thinlayer import Structure, ThinLayer, ensemble, march, plotting, thin_enough
 from thinlayer.system import progress
-from thinlayer.system.progress import Teller
+from thinlayer.system.progress import ProgressReporter
 
 
 class Pipe(io.StringIO):
@@ -25,7 +25,7 @@ def three_runs(terminal: bool, seconds: float) -> str:
     """What is told of a sweep of three marches of four steps each, which take `seconds` per step."""
     stream, clock = Pipe(), SimpleNamespace(now=100.0)
     stream.isatty = lambda: terminal
-    teller = Teller(lambda: stream, lambda: clock.now)
+    teller = ProgressReporter(lambda: stream, lambda: clock.now)
     for _ in teller.track([0.4, 0.2, 0.1], "sweep", "eps = {:g}"):
         with teller.telling("march") as tell:
             for k in range(4):

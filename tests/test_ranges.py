@@ -14,7 +14,7 @@ from studies.problems import FOURIER_LAYER
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from tests.refused import refused
 from thinlayer import SolveError, Structure, Surface, ThinLayer, estimate, march, solve
-from thinlayer.surface.excess import stiffness_of_jumps
+from thinlayer.surface.excess import jump_stiffness
 
 
 # ---------------------------------------------------------------- jumps that are no openings
@@ -40,7 +40,7 @@ def test_slip_on_straight_facets():
     layer = ThinLayer(LinearElastic.shear(16.0, 0.499), 0.05, at=1.0)
     model = Structure(ring(1.0, 1.5, 2.0, h=0.3), body=STIFF, supports=supports, tractions=tractions).interface(layer)
     per_area = layer.law.lmbda + 2 * layer.law.mu, layer.law.mu  # of a law per thickness
-    assert stiffness_of_jumps(model.layers["S"]) == pytest.approx(per_area, rel=1e-12)
+    assert jump_stiffness(model.layers["S"]) == pytest.approx(per_area, rel=1e-12)
     _, (before, after) = told(lambda: solve(model))
     assert times_too_stiff(before) == pytest.approx(times_too_stiff(after), rel=0.02)
     assert times_too_stiff(after) > 2

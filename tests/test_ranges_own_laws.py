@@ -11,7 +11,7 @@ import ufl
 
 from forms import Anisotropic, BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, Stack
 from forms.base import InputError
-from forms.elastic import lame
+from forms.elastic import lame_stress
 from forms.trace import tangent_at_rest, tangent_over
 from geometry import sandwich
 from studies.problems import FOURIER_LAYER, fourier
@@ -36,7 +36,7 @@ class Own(BulkLaw):
     linear: ClassVar = True
 
     def stress(self, step):
-        return lame(self.a, self.b, step.e)
+        return lame_stress(self.a, self.b, step.e)
 
 
 class Remembering(Own):

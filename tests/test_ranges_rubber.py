@@ -11,7 +11,7 @@ from geometry import block, sandwich
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.solving.ranges import warn_of_model
-from thinlayer.surface.excess import Sublayer, pressure_length
+from thinlayer.surface.excess import RestingSublayer, pressure_length
 
 pytestmark = pytest.mark.few(5)
 
@@ -90,18 +90,22 @@ def test_rubber_is_told_once():
 def test_length_of_the_pressure_in_series():
     """delta^2 = B/c with B int 1/mu the variance of int_0^z dz, over what is nearly incompressible, weighted with 1/mu."""
     eps_over_width = 0.03
-    rubber, soft = Sublayer(0.7, 9e3, 9.0, 36.0), Sublayer(0.3, 3.0, 2.0, 4.4)
+    rubber, soft = RestingSublayer(0.7, 9e3, 9.0, 36.0), RestingSublayer(0.3, 3.0, 2.0, 4.4)
     found = pressure_length([rubber, soft], 1 / eps_over_width)
     fluidity = 0.7 / 9 + 0.3 / 2
     mean, square = (0.7**2 / 18 + 0.7 * 0.15) / fluidity, (0.7**3 / 27 + 0.7**2 * 0.15) / fluidity
     B, c = fluidity * (square - mean**2), rubber.compliance + soft.compliance
     assert found == pytest.approx((B / c) ** 0.5, rel=2e-3)  # the soft one is hardly stretched
     assert pressure_length([rubber], 10.0) == pytest.approx(rubber.length)
-    halves = [Sublayer(0.35, 9e3, 9.0, 36.0)] * 2
+    halves = [RestingSublayer(0.35, 9e3, 9.0, 36.0)] * 2
     assert pressure_length(halves, 10.0) == pytest.approx(rubber.length)
-    shim = Sublayer(0.3, 1e8, 1e8, 3e8)  # does not stretch: each half flows by itself
+    shim = RestingSublayer(0.3, 1e8, 1e8, 3e8)  # does not stretch: each half flows by itself
     assert pressure_length([halves[0], shim, halves[1]], 10.0) == pytest.approx(rubber.length / 2, rel=1e-3)
-    sheet, h, width = Sublayer(0.3, 1.0, 1e8, 5e3), 0.35, 10.0  # does not shear; the flow of each half stretches it
+    sheet, h, width = (
+        RestingSublayer(0.3, 1.0, 1e8, 5e3),
+        0.35,
+        10.0,
+    )  # does not shear; the flow of each half stretches it
     held = 2 * 9 / h + 0.3 * sheet.along * width / (width**3 / 3)  # moves in proportion to the distance: works
     B = 9e3 / 9018 * (h**3 / (6 * 9) + h**2 / held)
     found = pressure_length([halves[0], sheet, halves[1]], width)

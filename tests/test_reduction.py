@@ -26,7 +26,7 @@ from tests.refused import refused
 from tests.test_tips import partly
 from thinlayer import Structure, ThinLayer
 from thinlayer.discretisation.layer import SeamLayer
-from thinlayer.discretisation.reduction import Reduction
+from thinlayer.discretisation.reduction import Applicability
 
 BODY, GLUE = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.shear(1.0, 0.3)
 CONTACT = HolonomicCoulomb(50.0, 20.0, 0.5)
@@ -128,7 +128,7 @@ def test_the_first_condition_that_does_not_hold(question, key, layer, given):
     given = dict(given)
     joint, bodies = given.pop("joint", PLATES), given.pop("bodies", "kept")
     structure = Structure(joint, **{"body": BODY, "supports": {"BOTTOM": 0.0}} | given)
-    known = Reduction(SeamLayer(next(iter(joint.seams)), layer, structure), bodies)
+    known = Applicability(SeamLayer(next(iter(joint.seams)), layer, structure), bodies)
     why = known.why_not(question)
     assert (why and why.key) == key
     if why:

@@ -12,7 +12,7 @@ from forms.base import InputError, ThinlayerError
 from tests.refused import refused
 from thinlayer import drive
 from thinlayer.system.compilation import _loaded
-from thinlayer.system.identity import described, digest
+from thinlayer.system.identity import describe, digest
 
 STEP = [{"w_T": 0.01, "w_N": -0.02}]
 SPRING = """int kernel(double *out, const void *unused, const double *in)
@@ -65,7 +65,7 @@ def test_a_law_in_c_with_headers(tmp_path):
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
         _loaded.cache_clear()  # as in another process
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
-        known.add(digest(described(law)))
+        known.add(digest(describe(law)))
     assert len(known) == 2
 
 

@@ -8,7 +8,7 @@ from functools import cache
 import pytest
 
 from forms import Incompressible, LinearElastic, Rubber
-from forms.ends.weights import Strips
+from forms.ends.weights import EndStrips
 from geometry import sandwich
 from tests.ranges_told import told
 from tests.test_order1 import apart
@@ -98,7 +98,7 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
 
     assert -5e-3 < error() < 0
     ends = lambda model, _: model.joint.points[model.reductions["S"].free.vertices.ravel()]
-    monkeypatch.setattr(making, "_free", ends)
+    monkeypatch.setattr(making, "_free_vertices", ends)
     assert error() > wrong
 
 
@@ -107,7 +107,7 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
 def test_errors_of_the_law_that_knows_its_ends(nu, monkeypatch):
     """To 15 %, jumps to 1.6e-5, which is their mesh's error; of order 2, unlike above. That program takes every kappa."""
     own = errors(nu, EPS[1], ThinLayer(rubber(nu), EPS[1], order=1, edges="free", at=1.0))
-    monkeypatch.setattr(Strips, "of_spread", lambda self, length: self)
+    monkeypatch.setattr(EndStrips, "of_spread", lambda self, length: self)
     found = [errors(nu, eps, ThinLayer(rubber(nu), eps, order=1, edges="free", at=1.0)) for eps in EPS]
     assert found[1] == pytest.approx(WITH_ENDS[nu], rel=0.15, abs=1.6e-5)
     orders = [math.log2(a / b) for a, b in zip(*found, strict=True)]

@@ -13,7 +13,7 @@ import ufl
 
 from forms import BulkLaw, LinearElastic
 from forms.base import InputError
-from forms.kinematics import lift
+from forms.kinematics import three_dimensional
 from geometry import block, sandwich, wall
 from tests import ranges_told
 from tests.on_ranks import on_ranks
@@ -48,7 +48,7 @@ class WeakInShear(BulkLaw):
     powers: ClassVar = {"k": 1, "c": -1}
 
     def stress(self, step):
-        e, n = ufl.variable(step.e), lift(step.n)
+        e, n = ufl.variable(step.e), three_dimensional(step.n)
         e_N = ufl.dot(e * n, n)
         slip = ufl.inner(e * n, e * n) - e_N**2
         return ufl.sym(ufl.diff(self.k * (e_N**2 + e_N**4 + (1 - e_N / self.c) * slip), e))

@@ -12,7 +12,7 @@ from tests.refused import refused
 from tests.test_periodic import laminate
 from thinlayer import Adaptive, Structure, Surface, march, solve
 from thinlayer.parts.compiled import CompiledPart
-from thinlayer.solving.equilibrium import Equilibrium
+from thinlayer.solving.equilibrium import NewtonSolver
 from thinlayer.solving.solvers import Solver
 
 pytestmark = pytest.mark.few(5)
@@ -106,4 +106,4 @@ def test_an_error_of_a_law_within_newtons_method_is_told(monkeypatch):
     with Solver(model) as solver:
         refused(InputError, "told by a law", lambda: solver.step(solver.rest(0.0), 0.0))
         assert solver.step(solver.rest(0.0), 0.0).report.residual < 1e-8
-        assert isinstance(solver._finder, Equilibrium)
+        assert isinstance(solver._finder, NewtonSolver)

@@ -49,9 +49,9 @@ def __dir__() -> list[str]:
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
-        from forms.base import optional
+        from forms.base import import_optional
 
-        return optional(f"thinlayer.{_MODULES[name]}")
+        return import_optional(f"thinlayer.{_MODULES[name]}")
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'thinlayer' has no attribute {name!r}")
     return getattr(import_module(_MODULE_OF[name]), name)

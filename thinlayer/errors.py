@@ -43,7 +43,7 @@ def deprecated(what: str, since: str, instead: str) -> None:
 
 
 @dataclass(frozen=True)
-class Refused:
+class Violation:
     """Why something is not known: the key of the condition that does not hold, the reason, and what to do instead."""
 
     key: str

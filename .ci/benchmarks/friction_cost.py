@@ -16,11 +16,11 @@ from studies.timing import compared, in_turn, peak, solve_once, timed
 from thinlayer import Structure
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.parts.part import Interval
-from thinlayer.solving.contact.finder import ContactFinder
+from thinlayer.parts.part import TimeStep
+from thinlayer.solving.contact.finder import ContactSolver
 from thinlayer.solving.contact.methods import FINDERS, default_method
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import Found
+from thinlayer.solving.equilibrium import StepSolution
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID, ORDERINGS
 from thinlayer.solving.petsc import faster_products, require_all_read
 from thinlayer.solving.solvers import Solver
@@ -93,14 +93,14 @@ class Bench:
 
     def load(self, sideways: float) -> None:
         """Set the loads, the one that pushes along x times a factor."""
-        self.equations.begin(Interval(self.solver.rest(0.0), 0.0, 0.0, 1.0))
+        self.equations.begin(TimeStep(self.solver.rest(0.0), 0.0, 0.0, 1.0))
         self.equations.external.array[:: self.dim] *= sideways
         self.equations.loads.array[:: self.dim] *= sideways
 
     def ours(self, start: PETSc.Vec | None = None) -> tuple[float, PETSc.Vec]:
         """Processor time and displacements of our solver."""
 
-        def work() -> tuple[ContactFinder, Found]:
+        def work() -> tuple[ContactSolver, StepSolution]:
             finder = FINDERS[default_method(self.model)](self.equations, None)
             with faster_products(serial=True):
                 return finder, finder.find(start)

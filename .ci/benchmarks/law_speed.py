@@ -10,7 +10,7 @@ from mpi4py import MPI
 from forms import BulkLaw, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
 from studies.timing import timed
 from thinlayer import SolveError
-from thinlayer.pointwise.material import Material
+from thinlayer.pointwise.material import CompiledLaw
 from thinlayer.running.record import Record
 
 LMBDA, MU, C, OMEGA, PSI = 60.0, 40.0, 0.1, 30.0, 10.0
@@ -51,7 +51,7 @@ def measure(name: str, points: int, repeats: int) -> dict[str, float | str]:
     """Least processor time of all points, in seconds, and the share of points that yield."""
     law, slots = CASES[name]
     random, m = np.random.default_rng(1), len(slots)
-    material = Material(MPI.COMM_SELF, law)
+    material = CompiledLaw(MPI.COMM_SELF, law)
     e = SIZE * random.normal(size=(points, m))
     n = np.tile([0.0, 1.0, 0.0], (points, 1))
     rest, q = np.zeros_like(e), np.zeros((points, material.memory))

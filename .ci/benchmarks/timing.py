@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from geometry.parallel import T
-from thinlayer.solving.petsc import PREFIX, OptionValue, defaults
+from thinlayer.solving.petsc import PREFIX, OptionValue, default_options
 from thinlayer.system.ranks import destroy
 
 # "seconds" of a work; where they are known also "peak_mb", "unknowns", "dim", "energy", stages
@@ -95,7 +95,7 @@ def solve_once(A: PETSc.Mat, b: PETSc.Vec, options: Mapping[str, OptionValue]) -
         ksp.setFromOptions()
         ksp.solve(b, x)
 
-    with defaults(options):
+    with default_options(options):
         spent, _ = timed(work)
     failed = ksp.getConvergedReason() < 0
     destroy(ksp, x)

@@ -85,22 +85,22 @@ def free_end(nu: float) -> FreeEnd:
     return FreeEnd(nu, c_N, m_N, rho_N=mean / s, c_T=c_T, m_T=m_T, kappa=kappa)
 
 
-def nodes(n: int) -> Array:
+def chebyshev_ratios(n: int) -> Array:
     """Poisson's ratios of a table of n rows: Chebyshev's points in s, from the largest to the smallest ratio."""
     s = (1 - np.cos(np.pi * (np.arange(n) + 0.5) / n)) / 2
     return np.asarray((1 - s**2) / 2)
 
 
 @cache
-def shipped() -> dict[str, Array]:
-    """The table that comes with the package: name of a column -> values, in the order of `nodes`."""
+def shipped_table() -> dict[str, Array]:
+    """The table that comes with the package: name of a column -> values, in the order of `chebyshev_ratios`."""
     return dict(zip(COLUMNS, np.loadtxt(TABLE, delimiter=",", skiprows=1).T, strict=True))
 
 
 @cache
 def _coefficients() -> Array:
     """Chebyshev coefficients of the five analytic numbers of `free_end` in 2 s - 1, (rows of the table, 5)."""
-    table = shipped()
+    table = shipped_table()
     nu = table["nu"]
     lmbda, s = 2 * nu / (1 - 2 * nu), np.sqrt(1 - 2 * nu)
     M = lmbda + 2

@@ -24,7 +24,7 @@ ANGLES = 24  # Gauss points of an arc around the corner
 
 
 @dataclass(frozen=True)
-class Corner:
+class CornerField:
     """The singular field at the corner between a layer's free side and a rigid face; plane strain, stresses over mu.
 
     In plane stress nu is nu/(1 + nu) of the layer. The polar angle is that from the face, into the layer.

@@ -33,15 +33,15 @@ from typing import Any
 import ufl
 
 from forms.ends.constants import FreeEnd
-from forms.kinematics import Expr, lift
-from forms.stations import Faces, Station, of_pressure
+from forms.kinematics import Expr, three_dimensional
+from forms.stations import Faces, Station, pressure_stations
 
 LONGEST = 3.0  # length over the thickness of the strip where openings are weaker
 WIDE = 10.0  # length over the thickness from which on a pressure grows as a straight line near an end
 
 
 @dataclass(frozen=True)
-class Strip:
+class EndStrip:
     """A strip along a free end, where a weight is c/length; lengths are over the thickness.
 
     Attributes:
@@ -54,7 +54,7 @@ class Strip:
 
 
 @dataclass(frozen=True)
-class Strips:
+class EndStrips:
     """The strips of an isotropic layer's free end, and lengths over the thickness.
 
     Attributes:
@@ -63,9 +63,9 @@ class Strips:
         r_N, r_T: over which the stress along S is handed to the faces if the layer opens, and if it is sheared; 0: at once.
     """
 
-    opening: Strip
-    shear: Strip
-    resistance: Strip
+    opening: EndStrip
+    shear: EndStrip
+    resistance: EndStrip
     r_N: float
     r_T: float
 
@@ -75,28 +75,28 @@ class Strips:
         return max(strip.length for strip in (self.opening, self.shear, self.resistance) if strip.c)
 
     @classmethod
-    def of(cls, end: FreeEnd) -> Strips:
+    def of(cls, end: FreeEnd) -> EndStrips:
         """The strips with the first moments of an end."""
         l_N = min(2 * end.m_N / end.c_N, LONGEST) if end.c_N else LONGEST
-        return cls(Strip(end.c_N, l_N), _of_shear(end), Strip(), 2 * end.rho_N, 2 * end.c_T)
+        return cls(EndStrip(end.c_N, l_N), _of_shear(end), EndStrip(), 2 * end.rho_N, 2 * end.c_T)
 
     @classmethod
-    def with_pressure(cls, end: FreeEnd) -> Strips:
+    def with_pressure(cls, end: FreeEnd) -> EndStrips:
         """Those of a law whose pressure falls to zero at the end: it is weaker against openings by itself."""
-        return cls(Strip(), _of_shear(end), Strip(1 / end.kappa - 1), 0.0, 2 * end.c_T)
+        return cls(EndStrip(), _of_shear(end), EndStrip(1 / end.kappa - 1), 0.0, 2 * end.c_T)
 
-    def of_spread(self, length: float) -> Strips:
+    def of_spread(self, length: float) -> EndStrips:
         """Those of a pressure that spreads over a length (over the thickness) at most, whatever the layer's ratio.
 
         For nu > 0.49 an end has less resistance than the flow of an infinite layer (kappa > 1), if the pressure grows as a
         straight line over many thicknesses. Where narrow S or soft bodies prevent that it has not: within 5 thicknesses
         the flow is nearer to that of an infinite layer.
         """
-        return self if self.resistance.c >= 0 or length >= WIDE else replace(self, resistance=Strip())
+        return self if self.resistance.c >= 0 or length >= WIDE else replace(self, resistance=EndStrip())
 
 
-def _of_shear(end: FreeEnd) -> Strip:
-    return Strip(end.c_T, 2 * end.m_T / end.c_T)
+def _of_shear(end: FreeEnd) -> EndStrip:
+    return EndStrip(end.c_T, 2 * end.m_T / end.c_T)
 
 
 @dataclass(frozen=True)
@@ -119,14 +119,14 @@ class EndWeights:
 
     def sheared(self, faces: Faces) -> tuple[Expr, Expr]:
         """What weights of shear add to the strain (3, 3) of an infinite layer, and g'' as a strain of its own."""
-        m, n = lift(self.m), lift(faces.n)
+        m, n = three_dimensional(self.m), three_dimensional(faces.n)
         g, h = 2 * ufl.dot(n, faces.across() * m), 2 * ufl.dot(n, faces.mean * m)
         root, shear = ufl.sqrt(1 - self.a_T), ufl.sym(ufl.outer(m, n))
         return ((root - 1) * g + (self.f_T / root - 1) * h) * shear, ufl.sqrt(1 - self.f_T**2) / root * h * shear
 
     def strains(self, faces: Faces, share: Any) -> tuple[Expr, Expr]:
         """The two strains (3, 3) at which the isotropic law with lmbda/M = share has the energy W."""
-        n, across, mean, (first, second) = lift(faces.n), faces.across(), faces.mean, self.sheared(faces)
+        n, across, mean, (first, second) = three_dimensional(faces.n), faces.across(), faces.mean, self.sheared(faces)
         e_N, e_S, root = ufl.dot(n, across * n), faces.in_s(mean), ufl.sqrt(1 - self.a_N)
         trace = share * ufl.tr(e_S) / root
         first += across + mean + (1 / root - 1) * e_S
@@ -134,9 +134,9 @@ class EndWeights:
         return first, second + ufl.sqrt(1 - self.f_N**2) * trace * faces.normal
 
 
-def of_pressure_at_ends(law: Any, weights: EndWeights) -> list[Station[Any]]:
-    """`forms.stations.of_pressure` near free ends."""
-    mean, stiff = of_pressure(law)
+def pressure_stations_at_ends(law: Any, weights: EndWeights) -> list[Station[Any]]:
+    """`forms.stations.pressure_stations` near free ends."""
+    mean, stiff = pressure_stations(law)
     sheared = replace(
         mean,
         strain=lambda law, faces: mean.strain(law, faces) + weights.sheared(faces)[0],

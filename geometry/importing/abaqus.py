@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from forms.base import InputError, optional
+from forms.base import InputError, import_optional
 
 if TYPE_CHECKING:
     import meshio
@@ -70,7 +70,7 @@ def load(path: Path) -> meshio.Mesh:
     of_kind = {kind: [k for k, (own, _) in elements.items() if own == kind] for kind in kinds}
     cells = [(kind, np.array([elements[k][1] for k in own])) for kind, own in of_kind.items()]
     parts = {name: [np.flatnonzero(np.isin(own, [*its])) for own in of_kind.values()] for name, _, its in sets.values()}
-    return optional("meshio").Mesh(np.array(points), cells, cell_sets=parts)
+    return import_optional("meshio").Mesh(np.array(points), cells, cell_sets=parts)
 
 
 def _blocks(path: Path) -> Iterator[tuple[str, dict[str, str], list[list[str]], str]]:

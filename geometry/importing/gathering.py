@@ -13,18 +13,20 @@ from mpi4py import MPI
 
 from forms.base import InputError, require
 from geometry.domain import cell_nodes, vertices_of_facets
-from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
+from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArguments
 from geometry.joint import Joint
-from geometry.parallel import on_root, world
+from geometry.parallel import default_comm, on_root
 from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
 
 WHOLE = "BODY"  # region of all cells if there are no cell tags
 TagNames = Mapping[str, Sequence[int]]  # name -> dimension of what is tagged, and numbers of its tags
 
 
-def gathered(mesh: Any, names: TagNames | None, scale: float, comm: MPI.Intracomm | None, sides: SidesOf) -> Joint:
+def gather_joint(
+    mesh: Any, names: TagNames | None, scale: float, comm: MPI.Intracomm | None, sides: SideArguments
+) -> Joint:
     """The joint of a mesh of DOLFINx with its tags, as `read` describes it. Collective."""
-    comm = comm or world()
+    comm = comm or default_comm()
     mesh, cell_tags, facet_tags = (*(mesh if isinstance(mesh, (tuple, list)) else [mesh]), None, None)[:3]
     mine: _Part | Exception
     try:
@@ -32,7 +34,9 @@ def gathered(mesh: Any, names: TagNames | None, scale: float, comm: MPI.Intracom
     except Exception as error:
         mine = error  # the other ranks must not wait
     parts = comm.gather(mine) or []
-    return on_root(comm, partial(_joined, parts, names, None if cell_tags is not None else {WHOLE: [0]}, scale, sides))
+    return on_root(
+        comm, partial(_joint_of_parts, parts, names, None if cell_tags is not None else {WHOLE: [0]}, scale, sides)
+    )
 
 
 class _Part(NamedTuple):
@@ -95,7 +99,7 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[Indi
     return np.asarray(tags.indices), np.asarray(tags.values, np.int64)
 
 
-def _joined(parts: list[Any], names: Any, whole: Any, scale: float, sides: SidesOf) -> Joint:
+def _joint_of_parts(parts: list[Any], names: Any, whole: Any, scale: float, sides: SideArguments) -> Joint:
     """The joint of all ranks' parts, in the order of places: of the nodes, and of the cells' nodes."""
     for part in parts:
         if isinstance(part, Exception):
@@ -109,14 +113,14 @@ def _joined(parts: list[Any], names: Any, whole: Any, scale: float, sides: Sides
     points, nodes, rows = scale * points[order], number[nodes], np.sort(number[rows], axis=1)
     order = np.lexsort(np.sort(nodes[:, : corner_count(kind)], axis=1).T[::-1])
     nodes, region, tagged = nodes[order], region[order], tagged[order]
-    cells = Cells.of(points, nodes, kind, f"{len(nodes)} {kind} cells")
+    cells = FileCells.of(points, nodes, kind, f"{len(nodes)} {kind} cells")
     dim, chosen = cells.points.shape[1], _by_dimension(names or {})
     groups = _groups(chosen.get(dim, whole), region, tagged, "cell")
     if not groups:
         raise InputError("no cell has a tag")
     sets = _groups(chosen.get(dim - 1), tags, np.ones(len(tags), bool), "facet")
     named = {name: np.unique(np.searchsorted(cells.used, rows[member]), axis=0) for name, member in sets.items()}
-    return Named(cells, groups, named, "tags", Sides.of(**sides)).joint()
+    return NamedGroups(cells, groups, named, "tags", SeamSides.of(**sides)).joint()
 
 
 def _by_dimension(names: Any) -> dict[int, dict[str, list[int]]]:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from forms.base import InputError, is_finite
 from geometry.joint import Joint
-from geometry.refusals import place, refuse, require_known
+from geometry.refusals import place_text, refuse, require_known
 from geometry.seam import S, Seam
 from geometry.topology import (
     FACET_TYPES,
@@ -33,7 +33,7 @@ Groups = dict[str, BoolArray]  # name -> which cells are in the group
 Names = tuple[str, ...]
 
 
-class SidesOf(TypedDict, total=False):
+class SideArguments(TypedDict, total=False):
     """S and its sides, as `read` describes them."""
 
     S: str | Sequence[str] | Mapping[str, Any] | None
@@ -43,7 +43,7 @@ class SidesOf(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class Cells:
+class FileCells:
     """Cells of one type.
 
     Attributes:
@@ -59,7 +59,7 @@ class Cells:
     used: IntArray
 
     @classmethod
-    def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, what: str) -> Cells:
+    def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, what: str) -> FileCells:
         """Take over cells and the points that they use.
 
         Args:
@@ -105,7 +105,7 @@ class Cells:
         pairs = cKDTree(self.points).query_pairs(CLOSE * np.ptp(self.points, axis=0).max(), output_type="ndarray")
         if len(pairs):
             x = self.points[pairs[pairs[:, 0].argmin(), 0]]
-            where = f"pairs of nodes at the same place, the first at {place(x)}: the cells there are not connected"
+            where = f"pairs of nodes at the same place, the first at {place_text(x)}: the cells there are not connected"
             ways = "gmsh: BooleanFragments or Coherence before meshing, removeDuplicateNodes after it"
             remedy = f"let bodies share their nodes ({ways}), or draw gaps that stay unbonded wider than {CLOSE:g}"
             raise InputError(f"{len(pairs)} {where}; {remedy} of the mesh")
@@ -118,7 +118,7 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Sides:
+class SeamSides:
     """The caller's choice of S and its sides.
 
     Attributes:
@@ -132,7 +132,7 @@ class Sides:
     seams: Mapping[str, Seam] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, S: Any = S, upper: Any = None, lower: Any = None, direction: Any = None) -> Sides:
+    def of(cls, S: Any = S, upper: Any = None, lower: Any = None, direction: Any = None) -> SeamSides:
         """The choice from arguments as in `read`; raises InputError for wrong types."""
         above, below = _names_of(upper, "upper"), _names_of(lower, "lower")
         way: Any = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
@@ -172,7 +172,7 @@ def _names_of(regions: Any, what: str) -> Names:
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedGroups:
     """The named groups of a mesh.
 
     Attributes:
@@ -183,11 +183,11 @@ class Named:
         sides: the caller's choice among them.
     """
 
-    cells: Cells
+    cells: FileCells
     regions: Groups
     facets: dict[str, IntArray]
     source: str
-    sides: Sides
+    sides: SeamSides
 
     def joint(self) -> Joint:
         """The joint; where groups of cells overlap, those named in `sides` are the regions.
@@ -287,12 +287,12 @@ def _require_whole(joint: Joint) -> None:
     sides = [np.linalg.det(np.stack([*others, centre], axis=1) - first[:, None]) for centre in centres.swapaxes(0, 1)]
     what = "{bad} facets have both of their cells on one side, the first at {at}: the mesh overlaps itself"
     refuse(np.sign(sides[0]) == np.sign(sides[1]), points[facets[inner]], f"{what}; move its nodes apart, or mesh anew")
-    found = points[_hanging(points, facets[~inner])]
+    found = points[_hanging_nodes(points, facets[~inner])]
     what = "{bad} nodes hang on facets of cells that do not have them, the first at {at}: these cells are not connected"
     refuse(np.ones(len(found), bool), found, f"{what}; make the mesh conforming")
 
 
-def _hanging(points: FloatArray, facets: IntArray) -> IntArray:
+def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:
     """Nodes that lie on facets (n, k) of the outer boundary, given by their vertices, and are nodes of others only."""
     vertices, x = np.unique(facets), points[facets]
     middles = x.mean(axis=1)

@@ -18,10 +18,10 @@ import dolfinx
 import numpy as np
 from mpi4py import MPI
 
-from forms.base import InputError, is_finite, optional, require
+from forms.base import InputError, import_optional, is_finite, require
 from geometry.importing import abaqus
-from geometry.importing.gathering import TagNames, gathered
-from geometry.importing.naming import Cells, Groups, Named, Sides, SidesOf
+from geometry.importing.gathering import TagNames, gather_joint
+from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArguments
 from geometry.joint import Joint
 from geometry.parallel import T, on_root
 from geometry.refusals import refuse
@@ -48,7 +48,7 @@ def read(
     names: TagNames | None = None,
     scale: float = 1.0,
     comm: MPI.Intracomm | None = None,
-    **sides: Unpack[SidesOf],
+    **sides: Unpack[SideArguments],
 ) -> Joint:
     """A joint from a mesh file, or from a mesh of DOLFINx with its tags. Collective.
 
@@ -83,13 +83,13 @@ def read(
     """
     require(is_finite(scale) and scale > 0, "scale", scale, "it must be a number > 0")
     if not isinstance(mesh, (str, Path)):
-        return gathered(mesh, names, scale, comm, sides)
+        return gather_joint(mesh, names, scale, comm, sides)
     if names is not None:
         raise InputError("names are those of tags of DOLFINx; a file has its own")
-    return on_root(comm, partial(with_groups, Path(mesh), Named.joint, Sides.of(**sides), scale))
+    return on_root(comm, partial(read_groups, Path(mesh), NamedGroups.joint, SeamSides.of(**sides), scale))
 
 
-def with_groups(path: Path, use: Callable[[Named], T], sides: Sides | None = None, scale: float = 1.0) -> T:
+def read_groups(path: Path, use: Callable[[NamedGroups], T], sides: SeamSides | None = None, scale: float = 1.0) -> T:
     """What a function makes of the named groups of a mesh file; errors of input name the file. Not collective."""
     try:
         mesh = _load(path, scale)
@@ -101,7 +101,7 @@ def with_groups(path: Path, use: Callable[[Named], T], sides: Sides | None = Non
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
             raise InputError(f"no named groups of cells ({source}); in gmsh: {example}; saved with Mesh.SaveAll = 0")
         facets = _vertices(mesh, cells, _groups(mesh, dim - 1, array))
-        return use(Named(cells, regions, facets, source, sides or Sides.of()))
+        return use(NamedGroups(cells, regions, facets, source, sides or SeamSides.of()))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -112,7 +112,7 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
     Raises:
         InputError: not readable, or two groups with one physical name.
     """
-    meshio = optional("meshio")
+    meshio = import_optional("meshio")
     if not isfile(path):
         raise InputError(f"there is no such file in {path.parent.resolve()}")
     if not path.stat().st_size:  # some readers of meshio wait for lines for ever
@@ -148,7 +148,7 @@ def _require_single_names(path: Path) -> None:
             raise InputError(f"the physical name {name!r} stands for the groups {groups}; each needs its own name")
 
 
-def _cells_of(mesh: meshio.Mesh) -> Cells:
+def _cells_of(mesh: meshio.Mesh) -> FileCells:
     """The cells of highest dimension; raises InputError if they are not all of one known type, or a surface in space."""
     dim = max((block.dim for block in mesh.cells if len(block)), default=0)
     blocks = [block for block in mesh.cells if len(block) and block.dim == dim]
@@ -164,7 +164,7 @@ def _cells_of(mesh: meshio.Mesh) -> Cells:
         raise InputError(f"cells of a type that is not allowed: {types}; allowed: {', '.join(CELLS)}; {remedy}")
     cells = np.concatenate([block.data for block in blocks]).astype(np.int64)
     order = dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(CELLS[kind]), cells.shape[1])
-    return Cells.of(mesh.points, cells[:, order], CELLS[kind], types)
+    return FileCells.of(mesh.points, cells[:, order], CELLS[kind], types)
 
 
 def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
@@ -209,7 +209,7 @@ def _names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str
     return [str(number)] if number >= 0 else ()
 
 
-def _vertices(mesh: meshio.Mesh, cells: Cells, groups: Groups) -> dict[str, IntArray]:
+def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, IntArray]:
     """Sets of facets by their vertices (n, k), each facet once."""
     if not groups:
         return {}

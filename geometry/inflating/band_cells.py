@@ -11,14 +11,14 @@ import numpy as np
 
 from forms.base import InputError
 from geometry.joint import Joint
-from geometry.refusals import place, refuse
+from geometry.refusals import place_text, refuse
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, is_tensor, lagrange
 
 SAME_HEIGHT = 1e-12  # difference of heights, relative to the thickness, that counts as none
 
 
 @dataclass(frozen=True)
-class Copies:
+class NodeCopies:
     """The nodes of the bodies when they have parted on S: each body has its own copy of a node of S.
 
     One copy keeps the node's number, that of the upper side of the node's first facet. The others follow after the
@@ -38,7 +38,7 @@ class Copies:
     base: BoolArray
 
     @classmethod
-    def of(cls, joint: Joint) -> Copies:
+    def of(cls, joint: Joint) -> NodeCopies:
         """The copies of a joint's nodes."""
         surface, split, n = joint.surface, joint.splitting.of_nodes, len(joint.points)
         on_base = int(split.max(initial=0)) + 1
@@ -63,13 +63,13 @@ class Copies:
         nodes, component = np.divmod(new, on_base + 1)
         return cls(body_cells, number(sides[0]), number(sides[1]), nodes, component == on_base)
 
-    def renumbered(self, number: IntArray) -> Copies:
+    def renumbered(self, number: IntArray) -> NodeCopies:
         """The copies with other numbers; -1 for those that are left out, which are on a rigid base."""
         return replace(self, cells=number[self.cells], below=number[self.below], above=number[self.above])
 
 
 @dataclass(frozen=True)
-class Posts:
+class NodeLines:
     """Posts of nodes from one copy of a node of S to another one. Level 0 is the first copy, the last level the second.
 
     Cells of degree 2 have nodes at the levels of their faces and half-way between.
@@ -116,7 +116,7 @@ class Posts:
         z = np.concatenate(self.heights)[first + level][:, None]
         return (1 - z) * values[self.ends[post, 0]] + z * values[self.ends[post, 1]], self.nodes[post]
 
-    def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> Posts:
+    def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> NodeLines:
         """These posts and more of them."""
         more = (self.ends, ends), (self.nodes, nodes), (self.kind, np.full(len(nodes), kind))
         ends, nodes, kinds = map(np.concatenate, more)
@@ -124,7 +124,7 @@ class Posts:
 
 
 @dataclass(frozen=True)
-class Footing:
+class FacetLines:
     """Where the facets of S have their posts.
 
     Attributes:
@@ -136,7 +136,7 @@ class Footing:
     turned: BoolArray
 
 
-def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tuple[Posts, Footing]:
+def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) -> tuple[NodeLines, FacetLines]:
     """The posts at the nodes of S, one for each two copies with a facet between them.
 
     Args:
@@ -165,12 +165,14 @@ def posts_of(joint: Joint, copies: Copies, heights: Sequence[FloatArray]) -> tup
             continued = f"{names[one]!r} and {names[other]!r} continue one another"
             what = continued if one != other else "the upper side changes"
             remedy = "give them the same ones, and an upper side on the same body"
-            raise InputError(f"at {place(x)} {what}, and their sublayers do not meet: {remedy}")
+            raise InputError(f"at {place_text(x)} {what}, and their sublayers do not meet: {remedy}")
         if way and joint.dim == 3:
-            raise InputError(f"the upper side of S changes at {place(x)}: in 3D each layer needs one on one side there")
+            raise InputError(
+                f"the upper side of S changes at {place_text(x)}: in 3D each layer needs one on one side there"
+            )
     shape, nodes = joint.surface.shape, joint.surface.ravel()[first]
-    posts = Posts(len(joint.points) + len(copies.new), ends, nodes, seam[first], tuple(heights))
-    return posts, Footing(at.reshape(shape), turned.reshape(shape))
+    posts = NodeLines(len(joint.points) + len(copies.new), ends, nodes, seam[first], tuple(heights))
+    return posts, FacetLines(at.reshape(shape), turned.reshape(shape))
 
 
 def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -> FloatArray:
@@ -190,14 +192,14 @@ def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -
 
 
 def band_cells(
-    joint: Joint, posts: Posts, footing: Footing, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
+    joint: Joint, posts: NodeLines, footing: FacetLines, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Cells of the band over some facets of S, their sublayer, and the normal of S at each of their corners."""
     surface, normals, degree = joint.surface[rows], joint.node_normals[rows], joint.degree
     if is_tensor(joint.cell_type):
-        patterns = _extruded(joint.cell_type, degree, len(surface))
+        patterns = _tensor_pattern(joint.cell_type, degree, len(surface))
     else:
-        patterns = _split_prisms(joint.cell_type, degree, np.argsort(surface[:, : joint.dim], axis=1))
+        patterns = _simplex_pattern(joint.cell_type, degree, np.argsort(surface[:, : joint.dim], axis=1))
     edges = np.cumsum(fractions)[:-1] if len(fractions) else np.empty(0)
     cells, sublayer, director = [], [], []
     k, top = joint.corners.shape[1], len(heights) - 1
@@ -215,14 +217,14 @@ def band_cells(
 Pattern = tuple[IntArray, IntArray]  # (n_S, k) node of each facet of S; (k,) levels above the first
 
 
-def _extruded(cell_type: str, degree: int, n: int) -> list[Pattern]:
+def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[Pattern]:
     """Quadrilaterals and hexahedra: the facet is the cell's face with last coordinate zero."""
     cell, facet = lagrange(cell_type, degree).points, lagrange(FACET_TYPES[cell_type], degree).points
     distance = np.linalg.norm(cell[:, None, :-1] - facet[None], axis=2)
     return [(np.tile(distance.argmin(axis=1), (n, 1)), np.rint(cell[:, -1] * degree).astype(np.int64))]
 
 
-def _split_prisms(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
+def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
     """Simplices: prisms are split along sorted vertex numbers, so that neighbours split their common side alike.
 
     With the facet's vertices sorted, simplex k has its first k + 1 vertices below and the rest, from k on, above. Nodes

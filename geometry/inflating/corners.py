@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.inflating.band_cells import Footing, Posts
+from geometry.inflating.band_cells import FacetLines, NodeLines
 from geometry.joint import FLAT, Joint
 from geometry.refusals import refuse
-from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange, sums
+from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange, sum_by_number
 
 
-class Corners(NamedTuple):
+class JunctionCorners(NamedTuple):
     """Corners of polygons; k of them, one at each vertex of a junction, belong together.
 
     Attributes:
@@ -34,7 +34,7 @@ class Corners(NamedTuple):
     of: IntArray
 
 
-def junctions_of(joint: Joint, posts: Posts, footing: Footing) -> tuple[Posts, Corners | None]:
+def junction_corners(joint: Joint, posts: NodeLines, footing: FacetLines) -> tuple[NodeLines, JunctionCorners | None]:
     """The corners of junctions, if there are any, and all posts, with those that close polygons on the outer boundary.
 
     Args:
@@ -46,26 +46,26 @@ def junctions_of(joint: Joint, posts: Posts, footing: Footing) -> tuple[Posts, C
         InputError: bodies that touch at a vertex, or along an edge, only lie between the layers that end there; in 3D
             edges where layers meet that meet each other.
     """
-    links, facets = _links(joint, posts, footing)
+    links, facets = _junction_lines(joint, posts, footing)
     k = links.shape[1]
     if not len(links):
         return posts, None
-    vertices, of_link = _numbered(posts.nodes[links])
+    vertices, of_link = _unique_rows(posts.nodes[links])
     ends = posts.ends[links]
-    copies, at = _numbered(np.concatenate([ends[..., 0], ends[..., 1]]))
+    copies, at = _unique_rows(np.concatenate([ends[..., 0], ends[..., 1]]))
     of = np.empty(len(copies), np.int64)
     of[at] = np.tile(of_link, 2)
     degree = np.bincount(at)
     loose = (np.bincount(of) - np.bincount(of_link) > 1) | (np.bincount(of, degree > 2) > 0)
     loose |= np.bincount(of_link, facets > 1) > 0  # two layers between the same bodies
     for column in copies.T:  # a body has one corner at each end
-        loose |= np.bincount(_numbered(np.column_stack([of, column]))[0][:, 0]) < np.bincount(of)
+        loose |= np.bincount(_unique_rows(np.column_stack([of, column]))[0][:, 0]) < np.bincount(of)
     touching = "bodies only touch at a vertex or an edge, between layers that meet there: the layers' ends enclose no"
     refuse(loose, joint.points[vertices], f"at {{at}} {touching} polygon")
 
     alone = np.flatnonzero(degree == 1)
     alone = alone[np.argsort(of[alone], kind="stable")].reshape(-1, 2)
-    pairs, number = _numbered(np.sort(copies[alone].swapaxes(1, 2).reshape(-1, 2), axis=1))
+    pairs, number = _unique_rows(np.sort(copies[alone].swapaxes(1, 2).reshape(-1, 2), axis=1))
     nodes = np.empty(len(pairs), np.int64)
     nodes[number] = vertices[of[alone[:, 0]]].ravel()
     closing = (len(posts.nodes) + number).reshape(-1, k)
@@ -74,13 +74,13 @@ def junctions_of(joint: Joint, posts: Posts, footing: Footing) -> tuple[Posts, C
     at = np.concatenate([at[: len(of_link)], alone[:, 0], at[len(of_link) :], alone[:, 1]])
     sides = links[np.argsort(at, kind="stable") % len(links)].reshape(-1, 2, k).swapaxes(1, 2)
     polygons = _polygons(sides, of)
-    pairs, _ = _numbered(np.column_stack([posts.nodes[sides[..., 0]].ravel(), polygons.ravel()]))
+    pairs, _ = _unique_rows(np.column_stack([posts.nodes[sides[..., 0]].ravel(), polygons.ravel()]))
     meet = "where lines along which layers meet come together: these are not meshed; use the interface model"
     refuse(np.diff(pairs[:, 0]) == 0, joint.points[pairs[1:, 0]], f"S branches at {{at}}, {meet}")
-    return posts, Corners(copies, sides, polygons, of)
+    return posts, JunctionCorners(copies, sides, polygons, of)
 
 
-def _links(joint: Joint, posts: Posts, footing: Footing) -> tuple[IntArray, IntArray]:
+def _junction_lines(joint: Joint, posts: NodeLines, footing: FacetLines) -> tuple[IntArray, IntArray]:
     """(n, k) the posts at the k vertices of each junction, for each layer that ends there, in ascending order.
 
     And (n,) the number of facets of S that each joins to the junction.
@@ -88,13 +88,13 @@ def _links(joint: Joint, posts: Posts, footing: Footing) -> tuple[IntArray, IntA
     several = np.bincount(posts.nodes)[posts.nodes] > 1
     ridges = lagrange(FACET_TYPES[joint.cell_type], 1).entity_closure_dofs[-2]
     rows = np.concatenate([footing.posts[:, ridge] for ridge in ridges])
-    links, number = _numbered(np.sort(rows[several[rows].all(axis=1)], axis=1))
-    _, place = _numbered(posts.nodes[links])
+    links, number = _unique_rows(np.sort(rows[several[rows].all(axis=1)], axis=1))
+    _, place = _unique_rows(posts.nodes[links])
     branches = np.bincount(place)[place] > 1
     return links[branches], np.bincount(number, minlength=len(links))[branches]
 
 
-def _numbered(rows: IntArray) -> tuple[IntArray, IntArray]:
+def _unique_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
     """Different rows in lexicographic order, and the number of each given one among them."""
     found, number = np.unique(rows, axis=0, return_inverse=True)
     return found, number.ravel()
@@ -112,13 +112,13 @@ def _polygons(sides: IntArray, of: IntArray) -> IntArray:
     for m in np.unique(count):
         here = np.flatnonzero(count[of] == m)
         here = here[np.argsort(of[here], kind="stable")].reshape(-1, m)
-        found, number = _numbered(np.sort(sides[here].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2])
+        found, number = _unique_rows(np.sort(sides[here].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2])
         out[here] = first + number.reshape(-1, 1, k)
         first += len(found)
     return out
 
 
-def common_normals(joint: Joint, footing: Footing, corners: Corners, gap: BoolArray) -> FloatArray:
+def common_normals(joint: Joint, footing: FacetLines, corners: JunctionCorners, gap: BoolArray) -> FloatArray:
     """(n, d) unit normal of S of all layers that end at the junction of each corner; zero if they differ.
 
     Args:
@@ -127,10 +127,10 @@ def common_normals(joint: Joint, footing: Footing, corners: Corners, gap: BoolAr
         corners: of junctions.
         gap: (n_posts,) whether each post is that of a gap, or closes a polygon on the outer boundary.
     """
-    normals = sums(footing.posts, joint.node_normals, len(gap))
+    normals = sum_by_number(footing.posts, joint.node_normals, len(gap))
     normals[gap] = 0.0
     normals[~gap] /= np.maximum(np.linalg.norm(normals[~gap], axis=1, keepdims=True), np.finfo(float).tiny)
-    total = sums(corners.of, normals[corners.sides].sum(axis=(1, 2)), int(corners.of.max()) + 1)
+    total = sum_by_number(corners.of, normals[corners.sides].sum(axis=(1, 2)), int(corners.of.max()) + 1)
     count = np.bincount(corners.of, (~gap[corners.sides]).sum(axis=(1, 2)))
     length = np.linalg.norm(total, axis=1)
     same = length >= (1 - FLAT**2) * np.maximum(count, 1)

@@ -16,7 +16,7 @@ ROUNDING = 1e-9  # of lengths and of reference coordinates
 
 
 @dataclass(frozen=True)
-class Divided:
+class RefinedLayers:
     """Layers whose cells are parts of others, so that functions on these go over to them exactly.
 
     Attributes:
@@ -34,7 +34,7 @@ class Divided:
         return np.asarray(_shapes(self.joint.cell_type, 1, X) @ self.corners)
 
 
-def divided(layers: Joint, distance: FloatArray, size: float) -> Divided:
+def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> RefinedLayers:
     """Halve the cells at ends again and again, until they reach no farther from these than a size.
 
     Args:
@@ -51,9 +51,9 @@ def divided(layers: Joint, distance: FloatArray, size: float) -> Divided:
         pairs, edges = np.unique(np.sort(cells[:, local], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
         edges, (a, b) = edges.reshape(len(cells), -1), pairs.T
         near, far = np.sort([distance[a], distance[b]], axis=0)
-        halved = _conforming(kind, edges, far, (near == 0) & (far > size * (1 + ROUNDING)))
+        halved = _conforming_edges(kind, edges, far, (near == 0) & (far > size * (1 + ROUNDING)))
         if not halved.any():
-            return _assembled(layers, parent, X)
+            return _refined_joint(layers, parent, X)
         middle = np.where(halved, len(distance) - 1 + np.cumsum(halved), -1)
         distance = np.concatenate([distance, (near + far)[halved] / 2])
         rows, which = np.nonzero(halved[edges])
@@ -68,7 +68,7 @@ def divided(layers: Joint, distance: FloatArray, size: float) -> Divided:
         cells, X, parent = (np.concatenate(both) for both in ((cells, upper), (X, upper_X), (parent, parent[rows])))
 
 
-def _conforming(kind: str, edges: IntArray, far: FloatArray, wanted: BoolArray) -> BoolArray:
+def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, wanted: BoolArray) -> BoolArray:
     """Which edges (m,) to halve first, of those that are wanted: in each cell one, or all that are parallel to it.
 
     Where an edge of quadrilaterals or hexahedra is halved, so are those parallel to it in its cells, in theirs, and so on.
@@ -102,7 +102,7 @@ def _shapes(kind: str, degree: int, X: FloatArray) -> FloatArray:
     return np.asarray(table.reshape(*X.shape[:-1], -1))
 
 
-def _assembled(layers: Joint, parent: IntArray, corners: FloatArray) -> Divided:
+def _refined_joint(layers: Joint, parent: IntArray, corners: FloatArray) -> RefinedLayers:
     """The layers of these parts of cells, with all their names."""
     band, kind = layers.band, layers.cell_type
     assert band is not None
@@ -132,4 +132,4 @@ def _assembled(layers: Joint, parent: IntArray, corners: FloatArray) -> Divided:
     points, region = x[chosen], layers.region[parent]
     parts = replace(band, reference=reference[chosen], director=director)
     joint = replace(layers, points=points, cells=cells, region=region, facets=facets, band=parts)
-    return Divided(joint, parent, corners)
+    return RefinedLayers(joint, parent, corners)

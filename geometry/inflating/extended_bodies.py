@@ -7,11 +7,11 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from forms.base import InputError
-from geometry.inflating.band_cells import Copies
+from geometry.inflating.band_cells import NodeCopies
 from geometry.inflating.kept_bodies import UNIFORM
 from geometry.joint import Joint
-from geometry.refusals import place, refuse
-from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, sums, weights_between
+from geometry.refusals import place_text, refuse
+from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, sum_by_number, weights_between
 
 SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
 EXACT = 1e-10  # the same for the bodies' other vertices, which must stay on their outer faces
@@ -21,7 +21,9 @@ NO_CORNER = 0.02  # error of a thickness, relative to it, from which on a body h
 TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic motion
 
 
-def face_motion(joint: Joint, copies: Copies, given_up: tuple[FloatArray, FloatArray]) -> tuple[IntArray, FloatArray]:
+def face_motion(
+    joint: Joint, copies: NodeCopies, given_up: tuple[FloatArray, FloatArray]
+) -> tuple[IntArray, FloatArray]:
     """The copies of the nodes of S on bodies, and how each of them moves into its body, (n, d).
 
     The motion d is the least one with n . d = g for each facet of S around the copy, where n points into the body (least
@@ -44,8 +46,8 @@ def face_motion(joint: Joint, copies: Copies, given_up: tuple[FloatArray, FloatA
     index = index.reshape(at.shape)
     x = joint.points[np.concatenate([joint.surface, joint.surface[there]]).ravel()[first]]
     n, count = len(known), np.bincount(index.ravel())
-    total, along_n = sums(index, g[..., None] * normals, n), sums(index, normals, n)
-    moment = sums(index, normals[..., :, None] * normals[..., None, :], n)
+    total, along_n = sum_by_number(index, g[..., None] * normals, n), sum_by_number(index, normals, n)
+    moment = sum_by_number(index, normals[..., :, None] * normals[..., None, :], n)
     overlap = "S is folded at {at}: a layer there would overlap itself"
     refuse(np.linalg.norm(along_n, axis=1) < LEAST_COSINE * count, x, overlap)
 
@@ -71,7 +73,7 @@ def face_motion(joint: Joint, copies: Copies, given_up: tuple[FloatArray, FloatA
         at = index.flat[error.argmax()]
         sizes = f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side"
         why = "the body between them has no corner there; give them one thickness"
-        raise InputError(f"{sizes}, meet nearly in line at {place(x[at])}: {why}")
+        raise InputError(f"{sizes}, meet nearly in line at {place_text(x[at])}: {why}")
     return known, motion
 
 
@@ -85,7 +87,9 @@ def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]
     table, outer = joint.table, joint.outer_rows
     normals = facet_normals(joint.points, table.nodes(outer, joint.cells, joint.cell_type), joint.cell_type)
     nodes, size = table.nodes(outer, cells, joint.cell_type), int(cells.max()) + 1
-    return sums(nodes, normals[..., :, None] * normals[..., None, :], size), np.bincount(nodes.ravel(), minlength=size)
+    return sum_by_number(nodes, normals[..., :, None] * normals[..., None, :], size), np.bincount(
+        nodes.ravel(), minlength=size
+    )
 
 
 def extended_motion(

@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geometry.inflating.band_cells import Posts
-from geometry.inflating.corners import Corners
+from geometry.inflating.band_cells import NodeLines
+from geometry.inflating.corners import JunctionCorners
 from geometry.joint import Joint
-from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor, sums
+from geometry.topology import BoolArray, FloatArray, IntArray, is_tensor, sum_by_number
 
 
-class Filled(NamedTuple):
+class JunctionCells(NamedTuple):
     """Cells in junctions and the nodes that they add.
 
     Attributes:
@@ -33,7 +33,9 @@ class Filled(NamedTuple):
     nodes: IntArray
 
 
-def fill(joint: Joint, posts: Posts, corners: Corners, values: FloatArray, nodes: IntArray) -> Filled:
+def junction_cells(
+    joint: Joint, posts: NodeLines, corners: JunctionCorners, values: FloatArray, nodes: IntArray
+) -> JunctionCells:
     """Cells in junctions. Their new nodes are numbered after those of the posts.
 
     Args:
@@ -47,7 +49,7 @@ def fill(joint: Joint, posts: Posts, corners: Corners, values: FloatArray, nodes
     copies, sides, polygons = corners.copies.ravel(), corners.sides.reshape(-1, 2), corners.polygons.ravel()
     count, of_centres = np.bincount(polygons), np.empty(int(polygons.max()) + 1, np.int64)
     of_centres[polygons] = nodes[copies]
-    centres = sums(polygons, values[copies], len(count)) / count[:, None]
+    centres = sum_by_number(polygons, values[copies], len(count)) / count[:, None]
     key_values = np.concatenate([values, values[posts.ends].mean(axis=1), centres])
     key_nodes = np.concatenate([nodes, posts.nodes, of_centres])
     keys = np.column_stack([copies, len(values) + sides, len(values) + len(posts.nodes) + polygons])
@@ -75,7 +77,7 @@ def fill(joint: Joint, posts: Posts, corners: Corners, values: FloatArray, nodes
     else:
         cells = _extruded(_halved(quads, posts.ends[corners.sides[:, 0], 0] != corners.copies[:, :1]))
     rows = np.repeat(np.arange(len(quads)), cells.shape[1])
-    return Filled(cells.reshape(-1, cells.shape[2]), rows, added, key_nodes[key[:, -1]])
+    return JunctionCells(cells.reshape(-1, cells.shape[2]), rows, added, key_nodes[key[:, -1]])
 
 
 def _halved(quads: IntArray, back: BoolArray) -> IntArray:

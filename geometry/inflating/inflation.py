@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from forms.base import InputError
-from geometry.inflating.band_cells import Copies, Footing, Posts, band_cells, posts_of
-from geometry.inflating.corners import Corners, common_normals, junctions_of
+from geometry.inflating.band_cells import FacetLines, NodeCopies, NodeLines, band_cells, node_lines
+from geometry.inflating.corners import JunctionCorners, common_normals, junction_corners
 from geometry.inflating.extended_bodies import extended_motion, face_motion
-from geometry.inflating.filling import Filled, fill
+from geometry.inflating.filling import JunctionCells, junction_cells
 from geometry.inflating.kept_bodies import NOT_KEPT, UNIFORM, kept_motion, require_room
 from geometry.inflating.layering import Layering, check_junctions, check_layering, moved_facets
-from geometry.joint import Band, Joint, Profile
-from geometry.periodic import repeated
+from geometry.joint import InflatedBand, Joint, Profile
+from geometry.periodic import with_periods_of
 from geometry.refusals import refuse
 from geometry.seam import JUNCTIONS, LAYER
 from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
@@ -88,10 +88,10 @@ def inflate(
         message = f"S reaches one of the periodic sides {sides}, at {{at}}: {reason}; {remedy}"
         refuse(np.isin(fixed, joint.surface), joint.points[fixed], message)
     layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps)
-    copies = Copies.of(joint)
-    posts, footing = posts_of(joint, copies, layers.heights)
+    copies = NodeCopies.of(joint)
+    posts, footing = node_lines(joint, copies, layers.heights)
     check_junctions(joint, posts, layers)
-    posts, meetings = junctions_of(joint, posts, footing)
+    posts, meetings = junction_corners(joint, posts, footing)
 
     copied = _motion(joint, copies, layers.thickness, bodies, fixed)
     moved, below = posts.between(copied)
@@ -99,9 +99,9 @@ def inflate(
     footprint = np.concatenate([np.arange(len(joint.points)), copies.new, below])
 
     bands, names = _bands(joint, posts, footing, layers)
-    between = _Cells(joint.cells[:0], joint.region[:0], bands.director[:0])
+    between = _BandCells(joint.cells[:0], joint.region[:0], bands.director[:0])
     if meetings:
-        filled = fill(joint, posts, meetings, copied, footprint[: len(copied)])
+        filled = junction_cells(joint, posts, meetings, copied, footprint[: len(copied)])
         motion, footprint = np.concatenate([motion, filled.values]), np.concatenate([footprint, filled.nodes])
         between = _junctions(joint, posts, footing, meetings, layers.claims, filled)
     owners = np.unique(between.region)
@@ -125,10 +125,12 @@ def inflate(
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     aligned = tuple(name for name, seam in shared.items() if seams.index(seam) not in askew)
     director = np.concatenate([bands.director, np.where(askew_cells, np.eye(joint.dim)[1], between.director)])
-    band = Band(layers.eps, bodies, regions, names, shared, aligned, faces, joint, joint.points[footprint], director)
+    band = InflatedBand(
+        layers.eps, bodies, regions, names, shared, aligned, faces, joint, joint.points[footprint], director
+    )
     region = np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, between.region)])
     opened = Joint(points, cells, joint.cell_type, region, joint.regions + regions, facets, joint.seams, band)
-    return repeated(opened, periods) if periods else opened
+    return with_periods_of(opened, periods) if periods else opened
 
 
 def without_bodies(inflated: Joint) -> Joint:
@@ -156,7 +158,7 @@ def without_bodies(inflated: Joint) -> Joint:
     return Joint(points, cells, inflated.cell_type, region, band.regions, facets, inflated.seams, own)
 
 
-class _Cells(NamedTuple):
+class _BandCells(NamedTuple):
     """Cells of layers.
 
     Attributes:
@@ -171,8 +173,13 @@ class _Cells(NamedTuple):
 
 
 def _junctions(
-    joint: Joint, posts: Posts, footing: Footing, corners: Corners, claims: list[str], filled: Filled
-) -> _Cells:
+    joint: Joint,
+    posts: NodeLines,
+    footing: FacetLines,
+    corners: JunctionCorners,
+    claims: list[str],
+    filled: JunctionCells,
+) -> _BandCells:
     """The cells of junctions; `region` is the number of the seam that they belong to, one for each junction.
 
     Args:
@@ -196,12 +203,14 @@ def _junctions(
     kept = ~empty[corners.of][filled.corners]
     cells, corner = filled.cells[kept], filled.corners[kept]
     normals = common_normals(joint, footing, corners, gap)[corner]
-    return _Cells(cells, owners[corner], np.broadcast_to(normals[:, None], (*cells.shape, joint.dim)))
+    return _BandCells(cells, owners[corner], np.broadcast_to(normals[:, None], (*cells.shape, joint.dim)))
 
 
-def _bands(joint: Joint, posts: Posts, footing: Footing, layers: Layering) -> tuple[_Cells, dict[str, tuple[str, ...]]]:
+def _bands(
+    joint: Joint, posts: NodeLines, footing: FacetLines, layers: Layering
+) -> tuple[_BandCells, dict[str, tuple[str, ...]]]:
     """Cells of the bands, and the names of their regions, by seam, from the lower to the upper face; not of gaps."""
-    found: list[_Cells] = []
+    found: list[_BandCells] = []
     names: dict[str, tuple[str, ...]] = {}
     first = len(joint.regions)
     for number, seam in enumerate(joint.seams):
@@ -211,12 +220,12 @@ def _bands(joint: Joint, posts: Posts, footing: Footing, layers: Layering) -> tu
         cells, sublayer, director = band_cells(joint, posts, footing, rows, layers.heights[number], fractions)
         whole = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
         names[seam] = tuple(f"{whole}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (whole,)
-        found.append(_Cells(cells, first + sublayer, director))
+        found.append(_BandCells(cells, first + sublayer, director))
         first += len(names[seam])
-    return _Cells(*map(np.concatenate, zip(*found, strict=True))), names
+    return _BandCells(*map(np.concatenate, zip(*found, strict=True))), names
 
 
-def _motion(joint: Joint, copies: Copies, thickness: FloatArray, bodies: str, fixed: IntArray) -> FloatArray:
+def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str, fixed: IntArray) -> FloatArray:
     """(n, d) motion of each node of the parted bodies, and of the copies on a rigid base; some are fixed if they extend."""
     n_nodes = len(joint.points) + len(copies.new)
     if bodies == "extended":
@@ -248,7 +257,7 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
     refuse(folded, points[cells[n:]], what)
 
 
-def parted(joint: Joint, eps: float | Mapping[str, float], *, profile: Profiles = None) -> Joint:
+def with_gaps(joint: Joint, eps: float | Mapping[str, float], *, profile: Profiles = None) -> Joint:
     """The same joint, whose bodies have given up their share of the thickness, as `inflate(..., bodies="extended")` has it.
 
     Cells, names and numbers stay, and so do `points`, in which S is one surface; the cells' own nodes are elsewhere
@@ -273,7 +282,7 @@ def points_on_middle(joint: Joint) -> FloatArray:
     return x
 
 
-def to_middle(joint: Joint) -> FloatArray:
+def offset_to_middle(joint: Joint) -> FloatArray:
     """(n_cells, k, d) how far the nodes of each cell on its facets of S are from the middle; zero at other nodes."""
     out, both = np.zeros_like(joint.cell_points), joint.faces()
     for cells, own in zip(joint.surface_cells.T, both, strict=True):

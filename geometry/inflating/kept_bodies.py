@@ -9,9 +9,9 @@ import scipy.sparse.linalg
 from forms.base import InputError
 from forms.declarations import warn_of_range
 from geometry.joint import FLAT, Joint
-from geometry.refusals import place, refuse
+from geometry.refusals import place_text, refuse
 from geometry.sheet import Sheet
-from geometry.topology import FloatArray, IntArray, connected, is_tensor, sums
+from geometry.topology import FloatArray, IntArray, connected, is_tensor, sum_by_number
 
 UNIFORM = 1e-12  # relative difference of thicknesses that counts as none
 SAME_GAP = 1e-9  # relative error of the thickness between bodies that are kept
@@ -49,8 +49,8 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     pairs, at = np.unique(ends, axis=0, return_inverse=True)
     at = at.ravel()
     weight: FloatArray = np.bincount(at, area).astype(float)
-    moment = sums(at, area[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))
-    opened = sums(at, (area * eps)[:, None] * n, len(pairs))
+    moment = sum_by_number(at, area[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))
+    opened = sum_by_number(at, (area * eps)[:, None] * n, len(pairs))
     values, vectors = np.linalg.eigh(moment / weight[:, None, None])
     across = values > 10 * FLAT**2
     inverse = np.where(across, 1 / np.where(across, values, 1.0), 0.0)
@@ -143,7 +143,9 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
                 probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
                 hit = _first_hit(joint, probes, outer[piece == fixed], sign * way / eps, eps)
                 if hit is not None:
-                    raise InputError(f"no room for a layer of thickness {eps:g} at {place(hit)}: bodies would overlap")
+                    raise InputError(
+                        f"no room for a layer of thickness {eps:g} at {place_text(hit)}: bodies would overlap"
+                    )
 
 
 def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:

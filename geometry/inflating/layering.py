@@ -8,20 +8,22 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from forms.base import InputError, is_finite, is_whole, require
-from geometry.inflating.band_cells import Copies, Posts, level_heights
+from forms.base import InputError, is_finite, is_integer, require
+from geometry.inflating.band_cells import NodeCopies, NodeLines, level_heights
 from geometry.joint import Joint, Profile
-from geometry.refusals import place, refuse, require_known
+from geometry.refusals import place_text, refuse, require_known
 from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE
-from geometry.sheet import continued
+from geometry.sheet import continued_ridges
 from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, keys_of_ridges
 
 WAYS = ("kept", "extended")
 THINNEST = 1e-11  # thickness of a meshed layer over the size of its joint
-Given = TypeVar("Given")
+ValueType = TypeVar("ValueType")
 
 
-def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *default: Given) -> dict[str, Given]:
+def value_by_seam(
+    joint: Joint, given: ValueType | Mapping[str, ValueType], what: str, *default: ValueType
+) -> dict[str, ValueType]:
     """A value for each seam, from one for all, or from {name of a seam: value}; others get the default, if one is given.
 
     Raises:
@@ -40,7 +42,9 @@ def by_seam(joint: Joint, given: Given | Mapping[str, Given], what: str, *defaul
 def check_layering(cells_through: int, bodies: str) -> None:
     """Raise InputError unless cells_through >= 1 and `bodies` is "kept" or "extended"."""
     require_known("way to make room for the layer (bodies=...)", bodies, WAYS)
-    require(is_whole(cells_through, 1), "cells_through", cells_through, "the layer needs a whole number >= 1 of cells")
+    require(
+        is_integer(cells_through, 1), "cells_through", cells_through, "the layer needs a whole number >= 1 of cells"
+    )
 
 
 @dataclass(frozen=True)
@@ -74,9 +78,9 @@ class Layering:
         in_gaps = np.isin(np.array([*joint.seams])[joint.seam_numbers], list(gaps))
         if in_gaps.all():
             raise InputError("all seams are gaps: there is no layer to mesh; use the interface model")
-        sizes: dict[str, float] = by_seam(joint, eps, "eps")
-        shares: dict[str, Sequence[float]] = by_seam(joint, fractions, "fractions", ())
-        profiles: dict[str, Profile | None] = by_seam(joint, profile, "profile", None)
+        sizes: dict[str, float] = value_by_seam(joint, eps, "eps")
+        shares: dict[str, Sequence[float]] = value_by_seam(joint, fractions, "fractions", ())
+        profiles: dict[str, Profile | None] = value_by_seam(joint, profile, "profile", None)
         whole = joint.size
         for name, size in sizes.items():
             which, some = "" if len(joint.seams) == 1 else f" of {name!r}", shares[name]
@@ -88,7 +92,7 @@ class Layering:
                 raise InputError(f"the fractions {tuple(some)}{which} of sublayers must be numbers > 0 and add up to 1")
         if joint.tip is not None:
             reason = "the layer has no room at its tip and cannot be meshed; use the interface model"
-            raise InputError(f"S ends inside the bodies (near {place(joint.tip)}): {reason}")
+            raise InputError(f"S ends inside the bodies (near {place_text(joint.tip)}): {reason}")
         relative = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in sizes.items()])
         thickness = relative[joint.seam_numbers[:, None], joint.surface]
         heights = [level_heights(joint.degree, through, some) for some in shares.values()]
@@ -98,7 +102,7 @@ class Layering:
         return cls(floats, shares, heights, thickness, varying, claims, ~in_gaps)
 
 
-def check_junctions(joint: Joint, posts: Posts, layers: Layering) -> None:
+def check_junctions(joint: Joint, posts: NodeLines, layers: Layering) -> None:
     """Raise InputError where layers meet that cannot be meshed there.
 
     Args:
@@ -120,7 +124,7 @@ def check_junctions(joint: Joint, posts: Posts, layers: Layering) -> None:
 
 
 def moved_facets(
-    joint: Joint, copies: Copies, layers: Layering, cells: IntArray, n_bands: int, footprint: IntArray
+    joint: Joint, copies: NodeCopies, layers: Layering, cells: IntArray, n_bands: int, footprint: IntArray
 ) -> tuple[dict[str, IntArray], tuple[str, ...]]:
     """Facet sets of the inflated joint, and the names of those between bodies and layers.
 
@@ -156,7 +160,7 @@ def moved_facets(
             continue
         rows = joint.table.index(facets)
         out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
-        on = np.isin(below_sides, continued(joint, facets)).any(axis=1)
+        on = np.isin(below_sides, continued_ridges(joint, facets)).any(axis=1)
         around = stands[on & of_band]  # the end of a junction in 3D continues what the layers around it do
         on |= upright & np.isin(stands[:, 0], around)
         if on.any():

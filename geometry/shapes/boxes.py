@@ -10,11 +10,11 @@ from math import ceil
 
 import numpy as np
 
-from forms.base import InputError, is_finite, is_whole, require
+from forms.base import InputError, is_finite, is_integer, require
 from geometry.joint import Joint
 from geometry.seam import S, Seam
-from geometry.shapes.drawing import Drawing, Extent, Prism, surface
-from geometry.shapes.sizing import DIGITS, Cells, Grading, gmsh
+from geometry.shapes.drawing import Drawing, Prism, SizeLengths, plane_surface
+from geometry.shapes.sizing import DIGITS, Grading, MeshOptions, gmsh
 from geometry.topology import FacetTable, FloatArray, IntArray, is_tensor
 
 BED, HEAD = "BED", "HEAD"
@@ -41,9 +41,9 @@ class Boxes(Prism):
         return {"width": self.width, **{f"height of {name}": height for name, height in self.bodies}, **super().lengths}
 
     @property
-    def extent(self) -> Extent:
+    def extent(self) -> SizeLengths:
         """The smallest side, the longest one of S, and the height."""
-        return Extent(min(self.lengths.values()), max(self.width, self.depth or 0.0), "abs(y)")
+        return SizeLengths(min(self.lengths.values()), max(self.width, self.depth or 0.0), "abs(y)")
 
     def draw_plane(self) -> Drawing:
         """Rectangles; a grid needs no drawing."""
@@ -57,7 +57,7 @@ class Boxes(Prism):
         if two:
             curves["BOTTOM"] = [across[0]]
         rows = zip(pairwise(across), rise, strict=True)
-        surfaces = [surface([low, right, -high, -left]) for (low, high), (left, right) in rows]
+        surfaces = [plane_surface([low, right, -high, -left]) for (low, high), (left, right) in rows]
         kernel.synchronize()
         bodies = {name: [tag] for (name, _), tag in zip(self.bodies, surfaces, strict=True)}
         return Drawing(bodies, curves, surfaces, {})
@@ -72,7 +72,7 @@ class Boxes(Prism):
         lengths = (self.width, *([self.depth] if self.depth else []))
         across = [Grading.of(length, h_ends, h_S, symmetric=True).along(length) for length in lengths]
         axes = [across[0], np.concatenate([*down, Grading.of(height, h_S, h).along(height)]), *across[1:]]
-        grid, base = Grid([axis * unit for axis in axes], self.kind, self.cells.arrangement), sum(map(len, down))
+        grid, base = BoxGrid([axis * unit for axis in axes], self.kind, self.cells.arrangement), sum(map(len, down))
         facets = grid.sides() | {S: grid.plane(1, base)}
         if not below:
             del facets["BOTTOM"]
@@ -81,7 +81,7 @@ class Boxes(Prism):
 
 
 @dataclass(frozen=True)
-class Grid:
+class BoxGrid:
     """A grid of boxes, or of the simplices that fill them.
 
     Attributes:
@@ -147,7 +147,7 @@ class Grid:
         return np.concatenate([np.column_stack([below[:, : k + 1], below[:, k:] + 1]) for k in range(rows.shape[1])])
 
 
-def running_bond(cells: Cells, size: Sequence[float], bricks: int, courses: int) -> Joint:
+def running_bond(cells: MeshOptions, size: Sequence[float], bricks: int, courses: int) -> Joint:
     """A wall whose bricks are shifted by half in every other course, with half bricks at the ends.
 
     Args:
@@ -160,12 +160,12 @@ def running_bond(cells: Cells, size: Sequence[float], bricks: int, courses: int)
     """
     half, height, *others = _counts(cells, size, 1)
     for what, number in (("bricks", bricks), ("courses", courses)):
-        require(is_whole(number, 1), what, number, "give a whole number >= 1")
+        require(is_integer(number, 1), what, number, "give a whole number >= 1")
     lengths = [size[0] * bricks, size[1] * courses, *size[2:]]
     return _joint(cells, lengths, [2 * half * int(bricks), height * int(courses), *others], (half, height))
 
 
-def repeated_bond(cells: Cells, size: Sequence[float], cut: tuple[float, float]) -> Joint:
+def repeated_bond(cells: MeshOptions, size: Sequence[float], cut: tuple[float, float]) -> Joint:
     """The cell that repeats in a running bond, not yet periodic: one brick wide and two courses high, cut through bricks.
 
     Args:
@@ -187,7 +187,7 @@ def repeated_bond(cells: Cells, size: Sequence[float], cut: tuple[float, float])
     return _joint(cells, [size[0], 2 * size[1], *size[2:]], [2 * half, 2 * height, *others], (half, height), start)
 
 
-def _counts(cells: Cells, size: Sequence[float], least: int) -> list[int]:
+def _counts(cells: MeshOptions, size: Sequence[float], least: int) -> list[int]:
     """Cells in half a brick along x, in its height, at least so many in each of the two, and in its depth."""
     names = ("width", "height", "depth")
     cells.check({f"{name} of a brick": a for name, a in zip(names, size, strict=False)}, len(size))
@@ -196,7 +196,7 @@ def _counts(cells: Cells, size: Sequence[float], least: int) -> list[int]:
     return [max(least, half), max(least, height), *depth]
 
 
-def _joint(cells: Cells, lengths: Sequence[float], counts: list[int], brick: Pair, start: Pair = (0, 0)) -> Joint:
+def _joint(cells: MeshOptions, lengths: Sequence[float], counts: list[int], brick: Pair, start: Pair = (0, 0)) -> Joint:
     """The joint of a grid, with beds between courses, heads between the bricks of a course, and its sides.
 
     Args:
@@ -208,7 +208,7 @@ def _joint(cells: Cells, lengths: Sequence[float], counts: list[int], brick: Pai
     d, (half, height) = len(lengths), brick
     kind = cells.cell or {2: "quadrilateral", 3: "hexahedron"}[d]
     axes = [np.linspace(0.0, length, n + 1).astype(float) for length, n in zip(lengths, counts, strict=True)]
-    grid = Grid(axes, kind)
+    grid = BoxGrid(axes, kind)
     rows, at = grid.cells, grid.places
     course = (at[:, 1] + start[1]) // height
     number = (at[:, 0] + start[0] + half * (course % 2)) // (2 * half)

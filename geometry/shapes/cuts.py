@@ -9,15 +9,15 @@ from typing import Any, Self
 import numpy as np
 from scipy.spatial import Voronoi, cKDTree
 
-from forms.base import InputError, is_whole, require
-from forms.temperature import finite
+from forms.base import InputError, is_integer, require
+from forms.temperature import finite_values
 from geometry.identified_sides import SAME_PLACE
 from geometry.refusals import refuse
 from geometry.seam import LEAST_COSINE, Seam
-from geometry.shapes.drawing import Drawing, Extent, Shape
-from geometry.shapes.sizing import Cells, gmsh
-from geometry.sheet import from_segments
-from geometry.topology import BoolArray, FloatArray, IntArray, sums
+from geometry.shapes.drawing import Drawing, Shape, SizeLengths
+from geometry.shapes.sizing import MeshOptions, gmsh
+from geometry.sheet import vectors_from_segments
+from geometry.topology import BoolArray, FloatArray, IntArray, sum_by_number
 
 SIDES = ("BOTTOM", "RIGHT", "TOP", "LEFT")
 NEAR = 0.5  # least distance between lines that do not meet, over the cell size there
@@ -56,9 +56,9 @@ class CutRectangle(Shape):
         return {"width": self.width, "height": self.height}
 
     @property
-    def extent(self) -> Extent:
+    def extent(self) -> SizeLengths:
         """The size of grains, or the smaller side, and the longer side."""
-        return Extent(self.grain, max(self.width, self.height))
+        return SizeLengths(self.grain, max(self.width, self.height))
 
     @property
     def lines(self) -> FloatArray:
@@ -100,7 +100,7 @@ class CutRectangle(Shape):
         size, lines, near = self.sizes[2], self.lines, SAME_PLACE * self.extent.span
         ends = lines.reshape(-1, 2)
         points = ends[self.inside(ends, -near)]
-        apart = from_segments(points, lines[:, 0], lines[:, 1])
+        apart = vectors_from_segments(points, lines[:, 0], lines[:, 1])
         distance = np.linalg.norm(apart, axis=2)
         distance[distance <= 2 * near] = np.inf
         point, line = np.unravel_index(distance.argmin(), distance.shape)
@@ -110,7 +110,7 @@ class CutRectangle(Shape):
         return self
 
 
-def faulted(cells: Cells, width: float, height: float, faults: Mapping[str, Any]) -> CutRectangle:
+def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: Mapping[str, Any]) -> CutRectangle:
     """A block with faults: name -> points, from one end to the other. Raises InputError, see `builders.faults`."""
     cells.check({"width": width, "height": height}, 2)
     if not isinstance(faults, Mapping) or not faults:
@@ -126,7 +126,7 @@ def faulted(cells: Cells, width: float, height: float, faults: Mapping[str, Any]
 
 def _points(given: Any, what: str) -> FloatArray:
     """(n, 2) points; raises InputError."""
-    if (x := finite(given, (-1, 2))) is None or len(x) < 2:
+    if (x := finite_values(given, (-1, 2))) is None or len(x) < 2:
         raise InputError(f"{what} is {given!r}; it must be two points (x, y) or more")
     return x
 
@@ -141,19 +141,19 @@ def _path(name: str, points: Any) -> FloatArray:
     return x
 
 
-def grained(
-    cells: Cells, width: float, height: float, grains: Any, seed: int, seams: Callable[[int, int], str] | None
+def grain_rectangle(
+    cells: MeshOptions, width: float, height: float, grains: Any, seed: int, seams: Callable[[int, int], str] | None
 ) -> CutRectangle:
     """Voronoi grains of given points, or of random ones. Raises InputError, see `builders.grains`."""
     cells.check({"width": width, "height": height}, 2)
     size = max(width, height)
     box = np.array([width, height]) / size
     if np.ndim(grains) == 0:
-        require(is_whole(grains, 2), "grains", grains, "it must be a whole number >= 2, or points (x, y)")
-        require(is_whole(seed, 0), "seed", seed, "it must be a whole number >= 0")
-        points = _relaxed(np.random.default_rng(int(seed)).random((int(grains), 2)) * box, box)
+        require(is_integer(grains, 2), "grains", grains, "it must be a whole number >= 2, or points (x, y)")
+        require(is_integer(seed, 0), "seed", seed, "it must be a whole number >= 0")
+        points = _relaxed_points(np.random.default_rng(int(seed)).random((int(grains), 2)) * box, box)
     else:
-        points = np.asarray(_seeds(grains, width, height) / size, float)
+        points = np.asarray(_grain_points(grains, width, height) / size, float)
     ridges, pairs = _ridges(points, box)
     named = [seams(int(a), int(b)) for a, b in pairs + 1] if seams else ["S"] * len(pairs)
     grain = size * float(np.sqrt(box.prod() / len(points)))
@@ -162,7 +162,7 @@ def grained(
     return shape.require_apart("boundaries of grains", "use smaller cells, another seed or other points")
 
 
-def _seeds(given: Any, width: float, height: float) -> FloatArray:
+def _grain_points(given: Any, width: float, height: float) -> FloatArray:
     """(n, 2) points of grains; raises InputError."""
     x = _points(given, "grains")
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"
@@ -194,7 +194,7 @@ def _voronoi(points: FloatArray, box: FloatArray) -> Voronoi:
     return Voronoi(np.concatenate(images))
 
 
-def _relaxed(points: FloatArray, box: FloatArray) -> FloatArray:
+def _relaxed_points(points: FloatArray, box: FloatArray) -> FloatArray:
     """Points moved to the centres of their cells a few times, then towards each other across short sides of their cells.
 
     This makes such a side longer.
@@ -212,7 +212,7 @@ def _relaxed(points: FloatArray, box: FloatArray) -> FloatArray:
         way = cells.points[other] - cells.points[one]
         way *= SHORT * size / 2 / np.linalg.norm(way, axis=1)[:, None]
         count = len(cells.points)
-        points = points + (sums(one, way, count) - sums(other, way, count))[:n]
+        points = points + (sum_by_number(one, way, count) - sum_by_number(other, way, count))[:n]
     return points
 
 
@@ -227,4 +227,4 @@ def _centres(points: FloatArray, box: FloatArray) -> FloatArray:
     to = x - points[own][:, None]
     area = np.abs(to[:, 0, 0] * to[:, 1, 1] - to[:, 0, 1] * to[:, 1, 0])  # twice that of a triangle over the point
     moment = area[:, None] * to.sum(axis=1) / 3
-    return np.asarray(points + sums(own, moment, n) / np.bincount(own, area, n)[:, None])
+    return np.asarray(points + sum_by_number(own, moment, n) / np.bincount(own, area, n)[:, None])

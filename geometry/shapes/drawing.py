@@ -16,7 +16,7 @@ import numpy as np
 from forms.base import InputError, is_number
 from geometry.joint import Joint
 from geometry.seam import S, Seam
-from geometry.shapes.sizing import CELLS, PARTS, RANGE, Cells, Grading, gmsh, require_wide, times
+from geometry.shapes.sizing import CELLS, PARTS, RANGE, Grading, MeshOptions, gmsh, require_width, scaled_length
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor, weights_between
 
 FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from ours
@@ -45,7 +45,7 @@ class Drawing:
     circles: tuple[list[int], float] | None = None
 
 
-class Extent(NamedTuple):
+class SizeLengths(NamedTuple):
     """What cell sizes of a shape follow from.
 
     Attributes:
@@ -65,7 +65,7 @@ class Extent(NamedTuple):
 class Shape(ABC):
     """A joint that gmsh can draw and mesh. All numbers among its fields are lengths, but `angles`."""
 
-    cells: Cells
+    cells: MeshOptions
     angles: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
@@ -83,7 +83,7 @@ class Shape(ABC):
 
     @property
     @abstractmethod
-    def extent(self) -> Extent:
+    def extent(self) -> SizeLengths:
         """Lengths that the sizes of cells depend on."""
 
     def scaled(self, factor: float) -> Self:
@@ -119,7 +119,7 @@ class Shape(ABC):
         between 1 and 1000, and the mesh is the same in nm, mm, m and km.
         """
         largest = max(self.lengths.values())
-        require_wide("the thinnest part", self.extent.thinnest, largest)
+        require_width("the thinnest part", self.extent.thinnest, largest)
         if self.cells.h is None and self.sizes[0] < RANGE * largest:
             raise InputError(f"the default cell size h is {self.sizes[0]:g}; give h, from {RANGE * largest:g} on")
         digits = UNITS * floor(log10(largest) / UNITS)
@@ -249,7 +249,7 @@ class Prism(Shape):
             return plane
         _, h_S, h_ends = self.sizes
         swept = self.sweep(plane.floor, (0.0, 0.0, self.depth), Grading.of(self.depth, h_ends, h_S, symmetric=True))
-        facets = {name: walls(curves, plane.floor) for name, curves in plane.facets.items()}
+        facets = {name: swept_surfaces(curves, plane.floor) for name, curves in plane.facets.items()}
         bodies = {name: [swept[tag][0] for tag in tags] for name, tags in plane.bodies.items()}
         ends = {"BACK": plane.floor, "FRONT": [front for _, front in swept.values()]}
         return replace(plane, bodies=bodies, facets=facets | ends)
@@ -263,15 +263,15 @@ def _scaled(value: Any, factor: float) -> Any:
         return value.scaled(factor)
     if isinstance(value, np.ndarray):
         return value * factor
-    return times(value, factor) if is_number(value) else value
+    return scaled_length(value, factor) if is_number(value) else value
 
 
-def walls(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:
+def swept_surfaces(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:
     """The surfaces that sweeping `surfaces` has made of some of their curves."""
     return [int(tag) for curve in curves for tag in gmsh.model.getAdjacencies(1, curve)[0] if tag not in surfaces]
 
 
-def surface(sides: Sequence[int]) -> int:
+def plane_surface(sides: Sequence[int]) -> int:
     """A plane surface bounded by curves, negative where they run backwards, in gmsh's built-in kernel."""
     kernel = gmsh.model.geo
     return int(kernel.addPlaneSurface([kernel.addCurveLoop(sides)]))

@@ -10,15 +10,15 @@ from typing import ClassVar
 
 from forms.base import InputError, is_finite
 from geometry.seam import S
-from geometry.shapes.drawing import Drawing, Extent, Prism, Shape, surface, walls
-from geometry.shapes.sizing import Grading, gmsh, require_wide
+from geometry.shapes.drawing import Drawing, Prism, Shape, SizeLengths, plane_surface, swept_surfaces
+from geometry.shapes.sizing import Grading, gmsh, require_width
 
 TURN = 0.3  # largest angle of a cell about the axis, in radians
 CORE = 0.65  # half the diagonal of the square grid in the middle of a disc, over the radius
 
 
 @dataclass(frozen=True)
-class Web:
+class PolarLines:
     """Arcs about the origin and the spokes between them, from the innermost arc and the first spoke on.
 
     Attributes:
@@ -32,7 +32,7 @@ class Web:
     patches: list[list[int]]
 
     @classmethod
-    def drawn(cls, radii: Sequence[float], angle: float, plane: str, *, chords: bool = False) -> Web:
+    def drawn(cls, radii: Sequence[float], angle: float, plane: str, *, chords: bool = False) -> PolarLines:
         """Draw a web with gmsh.
 
         Args:
@@ -61,7 +61,7 @@ class Web:
         patches = []
         for ring, (low, high) in zip(spokes, pairwise(arcs), strict=True):
             sides = zip(low, high, neighbours(ring), strict=True)
-            patches.append([surface([start, far, -end, -near]) for near, far, (start, end) in sides])
+            patches.append([plane_surface([start, far, -end, -near]) for near, far, (start, end) in sides])
         return cls(arcs, spokes, patches)
 
 
@@ -94,19 +94,21 @@ class Rings(Prism):
         return {"inner": self.inner, "interface": self.interface, "outer": self.outer, **super().lengths}
 
     @property
-    def extent(self) -> Extent:
+    def extent(self) -> SizeLengths:
         """At any radius cells are small enough to follow a circle."""
         thinnest = min(self.interface - self.inner, self.outer - self.interface, self.depth or self.outer)
         radius = "sqrt(x*x + y*y)"
         distance = f"abs({radius} - {float(self.interface)!r})"
-        return Extent(thinnest, max(self.angle * self.interface, self.depth or 0.0), distance, f"{TURN!r} * {radius}")
+        return SizeLengths(
+            thinnest, max(self.angle * self.interface, self.depth or 0.0), distance, f"{TURN!r} * {radius}"
+        )
 
     def draw_plane(self) -> Drawing:
         """Rings between spokes; INNER's spokes end at S, where OUTER's begin.
 
         A polar grid has cells from h_S at S to h away from it, from h_ends at the ends of S to h_S between them.
         """
-        web = Web.drawn((self.inner, self.interface, self.outer), self.angle, "xy")
+        web = PolarLines.drawn((self.inner, self.interface, self.outer), self.angle, "xy")
         gmsh.model.geo.synchronize()
         h, h_S, h_ends = self.sizes
         curves = dict(zip(("INSIDE", S, "OUTSIDE"), web.arcs, strict=True))
@@ -145,7 +147,7 @@ class Discs(Shape):
         if not (is_finite(self.hole) and 0 <= self.hole < self.radius):
             raise InputError(f"hole is {self.hole!r}; it must be 0 (no hole) or a radius less than {self.radius}")
         if self.hole:
-            require_wide("hole", self.hole, self.radius)
+            require_width("hole", self.hole, self.radius)
 
     @property
     def dim(self) -> int:
@@ -158,11 +160,11 @@ class Discs(Shape):
         return {"radius": self.radius, "height of LOWER": self.lower, "height of UPPER": self.upper}
 
     @property
-    def extent(self) -> Extent:
+    def extent(self) -> SizeLengths:
         """Cells are small enough to follow a circle, at every radius if there is a hole."""
         radius = "sqrt(x*x + z*z)" if self.hole else repr(float(self.radius))
         thinnest = min(self.radius - self.hole, self.lower, self.upper)
-        return Extent(thinnest, tau * self.radius, "abs(y)", f"{TURN!r} * {radius}")
+        return SizeLengths(thinnest, tau * self.radius, "abs(y)", f"{TURN!r} * {radius}")
 
     def draw(self) -> Drawing:
         """A disc in the plane of S, swept to both sides.
@@ -172,13 +174,13 @@ class Discs(Shape):
         h, h_S, h_ends = self.sizes
         core = CORE * self.radius if self.gridded and not self.hole else 0.0
         start = self.hole or core
-        web = Web.drawn((start, self.radius) if start else (self.radius,), tau, "xz", chords=core > 0)
-        disc = list(chain.from_iterable(web.patches)) + ([] if self.hole else [surface(web.arcs[0])])
+        web = PolarLines.drawn((start, self.radius) if start else (self.radius,), tau, "xz", chords=core > 0)
+        disc = list(chain.from_iterable(web.patches)) + ([] if self.hole else [plane_surface(web.arcs[0])])
         gmsh.model.geo.synchronize()
         low = self.sweep(disc, (0.0, -self.lower, 0.0), Grading.of(self.lower, h_S, h))
         high = self.sweep(disc, (0.0, self.upper, 0.0), Grading.of(self.upper, h_S, h))
-        hole = {"HOLE": walls(web.arcs[0], disc)} if self.hole else {}
-        facets = {S: disc, "SIDE": walls(web.arcs[-1], disc)} | hole
+        hole = {"HOLE": swept_surfaces(web.arcs[0], disc)} if self.hole else {}
+        facets = {S: disc, "SIDE": swept_surfaces(web.arcs[-1], disc)} | hole
         facets |= {name: [far for _, far in swept.values()] for name, swept in (("BOTTOM", low), ("TOP", high))}
         bodies = {name: [volume for volume, _ in swept.values()] for name, swept in (("LOWER", low), ("UPPER", high))}
         along = min(h_S, TURN * self.radius)
@@ -228,19 +230,19 @@ class Fibre(Shape):
         return {"radius": self.radius} | dict(zip(names, self.around, strict=True))
 
     @property
-    def extent(self) -> Extent:
+    def extent(self) -> SizeLengths:
         """Cells are small enough to follow a circle at every radius from that of S on."""
         radius = repr(float(self.radius))
         limit = f"{TURN!r} * ({radius} + abs(sqrt(x*x + y*y) - {radius}))"
-        return Extent(min(self.radius, self.gap), tau * self.radius, limit=limit)
+        return SizeLengths(min(self.radius, self.gap), tau * self.radius, limit=limit)
 
     def draw(self) -> Drawing:
         """A disc in a ring or in a rectangle with a hole; a polar grid around a square one, from h_S at S to h."""
         h, h_S, _ = self.sizes
         core = CORE * self.radius
         radii = (*([core] if self.gridded else []), self.radius, *(self.around if self.round else ()))
-        web = Web.drawn(radii, tau, "xy", chords=self.gridded)
-        fibre = [*(web.patches[0] if self.gridded else ()), surface(web.arcs[0])]
+        web = PolarLines.drawn(radii, tau, "xy", chords=self.gridded)
+        fibre = [*(web.patches[0] if self.gridded else ()), plane_surface(web.arcs[0])]
         circle = web.arcs[int(self.gridded)]
         sides, matrix = ({"OUTSIDE": web.arcs[-1]}, web.patches[-1]) if self.round else self._rectangle(circle)
         gmsh.model.geo.synchronize()

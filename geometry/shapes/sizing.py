@@ -8,8 +8,8 @@ from typing import Any, Self, TypedDict, get_type_hints
 
 import numpy as np
 
-from forms.base import InputError, is_finite, optional, require
-from geometry.refusals import require_known, unknown
+from forms.base import InputError, import_optional, is_finite, require
+from geometry.refusals import require_known, unknown_name_message
 from geometry.topology import FloatArray
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
@@ -24,20 +24,20 @@ class _Gmsh:
     """The module gmsh, imported when it is first used: it takes a third of a second, and one rank needs it."""
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(optional("gmsh"), name)
+        return getattr(import_optional("gmsh"), name)
 
 
 gmsh = _Gmsh()
 
 
-class Sizes(TypedDict, total=False):
+class SizeArgs(TypedDict, total=False):
     """Cell sizes at S and at the ends of S, lengths; None for the default."""
 
     h_S: float | None
     h_ends: float | None
 
 
-class Grid(Sizes, total=False):
+class GridArgs(SizeArgs, total=False):
     """And the cells of boxes, see `block`."""
 
     cell: str | None
@@ -45,19 +45,19 @@ class Grid(Sizes, total=False):
     arrangement: str
 
 
-class Curved(Sizes, total=False):
+class CurvedArgs(SizeArgs, total=False):
     """And the cells of round shapes, see `disc`."""
 
     cell: str | None
     degree: int
 
 
-def times(length: float, factor: float) -> float:
+def scaled_length(length: float, factor: float) -> float:
     """A length times a power of ten, rounded to 15 digits."""
     return length if factor == 1 else float(f"{length * factor:.15g}")
 
 
-def require_wide(what: str, length: float, largest: float) -> None:
+def require_width(what: str, length: float, largest: float) -> None:
     """Raise InputError for a part of a shape that is too thin for gmsh."""
     if length < THIN * largest:
         least = f"{THIN * largest:g} ({THIN:g} of the largest length)"
@@ -65,7 +65,7 @@ def require_wide(what: str, length: float, largest: float) -> None:
 
 
 @dataclass(frozen=True)
-class Cells:
+class MeshOptions:
     """Requested cells of a shape.
 
     Attributes:
@@ -85,10 +85,10 @@ class Cells:
     arrangement: str = "Right"
 
     @classmethod
-    def of(cls, h: float | None, given: Mapping[str, Any], allowed: type[Sizes]) -> Self:
+    def of(cls, h: float | None, given: Mapping[str, Any], allowed: type[SizeArgs]) -> Self:
         """From what a builder is given; raises InputError for a keyword that is not one of those of `allowed`."""
         for name in given.keys() - (known := get_type_hints(allowed)):
-            raise InputError(unknown("keyword", name, known))
+            raise InputError(unknown_name_message("keyword", name, known))
         return cls(h, **given)
 
     def check(self, lengths: Mapping[str, float], dim: int) -> None:
@@ -97,7 +97,7 @@ class Cells:
             require(is_finite(value) and value > 0, what, value, "it must be > 0")
         largest = max(lengths.values())
         for what, value in lengths.items():
-            require_wide(what, value, largest)
+            require_width(what, value, largest)
         smallest = RANGE * largest
         for what, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
             allowed = size is None or (is_finite(size) and smallest <= size <= largest)
@@ -108,9 +108,9 @@ class Cells:
         require(good, "degree", self.degree, "allowed: 1 (straight cells), 2 (curved cells)")
         require_known("arrangement", self.arrangement, ARRANGEMENTS)
 
-    def scaled(self, factor: float) -> Cells:
+    def scaled(self, factor: float) -> MeshOptions:
         """The cells with all sizes times a factor."""
-        h, h_S, h_ends = (size and times(size, factor) for size in (self.h, self.h_S, self.h_ends))
+        h, h_S, h_ends = (size and scaled_length(size, factor) for size in (self.h, self.h_S, self.h_ends))
         return replace(self, h=h, h_S=h_S, h_ends=h_ends)
 
 

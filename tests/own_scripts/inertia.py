@@ -6,13 +6,13 @@ import ufl
 from dolfinx import fem
 
 from thinlayer import InputError
-from thinlayer.discretisation.addition import Addition
-from thinlayer.parts.form_part import matrix
-from thinlayer.parts.part import Block, Outcome, Part, PartTraits
+from thinlayer.discretisation.addition import PartDefinition
+from thinlayer.parts.form_part import assemble_plain_matrix
+from thinlayer.parts.part import Block, Part, PartTraits, StepOutcome
 
 
 @dataclass(frozen=True)
-class Inertia(Addition):
+class Inertia(PartDefinition):
     rho: float  # mass per volume
     beta: float = 1 / 4
     gamma: float = 1 / 2  # larger values damp what the mesh cannot show
@@ -31,7 +31,7 @@ class Newmark(Part):
     def __init__(self, given, model):
         self.key, self.given, self.V = given.key, given, model.V
         u, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
-        self.M = matrix(given.rho * ufl.inner(u, v) * model.dx)
+        self.M = assemble_plain_matrix(given.rho * ufl.inner(u, v) * model.dx)
 
     def rest(self):
         return {"v": fem.Function(self.V), "a": fem.Function(self.V)}
@@ -61,4 +61,4 @@ class Newmark(Part):
     def commit(self):
         v, before = self.new["v"].x.petsc_vec, self.interval.old.stored.get(self.key, 0.0)
         after = v.dot(self.M * v) / 2
-        return Outcome(before, after, remainder=self.forces.dot(self.moved) - (after - before), memory=self.new)
+        return StepOutcome(before, after, remainder=self.forces.dot(self.moved) - (after - before), memory=self.new)

@@ -8,12 +8,12 @@ import scipy.sparse
 from forms import LinearElastic
 from geometry import sandwich
 from thinlayer import Probe, Structure, ThinLayer, solve
-from thinlayer.discretisation.addition import Addition
-from thinlayer.discretisation.constraints import Tied
+from thinlayer.discretisation.addition import PartDefinition
+from thinlayer.discretisation.constraints import MultiPointConstraint
 
 
 @dataclass(frozen=True)
-class Level(Addition):
+class Level(PartDefinition):
     """All nodes of a facet set move alike along y, under a given force: a stiff beam that is guided."""
 
     place: str
@@ -32,7 +32,7 @@ class Level(Addition):
         rows = self.held(model, model.V)
         rows = rows[rows < n]
         R = scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, np.zeros_like(rows))), (n, 1))
-        return Tied(self.key, ["y"], R, {}, lambda t: np.array([self.given(model).at_time(t)]))
+        return MultiPointConstraint(self.key, ["y"], R, {}, lambda t: np.array([self.given(model).at_time(t)]))
 
 
 joint = sandwich(width=40, lower=6, upper=6, h=1)  # mm

@@ -15,7 +15,7 @@ from forms.base import Array, InputError, require
 from forms.kinematics import Expr
 from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXES
-from thinlayer.discretisation.constraints import Tied
+from thinlayer.discretisation.constraints import MultiPointConstraint
 from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.supports import Place
@@ -24,10 +24,10 @@ from thinlayer.system.ranks import destroy
 TAKEN = ("forms", LAYER, "pressure", CONTACT, BODIES, "loads")  # keys that every model may have
 
 
-Host = Any  # a `Model`, which imports this module
+HostModel = Any  # a `Model`, which imports this module
 
 
-class Addition:
+class PartDefinition:
     """A description of a part of the balance of forces, given to a model as one of `parts`: a frozen dataclass.
 
     Its fields and code are a part of the model's identity.
@@ -45,32 +45,32 @@ class Addition:
     @property
     def ties_nodes(self) -> bool:
         """Whether displacements follow motions of the part: it has a method `tied`."""
-        return type(self).tied is not Addition.tied
+        return type(self).tied is not PartDefinition.tied
 
     @property
     def has_work(self) -> bool:
         """Whether `work` gives its forces, at displacements alone, or it has none and ties nodes."""
-        return self.ties_nodes or type(self).work is not Addition.work
+        return self.ties_nodes or type(self).work is not PartDefinition.work
 
-    def check(self, model: Host) -> None:
+    def check(self, model: HostModel) -> None:
         """Raise InputError unless the description fits the model; by default it does. Collective.
 
         What varies in time is given to `model.coordinates` here: marches have steps that end at its break times.
         """
 
-    def is_linear(self, model: Host) -> bool:
+    def is_linear(self, model: HostModel) -> bool:
         """Whether the forces are linear in the unknowns."""
         return True
 
-    def is_symmetric(self, model: Host) -> bool:
+    def is_symmetric(self, model: HostModel) -> bool:
         """Whether the tangent is symmetric."""
         return True
 
-    def work(self, model: Host, u: Expr, v: Expr) -> Expr:
+    def work(self, model: HostModel, u: Expr, v: Expr) -> Expr:
         """Virtual work of the part's forces at displacements u, a UFL form linear in v; by default none."""
         return ufl.Form([])
 
-    def work_in(self, model: Host, state: Any, v: Expr) -> Expr:
+    def work_in(self, model: HostModel, state: Any, v: Expr) -> Expr:
         """Virtual work of the part's forces in a state, with which tractions on S are found; by default that of `work`.
 
         Raises:
@@ -81,7 +81,7 @@ class Addition:
             raise InputError(f"tractions on S contain the forces of the part {self.key!r}: {remedy}")
         return self.work(model, state.u, v)
 
-    def resistance(self, model: Host, motions: Sequence[fem.Function]) -> Array:
+    def resistance(self, model: HostModel, motions: Sequence[fem.Function]) -> Array:
         """Stiffness (m, m) of the part against m rigid motions of the structure. Collective.
 
         Entry (i, j) is the work that the part's forces do on motion j if motion i has taken place. Supports and parts
@@ -100,14 +100,14 @@ class Addition:
         destroy(forces, A)
         return stiffness
 
-    def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, Array]]:
+    def reaction(self, model: HostModel, u: fem.Function) -> list[tuple[Place, Array]]:
         """Places that the part holds, each with its force and moment (k,) about `model.centre` at displacements u.
 
         Collective. By default none: forces of a part of your own are no reactions.
         """
         return []
 
-    def held(self, model: Host, V: fem.FunctionSpace) -> Indices:
+    def held(self, model: HostModel, V: fem.FunctionSpace) -> Indices:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which the part acts as supports do.
 
         Collective. By default those of the components that it ties.
@@ -119,11 +119,11 @@ class Addition:
         blocks = fem.locate_dofs_topological(V, d - 1, facets)
         return np.unique(blocks[:, None] * d + np.array(axes, int)).astype(np.int32)
 
-    def tied(self, model: Host) -> Tied:
+    def tied(self, model: HostModel) -> MultiPointConstraint:
         """Displacements that follow motions of the part. Collective."""
         raise NotImplementedError
 
-    def load_work(self, model: Host, state: Any) -> float:
+    def load_work(self, model: HostModel, state: Any) -> float:
         """Work of given forces of the part, as of loads, in the displacements of a configuration. Collective.
 
         By default that of the resultants of what it ties.
@@ -134,18 +134,18 @@ class Addition:
                 found += float(tie.resultant(state.t) @ constraints.motion(tie, state.u.x.array[: constraints.n]))
         return found
 
-    def part(self, model: Host) -> Any:
+    def part(self, model: HostModel) -> Any:
         """The part, a `thinlayer.parts.part.Part` with this key; None: it has no forces. Collective."""
         return None
 
 
-def check_additions(parts: Sequence[Any], model: Host) -> None:
+def check_part_definitions(parts: Sequence[Any], model: HostModel) -> None:
     """Raise InputError unless a model's parts are additions that fit it, with keys of their own. Collective."""
     of_seams = {f"{kind} {name}" for kind in (LAYER, CONTACT, "pressure") for name in model.joint.seams}
     keys = {*TAKEN, *of_seams, *(f"{BODY} {name}" for name in model.joint.bodies)}
     for part in parts:
-        require(isinstance(part, Addition), "one of parts", part, "allowed: Springs, UflPart, or an Addition")
-        if not part.ties_nodes and type(part).part is Addition.part:
+        require(isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, or an Addition")
+        if not part.ties_nodes and type(part).part is PartDefinition.part:
             raise InputError(f"the addition {part.key!r} does nothing: it has neither part(model) nor tied(model)")
         sublayer = re.fullmatch(rf"{LAYER} \d+", part.key) or part.key.split("/")[0] in {LAYER, *of_seams}
         if sublayer or part.key in keys:

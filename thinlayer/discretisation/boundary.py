@@ -16,7 +16,7 @@ from geometry.domain import Domain, cell_nodes, cells_of_facets
 from geometry.joint import Joint
 from geometry.refusals import refuse, require_known
 from geometry.seam import LAYER, S
-from geometry.topology import BoolArray, Indices, IntArray, connected, facet_normals, sums
+from geometry.topology import BoolArray, Indices, IntArray, connected, facet_normals, sum_by_number
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.ranks import send
 
@@ -27,14 +27,14 @@ CORNER = 30.0  # degrees; facets whose normals differ by less at a node are one 
 ALONG_AXES = 1e-12  # a component of a unit normal that counts as rounding
 
 
-def on_axis(kinematics: Kinematics, joint: Joint) -> BoolArray:
+def nodes_on_axis(kinematics: Kinematics, joint: Joint) -> BoolArray:
     """(n,) which points of a joint lie on the axis."""
     return np.asarray(np.abs(kinematics.radius(joint.points)) <= ON_AXIS * joint.size)
 
 
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
     """Raise InputError unless a joint may be turned about the axis: r >= 0, no seam on the axis, no period across it."""
-    r, on = kinematics.radius(joint.points), on_axis(kinematics, joint)
+    r, on = kinematics.radius(joint.points), nodes_on_axis(kinematics, joint)
     message = f"plane={kinematics.name!r}: x is the distance from the axis of revolution, and {{bad}} points have x < 0"
     refuse((r < 0) & ~on, joint.points, f"{message}, the first at {{at}}; allowed: x >= 0")
     for name in joint.seams if joint.band is None else ():
@@ -46,7 +46,7 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
             raise InputError(f"plane={kinematics.name!r}: a structure repeats along the axis (y) alone")
 
 
-def is_across(kinematics: Kinematics, normals: Array) -> bool:
+def lies_across_axis(kinematics: Kinematics, normals: Array) -> bool:
     """Whether S, with these normals (n, d), lies across the axis: translations along them are rigid motions."""
     held = np.delete(normals, kinematics.translations(normals.shape[1]), axis=1)
     return bool(np.abs(held).max(initial=0.0) <= ACROSS)
@@ -54,12 +54,12 @@ def is_across(kinematics: Kinematics, normals: Array) -> bool:
 
 def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
     """Raise InputError unless bodies can be moved apart along the normals of S without a strain (bodies="kept")."""
-    if not is_across(kinematics, joint.interface_normals.reshape(-1, joint.dim)):
+    if not lies_across_axis(kinematics, joint.interface_normals.reshape(-1, joint.dim)):
         reason = "bodies='kept' moves them along the normal of S; a body of revolution cannot move away from its axis"
         raise InputError(f"plane={kinematics.name!r}: {reason}; use bodies='extended', or an S across the axis")
 
 
-def on_boundary(
+def boundary_values(
     domain: Domain, kinematics: Kinematics, name: Any, what: str, *, inside: bool = False, side: bool = False
 ) -> tuple[int, ...]:
     """Facet values of a place of the outer boundary, given by its name.
@@ -84,7 +84,7 @@ def on_boundary(
     if name in base.seams or whole == S or not (inside or domain.is_outer(name)):
         raise InputError(f"{what}: its facets lie inside, or below a layer; take a facet set on the outer boundary")
     facets = joint.facets.get(name, joint.facets.get(whole))
-    if not inside and facets is not None and len(facets) and on_axis(kinematics, joint)[facets].all():
+    if not inside and facets is not None and len(facets) and nodes_on_axis(kinematics, joint)[facets].all():
         raise InputError(f"{what}: these facets are the axis of revolution, which is no boundary")
     require_known("facet set", name, domain.facet_values, what)
     if not domain.values(name) and not (side and name.endswith(f"/{LAYER}")):
@@ -121,7 +121,7 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
     facets = domain.facets(place, layer_sides=True)
     cells, local = cells_of_facets(mesh, facets)
     owned = cells < mesh.topology.index_map(d).size_local
-    cells, local, continued = cells[owned], local[owned], _continued(domain, place, facets[owned])
+    cells, local, continued = cells[owned], local[owned], _continued_normals(domain, place, facets[owned])
     jacobian = fem.Expression(ufl.Jacobian(mesh), points)
     J = jacobian.eval(mesh, cells).reshape(len(cells), len(points), d, d) if len(cells) else np.empty((0, 1, d, d))
     outward, corners = basix.cell.facet_outward_normals(kind), basix.topology(kind)[d - 1]
@@ -156,7 +156,7 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
     return out
 
 
-def _continued(domain: Domain, place: str, facets: Indices) -> Array:
+def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
     """(n, d) outer unit normals of the side that facets of layers continue, before inflating; NaN for other facets."""
     joint, band, name = domain.joint, domain.joint.band, place.split("/")[0]
     out = np.full((len(facets), joint.dim), np.nan)
@@ -190,7 +190,7 @@ def _at_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Arr
     return received[:, 0].astype(np.int64) - imap.local_range[0], received[:, 1:]
 
 
-def smooth(normals: Array) -> tuple[IntArray, Array]:
+def smooth_surfaces(normals: Array) -> tuple[IntArray, Array]:
     """Which facet normals (n, d) at a node belong to one smooth surface, and the unit normals (k, d) of these surfaces.
 
     Facets whose normals differ by less than CORNER are one surface with their mean normal; others meet in a corner.
@@ -198,7 +198,7 @@ def smooth(normals: Array) -> tuple[IntArray, Array]:
     unit = normals / np.linalg.norm(normals, axis=1)[:, None]
     one, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER)))
     _, surface = np.unique(connected(one, other, len(unit)), return_inverse=True)
-    mean = sums(surface.ravel(), normals, surface.max() + 1)
+    mean = sum_by_number(surface.ravel(), normals, surface.max() + 1)
     mean /= np.linalg.norm(mean, axis=1)[:, None]
     mean[np.abs(mean) < ALONG_AXES] = 0.0
     return surface.ravel().astype(np.int64), mean / np.linalg.norm(mean, axis=1)[:, None]

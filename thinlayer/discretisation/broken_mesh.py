@@ -20,16 +20,16 @@ from forms.law import BulkLaw
 from forms.planes import PLANES, Kinematics
 from forms.traction import TractionLaw
 from forms.work import Interface, Term, surface
-from geometry.domain import cells_of_facets, connect
-from geometry.refusals import unknown
+from geometry.domain import cells_of_facets, create_connectivity
+from geometry.refusals import unknown_name_message
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import ON_AXIS
 from thinlayer.discretisation.contact_nodes import ContactSurface
-from thinlayer.discretisation.layer import AtRest, ThinLayer, for_terms, real_law
-from thinlayer.discretisation.measures import known_at
-from thinlayer.discretisation.mesh_functions import Keys, broken_space
+from thinlayer.discretisation.layer import InitialTangents, ThinLayer, law_of_terms, law_with_numbers
+from thinlayer.discretisation.measures import law_with_expressions
+from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.system.compat import interior_facet_entities, interpolate
-from thinlayer.system.ranks import communicator, on_all
+from thinlayer.system.ranks import communicator, errors_on_all
 
 Upper = int | set[int] | frozenset[int] | Sequence[float] | None
 ALONG = 0.02  # least cosine between a facet's normal and a direction that chooses its upper side
@@ -78,7 +78,7 @@ class BrokenMesh:
         self.mesh, self.bodies, self.facet_tags, self.comm = mesh, bodies, facet_tags, communicator(mesh)
         self._dim = mesh.topology.dim
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys([S] if isinstance(S, int) else S)
-        connect(mesh, self._dim - 1)
+        create_connectivity(mesh, self._dim - 1)
         self._outer = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
         self._body = self._bodies()
         self._check_cuts(np.concatenate([np.empty(0, np.int32), *(self._owned(tag) for tag in rules)]))
@@ -100,7 +100,7 @@ class BrokenMesh:
     @staticmethod
     def _kinematics(mesh: Mesh, plane: str) -> Kinematics:
         if plane not in PLANES or (mesh.geometry.dim == 3 and plane != "strain"):
-            raise InputError(f"{unknown('plane', plane, PLANES)}; in three dimensions there is none")
+            raise InputError(f"{unknown_name_message('plane', plane, PLANES)}; in three dimensions there is none")
         kinematics, x = PLANES[plane], mesh.geometry.x
         behind = communicator(mesh).allreduce(float(kinematics.radius(x).min(initial=0.0)), MPI.MIN)
         if behind < -ON_AXIS * communicator(mesh).allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX):
@@ -121,7 +121,7 @@ class BrokenMesh:
         number = np.searchsorted(values, self._body)
         counts = [cpp.mesh.cell_num_entities(self.mesh.topology.cell_type, dim) for dim in range(self._dim)]
         components = [np.tile(number, (count, 1)).T for count in counts]
-        return broken_space(self.comm, Keys.of_components(self.comm, self.mesh, element, components))
+        return broken_space(self.comm, SharedDofs.of_components(self.comm, self.mesh, element, components))
 
     def interface(self, tag: int) -> Interface:
         """The two sides of the facets of S with a tag: normal, jump, and the measure of integrals over them."""
@@ -146,7 +146,7 @@ class BrokenMesh:
         """
         good = isinstance(layer, ThinLayer | TractionLaw)
         require(good, "layer", layer, "allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart")
-        law, thin = real_law(layer, self.kinematics), layer if isinstance(layer, ThinLayer) else None
+        law, thin = law_with_numbers(layer, self.kinematics), layer if isinstance(layer, ThinLayer) else None
         if law.traits.constrained:
             raise InputError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
         law.check_dimension(self._dim)
@@ -163,10 +163,10 @@ class BrokenMesh:
         thickness = fem.Constant(self.mesh, float(eps))
         if profile is not None:
             shape = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))  # linear between vertices
-            with on_all(self.comm):
+            with errors_on_all(self.comm):
                 interpolate(shape, lambda x: profile(x[: self._dim]))
             thickness = thickness * sides.upper(shape)
-        return [replace(term, law=for_terms(term.law, self.mesh)) for term in surface(law, sides, thickness, order)]
+        return [replace(term, law=law_of_terms(term.law, self.mesh)) for term in surface(law, sides, thickness, order)]
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
         """The facets of S with a tag, for a contact law: `ContactPart(law, surface)` is a part of a `StepProblem`.
@@ -195,9 +195,9 @@ class BrokenMesh:
     def _require_no_locking(self, tag: int, law: BulkLaw) -> None:
         """Raise InputError if a law of order 1 would lock somewhere."""
         _, _, x = self._at_vertices(tag)
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             for one in law.at_places(x) if law.fields else [law]:
-                if refused := AtRest(one, np.eye(self._dim)[-1]).locks():
+                if refused := InitialTangents(one, np.eye(self._dim)[-1]).locks():
                     raise refused.error()
 
     def _at_vertices(self, tag: int) -> tuple[fem.Function, Indices, Array]:
@@ -211,11 +211,11 @@ class BrokenMesh:
         on_s = {}
         for name in law.fields:
             f, dofs, x = self._at_vertices(tag)
-            with on_all(self.comm):
+            with errors_on_all(self.comm):
                 f.x.array[dofs] = law.fields_at(x)[name]
             f.x.scatter_forward()
             on_s[name] = self.interface(tag).upper(f)
-        return known_at(law, self.mesh, on_s)
+        return law_with_expressions(law, self.mesh, on_s)
 
     # ---------------------------------------------------------------- the tags
     def _sum(self, *counts: int) -> list[int]:

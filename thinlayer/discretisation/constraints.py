@@ -14,8 +14,8 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array, InputError
-from geometry.refusals import place as at_place
-from geometry.topology import IntArray, sums
+from geometry.refusals import place_text as at_place
+from geometry.topology import IntArray, sum_by_number
 from thinlayer.discretisation.supports import ROUNDING, Prescribed
 from thinlayer.system.ranks import destroy
 
@@ -26,7 +26,7 @@ ZERO = 1e-13  # coefficient of a condition that counts as rounding; coefficients
 
 
 @dataclass(frozen=True)
-class Tied:
+class MultiPointConstraint:
     """Displacements u = R q that follow a few motions q of their own, as those of a rigid plate do.
 
     Attributes:
@@ -50,7 +50,7 @@ class Tied:
 
 
 @dataclass(frozen=True)
-class _Group:
+class _ConditionGroup:
     """Conditions N y = c that share unknowns: numbers of their rows, of their columns, and a frame.
 
     The first `rank` columns of the frame are what they hold.
@@ -102,7 +102,7 @@ class Constraints:
         InputError: two ties have a node in common; a tie has too few nodes; conditions of numbers contradict each other.
     """
 
-    def __init__(self, prescribed: Prescribed, ties: Sequence[Tied] = ()) -> None:
+    def __init__(self, prescribed: Prescribed, ties: Sequence[MultiPointConstraint] = ()) -> None:
         self.prescribed, self.ties = prescribed, list(ties)
         self.comm: MPI.Intracomm = prescribed.comm
         self.d, self.n = prescribed.d, prescribed.size
@@ -129,7 +129,7 @@ class Constraints:
         if several := [one for one in self.comm.allgather(names) if one]:
             raise InputError(f"{' and '.join(several[0])} share a node: their motions would not be independent")
 
-    def _slots_of(self, tie: Tied) -> np.ndarray:
+    def _slots_of(self, tie: MultiPointConstraint) -> np.ndarray:
         """(m,) global numbers of the displacements in whose places the motions of a tie stand."""
         rows = self.first + np.flatnonzero(np.diff(tie.R.indptr))
         least = np.sort(np.concatenate(self.comm.allgather(rows[: tie.count])))[: tie.count]
@@ -158,7 +158,7 @@ class Constraints:
             i, j, v = np.append(i, every), np.append(j, self.first + every), np.append(v, np.zeros(self.n))
         total = int(self.comm.allreduce(self.n))
         A = scipy.sparse.csr_matrix((v, (i.astype(np.int64), j.astype(np.int64))), (rows, total))
-        return aij_of(A, self.comm, ((rows, None), (self.n, None)))
+        return create_aij(A, self.comm, ((rows, None), (self.n, None)))
 
     # ---------------------------------------------------------------- conditions
     def _conditions(self) -> Sparse:
@@ -166,7 +166,7 @@ class Constraints:
         rows, total = self.prescribed.conditions.tocoo(), int(self.comm.allreduce(self.n))
         A = self._matrix(rows.row, self.first + rows.col, rows.data, rows.shape[0])
         on_y = A if self._T0 is None else A.matMult(self._T0)
-        found = csr_of(on_y)
+        found = local_csr(on_y)
         destroy(A, on_y)
         self._motions = [(one, k, value) for one in self.ties for k, value in one.motion.items() if self.comm.rank == 0]
         columns = [self.slots[one.key][k] for one, k, _ in self._motions]
@@ -180,7 +180,7 @@ class Constraints:
     def of_supports(self, forces: Array, motions: Callable[[IntArray], Array]) -> Array:
         """Work (entries, k) of the supports' forces in k motions, a function of the displacements, by number of support."""
         works = forces[:, None] * self._along_conditions(motions)
-        return sums(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
+        return sum_by_number(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
     def _values_of_rows(self, t: float) -> Array:
         """(r,) values of the conditions of this rank at a time."""
@@ -203,7 +203,7 @@ class Constraints:
         self._single, self._grouped = np.flatnonzero(single), np.flatnonzero(~single & (counts > 0))
         at = A.indptr[self._single]
         self._columns, self._coefficient = A.indices[at] - self.first, A.data[at]
-        self._groups = _groups(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
+        self._groups = _connected_rows(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
         held = np.concatenate([self._columns, *(self._mine(one.columns[: one.rank])[1] for one in self._groups)])
         slots = np.concatenate([*self.slots.values(), np.empty(0, np.int64)]) - self.first
         self.held = np.union1d(held, np.setdiff1d(self.tied, slots)).astype(np.int32)
@@ -246,7 +246,7 @@ class Constraints:
             y[places] = one.held(values)[own]
         return y[self.held]
 
-    def _with_values(self, c: Array) -> list[tuple[_Group, Array]]:
+    def _with_values(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
         """Groups, each with the values of its conditions; those of this rank's are given."""
         every = np.concatenate(self.comm.allgather(c[self._grouped]))
         return [(one, every[one.rows]) for one in self._groups]
@@ -316,7 +316,7 @@ class Constraints:
         destroy(x, b)
         return np.asarray(found)
 
-    def motion(self, tie: Tied, u: Array) -> Array:
+    def motion(self, tie: MultiPointConstraint, u: Array) -> Array:
         """Motions (m,) of a tie, on every rank, that are nearest to displacements u (n,)."""
         return self._solved(tie, self.comm.allreduce(tie.R.T @ u))
 
@@ -324,7 +324,7 @@ class Constraints:
         """(n,) the least nodal forces with the given resultants of the ties at a time."""
         return sum((one.R @ self._solved(one, one.resultant(t)) for one in self.ties), np.zeros(self.n))
 
-    def _solved(self, tie: Tied, b: Array) -> Array:
+    def _solved(self, tie: MultiPointConstraint, b: Array) -> Array:
         """R'R x = b, of all ranks."""
         return np.asarray(np.linalg.lstsq(self.comm.allreduce((tie.R.T @ tie.R).toarray()), b, rcond=None)[0])
 
@@ -384,7 +384,7 @@ class Constraints:
         """
         c, m = motions.shape[1], sum(one.count for one in self.ties)
         first = dict(zip(self.slots, np.cumsum([0, *(one.count for one in self.ties)]).tolist(), strict=False))
-        wide, y = motions, _without(motions, self.tied)
+        wide, y = motions, _without_rows(motions, self.tied)
         if m:
             own, places = self._mine(np.concatenate([*self.slots.values()]))
             of_ties = scipy.sparse.csr_matrix((np.ones(len(own)), (places, own)), (self.n, m))
@@ -393,10 +393,10 @@ class Constraints:
         given = np.zeros(c + m)
         given[[c + first[tie.key] + k for tie, k, _ in self._motions]] = 1.0
         gram = scipy.sparse.diags(given, format="csr")
-        for rows in (self.prescribed.conditions @ wide, (product(self._T0, y) - wide)[self.tied]):
+        for rows in (self.prescribed.conditions @ wide, (distributed_product(self._T0, y) - wide)[self.tied]):
             gram = gram + rows.T @ rows
-        z = _without(product(self.Q, y, transposed=True), self.held)
-        return product(self.T, z), self.comm.allreduce(gram)
+        z = _without_rows(distributed_product(self.Q, y, transposed=True), self.held)
+        return distributed_product(self.T, z), self.comm.allreduce(gram)
 
     def resistance(self, motions: Callable[[IntArray], Array]) -> Array:
         """(c, c) how far conditions prevent c motions, a function of displacements, where ties follow if they can."""
@@ -413,25 +413,25 @@ class Constraints:
         return np.asarray(self.prescribed.conditions[:, held] @ motions(held))
 
 
-def product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
+def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
     """This rank's rows of a matrix, or of its transpose, times sparse columns (n, c) of all ranks; None: an identity."""
     if matrix is None:
         return columns
-    wide = aij_of(columns, matrix.comm, ((columns.shape[0], None), (None, columns.shape[1])))
+    wide = create_aij(columns, matrix.comm, ((columns.shape[0], None), (None, columns.shape[1])))
     found = matrix.transposeMatMult(wide) if transposed else matrix.matMult(wide)
-    rows = csr_of(found)
+    rows = local_csr(found)
     destroy(wide, found)
     return rows
 
 
-def _without(A: Sparse, rows: np.ndarray) -> Sparse:
+def _without_rows(A: Sparse, rows: np.ndarray) -> Sparse:
     """A matrix whose entries in some rows are zero; its places stay the same."""
     kept = np.ones(A.shape[0])
     kept[rows] = 0.0
     return scipy.sparse.csr_matrix((A.data * kept.repeat(np.diff(A.indptr)), A.indices, A.indptr), A.shape)
 
 
-def _groups(A: Sparse) -> list[_Group]:
+def _connected_rows(A: Sparse) -> list[_ConditionGroup]:
     """Groups of rows of A that share columns."""
     columns, local = np.unique(A.indices, return_inverse=True)
     if not len(columns):
@@ -440,27 +440,27 @@ def _groups(A: Sparse) -> list[_Group]:
     label = connected_components(scipy.sparse.bmat([[None, B], [B.T, None]]), directed=False)[1]
     of_rows, of_columns = label[: A.shape[0]], label[A.shape[0] :]
     found = []
-    for r, c in zip(_by_label(of_rows), _by_label(of_columns), strict=True):
+    for r, c in zip(_rows_by_label(of_rows), _rows_by_label(of_columns), strict=True):
         N = B[r][:, c].toarray()
         _, sizes, right = np.linalg.svd(N)
         rank = int((sizes > INDEPENDENT * max(1.0, sizes[0])).sum())
         frame = np.eye(len(c)) if rank == len(c) else right.T
-        found.append(_Group(r, columns[c].astype(np.int64), N, frame, rank))
+        found.append(_ConditionGroup(r, columns[c].astype(np.int64), N, frame, rank))
     return found
 
 
-def _by_label(labels: np.ndarray) -> list[np.ndarray]:
+def _rows_by_label(labels: np.ndarray) -> list[np.ndarray]:
     order = np.argsort(labels, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
-def aij_of(A: Sparse, comm: MPI.Intracomm, sizes: Any = None) -> PETSc.Mat:
+def create_aij(A: Sparse, comm: MPI.Intracomm, sizes: Any = None) -> PETSc.Mat:
     """A PETSc matrix with the rows A (csr) on this rank; sizes as PETSc takes them, None: those of A."""
     csr = (*(places.astype(PETSc.IntType, copy=False) for places in (A.indptr, A.indices)), A.data)
     return PETSc.Mat().createAIJ(sizes or A.shape, csr=csr, comm=comm)
 
 
-def csr_of(A: PETSc.Mat) -> Sparse:
+def local_csr(A: PETSc.Mat) -> Sparse:
     """This rank's rows of a matrix."""
     begins, columns, entries = A.getValuesCSR()
     return scipy.sparse.csr_matrix((entries, columns, begins), (A.getLocalSize()[0], A.getSize()[1]))

@@ -19,15 +19,15 @@ from forms.base import Array, InputError
 from forms.planes import LIFTED, Kinematics
 from geometry.domain import cells_of_facets
 from geometry.joint import Joint
-from geometry.topology import Indices, IntArray, sums
+from geometry.topology import Indices, IntArray, sum_by_number
 from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.model import Model
-from thinlayer.system.ranks import destroy, on_all, send
+from thinlayer.system.ranks import destroy, errors_on_all, send
 
 NONE = np.empty(0, np.int32)
 
 
-def pairs_of(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArray, IntArray]:
+def body_pairs(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArray, IntArray]:
     """Pairs of bodies at the vertices beside nodes of a seam, one after the other: index of the node, number of the pair.
 
     A node at a vertex has this one only. The nodes are given as `ContactNodes.file_numbers`.
@@ -110,7 +110,7 @@ class ContactNodes:
         corners = send(self.comm, owners[rows[:, 0].astype(int)], sent)
         pairs, at = np.unique(corners[:, :2], axis=0, return_inverse=True)
         upper, at = pairs[:, 0], at.ravel()
-        total = sums(at, corners[:, 2 : 3 + d], len(upper))
+        total = sum_by_number(at, corners[:, 2 : 3 + d], len(upper))
         self.weights, vectors = total[:, 0].copy(), total[:, 1:]  # C reads them
         self.upper = (upper - self._first).astype(np.int32)
         self._lower = pairs[:, 1].astype(np.int64)  # global
@@ -123,9 +123,9 @@ class ContactNodes:
         size = np.linalg.norm(vectors, axis=1)
         if self.comm.allreduce(int((size <= 0).any())):
             raise InputError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
-        self.frames = np.ascontiguousarray(frames_at(vectors / size[:, None]))
+        self.frames = np.ascontiguousarray(normal_frames(vectors / size[:, None]))
         self._note_held(held)
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             self.gap = gap(np.ascontiguousarray(self.x.T))
 
     @classmethod
@@ -321,7 +321,7 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
     return np.linalg.norm(spans, axis=2) / share, mean / np.linalg.norm(mean, axis=1)[:, None]
 
 
-def frames_at(n: Array) -> Array:
+def normal_frames(n: Array) -> Array:
     """Axes of S at normals (n, d), tangents first, equal to those of `forms.kinematics.layer_frame`."""
     if n.shape[1] == 2:
         return np.stack([np.column_stack([n[:, 1], -n[:, 0]]), n], axis=1)

@@ -18,8 +18,8 @@ from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
-from thinlayer.discretisation.boundary import on_boundary
-from thinlayer.discretisation.given import Coordinates, Load, Pressure, by_body
+from thinlayer.discretisation.boundary import boundary_values
+from thinlayer.discretisation.given import Coordinates, Load, Pressure, values_by_body
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.point_loads import ConcentratedForms
 from thinlayer.errors import warn
@@ -30,7 +30,7 @@ WEIGHT = "body force in the layer {!r}"  # the words for it, by the name of the 
 
 
 @dataclass(frozen=True)
-class Weighted:
+class LoadRegion:
     """Where a load acts: in cells or on facets of bodies, in a layer's volume, or on its side.
 
     Attributes:
@@ -68,7 +68,9 @@ class Forces:
     def __init__(self, domain: Domain, kinematics: Kinematics, points: ConcentratedForms, setup: Any) -> None:
         self.domain, self.at, self._kinematics = domain, points.at, kinematics
         self.given: dict[str, Any] = {}
-        self._loads: list[tuple[str, Expr, Weighted, str]] = []  # words, force, its place, the seam if it is a layer's
+        self._loads: list[
+            tuple[str, Expr, LoadRegion, str]
+        ] = []  # words, force, its place, the seam if it is a layer's
         self._form: tuple[fem.FunctionSpace, fem.Form] | None = None  # of the work in a space
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
@@ -76,38 +78,38 @@ class Forces:
         require(isinstance(tractions, Mapping), "tractions", tractions, "give {name: traction}")
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
-            values = on_boundary(domain, kinematics, name, f"traction on {name!r}", side=True)
+            values = boundary_values(domain, kinematics, name, f"traction on {name!r}", side=True)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
             self._warn_of_gaps(name)
             side = f"{name.split('/')[0]}/{LAYER}"
             if side not in tractions and (share := self._share(name)):
                 what, loaded, *_ = self._loads[-1]
-                self.add_weighted("", what, share * loaded, Weighted(ds(domain.values(side)), 1))
+                self.add_weighted("", what, share * loaded, LoadRegion(ds(domain.values(side)), 1))
         seams = (*(domain.joint.band.base if domain.joint.band else domain.joint).seams, S)
-        for name, load in by_body(body_force, domain.joint, "body_force", seams).items():
+        for name, load in values_by_body(body_force, domain.joint, "body_force", seams).items():
             what = f"body force in {name!r}"
             require(not isinstance(load, Pressure), what, load, "there is no normal inside a body; give a vector")
             self._add(what, load, dx(domain.cell_values(name)))
         for one in setup.loads:
             self.given[f"{one.what}, {len(self.given)}"] = one
             for density, measure in points.terms(one):  # whole forces: their measures have no factor
-                self.add_weighted("", one.what, density, Weighted(measure, 1))
+                self.add_weighted("", one.what, density, LoadRegion(measure, 1))
         self._everywhere = dx
 
-    def add_layer(self, name: str, load: Load, place: Weighted, at: Coordinates) -> None:
+    def add_layer(self, name: str, load: Load, place: LoadRegion, at: Coordinates) -> None:
         """Add a force per volume of a layer.
 
         Args:
             name: of its seam.
             load: the force.
-            place: where the layer is: its weight, and how the work of displacements there is told, see `Weighted`.
+            place: where the layer is: its weight, and how the work of displacements there is told, see `LoadRegion`.
             at: coordinates there, with the time of the other loads.
         """
         what = WEIGHT.format(name)
         self.given[what] = load
         self.add_weighted(name, what, at.given(load, what, (self.domain.joint.dim,)).expression, place)
 
-    def add_weighted(self, name: str, what: str, force: Expr, place: Weighted) -> None:
+    def add_weighted(self, name: str, what: str, force: Expr, place: LoadRegion) -> None:
         """Add a force, a UFL vector, at a place: of the layer of a seam, or of the bodies ("")."""
         self._loads.append((what, place.value(force) * place.weight, place, name))
 
@@ -115,7 +117,7 @@ class Forces:
         self.given[what] = load
         checked = self.at.traction(load, what, ufl.FacetNormal(self.domain.mesh))
         if measure is not None:
-            self.add_weighted("", what, checked, Weighted(measure, self._kinematics.factor))
+            self.add_weighted("", what, checked, LoadRegion(measure, self._kinematics.factor))
 
     def _warn_of_gaps(self, name: str) -> None:
         """Warn where a gap ends that bodies gave up a part of their loaded faces to."""

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from forms import work as forms
 from forms.base import InputError, is_finite, require
 from forms.trace import needs_director
-from geometry.inflating.dividing import Divided, divided
+from geometry.inflating.dividing import RefinedLayers, refined_towards_ends
 from geometry.inflating.inflation import inflate, without_bodies
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
@@ -23,14 +23,14 @@ from geometry.parallel import on_root
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, S
 from thinlayer.discretisation.boundary import require_revolution, require_shifts
-from thinlayer.discretisation.forces import Weighted
+from thinlayer.discretisation.forces import LoadRegion
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, constants, real_law
+from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, law_with_constants, law_with_numbers
 from thinlayer.discretisation.mesh_functions import director
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import Place
-from thinlayer.errors import Refused
+from thinlayer.errors import Violation
 from thinlayer.pointwise.integrals import quadrature_degree
 
 LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
@@ -108,7 +108,7 @@ class FullModel(Model):
         mesh, band, n = self.domain.mesh, self._band, director(self.domain)
         terms = []
         for name, one in self.layers.items():
-            sublayers = real_law(one.layer, self.kinematics).sublayers
+            sublayers = law_with_numbers(one.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 rule = self._rule(self.dx)
                 if law.traits.softens:  # it is run at points that are as dense along S as those there
@@ -117,15 +117,15 @@ class FullModel(Model):
                     rule = {"metadata": {"quadrature_degree": degree}}
                 elif not rule and needs_director(law):  # whose length is a root: UFL would take degree 100
                     rule = {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx)}}
-                law = law if law.traits.compiled else constants(law, mesh)
+                law = law if law.traits.compiled else law_with_constants(law, mesh)
                 cells = self.dx(self.domain.cell_values(region, *self._shared(name)), **rule)
                 term = forms.band(law, cells, n, self.kinematics)
                 terms.append(replace(term, key=one.key, given=self.given_on[name]))
         return terms
 
-    def _place_of(self, one: SeamLayer) -> Weighted:
+    def _place_of(self, one: SeamLayer) -> LoadRegion:
         cells = self.dx(self.domain.cell_values(*self._band.of_seam[one.name], *self._shared(one.name)))
-        return Weighted(cells, self.kinematics.factor)
+        return LoadRegion(cells, self.kinematics.factor)
 
     @property
     def _band(self) -> Any:
@@ -155,7 +155,7 @@ class LayerModel(FullModel):
     """
 
     name = "layer"
-    divided: Divided | None = None
+    divided: RefinedLayers | None = None
 
     def __init__(
         self, model: InterfaceModel, layers: Mapping[str, ThinLayer], cells_through: int, at_ends: float | None = None
@@ -166,7 +166,7 @@ class LayerModel(FullModel):
             at_ends *= min(float(layer.eps) for layer in layers.values())
         vars(given).pop("sheet", None)
         seams = {name: seam for name, seam in joint.seams.items() if name in layers}
-        if replace(joint, seams=seams).tip is not None and (refused := beside(joint, seams)):
+        if replace(joint, seams=seams).tip is not None and (refused := meeting_layers(joint, seams)):
             raise refused.error()
         # fields on S of divided cells are not those of the model's facets: with other points they are refused
         points = joint.points if at_ends is None else joint.points.copy()
@@ -184,7 +184,7 @@ class LayerModel(FullModel):
         if self._at_ends is not None and len(self._ends):
             distance, _ = cKDTree(self._ends).query(layers.reference)
             try:
-                self.divided = divided(layers, distance, self._at_ends)
+                self.divided = refined_towards_ends(layers, distance, self._at_ends)
             except InputError:
                 short = "cells at ends are so short that nodes are at one place"
                 raise InputError(f"{short}; make at_ends larger") from None
@@ -202,7 +202,7 @@ class LayerModel(FullModel):
         """Nothing: the bodies would hold the layers."""
 
 
-def beside(joint: Joint, seams: Iterable[str]) -> Refused | None:
+def meeting_layers(joint: Joint, seams: Iterable[str]) -> Violation | None:
     """Why layers on these seams are none by themselves, if they meet other seams, which are open or have layers."""
     vertices = {name: joint.masters[joint.table.vertices[joint.rows_of(name)]] for name in joint.seams}
     mine = np.concatenate([vertices[name].ravel() for name in seams])
@@ -211,4 +211,4 @@ def beside(joint: Joint, seams: Iterable[str]) -> Refused | None:
         return None
     reason = f"{', '.join(seams)} meets {', '.join(others)}, where bodies part without a layer among these"
     remedy = "take all seams that meet, or mesh the layers: structure.full, with a Gap in an open seam"
-    return Refused("beside", f"layers by themselves: {reason}", remedy)
+    return Violation("beside", f"layers by themselves: {reason}", remedy)

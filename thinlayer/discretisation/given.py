@@ -26,11 +26,11 @@ from forms.base import Array, InputError, is_finite
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.refusals import place as at_place
+from geometry.refusals import place_text as at_place
 from geometry.refusals import require_known
-from thinlayer.discretisation.mesh_functions import places_in_cells, sampled, shift
-from thinlayer.discretisation.time_functions import Clock, Reading, readings
-from thinlayer.system.compat import interpolate, interpolation_points, replaced
+from thinlayer.discretisation.mesh_functions import inflation_shift, places_in_cells, sampled_function
+from thinlayer.discretisation.time_functions import Clock, TimeConstant, time_constants
+from thinlayer.system.compat import interpolate, interpolation_points, ufl_replace
 
 Value = float | Callable[[Expr, Expr], Expr]
 Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
@@ -62,7 +62,7 @@ class Coordinates:
     x: Expr
     clock: Clock
     places: Array
-    known: dict[tuple[object, ...], Given] = field(default_factory=dict, repr=False, compare=False)
+    known: dict[tuple[object, ...], Coefficient] = field(default_factory=dict, repr=False, compare=False)
     planned: list[set[float]] = field(default_factory=list, repr=False, compare=False)
 
     @classmethod
@@ -72,10 +72,12 @@ class Coordinates:
         x, points = ufl.SpatialCoordinate(mesh), (band.base if band else domain.joint).points
         chosen = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
         places = points[sorted(chosen)]
-        return cls(mesh, x if band is None or band.bodies == "extended" else x - shift(domain), Clock(mesh), places)
+        return cls(
+            mesh, x if band is None or band.bodies == "extended" else x - inflation_shift(domain), Clock(mesh), places
+        )
 
     @property
-    def t(self) -> Reading:
+    def t(self) -> TimeConstant:
         """The time, a UFL constant."""
         return self.clock.symbol
 
@@ -88,11 +90,11 @@ class Coordinates:
         """The same at other places."""
         return changed(self, x=x)
 
-    def given(self, value: Any, what: str, *shapes: Shape, of_place: bool = False) -> Given:
-        """What a value gives here, checked once. Collective. Arguments and errors as in `Given`."""
+    def given(self, value: Any, what: str, *shapes: Shape, of_place: bool = False) -> Coefficient:
+        """What a value gives here, checked once. Collective. Arguments and errors as in `Coefficient`."""
         key = (id(value), what, shapes, id(self.x))
         if key not in self.known:
-            self.known[key] = given = Given(value, what, shapes, self, of_place=of_place)
+            self.known[key] = given = Coefficient(value, what, shapes, self, of_place=of_place)
             if self.planned and (late := sorted(given.breaks - self.planned[0])):
                 why = f"given after a march has begun, and changes its slope at t = {late[0]:g}, where no step ends"
                 raise InputError(f"{what} is {why}; a part gives it in check(model)")
@@ -111,7 +113,7 @@ class Coordinates:
         return self.planned[0]
 
 
-class Given:
+class Coefficient:
     """A value of place and time: numbers, a table, a function (x, t), a UFL expression or a field.
 
     A function is called with the place and the clock's constant. It must give the same for plain numbers, at some places
@@ -211,10 +213,10 @@ class Given:
         """The same with functions on other meshes replaced by functions on this one. Collective if there are any."""
         fields = {f for c in components.flat for f in _fields(c) if isinstance(f, fem.Function)}
         others = sorted((f for f in fields if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
-        own = {f: sampled(f, self.at.mesh, self.at.x, self.what) for f in others}
+        own = {f: sampled_function(f, self.at.mesh, self.at.x, self.what) for f in others}
         for index in np.ndindex(*components.shape):
             if _fields(components[index]):
-                components[index] = replaced(components[index], own)
+                components[index] = ufl_replace(components[index], own)
         return components
 
     def _compare(self, components: npt.NDArray[Any]) -> None:
@@ -226,7 +228,7 @@ class Given:
                 plain = self._read(self._called(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
             except Exception:  # a function of symbols alone, such as ufl.grad
                 continue
-            a, b = (np.array([evaluated(c, t, place) for c in some.flat]) for some in (components, plain))
+            a, b = (np.array([evaluate_component(c, t, place) for c in some.flat]) for some in (components, plain))
             if a.shape == b.shape and np.isfinite([a, b]).all() and np.abs(a - b).max() > SAME * np.abs([a, b]).max():
                 both = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
                 raise self._no_function(f"at {at_place(place)}, t = {t:g} it gives {both}")
@@ -249,11 +251,11 @@ class Given:
     def breaks(self) -> set[float]:
         """Times at which its slope changes."""
         components = [c for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)]
-        return set[float]().union(*(reading.breaks for c in components for reading in readings(c)))
+        return set[float]().union(*(reading.breaks for c in components for reading in time_constants(c)))
 
-    def once(self, thing: str) -> Given:
+    def once(self, thing: str) -> Coefficient:
         """Itself; raises InputError if it depends on the place, as what is given once for a whole thing must not."""
-        if any(of_place(c) for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)):
+        if any(depends_on_place(c) for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)):
             raise InputError(f"{self.what} depends on the place x; it is one for {thing}")
         return self
 
@@ -263,7 +265,7 @@ class Given:
         Raises:
             InputError: they are not finite.
         """
-        numbers = np.array([evaluated(c, t) for c in self.components.flat]).reshape(self.shape)
+        numbers = np.array([evaluate_component(c, t) for c in self.components.flat]).reshape(self.shape)
         if not np.isfinite(numbers).all():
             raise InputError(f"{self.what} is not finite at t = {t:g}: {numbers.tolist()}")
         return numbers
@@ -280,7 +282,7 @@ class Pressure:
     p: Value
 
 
-def by_body(given: Any, joint: Joint, what: str = "", others: Sequence[str] = ()) -> dict[str, Any]:
+def values_by_body(given: Any, joint: Joint, what: str = "", others: Sequence[str] = ()) -> dict[str, Any]:
     """What is given for bodies, one for all or by name, in the same order on all ranks.
 
     Raises:
@@ -311,7 +313,7 @@ def has_finite_numbers(expression: Expr) -> bool:
     return all(isinstance(number, RealValue) and math.isfinite(float(number)) for number in numbers)
 
 
-def of_place(expression: Expr) -> bool:
+def depends_on_place(expression: Expr) -> bool:
     """Whether a UFL expression depends on the place."""
     return any(isinstance(node, (ufl.Coefficient, GeometricQuantity)) for node in unique_pre_traversal(expression))
 
@@ -320,11 +322,11 @@ def _fields(component: Any) -> list[Any]:
     return extract_coefficients(component) if isinstance(component, ufl.core.expr.Expr) else []
 
 
-def evaluated(component: Any, t: float, place: Sequence[float] = ()) -> float:
+def evaluate_component(component: Any, t: float, place: Sequence[float] = ()) -> float:
     """A number or a UFL scalar at a time and a place; NaN where it has no value."""
     if not isinstance(component, ufl.core.expr.Expr):
         return float(component)
-    values = {c: c.at(t) if isinstance(c, Reading) else c.value for c in extract_constants(component)}
+    values = {c: c.at(t) if isinstance(c, TimeConstant) else c.value for c in extract_constants(component)}
     try:
         return float(component(tuple(map(float, place)), values))
     except (ArithmeticError, ValueError, TypeError):

@@ -13,15 +13,15 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array, InputError, is_finite, is_number, require
-from forms.kinematics import MANDEL, ROOT2, Expr, lift
+from forms.kinematics import MANDEL, ROOT2, Expr, three_dimensional
 from forms.law import BulkLaw
 from forms.planes import Kinematics
-from forms.temperature import finite
+from forms.temperature import finite_values
 from forms.trace import tangent_at_rest
-from forms.work import Term, summed
+from forms.work import Term, sum_strains
 from geometry.joint import Joint
-from thinlayer.discretisation.given import Coordinates, of_place
-from thinlayer.discretisation.time_functions import readings
+from thinlayer.discretisation.given import Coordinates, depends_on_place
+from thinlayer.discretisation.time_functions import time_constants
 from thinlayer.system.compat import compiled
 
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
@@ -67,7 +67,7 @@ class MeanStrain:
     @property
     def expression(self) -> Expr:
         """The strain (3, 3) as an expression of the time."""
-        return lift(self._given.expression)
+        return three_dimensional(self._given.expression)
 
 
 class MeanStress(MeanStrain):
@@ -94,11 +94,11 @@ class MeanStress(MeanStrain):
         return self._dim * (self._dim + 1) // 2
 
     def components(self, t: float) -> Array:
-        """The stress at a time, (k,) in the order of `of_components`."""
+        """The stress at a time, (k,) in the order of `voigt_strain`."""
         return self.at(t)[tuple(np.array(PAIRS[self._dim]).T)]
 
 
-def of_components(e: Expr) -> Expr:
+def voigt_strain(e: Expr) -> Expr:
     """The strain (d, d) of a UFL vector in Voigt's order, shears twice."""
     d = {3: 2, 6: 3}[e.ufl_shape[0]]
     place = {pair: k for k, pair in enumerate(PAIRS[d])}
@@ -106,7 +106,7 @@ def of_components(e: Expr) -> Expr:
 
 
 @dataclass(frozen=True)
-class Matter:
+class EigenstrainContext:
     """A body or a layer, as far as its eigenstrain depends on it.
 
     Attributes:
@@ -156,17 +156,17 @@ class Eigenstrain(ABC):
     """A strain that matter would have without stress: the stress is that of the strain less it."""
 
     @abstractmethod
-    def components(self, matter: Matter) -> Rows:
+    def components(self, matter: EigenstrainContext) -> Rows:
         """The strain, (3, 3) numbers or UFL scalars. InputError: it cannot be that of this body or layer."""
 
 
 @dataclass(frozen=True)
-class PlainStrain(Eigenstrain):
+class PrescribedEigenstrain(Eigenstrain):
     """An eigenstrain given by itself: a number times the identity, a table (d, d) or (3, 3), or a function (x, t)."""
 
     value: Tensor
 
-    def components(self, matter: Matter) -> Rows:
+    def components(self, matter: EigenstrainContext) -> Rows:
         """As in `Eigenstrain`."""
         rows = matter.rows(self.value, "the eigenstrain")
         return [[rows[i][j] if max(i, j) < len(rows) else 0.0 for j in range(3)] for i in range(3)]
@@ -193,14 +193,14 @@ class ThermalExpansion(Eigenstrain):
     factor: float | Callable[[Expr, Any], Any] = 1.0
 
     def __post_init__(self) -> None:
-        alpha = finite(self.alpha, (), (3,), (3, 3))
+        alpha = finite_values(self.alpha, (), (3,), (3, 3))
         require(alpha is not None, "alpha", self.alpha, "allowed: a finite number, three, or a symmetric (3, 3)")
         if np.ndim(self.alpha) == 2:
             require_symmetric(np.array(self.alpha, float).tolist(), "alpha")
         for name, given in (("the change of temperature T", self.T), ("factor", self.factor)):
             require(callable(given) or is_finite(given), name, given, "allowed: a finite number or a function (x, t)")
 
-    def components(self, matter: Matter) -> Rows:
+    def components(self, matter: EigenstrainContext) -> Rows:
         """As in `Eigenstrain`."""
         T, factor = matter.scalar(self.T, "the change of temperature T"), matter.scalar(self.factor, "the factor of T")
         T, alpha = factor * T, np.array(self.alpha, float)
@@ -224,7 +224,7 @@ class Prestress(Eigenstrain):
 
     sigma: Tensor
 
-    def components(self, matter: Matter) -> Rows:
+    def components(self, matter: EigenstrainContext) -> Rows:
         """As in `Eigenstrain`."""
         sigma = matter.rows(self.sigma, "the prestress")
         if matter.kinematics.name == "stress":
@@ -242,7 +242,7 @@ class Prestress(Eigenstrain):
             found[i][j] = found[j][i] = sum(summands, 0.0)
         return found
 
-    def _compliance(self, matter: Matter, slots: Sequence[int]) -> Array:
+    def _compliance(self, matter: EigenstrainContext, slots: Sequence[int]) -> Array:
         """Strains per stress in some Mandel components, the others of the strain being zero."""
         law = matter.law
 
@@ -271,7 +271,7 @@ class Prestress(Eigenstrain):
         return found
 
 
-StrainGiven = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
+EigenstrainInput = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
 
 
 def eigenstrains(given: Any) -> list[Eigenstrain]:
@@ -282,7 +282,7 @@ def eigenstrains(given: Any) -> list[Eigenstrain]:
         allowed = "a number, a table, a function (x, t), ThermalExpansion, Prestress, a list of these that add up"
         require(not all(map(is_number, given)), "the eigenstrain", given, f"allowed: {allowed}")
         return [found for one in given for found in eigenstrains(one)]
-    return [PlainStrain(given)]
+    return [PrescribedEigenstrain(given)]
 
 
 def _is_table(given: Sequence[Any]) -> bool:
@@ -290,7 +290,7 @@ def _is_table(given: Sequence[Any]) -> bool:
     return bool(given) and all(isinstance(row, (list, tuple, np.ndarray)) and np.ndim(row[0]) == 0 for row in given)
 
 
-def given_strain(given: Any, matter: Matter) -> Expr | None:
+def prescribed_strain(given: Any, matter: EigenstrainContext) -> Expr | None:
     """Minus the eigenstrain, (3, 3) UFL, which is added to the strain of the displacements; None: it is zero.
 
     Raises:
@@ -298,12 +298,12 @@ def given_strain(given: Any, matter: Matter) -> Expr | None:
     """
     if given is None:
         return None
-    strains = (_negative(one.components(matter), matter) for one in eigenstrains(given))
-    found = matter.kinematics.seen(summed(*strains))
+    strains = (_negative_tensor(one.components(matter), matter) for one in eigenstrains(given))
+    found = matter.kinematics.seen(sum_strains(*strains))
     return None if all(isinstance(found[i, j], ufl.classes.Zero) for i in range(3) for j in range(3)) else found
 
 
-class VaryingStrains:
+class VaryingStrainIntegrals:
     """The given strains of terms that vary in time or in place, as integrals over cells or facets. Collective.
 
     Args:
@@ -314,7 +314,7 @@ class VaryingStrains:
     def __init__(self, terms: Sequence[Term], at: Coordinates) -> None:
         self._at, self._forms = at, []
         for p in terms:
-            if p.given is not None and (readings(p.given) or of_place(p.given)):
+            if p.given is not None and (time_constants(p.given) or depends_on_place(p.given)):
                 q = ufl.TestFunction(fem.functionspace(at.mesh, ("DG", 0, (3, 3))))
                 q = q("+") if p.measure.integral_type() == "interior_facet" else q
                 self._forms.append((p, compiled(ufl.inner(p.given, q) * p.measure)))
@@ -334,7 +334,7 @@ class VaryingStrains:
         return integrals
 
 
-def _negative(rows: Rows, matter: Matter) -> Expr:
+def _negative_tensor(rows: Rows, matter: EigenstrainContext) -> Expr:
     """Minus a table as UFL. Numbers are constants, so that forms are compiled once for all of them; zeros are known."""
     numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
     constant = fem.Constant(matter.at.mesh, numbers)

@@ -15,9 +15,9 @@ from forms import work as forms
 from forms.base import InputError
 from forms.kinematics import Expr
 from forms.law import BulkLaw
-from forms.work import Interface, Side
+from forms.work import Interface, InterfaceSide
 from geometry.domain import Domain
-from geometry.inflating.inflation import parted
+from geometry.inflating.inflation import with_gaps
 from geometry.inflating.kept_bodies import kept_motion
 from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
@@ -25,17 +25,17 @@ from geometry.refusals import require_known
 from geometry.seam import S
 from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
-from thinlayer.discretisation.forces import Forces, Weighted
+from thinlayer.discretisation.forces import Forces, LoadRegion
 from thinlayer.discretisation.given import Coordinates
-from thinlayer.discretisation.layer import Layers, SeamLayer, for_terms, real_law, seam_entities
-from thinlayer.discretisation.measures import known_at
-from thinlayer.discretisation.mesh_functions import Middle, cellwise, relative_thickness
+from thinlayer.discretisation.layer import Layers, SeamLayer, law_of_terms, law_with_numbers, seam_entities
+from thinlayer.discretisation.measures import law_with_expressions
+from thinlayer.discretisation.mesh_functions import MidSurface, cellwise_function, relative_thickness
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
-from thinlayer.errors import Refused
+from thinlayer.errors import Violation
 from thinlayer.pointwise.integrals import quadrature_degree
-from thinlayer.system.ranks import on_all
+from thinlayer.system.ranks import errors_on_all
 
 AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
 
@@ -62,7 +62,7 @@ class InterfaceModel(Model):
             reason = f"{name!r} has no ThinLayer, so that no thickness tells where bodies are; use bodies='kept'"
             raise InputError(f"bodies='extended' of an interface model: {reason}")
         eps, profiles = ({name: getattr(one, of) for name, one in thin.items()} for of in ("eps", "profile"))
-        joint = parted(self.joint, eps, profile=profiles)
+        joint = with_gaps(self.joint, eps, profile=profiles)
         require_revolution(self.structure.kinematics, joint)
         return joint
 
@@ -93,9 +93,9 @@ class InterfaceModel(Model):
             self._require_shapes(other)
 
     @cached_property
-    def _middle(self) -> Middle | None:
+    def _middle(self) -> MidSurface | None:
         """S between bodies that stand apart; None: they meet there."""
-        return None if self.domain.joint.parted is None else Middle(self.domain)
+        return None if self.domain.joint.parted is None else MidSurface(self.domain)
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
         return at.moved(at.x + self._middle.to_s) if self._middle else at
@@ -140,7 +140,7 @@ class InterfaceModel(Model):
         return self.sides_of(S)
 
     def _layer_terms(self) -> list[forms.Term]:
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             for name, one in self.layers.items():
                 if self.reductions[name].weights is None and one.thin and one.thin.edges == "free":
                     self.reductions[name].require("ends", f"edges='free' of {one}: ")
@@ -165,7 +165,7 @@ class InterfaceModel(Model):
         except InputError:  # bodies that do not part in one piece
             return None
 
-    def free_ends(self, name: str) -> Refused | None:
+    def free_ends(self, name: str) -> Violation | None:
         """Why the interface law of a seam knows nothing of its free ends; None: it does, or there are none.
 
         Raises:
@@ -176,14 +176,16 @@ class InterfaceModel(Model):
 
     def terms_of(self, one: SeamLayer) -> list[forms.Term]:
         """The terms of a layer without contact on its seam."""
-        mesh, law, sides = self.domain.mesh, real_law(one.layer, self.kinematics), self.sides_of(one.name)
+        mesh, law, sides = self.domain.mesh, law_with_numbers(one.layer, self.kinematics), self.sides_of(one.name)
         measure = sides.measure.reconstruct(**self._rule(sides.measure))
         if self._middle:  # whose slopes and lengths UFL takes for functions of a high degree
             degree = quadrature_degree(self.V, measure) + self.kinematics.degree
             measure = measure(metadata={"quadrature_degree": degree})
-        sides = replace(sides, measure=measure, known=partial(_known, self.domain, self.joint, one.name, sides.upper))
+        sides = replace(
+            sides, measure=measure, known=partial(_law_on_surface, self.domain, self.joint, one.name, sides.upper)
+        )
         if one.thin is None:
-            terms = [forms.of_jumps(law, sides)]
+            terms = [forms.jump_terms(law, sides)]
         else:
             eps = self._thickness(one, sides)
             slope = self._middle.slope(sides) if self._middle and one.thin.profile else None
@@ -193,7 +195,7 @@ class InterfaceModel(Model):
                 finer = {"quadrature_degree": quadrature_degree(self.V, measure) + AT_ENDS}
                 sides = replace(sides, measure=measure.reconstruct(metadata=finer))
             terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope, ends)
-        return [replace(term, key=one.key, law=for_terms(term.law, mesh)) for term in terms]
+        return [replace(term, key=one.key, law=law_of_terms(term.law, mesh)) for term in terms]
 
     def _thickness(self, one: SeamLayer, sides: Interface) -> Expr:
         if self._middle:
@@ -207,7 +209,7 @@ class InterfaceModel(Model):
         known = [name for name, reduction in self.reductions.items() if reduction.weights]
         return super()._data() | ({"free ends": known} if known else {})
 
-    def _place_of(self, one: SeamLayer) -> Weighted:
+    def _place_of(self, one: SeamLayer) -> LoadRegion:
         """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""
         sides = self.sides_of(one.name)
 
@@ -216,14 +218,14 @@ class InterfaceModel(Model):
 
         based = on_base if one.name in self.joint.base_seams else None
         weight = self._thickness(one, sides) * sides.factor
-        return Weighted(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, based)
+        return LoadRegion(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, based)
 
 
-def _known(domain: Domain, joint: Joint, name: str, upper: Side, law: BulkLaw) -> BulkLaw:
+def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:
     """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
     on_s, vertices = {}, np.unique(joint.table.vertices[joint.rows_of(name)])
     for key, found in law.fields_at(joint.points[vertices].T).items():
         values = np.full(len(joint.points), found[0])  # elsewhere without meaning
         values[vertices] = found
-        on_s[key] = upper(cellwise(domain, ("Lagrange", 1), values[joint.corners][..., None]))
-    return known_at(law, domain.mesh, on_s)
+        on_s[key] = upper(cellwise_function(domain, ("Lagrange", 1), values[joint.corners][..., None]))
+    return law_with_expressions(law, domain.mesh, on_s)

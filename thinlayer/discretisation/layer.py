@@ -16,24 +16,24 @@ from forms.contact import ContactLaw
 from forms.kinematics import Expr, average_lame
 from forms.law import BulkLaw, Law
 from forms.planes import Kinematics
-from forms.trace import is_checked_at_rest, known_at_rest, require_stable, tangent_over
+from forms.trace import declared_or_computed_tangent, is_checked_at_rest, require_stable, tangent_over
 from forms.traction import TractionLaw
-from geometry.domain import Domain, connect
+from geometry.domain import Domain, create_connectivity
 from geometry.joint import Joint, Profile
 from geometry.seam import S
 from geometry.sheet import Sheet
 from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.given import Coordinates, Load
-from thinlayer.discretisation.given_strains import Matter, StrainGiven, given_strain
-from thinlayer.errors import Refused
+from thinlayer.discretisation.given_strains import EigenstrainContext, EigenstrainInput, prescribed_strain
+from thinlayer.errors import Violation
 from thinlayer.system.compat import exterior_facet_entities, interior_facet_entities
-from thinlayer.system.identity import described
+from thinlayer.system.identity import describe
 
 # keys of what laws remember and store, in states and in files
 LAYER, CONTACT, BODY, PRESSURE = "layer", "contact", "body", "pressure"
 BODIES = "bodies"  # name of all bodies together, beside the names of seams
 EDGES = (None, "free", "plain")
-LawOnS = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes
+SurfaceLaw = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class ThinLayer:
     eps: float
     order: int = 0
     profile: Profile | None = None
-    eigenstrain: StrainGiven | None = None
+    eigenstrain: EigenstrainInput | None = None
     edges: str | None = None
     at: float | None = None
 
@@ -131,21 +131,21 @@ class Bond:
     """
 
 
-Layer = ThinLayer | LawOnS
-OnSeam = Layer | Gap | Bond | None
-Layers = Layer | Bond | Mapping[str, OnSeam]
+Layer = ThinLayer | SurfaceLaw
+SeamContent = Layer | Gap | Bond | None
+Layers = Layer | Bond | Mapping[str, SeamContent]
 
 
 def _check_thickness(what: str, eps: Any) -> None:
     require(is_finite(eps) and eps > 0, f"the {what}", eps, "allowed: > 0")
 
 
-def real_law(layer: Layer, kinematics: Kinematics) -> BulkLaw:
+def law_with_numbers(layer: Layer, kinematics: Kinematics) -> BulkLaw:
     """A layer's law for these kinematics; a law of jumps as one of strains."""
     return kinematics.law(layer.material) if isinstance(layer, ThinLayer) else layer.of_strains()
 
 
-def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
+def law_with_constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     """A law whose parameters are Constants, so that forms are compiled once for all their values.
 
     A law with parameters that are functions is given back as it is: `placed` makes what forms need.
@@ -153,12 +153,12 @@ def constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     return law if law.fields else law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))
 
 
-def for_terms(law: BulkLaw, mesh: Mesh) -> BulkLaw:
+def law_of_terms(law: BulkLaw, mesh: Mesh) -> BulkLaw:
     """A law as the terms on S have it: compiled, with its numbers, or with Constants in UFL forms."""
-    return law.for_points() if law.fields else law if law.traits.compiled else constants(law, mesh)
+    return law.for_points() if law.fields else law if law.traits.compiled else law_with_constants(law, mesh)
 
 
-class AtRest:
+class InitialTangents:
     """The law of a layer, or those of its sublayers, under small strains from rest.
 
     Args:
@@ -172,7 +172,7 @@ class AtRest:
 
     def __init__(self, law: BulkLaw, n: Array) -> None:
         self.law, self.n, self._over = law, n, dict[float, list[Array | None]]()
-        self.sublayers = [(share, one, known_at_rest(one, n)) for share, one in law.sublayers]
+        self.sublayers = [(share, one, declared_or_computed_tangent(one, n)) for share, one in law.sublayers]
 
     def over(self, dt: float) -> list[Array | None]:
         """Tangents of the sublayers under loads that have lasted dt > 0; None: it is not known, or that at rest."""
@@ -187,7 +187,7 @@ class AtRest:
             if is_checked_at_rest(law):
                 require_stable(law, C, self.n)
 
-    def locks(self) -> Refused | None:
+    def locks(self) -> Violation | None:
         """Why the law of order 1 locks, as displacements are linear through the layer; None: it does not."""
         largest = min(station.largest_ratio for station in self.law.stations())
         for _, law, C in self.sublayers:
@@ -198,7 +198,7 @@ class AtRest:
                 reason = f"order=1 of {kind} with lmbda/mu = {ratios[0]} at rest locks; allowed: {ratios[1]}"
                 elastic = not (law.traits.remembers or law.traits.rate)
                 rubber = ", or Rubber or LinearElastic if it is isotropic" if elastic else ""
-                return Refused("locks", reason, f"use order=0, or mesh the layer (structure.full){rubber}")
+                return Violation("locks", reason, f"use order=0, or mesh the layer (structure.full){rubber}")
         return None
 
 
@@ -243,7 +243,7 @@ class SeamLayer:
     @property
     def thin(self) -> Any:
         """The layer, a `ThinLayer`, if it has a law of strains; else None."""
-        return None if isinstance(self.layer, LawOnS) else self.layer
+        return None if isinstance(self.layer, SurfaceLaw) else self.layer
 
     @property
     def contact(self) -> ContactLaw | None:
@@ -253,7 +253,7 @@ class SeamLayer:
     @property
     def law(self) -> Law:
         """The law, as given."""
-        return self.layer if isinstance(self.layer, LawOnS) else self.layer.law
+        return self.layer if isinstance(self.layer, SurfaceLaw) else self.layer.law
 
     @property
     def kind(self) -> str:
@@ -282,23 +282,25 @@ class SeamLayer:
         return [SeamLayer(self.name, replace(self.thin, law=law), self.structure) for law in laws]
 
     @cached_property
-    def at_rest(self) -> AtRest:
+    def at_rest(self) -> InitialTangents:
         """The law at rest, of a layer without contact; its parameters are numbers (`samples`)."""
-        return AtRest(real_law(self.layer, self.structure.kinematics), self.sheet.mean_normal)
+        return InitialTangents(law_with_numbers(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
     def given(self, at: Coordinates) -> Expr | None:
         """The strain (3, 3) that is added to that of the displacements: less the eigenstrain; None: there is none."""
         if self.thin is None:
             return None
         kinematics = self.structure.kinematics
-        matter = Matter(str(self), real_law(self.layer, kinematics), self.sheet.mean_normal, kinematics, at)
-        return given_strain(self.thin.eigenstrain, matter)
+        matter = EigenstrainContext(
+            str(self), law_with_numbers(self.layer, kinematics), self.sheet.mean_normal, kinematics, at
+        )
+        return prescribed_strain(self.thin.eigenstrain, matter)
 
     @property
     def profile(self) -> Any:
         """Description of the profile, as JSON; None: the thickness is uniform."""
         given = self.thin.profile if self.thin else None
-        return described(self.structure.joint.relative_thickness(given, self.name)) if given else None
+        return describe(self.structure.joint.relative_thickness(given, self.name)) if given else None
 
     @property
     def shape(self) -> tuple[Any, ...]:
@@ -312,7 +314,7 @@ class SeamLayer:
             "eps": float(thin.eps) if thin else None,
             "order": thin.order if thin else None,
             "profile": self.profile,
-            **({"eigenstrain": described(thin.eigenstrain)} if thin and thin.eigenstrain is not None else {}),
+            **({"eigenstrain": describe(thin.eigenstrain)} if thin and thin.eigenstrain is not None else {}),
         }
 
 
@@ -336,7 +338,7 @@ def seam_entities(domain: Domain, name: str) -> Indices:
     They are in the order of the local facets. Collective.
     """
     joint, mesh = domain.joint, domain.mesh
-    connect(mesh, joint.dim - 1)
+    create_connectivity(mesh, joint.dim - 1)
     facets = domain.facets(name)
     facets = np.sort(facets[facets < mesh.topology.index_map(joint.dim - 1).size_local])
     entities = interior_facet_entities(mesh, facets)

@@ -23,15 +23,15 @@ from forms.kinematics import Expr
 from forms.law import BulkLaw
 from forms.work import Term
 from geometry.domain import Domain
-from geometry.inflating.inflation import points_on_middle, to_middle
+from geometry.inflating.inflation import offset_to_middle, points_on_middle
 from geometry.partition import column_numbers
 from thinlayer.discretisation.given import Coordinates, has_finite_numbers
-from thinlayer.discretisation.layer import BODY, LAYER, constants
-from thinlayer.discretisation.mesh_functions import cellwise
-from thinlayer.discretisation.time_functions import readings
-from thinlayer.pointwise.integrals import KINDS, Origin, Quadrature, matrix_of
+from thinlayer.discretisation.layer import BODY, LAYER, law_with_constants
+from thinlayer.discretisation.mesh_functions import cellwise_function
+from thinlayer.discretisation.time_functions import time_constants
+from thinlayer.pointwise.integrals import KINDS, MeshOrigin, Quadrature, assemble_matrix
 from thinlayer.system.compat import by_domain, compiled, without_cycles
-from thinlayer.system.ranks import on_all
+from thinlayer.system.ranks import errors_on_all
 
 show_warnings()  # those of users too
 
@@ -42,7 +42,7 @@ TAGS = {
 }
 
 
-def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
+def whole_structure_form(form: Any, model: Any, what: str = "a form") -> ufl.Form:
     """A form that a user writes on a model's mesh, over the whole structure: in axisymmetry with the factor 2 pi r.
 
     Raises:
@@ -50,7 +50,7 @@ def whole(form: Any, model: Any, what: str = "a form") -> ufl.Form:
             or facet has. Collective.
     """
     require(isinstance(form, ufl.Form), what, form, "it must be a UFL form, such as f * model.dx")
-    if readings(form):
+    if time_constants(form):
         raise InputError(f"{what} depends on the time; only loads and supports may")
     constants = [constant.value for constant in form.constants()]
     real = all(np.isrealobj(value) and np.isfinite(value).all() for value in constants)
@@ -91,7 +91,7 @@ def compiled_summands(form: Expr) -> list[fem.Form]:
     return [compiled(ufl.Form(integrals)) for integrals in by_domain(form).values()]
 
 
-def zeros(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
+def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
     """A matrix of zeros, with places for bilinear forms over the cells and facets that a form integrates over."""
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     same, across = ufl.inner(u, v), ufl.inner(u("+") + u("-"), v("+") + v("-"))
@@ -100,7 +100,7 @@ def zeros(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
         integrand = across if one.integral_type() == "interior_facet" else same
         key = one.integral_type(), id(one.subdomain_data()), one.subdomain_id()
         parts[key] = one.reconstruct(integrand=integrand, metadata={})
-    A = matrix_of(compiled(ufl.Form(list(parts.values()))))
+    A = assemble_matrix(compiled(ufl.Form(list(parts.values()))))
     A.zeroEntries()
     return A
 
@@ -140,17 +140,17 @@ def _degree(integral: Any) -> Any:
         return integral.integrand()
 
 
-def origin_of(domain: Domain) -> Origin:
+def origin_of(domain: Domain) -> MeshOrigin:
     """The joint that a domain was made from."""
     joint, x = domain.joint, Coordinates.of(domain).x
     columns = partial(column_numbers, joint)
     if joint.parted is None:
-        return Origin(domain.comm, x, domain.numbers, columns)
-    on_s = x + cellwise(domain, ("DG", joint.degree, (joint.dim,)), to_middle(joint))
-    return Origin(domain.comm, x, domain.numbers, columns, on_s, points_on_middle(joint))
+        return MeshOrigin(domain.comm, x, domain.numbers, columns)
+    on_s = x + cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
+    return MeshOrigin(domain.comm, x, domain.numbers, columns, on_s, points_on_middle(joint))
 
 
-def placed(term: Term, V: fem.FunctionSpace, origin: Origin) -> Term:
+def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:
     """A term whose law's parameters are functions, with these checked at its quadrature points. Collective.
 
     The parameters of a law in forms become a function with values there; compiled laws evaluate theirs themselves.
@@ -162,18 +162,20 @@ def placed(term: Term, V: fem.FunctionSpace, origin: Origin) -> Term:
     if not law.fields:
         return term
     points = Quadrature(V, term, origin)
-    with on_all(points.comm):
+    with errors_on_all(points.comm):
         law.check_at(points.joint_x)
         values = law.fields_at(points.joint_x)
     if law.traits.compiled:
         return term
     f = points.function(np.column_stack([values[name] for name in law.fields]))
-    return replace(term, law=known_at(law, V.mesh, dict(zip(law.fields, f, strict=True))), measure=points.measure)
+    return replace(
+        term, law=law_with_expressions(law, V.mesh, dict(zip(law.fields, f, strict=True))), measure=points.measure
+    )
 
 
-def known_at(law: BulkLaw, mesh: Mesh, values: Mapping[str, Expr]) -> BulkLaw:
+def law_with_expressions(law: BulkLaw, mesh: Mesh, values: Mapping[str, Expr]) -> BulkLaw:
     """A law with UFL expressions for the parameters that are functions, and Constants for the others."""
-    return constants(law.with_parameters(dict.fromkeys(values, 1.0)), mesh).with_parameters(values)
+    return law_with_constants(law.with_parameters(dict.fromkeys(values, 1.0)), mesh).with_parameters(values)
 
 
 def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:

@@ -17,19 +17,19 @@ from forms.base import Array, InputError
 from forms.kinematics import Expr
 from forms.work import Interface
 from geometry.domain import Domain, index_map
-from geometry.inflating.inflation import to_middle
+from geometry.inflating.inflation import offset_to_middle
 from geometry.joint import Joint, Profile
-from geometry.refusals import place
+from geometry.refusals import place_text
 from geometry.seam import S
 from geometry.topology import Indices, IntArray, Splitting
 from thinlayer.system.compat import interpolation_points, space_with_dofmap
 from thinlayer.system.ranks import ask, communicator
 
-OfEntities = Sequence[IntArray | Indices]
+EntityKeys = Sequence[IntArray | Indices]
 INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
 
 
-def cellwise(domain: Domain, element: tuple[Any, ...], values: Array) -> fem.Function:
+def cellwise_function(domain: Domain, element: tuple[Any, ...], values: Array) -> fem.Function:
     """A function given by its degrees of freedom on each cell of the joint, (n_cells, dofs per cell, components)."""
     f = fem.Function(fem.functionspace(domain.mesh, element))
     dofs = f.function_space.dofmap.list
@@ -40,7 +40,7 @@ def cellwise(domain: Domain, element: tuple[Any, ...], values: Array) -> fem.Fun
 def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.Function:
     """The thickness profile on a seam, or on S, of degree 1 between vertices; its values elsewhere have no meaning."""
     joint = domain.joint
-    return cellwise(domain, ("Lagrange", 1), joint.relative_thickness(profile, name)[joint.corners][..., None])
+    return cellwise_function(domain, ("Lagrange", 1), joint.relative_thickness(profile, name)[joint.corners][..., None])
 
 
 def director(domain: Domain) -> Expr:
@@ -48,17 +48,19 @@ def director(domain: Domain) -> Expr:
     joint: Any = domain.joint
     values = np.zeros((*joint.corners.shape, joint.dim))
     values[-len(joint.band.director) :] = joint.band.director
-    n = cellwise(domain, ("DG", 1, (joint.dim,)), values)
+    n = cellwise_function(domain, ("DG", 1, (joint.dim,)), values)
     return n / ufl.sqrt(ufl.dot(n, n))
 
 
-def shift(domain: Domain) -> fem.Function:
+def inflation_shift(domain: Domain) -> fem.Function:
     """Displacement (d,) of each place by inflating: rigid for the bodies, away from S for the layer."""
     joint = domain.joint
-    return cellwise(domain, ("Lagrange", joint.degree, (joint.dim,)), (joint.points - joint.reference)[joint.cells])
+    return cellwise_function(
+        domain, ("Lagrange", joint.degree, (joint.dim,)), (joint.points - joint.reference)[joint.cells]
+    )
 
 
-class Middle:
+class MidSurface:
     """S midway between bodies that stand apart.
 
     Args:
@@ -70,7 +72,7 @@ class Middle:
 
     def __init__(self, domain: Domain) -> None:
         joint = domain.joint
-        self.to_s = cellwise(domain, ("DG", joint.degree, (joint.dim,)), to_middle(joint))
+        self.to_s = cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
 
     def thickness(self, sides: Interface) -> Expr:
         """Distance of the bodies along n; S is half of it away from either."""
@@ -82,7 +84,7 @@ class Middle:
         return slope - ufl.dot(slope, sides.fibre) * sides.n
 
 
-def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
+def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
     """A function on another mesh as one on this mesh, with the other's values at places x (d,) of UFL. Collective.
 
     It is right to 1e-6 of its changes in a cell.
@@ -97,7 +99,7 @@ def sampled(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
     values = _values(f, places)
     missing = communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1])
     if any(map(len, missing)):
-        first = place(np.concatenate(missing)[0])
+        first = place_text(np.concatenate(missing)[0])
         raise InputError(f"{what}: a function is unknown at {first}; its mesh must cover all")
     own.x.array.reshape(values.shape)[np.asarray(own.function_space.dofmap.list).ravel()] = values
     return own
@@ -131,7 +133,7 @@ def _values(f: fem.Function, x: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Keys:
+class SharedDofs:
     """Which degrees of freedom of the local cells, ghosts included, are the same: those with the same key.
 
     Attributes:
@@ -147,7 +149,7 @@ class Keys:
     of_cells: IntArray
 
     @classmethod
-    def of_components(cls, comm: MPI.Intracomm, mesh: Mesh, element: Any, components: OfEntities) -> Keys:
+    def of_components(cls, comm: MPI.Intracomm, mesh: Mesh, element: Any, components: EntityKeys) -> SharedDofs:
         """Keys by place and component; users of a key meet at the owner of the place. Collective.
 
         Args:
@@ -170,7 +172,7 @@ class Keys:
         return cls(whole, numbers[place] * count + number, owner[place], (used.cumsum() - 1)[copies])
 
     @classmethod
-    def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Any, keys: OfEntities) -> Keys:
+    def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Any, keys: EntityKeys) -> SharedDofs:
         """Keys of the entities of each local cell, for elements with one unknown per entity at most. Collective.
 
         Args:
@@ -187,7 +189,7 @@ class Keys:
         return cls(whole, distinct, meeting, positions)
 
 
-def _of_unknowns(whole: fem.FunctionSpace, of_entities: OfEntities, otherwise: int) -> IntArray:
+def _of_unknowns(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: int) -> IntArray:
     """(cells, unknowns of a cell) values of the entities that the unknowns of each local cell belong to."""
     out = np.full(np.shape(whole.dofmap.list), otherwise, np.int64)
     for dim, values in enumerate(of_entities):
@@ -196,13 +198,13 @@ def _of_unknowns(whole: fem.FunctionSpace, of_entities: OfEntities, otherwise: i
     return out
 
 
-def broken_space(comm: MPI.Intracomm, unknowns: Keys) -> fem.FunctionSpace:
+def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace:
     """Space of functions whose degrees of freedom are one for each key. Collective."""
     rank, whole, keys, meeting = comm.rank, unknowns.whole, unknowns.keys, unknowns.meeting
     n_cells = whole.mesh.topology.index_map(whole.mesh.topology.dim).size_local
     used = np.zeros(len(keys), np.int64)
     used[unknowns.of_cells[:n_cells]] = 1
-    owner = ask(comm, meeting, np.column_stack([keys, used]), lambda q, src: _elect(q, src, rank))
+    owner = ask(comm, meeting, np.column_stack([keys, used]), lambda q, src: _elect_owners(q, src, rank))
     own = owner == rank
     n_own = int(own.sum())
     first = comm.exscan(n_own) or 0
@@ -218,7 +220,7 @@ def broken_space(comm: MPI.Intracomm, unknowns: Keys) -> fem.FunctionSpace:
     return space_with_dofmap(whole, local[unknowns.of_cells], index_map(comm, n_own, number[foreign], owner[foreign]))
 
 
-def _elect(questions: IntArray, source: IntArray, rank: int) -> IntArray:
+def _elect_owners(questions: IntArray, source: IntArray, rank: int) -> IntArray:
     """Owner of each key: this rank, where its users meet, if a cell that it sees has it, else the lowest rank that uses it.
 
     Thus both sides of S belong to one rank at nearly all places, which solvers of contact need.
@@ -245,12 +247,12 @@ def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fe
     element = basix.ufl.element(family, mesh.basix_cell(), degree, shape=(dim,))
     if domain.joint.periods:
         of_entities = [domain.on_cells(of_dim) for of_dim in cut.keys]
-        return broken_space(comm, Keys.of_entities(comm, mesh, element, of_entities))
+        return broken_space(comm, SharedDofs.of_entities(comm, mesh, element, of_entities))
     used = [any(map(len, of_dim)) for of_dim in element.basix_element.entity_dofs]
     none = np.empty((0, 0), np.int64)
     of_cells = [(cut.components(k) if k else cut.of_vertices) if used[k] else None for k in range(dim)]
     components = [none if found is None else domain.on_cells(found) for found in of_cells]
-    return broken_space(comm, Keys.of_components(comm, mesh, element, components))
+    return broken_space(comm, SharedDofs.of_components(comm, mesh, element, components))
 
 
 def cut_at_faces(joint: Joint) -> Splitting:

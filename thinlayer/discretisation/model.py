@@ -20,52 +20,52 @@ from forms.contact import ContactLaw
 from forms.kinematics import Expr
 from forms.law import BulkLaw
 from geometry.domain import Domain
-from geometry.inflating.layering import by_seam
+from geometry.inflating.layering import value_by_seam
 from geometry.joint import Joint
 from geometry.sheet import volume_of
 from geometry.topology import FloatArray, Indices, Splitting, is_tensor
-from thinlayer.discretisation.addition import check_additions
+from thinlayer.discretisation.addition import check_part_definitions
 from thinlayer.discretisation.constraints import Constraints
-from thinlayer.discretisation.forces import BodyForce, Forces, Weighted
+from thinlayer.discretisation.forces import BodyForce, Forces, LoadRegion
 from thinlayer.discretisation.given import Coordinates, Load, Pressure
-from thinlayer.discretisation.given_strains import Matter, MeanStrain, MeanStress, given_strain
+from thinlayer.discretisation.given_strains import EigenstrainContext, MeanStrain, MeanStress, prescribed_strain
 from thinlayer.discretisation.layer import (
     BODIES,
     BODY,
     Bond,
     Gap,
     Layers,
-    OnSeam,
+    SeamContent,
     SeamLayer,
     ThinLayer,
-    constants,
+    law_with_constants,
     loads_of_layers,
 )
-from thinlayer.discretisation.measures import compiled, compiled_scalars, compiled_terms, origin_of, placed
+from thinlayer.discretisation.measures import checked_term, compiled, compiled_scalars, compiled_terms, origin_of
 from thinlayer.discretisation.mesh_functions import cut_at_faces, vector_space
-from thinlayer.discretisation.point_loads import Concentrated, ConcentratedForms, check_loads
-from thinlayer.discretisation.reduction import Reduction
+from thinlayer.discretisation.point_loads import ConcentratedForms, ConcentratedLoad, check_loads
+from thinlayer.discretisation.reduction import Applicability
 from thinlayer.discretisation.rigid import (
     Resultant,
     free_translations,
-    on_centre,
+    moment_centre,
     require_support,
-    resisted,
+    resistance_matrices,
     resultants_of_loads,
-    rigid_shares,
+    scaled_motions,
 )
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports, is_part
-from thinlayer.discretisation.time_functions import Hand
+from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.errors import warn
 from thinlayer.pointwise.integrals import Quadrature, quadrature_degree
 from thinlayer.system.compat import interpolate
-from thinlayer.system.identity import described, digest
-from thinlayer.system.ranks import collect, on_all, require_same
+from thinlayer.system.identity import describe, digest
+from thinlayer.system.ranks import collect, errors_on_all, require_same
 
 
 @dataclass
-class Family:
+class ModelFamily:
     """What models have in common, beside mesh and space, that differ in the laws of their layers or in their loads.
 
     Attributes:
@@ -124,11 +124,11 @@ class Model(ABC):
     def __init__(self, structure: Setup, layer: Layers, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
-        self._options, self.family, self.said = options, Family(), set[tuple[Hashable, ...]]()
+        self._options, self.family, self.said = options, ModelFamily(), set[tuple[Hashable, ...]]()
         inflated = self._lay(layer, self._checked)
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
-        self.centre = on_centre(structure.kinematics, np.asarray(inflated.points.mean(axis=0), float))
+        self.centre = moment_centre(structure.kinematics, np.asarray(inflated.points.mean(axis=0), float))
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
         collect(self.comm, self.V)
         self.kinematics = structure.kinematics.on(self.domain.mesh)
@@ -137,7 +137,7 @@ class Model(ABC):
         mesh = self.domain.mesh
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             self.supports = self._supports(structure.supports)
             self.given = {name: self._given(name) for name in self.body_laws}
             self.given_on = {name: self._given_on(one) for name, one in self.layers.items()}
@@ -147,13 +147,13 @@ class Model(ABC):
             self.strain = None if strain is None else MeanStrain(strain, self.coordinates, self.joint)
         self.bodies = self._strained([term for names in self._alike() for term in self._body_terms(names)])
         self.layer_terms = self._terms_of_layers()
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             self.forces = self._forces(structure)
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             self.stress = None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids)
         self.parts = structure.parts
-        with on_all(self.comm):
-            check_additions(self.parts, self)
+        with errors_on_all(self.comm):
+            check_part_definitions(self.parts, self)
         self.constraints = self._constrained()
         self.require_supported()
         self.made_from = self._data()
@@ -168,21 +168,21 @@ class Model(ABC):
         """Raise InputError if the bodies can move as one."""
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
             resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
-            names = [*rigid_shares(self.domain.joint, self.kinematics)]
+            names = [*scaled_motions(self.domain.joint, self.kinematics)]
             if self.joint.periods:
-                self.supports.anchored = free_translations(names, resisted(self, resistances))
+                self.supports.anchored = free_translations(names, resistance_matrices(self, resistances))
                 self.constraints = self._constrained()
-            require_support(names, resisted(self, resistances))
+            require_support(names, resistance_matrices(self, resistances))
 
     def _lay(self, layer: Layers, check: Callable[[], Any]) -> Any:
         """Take the layers of the seams and return the result of a check of them. Collective."""
         structure = self.structure
-        with on_all(structure.comm):
-            self.on_seams: dict[str, OnSeam] = by_seam(self.joint, layer, "layer")
+        with errors_on_all(structure.comm):
+            self.on_seams: dict[str, SeamContent] = value_by_seam(self.joint, layer, "layer")
             layers = {name: one for name, one in self.on_seams.items() if not isinstance(one, Gap | Bond | None)}
             self.layers = {name: SeamLayer(name, one, structure) for name, one in layers.items()}
             self.contacts = {name: one.contact for name, one in self.layers.items() if one.contact}
-            self.reductions = {name: Reduction(one, self._bodies) for name, one in self.layers.items()}
+            self.reductions = {name: Applicability(one, self._bodies) for name, one in self.layers.items()}
             checked = check()
         self.mark = structure.mark + require_same(structure.comm, model=self.name, layer=layer, options=self._options)
         return checked
@@ -190,8 +190,8 @@ class Model(ABC):
     def _given(self, name: str) -> Expr | None:
         """The strain that is added to that of the displacements in a body: less its eigenstrain; None: there is none."""
         law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
-        body = Matter(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
-        return given_strain(self.structure.eigenstrains.get(name), body)
+        body = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
+        return prescribed_strain(self.structure.eigenstrains.get(name), body)
 
     def _given_on(self, one: SeamLayer) -> Expr | None:
         """The strain that is added to that of the displacements in a layer."""
@@ -208,16 +208,16 @@ class Model(ABC):
         """Terms of bodies with one law and one eigenstrain: one if they are parts of forms, else one a body, with a key."""
         law, given = self.kinematics.law(self.body_laws[names[0]]), self.given[names[0]]
         if not law.traits.compiled:
-            law, some = constants(law, self.domain.mesh), {"": names}
+            law, some = law_with_constants(law, self.domain.mesh), {"": names}
         else:
             some = {f"{BODY} {name}": (name,) for name in names}
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         volume = self.volume_degree(law)
         each = {key: forms.body(law, one, self.kinematics, volume) for key, one in cells.items()}
-        return [placed(replace(term, key=key, given=given), self.V, self.origin) for key, term in each.items()]
+        return [checked_term(replace(term, key=key, given=given), self.V, self.origin) for key, term in each.items()]
 
     def _terms_of_layers(self) -> list[forms.Term]:
-        terms = [placed(term, self.V, self.origin) for term in self._layer_terms()]
+        terms = [checked_term(term, self.V, self.origin) for term in self._layer_terms()]
         return terms if self.broken else self._strained(terms)
 
     def _supports(self, given: ByPlace) -> Supports:
@@ -237,7 +237,7 @@ class Model(ABC):
         return at
 
     @abstractmethod
-    def _place_of(self, one: SeamLayer) -> Weighted:
+    def _place_of(self, one: SeamLayer) -> LoadRegion:
         """Where a layer's volume is."""
 
     @property
@@ -246,7 +246,7 @@ class Model(ABC):
         return ()
 
     def require(self, question: str, what: str = "") -> None:
-        """Raise InputError, after some words, if a layer does not meet a condition of a question (`Reduction.why_not`)."""
+        """Raise InputError, after some words, if a layer fails a condition of a question (`Applicability.why_not`)."""
         for reduction in self.reductions.values():
             reduction.require(question, what)
 
@@ -290,10 +290,10 @@ class Model(ABC):
     def _laid_beside(self, other: Self, layer: Layers) -> Self:
         """This copy of another model, with its layers. Collective."""
         self._lay(layer, partial(self._check_beside, other))
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             self.given_on = {name: self._given_on(one) for name, one in self.layers.items()}
         self.layer_terms = self._terms_of_layers()
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             self.forces = self._forces(self.structure)
             if self.strain or self.stress:
                 self.require("mean strain")
@@ -325,7 +325,7 @@ class Model(ABC):
         *,
         tractions: Mapping[str, Load | Pressure] | None = None,
         body_force: BodyForce | None = None,
-        loads: Sequence[Concentrated] | None = None,
+        loads: Sequence[ConcentratedLoad] | None = None,
         supports: ByPlace | None = None,
     ) -> Self:
         """The same model under other loads; it shares mesh, space, matrices and their factor. Collective.
@@ -338,14 +338,14 @@ class Model(ABC):
             InputError: as in `Structure`; supports of other places or components.
         """
         changed: dict[str, Any] = {"tractions": tractions, "body_force": body_force, "supports": supports}
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             changed["loads"] = None if loads is None else check_loads(loads)
         given = {name: value for name, value in changed.items() if value is not None}
         new = self._derived()
         new.said = set()
         new.structure = structure = self.structure.with_loads(given)
         new.mark = digest([self.mark, structure.mark])
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             if supports is not None:
                 new.supports = self._supports(supports)
                 new.supports.anchored = self.supports.anchored
@@ -423,7 +423,7 @@ class Model(ABC):
 
     def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
         """The terms with the mean strain of a periodic cell."""
-        return forms.added(terms, self.strain.expression) if self.strain else terms
+        return forms.with_added_strain(terms, self.strain.expression) if self.strain else terms
 
     @property
     def solids(self) -> list[forms.Term]:
@@ -445,7 +445,7 @@ class Model(ABC):
 
     def terms_at(self, t: float) -> list[forms.Term]:
         """All terms of the model, with the strains that are given at a time, such as minus the eigenstrain."""
-        return Hand(t).terms(self.terms)
+        return TimeLevel(t).terms(self.terms)
 
     @cached_property
     def quadratures(self) -> dict[str, Quadrature]:
@@ -482,7 +482,7 @@ class Model(ABC):
         return [*(place for place, _ in self.supports.entries), *plates, *based]
 
     def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
-        """`by_seam`, and under "bodies" the sum of the values of bodies, by their keys, if they remember."""
+        """`value_by_seam`, and under "bodies" the sum of the values of bodies, by their keys, if they remember."""
         of_bodies = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
         remember = any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
         return self.by_seam(values) | ({BODIES: of_bodies} if remember else {})
@@ -507,7 +507,7 @@ class Model(ABC):
 
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""
-        return Hand(t).of(self.forces.work(v))
+        return TimeLevel(t).of(self.forces.work(v))
 
     def applied(self, t: float) -> Resultant:
         """Resultant of all loads at a time, about `centre`. Collective."""
@@ -536,16 +536,16 @@ class Model(ABC):
     def _data(self) -> dict[str, Any]:
         return {
             "plane": self.plane,
-            "law": {name: described(one.law) for name, one in self.layers.items()},
-            "bodies": {name: described(law) for name, law in self.body_laws.items()},
+            "law": {name: describe(one.law) for name, one in self.layers.items()},
+            "bodies": {name: describe(law) for name, law in self.body_laws.items()},
             "layers": {name: one.identity() for name, one in self.layers.items()},
             **({"bonds": list(self.bonds)} if self.bonds else {}),
-            "supports": [[str(place), described(given)] for place, given in self.supports.entries],
-            "loads": described(self.forces.given),
-            "parts": described(list(self.parts)),
-            **({"strain": described(self.structure.strain)} if self.strain else {}),
-            **({"stress": described(self.structure.stress)} if self.stress else {}),
-            **({"eigenstrains": described(self.structure.eigenstrains)} if self.structure.eigenstrains else {}),
+            "supports": [[str(place), describe(given)] for place, given in self.supports.entries],
+            "loads": describe(self.forces.given),
+            "parts": describe(list(self.parts)),
+            **({"strain": describe(self.structure.strain)} if self.strain else {}),
+            **({"stress": describe(self.structure.stress)} if self.stress else {}),
+            **({"eigenstrains": describe(self.structure.eigenstrains)} if self.structure.eigenstrains else {}),
         }
 
     @property

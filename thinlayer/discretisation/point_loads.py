@@ -15,18 +15,18 @@ from forms.base import Array, InputError, require
 from forms.kinematics import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.refusals import place as at_place
+from geometry.refusals import place_text as at_place
 from geometry.refusals import require_known
-from geometry.topology import Indices, IntArray, sums
+from geometry.topology import Indices, IntArray, sum_by_number
 from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.given import Coordinates, Load
-from thinlayer.discretisation.mesh_functions import cellwise
+from thinlayer.discretisation.mesh_functions import cellwise_function
 
 EDGE_POINTS = 4  # Gauss points on an edge: exact for degree 7
 
 
 @dataclass(frozen=True)
-class Nodes:
+class LoadNodes:
     """Places at which a load acts, each in one cell.
 
     Attributes:
@@ -73,14 +73,14 @@ class PointLoad:
         """Words for errors."""
         return f"point load at {self.place!r}"
 
-    def nodes(self, joint: Joint) -> Nodes:
+    def nodes(self, joint: Joint) -> LoadNodes:
         """Where it acts. Raises InputError: no such place, or several nodes are there."""
         vertex = joint.nearest_point(self.place)
         same = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
         cells, corners = np.nonzero(same[joint.corners])
         chosen = _in_one_body(joint, cells, joint.splitting.components(0)[cells, corners], self.body, self.what)
         X = np.asarray(basix.geometry(basix.CellType[joint.cell_type]))
-        return Nodes(cells[chosen : chosen + 1], X[corners[chosen : chosen + 1], None])
+        return LoadNodes(cells[chosen : chosen + 1], X[corners[chosen : chosen + 1], None])
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class LineLoad:
         """Words for errors."""
         return f"line load between {self.first!r} and {self.second!r}"
 
-    def nodes(self, joint: Joint) -> Nodes:
+    def nodes(self, joint: Joint) -> LoadNodes:
         """Where it acts. Raises InputError: no such place, or several nodes are there."""
         if joint.dim != 3:
             raise InputError(f"{self.what}: lines are edges of solids; in two dimensions give a PointLoad")
@@ -133,7 +133,7 @@ class LineLoad:
         cells, columns = np.array(chosen).T
         s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_POINTS - 1)
         X = np.asarray(basix.geometry(kind))[np.array(edges)[columns]][:, :, None]  # (n, 2, 1, d)
-        return Nodes(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
+        return LoadNodes(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
 
 
 def _in_one_body(joint: Joint, cells: IntArray, components: Indices, body: str | None, what: str) -> int:
@@ -154,15 +154,15 @@ def _in_one_body(joint: Joint, cells: IntArray, components: Indices, body: str |
     return int(kept[cells[kept].argmin()])
 
 
-Concentrated = PointLoad | LineLoad
+ConcentratedLoad = PointLoad | LineLoad
 
 
-def check_loads(loads: Any) -> tuple[Concentrated, ...]:
+def check_loads(loads: Any) -> tuple[ConcentratedLoad, ...]:
     """Loads as a tuple; raises InputError if one of them is none."""
     require(isinstance(loads, Iterable) and not isinstance(loads, str), "loads", loads, "it must be a list of loads")
     given = tuple(loads)
     for one in given:
-        require(isinstance(one, Concentrated), "one of loads", one, "allowed: PointLoad, LineLoad")
+        require(isinstance(one, ConcentratedLoad), "one of loads", one, "allowed: PointLoad, LineLoad")
     return given
 
 
@@ -189,7 +189,7 @@ class ConcentratedForms:
         self._inverse = np.linalg.inv(phi.T @ (w[:, None] * phi))
         self._jacobian = abs(ufl.JacobianDeterminant(domain.mesh))
 
-    def terms(self, load: Concentrated) -> list[tuple[Expr, ufl.Measure]]:
+    def terms(self, load: ConcentratedLoad) -> list[tuple[Expr, ufl.Measure]]:
         """Pairs of a load per volume (d,) and a measure. Collective."""
         nodes, d, joint, found = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
         lengths = np.ones(nodes.points.shape[:2])
@@ -199,24 +199,24 @@ class ConcentratedForms:
         x = nodes.in_space(joint, joint.reference[joint.cells] if kept else joint.cell_points)[0]
         split = self.at.given(load.force, load.what, (d,)).varies  # nodes in one cell are parted: each has its place
         bodies = self._dx(self.domain.cell_values(*self.joint.bodies))
-        parts = [(r, slice(j, j + 1)) for r in _rounds(nodes.cells) for j in range(lengths.shape[1])]
+        parts = [(r, slice(j, j + 1)) for r in _disjoint_groups(nodes.cells) for j in range(lengths.shape[1])]
         for some, column in parts if split else [(np.arange(len(nodes.cells)), slice(None))]:
-            one = Nodes(nodes.cells[some], nodes.points[some, column])
-            g = cellwise(self.domain, self._ufl, self._densities(one, lengths[some, column])) / self._jacobian
+            one = LoadNodes(nodes.cells[some], nodes.points[some, column])
+            g = cellwise_function(self.domain, self._ufl, self._densities(one, lengths[some, column])) / self._jacobian
             places = np.zeros((len(joint.cells), 1, d))
             places[one.cells] = x[some, column][:, :1]
-            at = self.at.moved(cellwise(self.domain, ("DG", 0, (d,)), places)) if split else self.at
+            at = self.at.moved(cellwise_function(self.domain, ("DG", 0, (d,)), places)) if split else self.at
             found.append((at.given(load.force, load.what, (d,)).expression * g, bodies))
         return found
 
-    def _densities(self, nodes: Nodes, weights: Array) -> Array:
+    def _densities(self, nodes: LoadNodes, weights: Array) -> Array:
         """(n_cells, m, 1) degrees of freedom of g times weights (n, k), summed over the nodes of each cell."""
         phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
         g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
-        return sums(nodes.cells, np.einsum("nk,nkm->nm", weights, g), len(self.domain.joint.cells))[..., None]
+        return sum_by_number(nodes.cells, np.einsum("nk,nkm->nm", weights, g), len(self.domain.joint.cells))[..., None]
 
 
-def _rounds(cells: IntArray) -> Iterable[IntArray]:
+def _disjoint_groups(cells: IntArray) -> Iterable[IntArray]:
     """Rows of nodes in groups in which each cell is at most once."""
     order = np.argsort(cells, kind="stable")
     turn = np.arange(len(cells)) - np.searchsorted(cells[order], cells[order])

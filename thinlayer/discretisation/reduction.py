@@ -15,15 +15,15 @@ from forms.elastic import LARGEST_NU, ROUNDING, LinearElastic, poisson_ratio
 from forms.kinematics import average_lame
 from forms.law import BulkLaw
 from forms.rubber import Rubber
-from forms.trace import across, is_isotropic, known_at_rest, tangent_at_rest
-from geometry.refusals import place
+from forms.trace import acoustic_tensor, declared_or_computed_tangent, is_isotropic, tangent_at_rest
+from geometry.refusals import place_text
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray
-from thinlayer.discretisation.boundary import is_across
+from thinlayer.discretisation.boundary import lies_across_axis
 from thinlayer.discretisation.given_strains import SINGULAR
-from thinlayer.discretisation.layer import LawOnS, SeamLayer, ThinLayer, real_law
-from thinlayer.discretisation.sides import SLIGHT, FacetWeights, held_directions, side_kinds
-from thinlayer.errors import Refused
+from thinlayer.discretisation.layer import SeamLayer, SurfaceLaw, ThinLayer, law_with_numbers
+from thinlayer.discretisation.sides import SLIGHT, FacetWeights, constrained_directions, side_kinds
+from thinlayer.errors import Violation
 
 LEAST_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
 LEAST_RADIUS = 4.0  # of curved ends, over the thickness; what constants leave out there is of the order of its inverse
@@ -31,7 +31,7 @@ MESH = "use order=0, or mesh the layer (structure.full)"
 BENDING = 44.0  # 48 (1 - nu^2): (eps k)^3 E/mu where half-spaces yield to a pressure of wave number k as the layer does
 
 
-class Reduction:
+class Applicability:
     """The interface law of a layer on its seam: of the joint, the layer and the structure's data, without a mesh or forms.
 
     Attributes:
@@ -42,13 +42,13 @@ class Reduction:
     def __init__(self, one: SeamLayer, bodies: str = "kept") -> None:
         self.one, self.bodies = one, bodies
 
-    def why_not(self, question: str) -> Refused | None:
-        """The first condition of a question (`QUESTIONS`) that does not hold; None: all do. The same on all ranks.
+    def why_not(self, question: str) -> Violation | None:
+        """The first condition of a question (`CONDITIONS_OF_USE`) that does not hold; None: all do. The same on all ranks.
 
         Raises:
             InputError: parameters out of range, or a bad profile.
         """
-        return next((refused for ask in QUESTIONS[question] for refused in ask(self)), None)
+        return next((refused for ask in CONDITIONS_OF_USE[question] for refused in ask(self)), None)
 
     def require(self, question: str, what: str = "") -> None:
         """Raise InputError with its key, after some words, for the first condition that does not hold; as `why_not`."""
@@ -58,7 +58,7 @@ class Reduction:
     @cached_property
     def law(self) -> BulkLaw:
         """The law with real parameters, for the structure's kinematics."""
-        return real_law(self.one.layer, self.one.structure.kinematics)
+        return law_with_numbers(self.one.layer, self.one.structure.kinematics)
 
     @cached_property
     def bent(self) -> str | None:
@@ -67,7 +67,7 @@ class Reduction:
             return "of a thickness that varies"
         if not self.one.sheet.planar:
             return "on a curved S"
-        across = is_across(self.one.structure.kinematics, self.one.sheet.mean_normal[None])
+        across = lies_across_axis(self.one.structure.kinematics, self.one.sheet.mean_normal[None])
         return None if across else "on an S that is not across the axis of revolution, and so curved,"
 
     # ---------------------------------------------------------------- sides
@@ -169,7 +169,7 @@ def softest_body(one: SeamLayer) -> float:
         law = one.structure.body_laws[joint.regions[number]]
         centres = joint.points[joint.corners[cells[joint.region[cells] == number]]].mean(axis=1)
         for known in law.samples(centres.T) if law.fields else [law]:
-            C = known_at_rest(known, n)
+            C = declared_or_computed_tangent(known, n)
             if C is not None:
                 lmbda, mu = average_lame(C)
                 found.append(mu * (3 * lmbda + 2 * mu) / (lmbda + mu))
@@ -177,11 +177,11 @@ def softest_body(one: SeamLayer) -> float:
 
 
 # ---------------------------------------------------------------- conditions, each group in its order
-def _law(r: Reduction) -> Iterator[Refused]:
+def _law_conditions(r: Applicability) -> Iterator[Violation]:
     """Of a law of order 0, and of a meshed layer."""
     one, layer, setup = r.one, r.one.layer, r.one.structure
-    if not isinstance(layer, ThinLayer | LawOnS):
-        yield Refused("no layer", f"the layer is {layer!r}", "give ThinLayer(law, eps), or a law of jumps or contact")
+    if not isinstance(layer, ThinLayer | SurfaceLaw):
+        yield Violation("no layer", f"the layer is {layer!r}", "give ThinLayer(law, eps), or a law of jumps or contact")
     one.law.check_dimension(setup.joint.dim)
     if one.contact:
         others = {"S2": ("unknowns have no places", "element='Q2'")}
@@ -189,209 +189,213 @@ def _law(r: Reduction) -> Iterator[Refused]:
             others["P2"] = ("vertices bear no uniform pressure", "element='P1', or hexahedra with element='Q2'")
         if setup.element in others:
             reason, remedy = others[setup.element]
-            yield Refused("element", f"a contact law acts at nodes, and in {setup.element} {reason}", f"use {remedy}")
+            yield Violation("element", f"a contact law acts at nodes, and in {setup.element} {reason}", f"use {remedy}")
         one.contact.check_threshold()
         return
     if one.law.traits.constrained and setup.element not in ("P2", "Q2"):
-        yield Refused("element", f"an incompressible layer needs elements P2 or Q2, not {setup.element}", "give them")
+        yield Violation("element", f"an incompressible layer needs elements P2 or Q2, not {setup.element}", "give them")
     if one.thin:
         setup.joint.relative_thickness(one.thin.profile, one.name)  # a user's function, may fail on one rank alone
     for sample in one.samples:
         sample.at_rest.require_stable()
 
 
-def _next_term(r: Reduction) -> Iterator[Refused]:
+def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
     """Of the next term of a law, away from tips and junctions, and then there."""
     thin, setup, sheet = r.one.thin, r.one.structure, r.one.sheet
     if thin is None or thin.order == 0:
         return
     if thin.law.traits.constrained and setup.plane == "stress":
-        yield Refused("pressure in a sheet", "no pressure builds up in plane stress", "use LinearElastic or order=0")
+        yield Violation("pressure in a sheet", "no pressure builds up in plane stress", "use LinearElastic or order=0")
     if setup.degree != 2:
-        yield Refused("element", f"order=1 has gradients on S, elements are {setup.element}", "use degree 2")
+        yield Violation("element", f"order=1 has gradients on S, elements are {setup.element}", "use degree 2")
     if r.bent and r.bodies == "kept":
         remedy = "use bodies='extended', for the interface and the full model alike"
-        yield Refused("bent", f"order=1 {r.bent} needs bodies at their true places", remedy)
+        yield Violation("bent", f"order=1 {r.bent} needs bodies at their true places", remedy)
     if r.bent and len(thin.law.sublayers) > 1:
-        yield Refused("bent stack", f"order=1 of a Stack {r.bent}: shares of the jump turn along S", MESH)
+        yield Violation("bent stack", f"order=1 of a Stack {r.bent}: shares of the jump turn along S", MESH)
     yield from filter(None, (sample.at_rest.locks() for sample in r.one.samples))
     if sheet.tip is not None:
-        reason = f"order=1 has gradients at the tip, and {r.one} ends at {place(sheet.tip)}, inside the bodies"
-        yield Refused("tip", reason, "use order=0")
+        reason = f"order=1 has gradients at the tip, and {r.one} ends at {place_text(sheet.tip)}, inside the bodies"
+        yield Violation("tip", reason, "use order=0")
     if sheet.junction is not None:
         reason = f"order=1 leaves out what junctions add, and {r.one} meets another one, or branches, at "
-        yield Refused("junction", reason + place(sheet.junction), MESH)
+        yield Violation("junction", reason + place_text(sheet.junction), MESH)
 
 
-def _meshed(r: Reduction) -> Iterator[Refused]:
+def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
     if r.one.law.traits.softens and r.one.law.traits.phases:
         reason = f"the stress of {r.one.law!r} falls as strains grow: all strain would gather in one row of cells"
-        yield Refused("softens", reason, "take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column")
+        yield Violation(
+            "softens", reason, "take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
+        )
     n, sublayers = r.one.sheet.mean_normal, [one for sample in r.one.samples for one in sample.at_rest.sublayers]
     for law in (law for _, law, _ in sublayers if law.traits.softens):
         C = tangent_at_rest(law, n)
-        if C is None or np.linalg.eigvals(across(C, n)).real.min() <= 0:  # it holds nodes in the layer
+        if C is None or np.linalg.eigvals(acoustic_tensor(C, n)).real.min() <= 0:  # it holds nodes in the layer
             reason = f"{type(law).__name__} softens, and its stiffness at rest is not known, or not positive"
-            yield Refused("sound", reason, "write a method stiffness(n) in its class, that of the sound material")
+            yield Violation("sound", reason, "write a method stiffness(n) in its class, that of the sound material")
 
 
-def _under_mean_strain(r: Reduction) -> Iterator[Refused]:
+def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
     if r.one.thin and r.one.thin.order:
-        yield Refused("order 1", f"{r.one} has order=1, whose strains along S have a mean part", "use order=0")
+        yield Violation("order 1", f"{r.one} has order=1, whose strains along S have a mean part", "use order=0")
 
 
-def _held_alone(r: Reduction) -> Iterator[Refused]:
+def _support_conditions(r: Applicability) -> Iterator[Violation]:
     """Of supports that hold the layer's own side, NAME/LAYER: they hold the bodies beside it, too."""
-    rim, alone = r.one.sheet.rim, held_directions(r.one) - held_directions(r.one, of_layer=False)
+    rim, alone = r.one.sheet.rim, constrained_directions(r.one) - constrained_directions(r.one, of_layer=False)
     if len(at := rim.vertices[np.abs(alone).max(axis=(1, 2)) > SLIGHT]):
-        reason = f"a support holds the side of {r.one} alone, at {place(r.one.sheet.joint.points[at[0, 0]])}"
-        yield Refused("held alone", reason, "support the bodies too, or mesh the layer")
+        reason = f"a support holds the side of {r.one} alone, at {place_text(r.one.sheet.joint.points[at[0, 0]])}"
+        yield Violation("held alone", reason, "support the bodies too, or mesh the layer")
 
 
-def _thickness(r: Reduction) -> Iterator[Refused]:
+def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
     if r.one.thin is None:
-        yield Refused("no thickness", f"{r.one.kind} is a law on S, without a thickness", "give a ThinLayer")
+        yield Violation("no thickness", f"{r.one.kind} is a law on S, without a thickness", "give a ThinLayer")
 
 
-def _corrected(r: Reduction) -> Iterator[Refused]:
+def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
     """Of an interface law that knows its free ends, or has none."""
     one, thin = r.one, r.one.thin
     if thin.order == 0:
-        yield Refused("order 0", "the interface law is of order 0", "use order=1")
+        yield Violation("order 0", "the interface law is of order 0", "use order=1")
     if not len(r.free.vertices):
         return
     if thin.edges == "plain":
-        yield Refused("plain", "edges='plain' was asked for", "leave edges=None")
+        yield Violation("plain", "edges='plain' was asked for", "leave edges=None")
     if thin.eigenstrain is not None:
-        yield Refused("eigenstrain", "constants of free ends are not known for a layer with eigenstrain=...")
+        yield Violation("eigenstrain", "constants of free ends are not known for a layer with eigenstrain=...")
     if r.bodies != "kept":
-        yield Refused("apart", "bodies are not kept, but apart: ends of the layer may be oblique", "use bodies='kept'")
+        yield Violation(
+            "apart", "bodies are not kept, but apart: ends of the layer may be oblique", "use bodies='kept'"
+        )
     if one.structure.plane == "axisymmetric":
         radius = float(one.structure.joint.points[r.free.vertices, 0].min()) / float(thin.eps)
         if radius < LEAST_RADIUS * (1 - ROUNDING):
-            yield Refused("radius", f"free ends have a radius of {radius:.3g} thicknesses; allowed: {LEAST_RADIUS:g}")
-    yield from _ends(r)
+            yield Violation("radius", f"free ends have a radius of {radius:.3g} thicknesses; allowed: {LEAST_RADIUS:g}")
+    yield from _free_end_conditions(r)
     if r.width < r.strips.longest:
         reason = f"its area over the length of free ends is {r.width:.3g} thicknesses"
-        yield Refused("short", f"S is short: {reason}; allowed: {r.strips.longest:.3g}")
+        yield Violation("short", f"S is short: {reason}; allowed: {r.strips.longest:.3g}")
     if r.all_weights.overlap:
-        yield Refused("overlap", f"strips of {r.strips.longest * thin.eps:.3g} along free ends lie on one another")
+        yield Violation("overlap", f"strips of {r.strips.longest * thin.eps:.3g} along free ends lie on one another")
 
 
-def _ends(r: Reduction) -> Iterator[Refused]:
+def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
     """Of fields and constants of free ends, which are those of straight ones between rigid faces."""
     one, sheet = r.one, r.one.sheet
     if r.strips is None:
         known = f"LinearElastic with nu from 0 to {LARGEST_NU:g}, Rubber and Incompressible, by numbers"
-        yield Refused("no constants", f"free ends are not known of this {one.kind}: they are of {known}")
-    yield from _straight(r, r.contrast)
+        yield Violation("no constants", f"free ends are not known of this {one.kind}: they are of {known}")
+    yield from _straight_end_conditions(r, r.contrast)
     if one.flows and r.coarse.any():
-        at, fall = place(sheet.joint.points[r.loose[r.coarse].vertices[0, 0]]), r.falls.min()
+        at, fall = place_text(sheet.joint.points[r.loose[r.coarse].vertices[0, 0]]), r.falls.min()
         reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
-        yield Refused("coarse", reason, "make them shorter (h_ends=...)")
+        yield Violation("coarse", reason, "make them shorter (h_ends=...)")
 
 
-def _straight(r: Reduction, contrast: float) -> Iterator[Refused]:
+def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Violation]:
     """Of free ends that are straight, on a flat layer between rigid faces: its contrast with the bodies is large."""
     sheet = r.one.sheet
     if r.bent:
-        yield Refused("bent", f"free ends are not known of a layer {r.bent}")
+        yield Violation("bent", f"free ends are not known of a layer {r.bent}")
     for oblique in r.rim("oblique").vertices[:1]:
-        at = place(sheet.joint.points[oblique[0]])
-        yield Refused("oblique", f"something holds the layer's side at {at} neither along S nor across it")
+        at = place_text(sheet.joint.points[oblique[0]])
+        yield Violation("oblique", f"something holds the layer's side at {at} neither along S nor across it")
     if contrast < LEAST_CONTRAST * (1 - ROUNDING):
         reason = f"E of a body is {contrast:.4g} times mu of the layer; allowed: at least {LEAST_CONTRAST:g}"
-        yield Refused("contrast", f"faces must be rigid beside free ends: {reason}")
+        yield Violation("contrast", f"faces must be rigid beside free ends: {reason}")
     try:
         straight_ends(r.free, sheet)
     except InputError as error:
-        yield Refused("curved end", str(error))
+        yield Violation("curved end", str(error))
 
 
-def _evens_out(r: Reduction) -> Iterator[Refused]:
+def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
     """Of a pressure whose excess is known (`thinlayer.surface.excess`)."""
     one = r.one
     if one.thin and one.thin.eigenstrain is not None:
-        yield Refused("eigenstrain", "the layer has an eigenstrain")
+        yield Violation("eigenstrain", "the layer has an eigenstrain")
     if one.law.fields:
-        yield Refused("functions", "the layer's parameters are functions")
+        yield Violation("functions", "the layer's parameters are functions")
     if one.flows:
         return
     tangents = [C for _, _, C in one.at_rest.sublayers]
     if not one.law.traits.linear or one.remembers or len(tangents) != 1 or tangents[0] is None:
-        yield Refused("not elastic", "the layer is not one linear elastic material")
+        yield Violation("not elastic", "the layer is not one linear elastic material")
         return
     if not is_isotropic(tangents[0]):
-        yield Refused("anisotropic", "the layer is not isotropic")
+        yield Violation("anisotropic", "the layer is not isotropic")
     if r.law.traits.constrained and not r.law.volume_compliance:
-        yield Refused("incompressible", "the pressure of the interface law has no bound")
+        yield Violation("incompressible", "the pressure of the interface law has no bound")
     if (lmbda := average_lame(tangents[0])[0]) < 0:
-        yield Refused("no excess", f"lmbda of the layer is {lmbda:.4g}")
+        yield Violation("no excess", f"lmbda of the layer is {lmbda:.4g}")
 
 
-def _by_itself(r: Reduction) -> Iterator[Refused]:
+def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
     """Of the layer by itself, between faces that are moved."""
     traits, kind = r.one.law.traits, r.one.kind
     if traits.phases or traits.softens:
         first = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
         reason = f"{kind} has phases, or a stress that falls as strains grow"
-        yield Refused("phases", reason, f"{first}mesh the layer (structure.full)")
+        yield Violation("phases", reason, f"{first}mesh the layer (structure.full)")
     elif traits.constrained and not r.law.volume_compliance and not len(r.loose.vertices):
         reason = f"{kind} between faces, with no side that is free, bears a pressure that these do not tell"
-        yield Refused("closed", reason, "take Rubber with Poisson's ratio 0.4999")
+        yield Violation("closed", reason, "take Rubber with Poisson's ratio 0.4999")
 
 
-def _resists(r: Reduction) -> Iterator[Refused]:
+def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
     """Of the layer by itself, under forces on its faces: only the stresses of its strains bear them."""
     slots = r.one.structure.kinematics.slots(r.one.structure.joint.dim)
     for C in (C[np.ix_(slots, slots)] for s in r.one.samples for _, _, C in s.at_rest.sublayers if C is not None):
         sizes = np.linalg.svd(C, compute_uv=False)
         if sizes[-1] <= SINGULAR * sizes[0]:
             reason = f"{r.one.kind} has strains without stresses, as springs have along S, and moves in itself"
-            yield Refused(
+            yield Violation(
                 "no stress", reason, "solve structure.full(layer), and compare goals: goal.value(state, model)"
             )
 
 
-def _bonded(r: Reduction) -> Iterator[Refused]:
+def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
     """Of bodies that are bonded where the layer was, which it moves apart in one piece."""
     if r.bent:
         remedy = "solve structure.full(layer, bodies='extended'), and compare goals: goal.value(state, model)"
-        yield Refused("moved", f"bonded bodies meet on S, where {r.one} {r.bent} leaves them in no place", remedy)
+        yield Violation("moved", f"bonded bodies meet on S, where {r.one} {r.bent} leaves them in no place", remedy)
 
 
-def _at_once(r: Reduction) -> Iterator[Refused]:
+def _rate_conditions(r: Applicability) -> Iterator[Violation]:
     """Of a state that knows no rates."""
     if r.one.law.traits.rate:
-        yield Refused("rate", f"{r.one.kind} has a rate, of which a state does not know", "mesh the layer")
+        yield Violation("rate", f"{r.one.kind} has a rate, of which a state does not know", "mesh the layer")
 
 
-def _corners(r: Reduction) -> Iterator[Refused]:
+def _corner_conditions(r: Applicability) -> Iterator[Violation]:
     """Of the singular stresses at corners of free ends: a wedge of 90 degrees on a rigid face, in plane strain."""
     if not r.one.law.traits.linear:
-        yield Refused("not linear", f"exponents are known of linear laws, not of {r.one.kind}")
+        yield Violation("not linear", f"exponents are known of linear laws, not of {r.one.kind}")
     sublayers, n = r.law.sublayers, r.one.sheet.mean_normal
-    outer = [] if r.law.fields else [known_at_rest(law, n) for _, law in (sublayers[0], sublayers[-1])]
+    outer = [] if r.law.fields else [declared_or_computed_tangent(law, n) for _, law in (sublayers[0], sublayers[-1])]
     isotropic = [average_lame(C)[1] for C in outer if C is not None and is_isotropic(C)]
     if len(isotropic) < 2:
-        yield Refused("not isotropic", "exponents are known of isotropic layers, by numbers")
+        yield Violation("not isotropic", "exponents are known of isotropic layers, by numbers")
         return
     if r.one.structure.plane == "axisymmetric":
-        yield Refused("radius", "free ends of a body of revolution are curved")
-    yield from _straight(r, softest_body(r.one) / max(isotropic))
+        yield Violation("radius", "free ends of a body of revolution are curved")
+    yield from _straight_end_conditions(r, softest_body(r.one) / max(isotropic))
 
 
-Ask = Callable[[Reduction], Iterator[Refused]]
-QUESTIONS: dict[str, tuple[Ask, ...]] = {
-    "law": (_law,),
-    "mesh": (_thickness, _law, _meshed),
-    "sides": (_held_alone,),
-    "mean strain": (_under_mean_strain,),
-    "interface law": (_law, _next_term),
-    "ends": (_thickness, _corrected),
-    "estimate": (_thickness, _held_alone, _by_itself, _resists),
-    "bonded": (_bonded,),
-    "excess of pressure": (_thickness, _evens_out),
-    "alone": (_thickness, _at_once, _by_itself),
-    "corners": (_thickness, _at_once, _by_itself, _corners),
+Condition = Callable[[Applicability], Iterator[Violation]]
+CONDITIONS_OF_USE: dict[str, tuple[Condition, ...]] = {
+    "law": (_law_conditions,),
+    "mesh": (_thickness_conditions, _law_conditions, _meshed_layer_conditions),
+    "sides": (_support_conditions,),
+    "mean strain": (_mean_strain_conditions,),
+    "interface law": (_law_conditions, _next_order_conditions),
+    "ends": (_thickness_conditions, _free_end_law_conditions),
+    "estimate": (_thickness_conditions, _support_conditions, _subproblem_conditions, _neumann_conditions),
+    "bonded": (_bonded_conditions,),
+    "excess of pressure": (_thickness_conditions, _pressure_excess_conditions),
+    "alone": (_thickness_conditions, _rate_conditions, _subproblem_conditions),
+    "corners": (_thickness_conditions, _rate_conditions, _subproblem_conditions, _corner_conditions),
 }

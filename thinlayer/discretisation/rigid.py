@@ -16,14 +16,14 @@ from dolfinx.mesh import Mesh
 from forms.base import Array, InputError
 from forms.kinematics import Expr
 from forms.planes import Kinematics
-from forms.temperature import finite
+from forms.temperature import finite_values
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.refusals import place as at_place
+from geometry.refusals import place_text as at_place
 from thinlayer.discretisation.boundary import AXES
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.supports import Place
-from thinlayer.discretisation.time_functions import Hand
+from thinlayer.discretisation.time_functions import TimeLevel
 
 Resistance = Callable[[Sequence[fem.Function]], Array]
 AXIAL = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}  # planes (i, j) that rotations turn, and sense
@@ -33,12 +33,12 @@ SMALLEST = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motio
 ROUNDING = 1e-12  # coordinates over the size of the structure, components over a force, that are told as zero
 
 
-def count(dim: int) -> int:
+def motion_count(dim: int) -> int:
     """Number of rigid motions."""
     return dim + len(AXIAL[dim])
 
 
-def rigid(x: npt.NDArray[Any], about: Array) -> Array:
+def motion_fields(x: npt.NDArray[Any], about: Array) -> Array:
     """Unit translations and rotations about a point, at places x (n, d): (n, d, k)."""
     n, d = x.shape
     shifts, turns = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", TURNS[d], x - about)
@@ -46,14 +46,14 @@ def rigid(x: npt.NDArray[Any], about: Array) -> Array:
 
 
 def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
-    """(k,) 1 for the motions of `rigid` in which forces have a resultant, 0 for those that revolution cancels."""
-    found = np.zeros(count(dim))
+    """(k,) 1 for the motions of `motion_fields` in which forces have a resultant, 0 for those that revolution cancels."""
+    found = np.zeros(motion_count(dim))
     found[[*kinematics.translations(dim)]] = 1.0
     found[dim:] = float(kinematics.turns)
     return found
 
 
-def on_centre(kinematics: Kinematics, x: Array) -> Array:
+def moment_centre(kinematics: Kinematics, x: Array) -> Array:
     """A place (d,), or of bodies of revolution its place on the axis."""
     moved = np.zeros(len(x))
     free = [*kinematics.translations(len(x))]
@@ -61,27 +61,27 @@ def on_centre(kinematics: Kinematics, x: Array) -> Array:
     return moved
 
 
-def rigid_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
-    """A constant (k,), and the sum of the motions of `rigid` with these factors as a UFL vector (d,)."""
+def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
+    """A constant (k,), and the sum of the motions of `motion_fields` with these factors as a UFL vector (d,)."""
     x, d = ufl.SpatialCoordinate(mesh), len(about)
-    motion = fem.Constant(mesh, np.zeros(count(d)))
+    motion = fem.Constant(mesh, np.zeros(motion_count(d)))
     arm, turns = x - ufl.as_vector(about.tolist()), enumerate(TURNS[d].tolist())
     turned = (motion[d + k] * ufl.dot(ufl.as_matrix(turn), arm) for k, turn in turns)
     return motion, sum(turned, ufl.as_vector([motion[i] for i in range(d)]))
 
 
-def rigid_values(x: Array, about: Array, rows: npt.NDArray[Any]) -> Array:
-    """The motions of `rigid` (m, k) in some of the displacements at places x (n, d), given by number."""
-    return rigid(x[rows // x.shape[1]], about)[np.arange(len(rows)), rows % x.shape[1]]
+def motion_values(x: Array, about: Array, rows: npt.NDArray[Any]) -> Array:
+    """The motions of `motion_fields` (m, k) in some of the displacements at places x (n, d), given by number."""
+    return motion_fields(x[rows // x.shape[1]], about)[np.arange(len(rows)), rows % x.shape[1]]
 
 
-def rigid_shares(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
-    """Rigid motions of the whole structure by name, as sums of those of `rigid` about its centre, scaled to its size.
+def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
+    """Rigid motions of the whole structure by name: sums of those of `motion_fields` about its centre, over its size.
 
     Translations, then rotations. In periodic joints a rotation is one only if it does not move one side against the other:
     about the one period in 3D.
     """
-    d, size, one = joint.dim, joint.size, np.eye(count(joint.dim))
+    d, size, one = joint.dim, joint.size, np.eye(motion_count(joint.dim))
     shares = {f"translation {AXES[i]}": one[i] for i in kinematics.translations(d)}
     if joint.periods:
         vectors = joint.periods.vectors(joint.points)
@@ -94,31 +94,33 @@ def rigid_shares(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
     return shares
 
 
-def rigid_at(model: Any, rows: npt.NDArray[Any], kinematics: Kinematics | None = None) -> Array:
-    """The motions of `rigid_shares` (m, k) in some displacements of a model on this rank, given by number."""
+def model_motion_values(model: Any, rows: npt.NDArray[Any], kinematics: Kinematics | None = None) -> Array:
+    """The motions of `scaled_motions` (m, k) in some displacements of a model on this rank, given by number."""
     joint = model.domain.joint
-    shares = [*rigid_shares(joint, kinematics or model.kinematics).values()]
-    return rigid_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(shares)
+    shares = [*scaled_motions(joint, kinematics or model.kinematics).values()]
+    return motion_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(shares)
 
 
-def rigid_motions(model: Any, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
-    """The motions of `rigid_shares` as displacements of a model, by name. Collective."""
-    values = rigid_at(model, np.arange(model.places.size), kinematics)
-    motions = {name: fem.Function(model.V) for name in rigid_shares(model.domain.joint, kinematics or model.kinematics)}
+def model_motions(model: Any, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
+    """The motions of `scaled_motions` as displacements of a model, by name. Collective."""
+    values = model_motion_values(model, np.arange(model.places.size), kinematics)
+    motions = {
+        name: fem.Function(model.V) for name in scaled_motions(model.domain.joint, kinematics or model.kinematics)
+    }
     for f, column in zip(motions.values(), values.T, strict=True):
         f.x.array[:] = column
     return motions
 
 
-def resisted(model: Any, resistances: Sequence[Resistance]) -> Array:
+def resistance_matrices(model: Any, resistances: Sequence[Resistance]) -> Array:
     """How far conditions prevent a model's m rigid motions (m, m), and the work of parts against them, scaled. Collective.
 
     Args:
         model: the model.
         resistances: functions of the m motions, see `Addition.resistance`.
     """
-    found = model.constraints.resistance(partial(rigid_at, model))
-    motions = [*rigid_motions(model).values()] if resistances else []
+    found = model.constraints.resistance(partial(model_motion_values, model))
+    motions = [*model_motions(model).values()] if resistances else []
     for resistance in resistances:
         work = resistance(motions)
         size = np.abs(work).max()
@@ -134,7 +136,7 @@ def free_translations(names: Sequence[str], resistance: Array) -> tuple[str, ...
 
 
 def require_support(names: Sequence[str], resistance: Array) -> None:
-    """Raise InputError if nothing resists one of the motions of `rigid_shares`; resistance (m, m) as of `resisted`."""
+    """Raise InputError if nothing resists a motion of `scaled_motions`; resistance (m, m) of `resistance_matrices`."""
     values, vectors = np.linalg.eigh(resistance)
     if values[0] <= SMALLEST * max(values[-1], 1.0):
         free = names[int(np.argmax(np.abs(vectors[:, 0])))]
@@ -170,7 +172,7 @@ class Resultant:
 
     @classmethod
     def of(cls, values: Array, about: Array) -> Resultant:
-        """From the work (k,) in the motions of `rigid`: translations, then rotations about the point."""
+        """From the work (k,) in the motions of `motion_fields`: translations, then rotations about the point."""
         d = len(about)
         moment = values[d:]
         return cls(values[:d].copy(), moment[0] if d == 2 else moment.copy(), about)
@@ -183,7 +185,7 @@ class Resultant:
 
 def require_point(about: Sequence[float] | Array, dim: int) -> Array:
     """A point (d,) as an array; raises InputError if it is none."""
-    if (point := finite(about, (dim,))) is None:
+    if (point := finite_values(about, (dim,))) is None:
         raise InputError(f"about is {about!r}; it must be a point of {dim} finite coordinates")
     return point
 
@@ -200,8 +202,8 @@ def centroid(domain: Domain, name: str) -> Array:
 
 def resultants_of_loads(model: Any, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
     """Resultants, about the centre, of loads by name at a time, from their work in motions v. Collective."""
-    hand = Hand(t)
-    motion, v = rigid_expression(model.domain.mesh, model.centre)
+    hand = TimeLevel(t)
+    motion, v = motion_expression(model.domain.mesh, model.centre)
     return {name: resultant(model, per_unit(model.comm, hand.of(form), motion)) for name, form in work(v).items()}
 
 
@@ -210,7 +212,7 @@ def resultant(model: Any, values: Array) -> Resultant:
     return Resultant.of(np.asarray(values) * balanced_motions(model.kinematics, model.joint.dim), model.centre)
 
 
-def middle_of(model: Any, place: Place, chosen: Sequence[Place]) -> Array:
+def default_moment_point(model: Any, place: Place, chosen: Sequence[Place]) -> Array:
     """The default point of moments: the centroid of a facet set, the vertex itself."""
     domain = model.domain
     if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):

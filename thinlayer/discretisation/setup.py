@@ -11,23 +11,23 @@ from mpi4py import MPI
 
 from forms.base import Array, InputError, require
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw, Law, explained
+from forms.law import BulkLaw, Law, explained_errors
 from forms.planes import PLANES, Kinematics
-from forms.trace import known_at_rest, needs_director, require_stable
+from forms.trace import declared_or_computed_tangent, needs_director, require_stable
 from geometry.joint import Joint
 from geometry.refusals import require_known
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
-from thinlayer.discretisation.addition import Addition
+from thinlayer.discretisation.addition import PartDefinition
 from thinlayer.discretisation.boundary import require_revolution
 from thinlayer.discretisation.forces import BodyForce
-from thinlayer.discretisation.given import Load, Pressure, by_body
+from thinlayer.discretisation.given import Load, Pressure, values_by_body
+from thinlayer.discretisation.given_strains import EigenstrainInput as Eigenstrain
 from thinlayer.discretisation.given_strains import Strain
-from thinlayer.discretisation.given_strains import StrainGiven as Eigenstrain
-from thinlayer.discretisation.point_loads import Concentrated, check_loads
+from thinlayer.discretisation.point_loads import ConcentratedLoad, check_loads
 from thinlayer.discretisation.supports import ByPlace
 from thinlayer.system.identity import digest
-from thinlayer.system.ranks import on_all, require_same
+from thinlayer.system.ranks import errors_on_all, require_same
 
 ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
 Eigenstrains = Eigenstrain | Mapping[str, Eigenstrain | None]
@@ -59,10 +59,10 @@ class Setup:
         supports: ByPlace,
         tractions: Mapping[str, Load | Pressure] | None = None,
         body_force: BodyForce | None = None,
-        loads: Sequence[Concentrated] = (),
+        loads: Sequence[ConcentratedLoad] = (),
         plane: str = "strain",
         element: str | None = None,
-        parts: Sequence[Addition] = (),
+        parts: Sequence[PartDefinition] = (),
         strain: Strain | None = None,
         stress: Strain | None = None,
         eigenstrain: Eigenstrains | None = None,
@@ -72,7 +72,7 @@ class Setup:
         self.joint, self.plane, self.comm = joint, plane, comm
         self.supports, self.tractions, self.body_force = supports, tractions, body_force
         self.strain, self.stress = strain, stress
-        with on_all(comm):
+        with errors_on_all(comm):
             require(isinstance(joint, Joint), "joint", joint, "it must be a Joint, such as geometry.sandwich gives")
             require(isinstance(parts, Sequence), "parts", parts, "it must be a list of parts")
             self.parts = tuple(parts)
@@ -81,7 +81,7 @@ class Setup:
             self._check_choices()
             self.degree = int(self.element[1])
             self.body_laws = self._laws_of(body)
-            strains = by_body(eigenstrain, joint, "eigenstrain")
+            strains = values_by_body(eigenstrain, joint, "eigenstrain")
             self.eigenstrains = {name: given for name, given in strains.items() if given is not None}
             for law, C in zip(self.bodies_with_numbers, self.bodies_at_rest, strict=True):
                 require_stable(law, C, slots=self.kinematics.slots(joint.dim))
@@ -117,7 +117,7 @@ class Setup:
     def bodies_at_rest(self) -> list[Array | None]:
         """Tangents of the bodies' laws at rest; None: not known."""
         n = self.sheet.mean_normal
-        return [known_at_rest(self.kinematics.law(law), n) for law in self.bodies_with_numbers]
+        return [declared_or_computed_tangent(self.kinematics.law(law), n) for law in self.bodies_with_numbers]
 
     @cached_property
     def bodies_with_numbers(self) -> list[BulkLaw]:
@@ -144,7 +144,7 @@ class Setup:
 
     def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
         """The law of each body, in the same order on all ranks."""
-        laws = by_body(body, self.joint, "body")
+        laws = values_by_body(body, self.joint, "body")
         for name in self.joint.bodies:
             law = laws.get(name)
             if not isinstance(law, Law):
@@ -166,7 +166,7 @@ def require_body_law(name: str, law: Law) -> None:
     elif traits.phases:
         reason = "its phases are those of a layer's columns"
     elif traits.compiled:  # others have none in a body, and say so
-        with explained(law, law.methods[0]):
+        with explained_errors(law, law.methods[0]):
             if needs_director(law):
                 reason = "its stress depends on the normal of S, which a body has not"
                 reason += ", or its class does not say isotropic = True" * isinstance(law, KernelLaw)

@@ -24,24 +24,24 @@ from dolfinx import fem
 
 from forms.elastic import poisson_ratio
 from forms.ends.constants import FreeEnd, free_end
-from forms.ends.weights import Strips
+from forms.ends.weights import EndStrips
 from forms.kinematics import Expr
 from forms.planes import Kinematics
 from forms.work import Interface
 from geometry.seam import LAYER
 from geometry.sheet import Rim, Sheet, StraightEnd, straight_ends
 from geometry.topology import FloatArray, ridge_keys
-from thinlayer.discretisation.forces import Forces, Weighted
+from thinlayer.discretisation.forces import Forces, LoadRegion
 from thinlayer.discretisation.given import Coordinates, Load, Pressure
-from thinlayer.discretisation.layer import SeamLayer, real_law
-from thinlayer.discretisation.mesh_functions import cellwise
+from thinlayer.discretisation.layer import SeamLayer, law_with_numbers
+from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.sides import mean_on_facets, shares_within
-from thinlayer.errors import Refused
+from thinlayer.errors import Violation
 
 # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
 ANTIPLANE = 0.2713773
-Piece = tuple[Expr, Weighted]  # of a load, and where it acts
+LoadPiece = tuple[Expr, LoadRegion]  # of a load, and where it acts
 
 
 @dataclass(frozen=True)
@@ -83,23 +83,23 @@ def add_side_loads(forces: Forces, model: Model, one: SeamLayer, sides: Interfac
             why = "a support holds the side" if not refused else refused.reason
             why = "its pressure of order 1 is zero at free ends" if one.flows else why
             reason = f"the {load.what} acts on the side of {one}, and how it reaches the faces is not known: {why}"
-            raise Refused("loaded side", reason, "use order=0, which leaves it out, or mesh the layer").error()
-        for force, place in _at_ends(load, forces.at, model, one, sides):
+            raise Violation("loaded side", reason, "use order=0, which leaves it out, or mesh the layer").error()
+        for force, place in _end_load(load, forces.at, model, one, sides):
             forces.add_weighted(one.name, load.what, force, place)
 
 
-def _at_ends(load: SideLoad, at: Coordinates, model: Model, one: SeamLayer, sides: Interface) -> Iterator[Piece]:
+def _end_load(load: SideLoad, at: Coordinates, model: Model, one: SeamLayer, sides: Interface) -> Iterator[LoadPiece]:
     """The load at straight free ends, handed to the faces along strips."""
     mesh, based = model.domain.mesh, one.name in model.joint.base_seams
     for end in straight_ends(load.rim, one.sheet):
         shares = np.zeros((len(model.joint.cells), 1, 5))
         upper = model.joint.surface_cells[one.sheet.facets, 1]
-        constants = free_end(poisson_ratio(real_law(one.layer, one.structure.kinematics)))
+        constants = free_end(poisson_ratio(law_with_numbers(one.layer, one.structure.kinematics)))
         shares[upper, 0] = _shares(end, load.rim, one.sheet, model.kinematics, float(one.thin.eps), constants)
-        known = sides.upper(cellwise(model.domain, ("DG", 0, (5,)), shares))
+        known = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), shares))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
         place = at.moved(at.x + (offset - ufl.dot(m, at.x)) * m)
-        yield place.traction(load.load, load.what, m), _handed(known, m, sides, based)
+        yield place.traction(load.load, load.what, m), _transferred_load(known, m, sides, based)
 
 
 def _shares(
@@ -109,7 +109,7 @@ def _shares(
 
     The first three make the whole force of the side, on any mesh.
     """
-    strips, points, within = Strips.of(constants), sheet.joint.points, partial(shares_within, end, sheet)
+    strips, points, within = EndStrips.of(constants), sheet.joint.points, partial(shares_within, end, sheet)
     area = mean_on_facets(sheet, kinematics.factor_at(points[sheet.vertices].mean(axis=1)))
     factor = area * np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)
     ends = points[rim.vertices].mean(axis=1)
@@ -121,7 +121,7 @@ def _shares(
     return np.stack([*forces, *drawn], axis=1)
 
 
-def _handed(shares: Expr, m: Expr, sides: Interface, based: bool) -> Weighted:
+def _transferred_load(shares: Expr, m: Expr, sides: Interface, based: bool) -> LoadRegion:
     """The place of a load, from its shares on S."""
     n = sides.n
     along_m, along_n, along_end, opening, shear = (shares[k] for k in range(5))
@@ -139,4 +139,4 @@ def _handed(shares: Expr, m: Expr, sides: Interface, based: bool) -> Weighted:
     def on_base(v: Expr) -> Expr:
         return of_mean(sides.upper(v) / 2) + of_jump(sides.upper(v))
 
-    return Weighted(sides.measure, sides.factor, sides.upper, moved, on_base if based else None)
+    return LoadRegion(sides.measure, sides.factor, sides.upper, moved, on_base if based else None)

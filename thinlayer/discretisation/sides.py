@@ -10,17 +10,17 @@ import numpy.typing as npt
 import ufl
 from dolfinx import fem
 
-from forms.ends.weights import EndWeights, Strips
+from forms.ends.weights import EndStrips, EndWeights
 from forms.work import Interface
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.seam import LAYER, S
-from geometry.sheet import Rim, Sheet, StraightEnd, continued, share_within
+from geometry.sheet import Rim, Sheet, StraightEnd, continued_ridges, share_within
 from geometry.topology import FloatArray, ridge_keys
-from thinlayer.discretisation.addition import Addition
-from thinlayer.discretisation.boundary import AXES, on_axis, side_normals
+from thinlayer.discretisation.addition import PartDefinition
+from thinlayer.discretisation.boundary import AXES, nodes_on_axis, side_normals
 from thinlayer.discretisation.layer import SeamLayer
-from thinlayer.discretisation.mesh_functions import cellwise
+from thinlayer.discretisation.mesh_functions import cellwise_function
 
 ROUNDING = 1e-6  # of squares of cosines between directions
 SLIGHT = 1e-3  # share of a direction, cos^2, that counts as none: 2 degrees
@@ -35,7 +35,7 @@ def side_kinds(one: SeamLayer) -> npt.NDArray[np.str_]:
     hold both ("held"), m alone ("symmetric": as in a plane of symmetry), n alone ("antisymmetric"), neither ("free"), or
     a direction between them ("oblique"). What is held along the end does not matter.
     """
-    sheet, held = one.sheet, held_directions(one)
+    sheet, held = one.sheet, constrained_directions(one)
     normals = sheet.joint.interface_normals[sheet.parts[0][sheet.rim.simplex]]
     shares = np.stack([np.einsum("ni,nij,nj->n", way, held, way) for way in (sheet.rim.outward, normals)], axis=1)
     slight = SLIGHT if sheet.planar else BENT
@@ -44,21 +44,21 @@ def side_kinds(one: SeamLayer) -> npt.NDArray[np.str_]:
     return np.where(((shares <= slight) | (shares >= 1 - slight)).all(axis=1), found, "oblique")
 
 
-def held_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:
+def constrained_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:
     """(n, d, d) projections onto what holds the layer's side at the rim; `of_layer`: places NAME/LAYER as well."""
     setup, rim, joint = one.structure, one.sheet.rim, one.sheet.joint
     d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXES[: joint.dim]
     held = np.zeros((len(keys), d, d))
-    held[on_axis(setup.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
+    held[nodes_on_axis(setup.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
     entries = [(place, tuple(given) if isinstance(given, Mapping) else axes) for place, given in setup.supports.items()]
-    plates = [part for part in setup.parts if isinstance(part, Addition) and part.ties_nodes]
+    plates = [part for part in setup.parts if isinstance(part, PartDefinition) and part.ties_nodes]
     for place, components in [*entries, *((part.place, part.components or axes) for part in plates)]:
         name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
         if name in (S, *joint.seams) or name not in joint.facets:  # a vertex, or the side of one body
             continue
         if name != place and not of_layer:
             continue
-        on = np.isin(keys, continued(joint, joint.facets[name]))
+        on = np.isin(keys, continued_ridges(joint, joint.facets[name]))
         for axis in components:
             way = np.eye(d)[axes.index(axis)] if axis in axes else _normals(joint, rim, name)
             held += np.where(on[:, None], way, 0.0)[:, :, None] * way[..., None, :]
@@ -102,10 +102,10 @@ class FacetWeights:
     offset: FloatArray
     sheet: Sheet
     eps: float
-    strips: Strips
+    strips: EndStrips
 
     @classmethod
-    def of(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, strips: Strips) -> FacetWeights:
+    def of(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, strips: EndStrips) -> FacetWeights:
         """The weights of these ends, for a layer of this thickness."""
         joint, count = sheet.joint, len(sheet.facets)
         weights = np.zeros((3, count))
@@ -129,7 +129,7 @@ class FacetWeights:
         values = np.zeros((len(joint.cells), 4 + joint.dim))
         upper = joint.surface_cells[self.sheet.facets, 1]
         values[upper] = np.column_stack([self.a_N, self.a_T, 1 / (1 + self.resistance), self.offset, self.m])
-        known = sides.upper(cellwise(domain, ("DG", 0, (4 + joint.dim,)), values[:, None]))
+        known = sides.upper(cellwise_function(domain, ("DG", 0, (4 + joint.dim,)), values[:, None]))
         m = ufl.as_vector([known[4 + k] for k in range(joint.dim)])
         distance = known[3] - ufl.dot(m, sides.upper(ufl.SpatialCoordinate(mesh)))
         f_N, f_T = (

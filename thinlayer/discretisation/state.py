@@ -14,18 +14,24 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array, InputError
-from forms.kinematics import MANDEL, Expr, from_mandel, lift, mandel
-from forms.work import Term, added, energy, stress
+from forms.kinematics import MANDEL, Expr, mandel_tensor, mandel_vector, three_dimensional
+from forms.work import Term, energy, stress, with_added_strain
 from geometry.seam import BASE, S
 from geometry.topology import IntArray
-from thinlayer.discretisation.given_strains import MEAN_STRAIN, PAIRS, of_components
+from thinlayer.discretisation.given_strains import MEAN_STRAIN, PAIRS, voigt_strain
 from thinlayer.discretisation.layer import BODIES, BODY, LAYER, PRESSURE
-from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole
+from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole_structure_form
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import Resultant, middle_of, on_centre, resultant, resultants_of_loads
+from thinlayer.discretisation.rigid import (
+    Resultant,
+    default_moment_point,
+    moment_centre,
+    resultant,
+    resultants_of_loads,
+)
 from thinlayer.discretisation.supports import Place, is_part
-from thinlayer.discretisation.time_functions import Hand
-from thinlayer.system.ranks import carry
+from thinlayer.discretisation.time_functions import TimeLevel
+from thinlayer.system.ranks import carry_cell_values
 
 
 @dataclass(frozen=True)
@@ -155,7 +161,7 @@ class State(Configuration):
             InputError: it is no form; a number in it is not finite; a tag that the mesh has nowhere; measures of one kind
                 with two sets of tags.
         """
-        return self._sum(whole(form, self.model))
+        return self._sum(whole_structure_form(form, self.model))
 
     def _sum(self, form: Any) -> float:
         return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(form)))))
@@ -215,7 +221,9 @@ class State(Configuration):
             held = ", ".join(map(repr, every)) or "nothing"
             raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held}")
         total = reduce(add, (every[name] for name in chosen))
-        return total.at(on_centre(model.kinematics, middle_of(model, place, chosen)) if about is None else about)
+        return total.at(
+            moment_centre(model.kinematics, default_moment_point(model, place, chosen)) if about is None else about
+        )
 
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
         """Reaction of each place that holds the structure, their moments about one point (default: `Model.centre`)."""
@@ -276,7 +284,7 @@ class State(Configuration):
             if "elastic_fraction" in law.parameters() and key in self.stresses:
                 values = law.parameters() | law.fields_at(points.joint_x)
                 term = next(new for old, new in zip(self.model.terms, terms, strict=True) if old is points.term)
-                e = points.values(mandel(term.strain(self.u)))
+                e = points.values(mandel_vector(term.strain(self.u)))
                 springs = values["lmbda"] * e[:, :3].sum(axis=1) ** 2 + 2 * values["mu"] * (e**2).sum(axis=1)
                 springs *= values["elastic_fraction"]
                 rest = abs((self.stresses[key] * e).sum(axis=1) - springs)
@@ -286,10 +294,10 @@ class State(Configuration):
 
     def _strained(self, terms: list[Term], *, on_s: bool = False) -> list[Term]:
         """The terms at the time of the state, but for those on S with the mean strain under a mean stress."""
-        terms = Hand(self.t).terms(terms)
+        terms = TimeLevel(self.t).terms(terms)
         if on_s or not self.model.stress:
             return terms
-        return added(terms, lift(fem.Constant(self.model.domain.mesh, self.mean_strain())))
+        return with_added_strain(terms, three_dimensional(fem.Constant(self.model.domain.mesh, self.mean_strain())))
 
     def stress(self, term: Term) -> Expr:
         """The stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
@@ -317,7 +325,7 @@ class State(Configuration):
             rules = self.model.quadratures.items()
             key, points = next((key, one) for key, one in rules if one.term.measure is p.measure)
             values = self.stresses.get(key, np.zeros((points.count, len(MANDEL))))
-            yield p, from_mandel(points.function(values)), points.measure
+            yield p, mandel_tensor(points.function(values)), points.measure
 
     def mean_stress(self) -> Array:
         """Mean stress (d, d) of the bodies and of meshed layers. Collective.
@@ -327,7 +335,7 @@ class State(Configuration):
         model, d = self.model, self.model.joint.dim
         chosen = fem.Constant(model.domain.mesh, np.zeros(len(PAIRS[d])))
         terms = self.bodies if model.broken else [*self.bodies, *self.layers]
-        unit = lift(of_components(chosen))
+        unit = three_dimensional(voigt_strain(chosen))
         works = sum(ufl.inner(s, unit) * p.weight * measure for p, s, measure in self._stressed(terms))
         out = np.zeros((d, d))
         for (i, j), value in zip(PAIRS[d], per_unit(model.comm, works, chosen), strict=True):
@@ -352,7 +360,7 @@ def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
         return np.asarray(values[nodes[places]].reshape(len(places), nodes.shape[1] * dofmap.bs))
 
     wanted, at = np.unique(cells, return_inverse=True)
-    found = carry(model.comm, model.domain.original_cells[:own], at_cells, wanted)
+    found = carry_cell_values(model.comm, model.domain.original_cells[:own], at_cells, wanted)
     return np.asarray(found.reshape(-1, nodes.shape[1], dofmap.bs)[at.reshape(cells.shape)])
 
 

@@ -17,8 +17,8 @@ from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.refusals import require_known
 from geometry.topology import BoolArray, Indices
-from thinlayer.discretisation.boundary import AXES, node_normals, on_axis, on_boundary, smooth
-from thinlayer.discretisation.given import Coordinates, Given, Value
+from thinlayer.discretisation.boundary import AXES, boundary_values, node_normals, nodes_on_axis, smooth_surfaces
+from thinlayer.discretisation.given import Coefficient, Coordinates, Value
 from thinlayer.system.compat import interpolate, interpolation_points
 
 BALANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
@@ -70,18 +70,18 @@ class Supports:
         entries: list[tuple[Place, Components]] = []
         for place, support in given.items():
             if isinstance(place, str):
-                on_boundary(domain, kinematics, place, f"support on {place!r}", inside=True, side=True)
+                boundary_values(domain, kinematics, place, f"support on {place!r}", inside=True, side=True)
             else:
                 domain.joint.nearest_point(place)
             entries.append((place, self._components(place, support)))
         self.given = tuple(entries)
-        self.values, self.moving = dict[tuple[int, str], Given](), list[Place]()
+        self.values, self.moving = dict[tuple[int, str], Coefficient](), list[Place]()
         for number, (place, components) in enumerate(entries):
             for axis, value in components.items():
                 self.values[number, axis] = one = at.given(value, f"support on {place!r}: component {axis}", ())
                 self.moving += [place] if one.varies or one.value != 0 else []
         self.anchored: tuple[str, ...] = ()
-        self.on_axis = on_axis(kinematics, domain.joint)
+        self.on_axis = nodes_on_axis(kinematics, domain.joint)
 
     @property
     def entries(self) -> tuple[tuple[Place, Components], ...]:
@@ -257,7 +257,7 @@ class Prescribed:
         table, rows = np.concatenate(columns), [np.empty((0, d + 2))]
         table = table[np.argsort(table[:, 1], kind="stable")]
         for same in np.split(table, np.flatnonzero(np.diff(table[:, 1])) + 1) if len(table) else []:
-            surface, unit = smooth(same[:, 2:])
+            surface, unit = smooth_surfaces(same[:, 2:])
             pairs = np.unique(np.column_stack([same[:, 0], surface]), axis=0).astype(int)
             rows += [np.array([[source, same[0, 1] * d, *unit[k]]]) for source, k in pairs]
         found = np.concatenate(rows)

@@ -23,9 +23,9 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from forms.base import Array, InputError, is_number
 from forms.kinematics import Expr
-from forms.temperature import real
+from forms.temperature import real_values
 from forms.work import Term
-from thinlayer.system.compat import replaced
+from thinlayer.system.compat import ufl_replace
 
 ROUNDING = 1e-12  # relative tolerance for equal times (a sum of steps against the end of a table) and equal slopes
 RATIONAL = (Sum, Product, Division)
@@ -36,14 +36,14 @@ class Clock:
     """The time of a model.
 
     Forms may read it while it shows a time, see `at`; else it is NaN, so that no form reads a time of the past unnoticed.
-    What needs several times at once has hands of its own, see `Hand`.
+    What needs several times at once has hands of its own, see `TimeLevel`.
 
     Attributes:
         symbol: the time, a UFL constant.
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self.symbol = Reading(mesh)
+        self.symbol = TimeConstant(mesh)
 
     @contextmanager
     def at(self, t: float) -> Iterator[None]:
@@ -60,7 +60,7 @@ class Clock:
             reading.value = reading.at(t)
 
 
-class Reading(fem.Constant):
+class TimeConstant(fem.Constant):
     """What forms read of a clock: the time, or the values (columns,) of a table at an argument of the time alone.
 
     Attributes:
@@ -68,11 +68,11 @@ class Reading(fem.Constant):
         beside: all that is read of the clock.
     """
 
-    def __init__(self, mesh: Mesh, time: Reading | None = None, argument: Any = None, table: Any = None) -> None:
+    def __init__(self, mesh: Mesh, time: TimeConstant | None = None, argument: Any = None, table: Any = None) -> None:
         super().__init__(mesh, np.full(table.columns.shape[1], np.nan) if table else math.nan)
         self.mesh, self._time, self._argument = mesh, time, argument
-        self._table: Table | None = table
-        self.beside: WeakSet[Reading] = WeakSet() if time is None else time.beside
+        self._table: PiecewiseLinear | None = table
+        self.beside: WeakSet[TimeConstant] = WeakSet() if time is None else time.beside
         self.beside.add(self)
 
     def __eq__(self, other: object) -> bool:
@@ -110,19 +110,19 @@ class Reading(fem.Constant):
         return {(t - start) / rate for t in self._table.breaks} if straight and rate else set()
 
 
-def readings(expression: Expr) -> list[Reading]:
+def time_constants(expression: Expr) -> list[TimeConstant]:
     """What an expression or a form reads of a clock; empty: it does not depend on the time."""
-    return [c for c in extract_constants(expression) if isinstance(c, Reading)]
+    return [c for c in extract_constants(expression) if isinstance(c, TimeConstant)]
 
 
-class Hand:
+class TimeLevel:
     """A further hand of a clock: a time at which expressions have values, as constants of their own.
 
     Forms at several hands are compiled once. To use one compiled form at several times, `set` its hand.
     """
 
     def __init__(self, t: float = 0.0) -> None:
-        self._t, self._own = t, dict[Reading, fem.Constant]()
+        self._t, self._own = t, dict[TimeConstant, fem.Constant]()
 
     def set(self, t: float) -> None:
         """Move on to another time."""
@@ -132,18 +132,18 @@ class Hand:
 
     def of(self, expression: Expr) -> Expr:
         """An expression or a form that reads this hand instead of the clock."""
-        shown = readings(expression)
+        shown = time_constants(expression)
         for reading in shown:
             if reading not in self._own:
                 self._own[reading] = fem.Constant(reading.mesh, np.array(reading.at(self._t), float))
-        return replaced(expression, {reading: self._own[reading] for reading in shown}) if shown else expression
+        return ufl_replace(expression, {reading: self._own[reading] for reading in shown}) if shown else expression
 
     def terms(self, terms: Iterable[Term]) -> list[Term]:
         """The terms, their given strains at this hand."""
         return [p if p.given is None else replace(p, given=self.of(p.given)) for p in terms]
 
 
-class OverStep:
+class StepStrains:
     """Given strains over a step: at its ends, and where forces balance, as constants that compiled forms read.
 
     At rest there are none: in the first step they come suddenly, as loads do.
@@ -157,9 +157,9 @@ class OverStep:
     """
 
     def __init__(self, mesh: Mesh, terms: Iterable[Term]) -> None:
-        self._varies = any(p.given is not None and readings(p.given) for p in terms)
+        self._varies = any(p.given is not None and time_constants(p.given) for p in terms)
         self._before, self._theta, self._present = (fem.Constant(mesh, 1.0) for _ in range(3))
-        self._old, self._new, self._now = Hand(), Hand(), Hand()
+        self._old, self._new, self._now = TimeLevel(), TimeLevel(), TimeLevel()
         self.grows = True
 
     def begin(self, old: float, new: float, theta: float, *, at_rest: bool) -> None:
@@ -171,7 +171,7 @@ class OverStep:
 
     def balanced(self, f: Expr) -> Expr:
         """theta f(new) + (1 - theta) f(old), as displacements have it where forces balance."""
-        if not readings(f):
+        if not time_constants(f):
             return f
         return self._theta * self._new.of(f) + (1 - self._theta) * self._before * self._old.of(f)
 
@@ -189,7 +189,7 @@ class OverStep:
         self._now.set(t)
 
 
-class Table:
+class PiecewiseLinear:
     """Values at given times, linear in between; NaN before and after.
 
     Attributes:
@@ -212,7 +212,9 @@ class Table:
         else:
             t = ufl.as_ufl(t)
             now = _time(t)
-            columns = [self._lines(c, t) for c in self.columns.T] if now is None else [*Reading(now.mesh, now, t, self)]
+            columns = (
+                [self._lines(c, t) for c in self.columns.T] if now is None else [*TimeConstant(now.mesh, now, t, self)]
+            )
         return columns[0] if self.scalar else columns
 
     def at(self, t: float) -> Array:
@@ -249,13 +251,13 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
         InputError: less than two times, values that are no numbers or of different lengths.
     """
     try:
-        times = real(sorted(values))
-        rows = real([values[t] for t in sorted(values)])
+        times = real_values(sorted(values))
+        rows = real_values([values[t] for t in sorted(values)])
     except (TypeError, ValueError, LookupError) as error:
         raise InputError(f"piecewise needs {{time: number or components}}: {error}") from error
     if len(times) < 2 or rows.ndim > 2 or not (np.isfinite(times).all() and np.isfinite(rows).all()):
         raise InputError(f"piecewise needs two times or more, each with a number or components, not {values!r}")
-    table = Table(times, rows)
+    table = PiecewiseLinear(times, rows)
 
     def at(_: Any, t: Any) -> Any:
         return table(t)
@@ -264,9 +266,9 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
     return at
 
 
-def _time(expression: Expr) -> Reading | None:
+def _time(expression: Expr) -> TimeConstant | None:
     """The time, of an expression that depends on it alone; else None."""
     terminals = [node for node in unique_pre_traversal(expression) if isinstance(node, Terminal)]
     others = {node for node in terminals if not isinstance(node, (ConstantValue, MultiIndex))}
     only = others.pop() if len(others) == 1 else None
-    return only if isinstance(only, Reading) and only._time is None else None
+    return only if isinstance(only, TimeConstant) and only._time is None else None

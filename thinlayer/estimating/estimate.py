@@ -15,31 +15,31 @@ import scipy.sparse
 from forms.base import InputError, is_finite, require
 from geometry.refusals import require_known
 from geometry.seam import S
-from thinlayer.discretisation.constraints import csr_of
+from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, nodes_of_sides
-from thinlayer.discretisation.reduction import Reduction
+from thinlayer.discretisation.reduction import Applicability
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal
+from thinlayer.estimating.global_local import NARROW, GlobalLocal, GoalBounds
 from thinlayer.estimating.goals import Compliance, Goal
-from thinlayer.estimating.on_surface import errors_of, squares_of
+from thinlayer.estimating.on_surface import relative_errors, squared_norms
 from thinlayer.estimating.result import FIELDS, FIXED, Estimate, GoalError, LayerError
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.balance import PartSum
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import History
-from thinlayer.solving.layer_alone import REMEDY, LayerAlone
+from thinlayer.solving.layer_alone import REMEDY, LayerSubproblem
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solvers import solve
-from thinlayer.system.progress import telling
-from thinlayer.system.ranks import on_all
+from thinlayer.system.progress import report
+from thinlayer.system.ranks import errors_on_all
 from thinlayer.time.marching import march
 
 ROUNDING = 3e-8  # of goals, relative: found between steel and rubber 1e6 times as soft; bounds are as much wider
 
 
-@telling("estimate")
+@report("estimate")
 def estimate(
     state: State | History,
     layer: Layers | None = None,
@@ -76,7 +76,7 @@ def estimate(
         given,
         "it takes what solve or march returns; a description of a mesh file: thinlayer estimate",
     )
-    with on_all(given.model.comm):
+    with errors_on_all(given.model.comm):
         require(is_finite(width) and width > 0, "estimate: width", width, "allowed: > 0, over the change of a goal")
         checked = _checked_goals(goals)
     model = _with_layers(given, layer)
@@ -87,27 +87,27 @@ def estimate(
         beside = f"estimate: {seam!r} has a layer beside bonds at {', '.join(given.model.bonds)}"
         raise InputError(f"{beside}; ask of a bond, or of all, or solve it with layers alone")
     chosen = [name for name in model.layers if seam in (S, name)]
-    with on_all(model.comm):
-        _require_alone(model, state, [model.layers[name] for name in chosen])
+    with errors_on_all(model.comm):
+        _require_subproblem(model, state, [model.layers[name] for name in chosen])
         for name in given.model.bonds:
             model.reductions[name].require("bonded", "estimate: ")
         for goal in checked.values():
             goal.check(model)
     better = {name: _of_order_1(model.reductions[name]) for name in chosen}
     meshed = {name: replace(one, order=0, edges=None) for name, one in better.items()}
-    layers = LayerAlone(model, meshed, given.t)
+    layers = LayerSubproblem(model, meshed, given.t)
     values = {name: goal.value(given, model) for name, goal in checked.items()}
-    known: dict[str, Bounds] = {}
+    known: dict[str, GoalBounds] = {}
     theirs: State | None = None
     failed: list[SolveError] = []
     bounded = model.linear and model.symmetric and isinstance(state, State)
     narrow = width if bounded else None
     for order, laws in enumerate(_models(model, better)):  # whose tangents lead to the layer
         try:
-            *earlier, first = _path(state, laws, order > 0, options)
+            *earlier, first = _states_of_path(state, laws, order > 0, options)
             before = earlier[-1] if earlier else None
             theirs = before if given.model.bonds or not order else theirs
-            _pass(earlier, first, layers, options)
+            _advance_layers(earlier, first, layers, options)
             with Adjoint(first, before, options) as adjoint:
                 iteration = GlobalLocal(adjoint, layers)
                 one, weights = iteration.run(checked, values, known, narrow)
@@ -123,12 +123,12 @@ def estimate(
         raise failed.pop()
     total, errors = np.zeros(4), {}
     for name in chosen:
-        squares = squares_of(given, last, model.layers[name], inside)
-        errors[name] = LayerError(meshed[name], *errors_of(squares))
+        squares = squared_norms(given, last, model.layers[name], inside)
+        errors[name] = LayerError(meshed[name], *relative_errors(squares))
         total += squares
     found = {}
     for name, goal in checked.items():
-        at = known.get(name, Bounds(goal.value(last, model), math.nan, math.nan))
+        at = known.get(name, GoalBounds(goal.value(last, model), math.nan, math.nan))
         scale = goal.scale(last, model)
         has_bounds = bounded and at.upper - at.lower < math.inf
         slack = ROUNDING * max(abs(values[name]), abs(at.told)) + at.rounding if has_bounds else math.nan
@@ -138,7 +138,7 @@ def estimate(
         if at.lower - at.upper > slack + FIXED * scale:
             contradiction = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
             raise SolveError(f"estimate: the bounds of {name} contradict each other: {contradiction}", advice=REMEDY)
-    traction, jump = errors_of(total)
+    traction, jump = relative_errors(total)
     seconds, by = time.perf_counter() - start, (first, theirs, weights)
     return Estimate(given, last, errors, found, traction, jump, seconds, inside, energy, layers, *by, checked, options)
 
@@ -152,7 +152,7 @@ def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[
         return
 
 
-def _path(state: State | History, model: InterfaceModel, anew: bool, options: Options | None) -> list[State]:
+def _states_of_path(state: State | History, model: InterfaceModel, anew: bool, options: Options | None) -> list[State]:
     """The states that lead to the given one; or, anew or in place of bonds, those of a model's laws. Collective."""
     anew = anew or bool(state.model.bonds)
     if isinstance(state, State):
@@ -167,7 +167,7 @@ def _path(state: State | History, model: InterfaceModel, anew: bool, options: Op
     return list(state)
 
 
-def _pass(earlier: Sequence[State], last: State, layers: LayerAlone, options: Options | None) -> None:
+def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubproblem, options: Options | None) -> None:
     """Lead the layers through earlier states of the interface laws, and begin their step to the last one. Collective."""
     path, before = [*earlier, last], None
     inside = layers.rest(path[0].t)
@@ -181,7 +181,7 @@ def _pass(earlier: Sequence[State], last: State, layers: LayerAlone, options: Op
         layers.begin(inside, following.t)
 
 
-def _require_alone(model: InterfaceModel, state: State | History, dropped: Sequence[SeamLayer]) -> None:
+def _require_subproblem(model: InterfaceModel, state: State | History, dropped: Sequence[SeamLayer]) -> None:
     """Raise InputError unless layers can be meshed by themselves between the bodies of a model. Collective.
 
     Nodes on S follow neither plates nor inclined supports. What remembers, law or part, must have been at rest before, or
@@ -190,7 +190,7 @@ def _require_alone(model: InterfaceModel, state: State | History, dropped: Seque
     for name in model.layers:
         model.reductions[name].require("estimate", "estimate: ")
     whole = f"mesh the {'layers' if len(model.layers) > 1 else 'layer'} (structure.full)"
-    if _is_tied(model):
+    if _has_multi_point_constraints(model):
         raise InputError(f"estimate: plates or inclined supports tie nodes on S; {whole}")
     if isinstance(state, State) and state.sudden:
         return
@@ -221,19 +221,19 @@ def _checked_goals(goals: Any) -> dict[str, Goal]:
     return dict(zip(names, given, strict=True))
 
 
-def _is_tied(model: InterfaceModel) -> bool:
+def _has_multi_point_constraints(model: InterfaceModel) -> bool:
     """Whether displacements on S follow others, or are turned. Collective."""
     constraints, d = model.constraints, model.joint.dim
     if constraints.T is None:
         return False
-    rows = csr_of(constraints.T)
+    rows = local_csr(constraints.T)
     turned = abs(rows - scipy.sparse.eye(*rows.shape, k=constraints.first)).sum(axis=1) > 0
     nodes = np.concatenate([side.ravel() for name in model.layers for side in nodes_of_sides(model, model.V, name)])
     dofs = (nodes[:, None] * d + np.arange(d)).ravel()
     return bool(model.comm.allreduce(int(np.asarray(turned)[dofs[dofs < constraints.n]].any()), max))
 
 
-def _of_order_1(reduction: Reduction) -> ThinLayer:
+def _of_order_1(reduction: Applicability) -> ThinLayer:
     """The layer with its plain law of order 1; as it is where none is known, as of sublayers that are anisotropic."""
     try:
         return replace(reduction.better(), edges="plain")

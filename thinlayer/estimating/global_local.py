@@ -35,10 +35,10 @@ from forms.base import Array, InputError
 from thinlayer.discretisation.state import Configuration, State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.estimating.goals import Goal
-from thinlayer.pointwise.integrals import give
+from thinlayer.pointwise.integrals import set_owned_values
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.balance import ROUNDING_SHARE, PartSum
-from thinlayer.solving.layer_alone import REMEDY, LayerAlone, share_of_step
+from thinlayer.solving.layer_alone import REMEDY, LayerSubproblem, line_search_share
 
 STEPS = 5
 SAME = 1e-10  # difference of two iterates, relative, that counts as rounding
@@ -56,7 +56,7 @@ NARROW = 0.05  # width of bounds over the change, at which steps end if no other
 
 
 @dataclass(frozen=True)
-class Iterate:
+class BodyEquilibrium:
     """A displacement whose bodies are in equilibrium but for S, or weights z of a goal.
 
     Attributes:
@@ -76,14 +76,14 @@ class Iterate:
     directions: tuple[tuple[Array, Array, Array, Array], ...] = field(default=(), repr=False)
     gained: float = 0.0
 
-    def is_near(self, other: Iterate) -> bool:
+    def is_near(self, other: BodyEquilibrium) -> bool:
         """Whether two are the same, but for rounding, and so are their steps: faces are whole on all ranks."""
         pairs = ((self.v, other.v), (self.F, other.F), (self.load, other.load), (self.values, other.values))
         return all(np.abs(a - b).max(initial=0.0) <= SAME * np.abs(a).max(initial=0.0) for a, b in pairs)
 
 
 @dataclass(frozen=True)
-class Bounds:
+class GoalBounds:
     """Where a goal of the meshed layer lies.
 
     Attributes:
@@ -97,7 +97,7 @@ class Bounds:
     upper: float = math.inf
     rounding: float = 0.0
 
-    def within(self, other: Bounds) -> Bounds:
+    def within(self, other: GoalBounds) -> GoalBounds:
         """The intersection with earlier bounds, which may be so much better that the value moves into them."""
         lower, upper = max(self.lower, other.lower), min(self.upper, other.upper)
         return replace(self, told=min(max(self.told, lower), upper), lower=lower, upper=upper)
@@ -115,7 +115,7 @@ class GlobalLocal:
         layers: the layers.
     """
 
-    def __init__(self, adjoint: Adjoint, layers: LayerAlone) -> None:
+    def __init__(self, adjoint: Adjoint, layers: LayerSubproblem) -> None:
         self.adjoint, self.equations, self.state, self.layers = adjoint, adjoint.equations, adjoint.state, layers
         self.model, self.n = adjoint.model, adjoint.equations.n_displacements
         dropped = [self.model.layers[name] for name in layers.seams]
@@ -139,7 +139,7 @@ class GlobalLocal:
 
     # ---------------------------------------------------------------- the interface model
     def _function(self, u: Array) -> fem.Function:
-        return give(fem.Function(self.model.V), u)
+        return set_owned_values(fem.Function(self.model.V), u)
 
     def _lack(self, u: Array) -> Array:
         """Loads (m,) less the forces of all but the layers' laws, at displacements (m,)."""
@@ -164,12 +164,12 @@ class GlobalLocal:
         d = self.adjoint.displacements(*self.layers.of_faces(r))
         return d, r - self._pulled(self._resisted(d))
 
-    def _balanced(self, u: Array, F: Array, load: Array, values: Array) -> Iterate:
+    def _balanced(self, u: Array, F: Array, load: Array, values: Array) -> BodyEquilibrium:
         """With couples on the faces so that forces F and those on the layers have no resultants.
 
         A couple is a solve with K_1; only motions that laws resist, or that loads on the layers drive, need one.
         """
-        one = Iterate(u, self.layers.at_faces(u), F, load, values)
+        one = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
         for _ in range(len(self._axes) + 1):  # a couple may leave a resultant along other axes
             left, least = self._resultant(one)
             if left <= CLOSER * least:  # steps add their resultants up
@@ -179,7 +179,7 @@ class GlobalLocal:
             resultants = self._axes.T @ self._R.T @ np.column_stack([dF for _, dF in self._couples])
             for share, (d, dF) in zip(-np.linalg.solve(resultants, self._axes.T @ along), self._couples, strict=True):
                 u, F = u + share * d, F + share * dF
-            one = Iterate(u, self.layers.at_faces(u), F, load, values)
+            one = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
         return one
 
     def _add_couple(self, along: Array) -> None:
@@ -192,21 +192,21 @@ class GlobalLocal:
             self._couples.append((d, pulled - couple))
             self._axes = np.column_stack([self._axes, axis])
 
-    def _resultant(self, one: Iterate) -> tuple[float, float]:
+    def _resultant(self, one: BodyEquilibrium) -> tuple[float, float]:
         """The largest resultant of the forces on the layers, and what counts as rounding."""
         forces, layers = one.F + one.load, self.layers
         rounding = ROUNDING_SHARE * float(np.abs(layers.K.diagonal()).sum() * np.abs(one.v).max())
         return np.abs(layers.R.T @ forces).max(initial=0.0), UNBALANCED * float(np.abs(forces).sum()) + rounding
 
     # ---------------------------------------------------------------- iterates
-    def first(self) -> Iterate:
+    def first(self) -> BodyEquilibrium:
         """The state."""
         u = self.state.u.x.array[: self.n].copy()
         one = self._balanced(u, self._pulled(self._lack(u)), self.layers.load, self.layers.values)
         self._start = one.F
         return self._settled(one)
 
-    def weights(self, goal: Goal) -> tuple[Array, Iterate]:
+    def weights(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
         """Weights q (m,) of a goal at the displacements of this rank, and z."""
         q, g = goal.dual(self.adjoint)
         if self.model.linear and goal.is_linear(self.model):
@@ -230,15 +230,15 @@ class GlobalLocal:
             self.adjoint.transposed = False
             self._forget()
 
-    def inside(self, one: Iterate) -> Array:
+    def inside(self, one: BodyEquilibrium) -> Array:
         """What is in the layers."""
         return self.layers.inside(one.v, one.load, one.values)
 
-    def residual(self, one: Iterate) -> Array:
+    def residual(self, one: BodyEquilibrium) -> Array:
         """r = F - (E u - l)."""
         return one.F - self.layers.held(one.v, one.load, one.values)
 
-    def step(self, one: Iterate) -> Iterate:
+    def step(self, one: BodyEquilibrium) -> BodyEquilibrium:
         """Toward the meshed layer."""
         layers, r, no = self.layers, self.residual(one), np.zeros_like(one.v)
         d, F = self._under(r)
@@ -254,12 +254,12 @@ class GlobalLocal:
         directions, gained = (*one.directions, (d, v, F, Kd)), one.gained + float(a * (r @ v))
         return replace(one, u=one.u + a * d, v=one.v + a * v, F=one.F + a * F, directions=directions, gained=gained)
 
-    def _settled(self, one: Iterate) -> Iterate:
+    def _settled(self, one: BodyEquilibrium) -> BodyEquilibrium:
         """The iterate, with the layers' tangent at it."""
         self.layers.settled(one.v)
         return replace(one, load=self.layers.load, directions=())
 
-    def _with_bodies(self, one: Iterate) -> Iterate:
+    def _with_bodies(self, one: BodyEquilibrium) -> BodyEquilibrium:
         """The iterate, with bodies in equilibrium but for S, to first order, where they are not linear."""
         if not self._nonlinear:
             return one
@@ -276,7 +276,7 @@ class GlobalLocal:
         forces[constraints.held] = 0.0
         return self._product(forces, constraints.unknowns(d))
 
-    def newton_step(self, one: Iterate) -> Iterate:
+    def newton_step(self, one: BodyEquilibrium) -> BodyEquilibrium:
         """Toward meshed layers whose laws are not linear: conjugate steps with their tangent, while the energy falls."""
         aim = self._with_bodies(one)
         for _ in range(CONJUGATE):
@@ -296,10 +296,10 @@ class GlobalLocal:
             return self._work(lack, du) - float(self.layers.held(new.v, new.load, new.values) @ dv)
 
         if (start := aim.gained - one.gained) > LOST * abs(one.F @ one.v):
-            share_of_step(slope, start)
+            line_search_share(slope, start)
         return new
 
-    def newton(self) -> Iterate:
+    def newton(self) -> BodyEquilibrium:
         """The structure with its layers meshed, from the state on.
 
         Raises:
@@ -323,17 +323,17 @@ class GlobalLocal:
         """Of vectors (m,), over all ranks."""
         return float(self.model.comm.allreduce(float(a @ b)))
 
-    def _require_balance(self, one: Iterate) -> None:
+    def _require_balance(self, one: BodyEquilibrium) -> None:
         """Raise SolveError unless forces on the layers have no resultant, but for rounding."""
         left, least = self._resultant(one)
         if left > 2 * least:
             raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g}; allowed: {least:.2g}")
 
-    def gap(self, one: Iterate) -> float:
+    def gap(self, one: BodyEquilibrium) -> float:
         """r . E^+ r, at least twice the square of the energy norm of what is missing (Prager and Synge)."""
         return self.layers.compliance(self.residual(one))[1]
 
-    def energy(self, given: State, one: Iterate) -> Bounds | None:
+    def energy(self, given: State, one: BodyEquilibrium) -> GoalBounds | None:
         """Of J(u_0) - min J, from a last iterate. Collective.
 
         None: the layers cannot bear the forces on their faces, or an energy is not convex.
@@ -352,10 +352,10 @@ class GlobalLocal:
             return None
         in_bodies = self._product(du, self._resisted(du)) / 2
         lower, upper = (in_bodies + part for part in between)
-        return Bounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
+        return GoalBounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
 
     def is_near(
-        self, one: Iterate, values: Mapping[str, float], known: Mapping[str, Bounds], width: float | None
+        self, one: BodyEquilibrium, values: Mapping[str, float], known: Mapping[str, GoalBounds], width: float | None
     ) -> bool:
         """Whether bounds are narrow, and energies and forces that are missing little beside those of steps; as of `run`."""
         if width is None:
@@ -367,7 +367,7 @@ class GlobalLocal:
         return norm(self.residual(one)) <= share * norm(one.F - self._start) + LEFT * norm(one.F)
 
     # ---------------------------------------------------------------- goals
-    def bounds(self, at_rest: float, q: Array, one: Iterate, z: Iterate) -> Bounds:
+    def bounds(self, at_rest: float, q: Array, one: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
         """Of a goal with a value at rest, weights q (m,) on this rank, and z.load in the layers. Collective.
 
         Raises:
@@ -381,15 +381,15 @@ class GlobalLocal:
         told = self.told(at_rest, q, one, z)
         middle = float(told + r_z @ moved / 2)
         rounding = float(self.equations.scale.rounding(np.abs(one.v).max())[0]) * math.sqrt(self._product(z.u, z.u))
-        return Bounds(told, middle - half, middle + half, rounding)
+        return GoalBounds(told, middle - half, middle + half, rounding)
 
-    def told(self, at_rest: float, q: Array, one: Iterate, z: Iterate) -> float:
+    def told(self, at_rest: float, q: Array, one: BodyEquilibrium, z: BodyEquilibrium) -> float:
         """A goal, as of `bounds`, with the residual at S weighed. Collective."""
         layers, w, w_z = self.layers, self.inside(one), self.inside(z)
         of_bodies = self._product(q, self.equations.constraints.unknowns(one.u)) + self._product(z.u, self._lack(one.u))
         return float(at_rest + of_bodies + z.load @ w - w_z @ (layers.K @ w - one.load))
 
-    def work_of_laws(self, u: fem.Function, z: Iterate, *, bonded: bool = False) -> Array:
+    def work_of_laws(self, u: fem.Function, z: BodyEquilibrium, *, bonded: bool = False) -> Array:
         """Work (m,) of the laws in weights at displacements u, less that of loads on the layers, spread over displacements.
 
         Bonded bodies have none: in their place are the forces that the bodies need.
@@ -402,13 +402,13 @@ class GlobalLocal:
         adjoint.forces(self._laws, self.state, u, adjoint.interval)
         return adjoint.work(self._laws, Configuration(self._function(z.u), self.state.t)) - z.u * adjoint.of_layers
 
-    def states(self, one: Iterate) -> tuple[State, State]:
+    def states(self, one: BodyEquilibrium) -> tuple[State, State]:
         """The interface model, and its layers by themselves, at an iterate."""
         return replace(self.state, u=self._function(one.u)), self.layers.state(self.layers.settled(one.v))
 
     def run(
-        self, goals: Mapping[str, Goal], values: Mapping[str, float], known: dict[str, Bounds], width: float | None
-    ) -> tuple[Iterate, dict[str, Iterate]]:
+        self, goals: Mapping[str, Goal], values: Mapping[str, float], known: dict[str, GoalBounds], width: float | None
+    ) -> tuple[BodyEquilibrium, dict[str, BodyEquilibrium]]:
         """The state and the weights of goals, after steps until bounds are narrow, or `STEPS`. Collective.
 
         Args:
@@ -426,9 +426,9 @@ class GlobalLocal:
             for name, rest in at_rest.items():
                 q, z = weights[name]
                 if width is None:
-                    known[name] = Bounds(self.told(rest, q, one, z), math.nan, math.nan)
+                    known[name] = GoalBounds(self.told(rest, q, one, z), math.nan, math.nan)
                 else:
-                    known[name] = self.bounds(rest, q, one, z).within(known.get(name, Bounds()))
+                    known[name] = self.bounds(rest, q, one, z).within(known.get(name, GoalBounds()))
             if step == STEPS or self.is_near(one, values, known, width):
                 break
             one = self.step(one)

@@ -16,13 +16,13 @@ from petsc4py import PETSc
 from forms import work as forms
 from forms.base import Array, InputError, require
 from forms.kinematics import Expr
-from forms.temperature import finite
+from forms.temperature import finite_values
 from geometry.refusals import require_known
 from geometry.seam import BASE, S
 from geometry.topology import BoolArray, IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import nodes_of_sides
-from thinlayer.discretisation.measures import compiled, whole
+from thinlayer.discretisation.measures import compiled, whole_structure_form
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import balanced_motions
 from thinlayer.discretisation.state import State, displacements_of
@@ -31,7 +31,7 @@ from thinlayer.output.nodal_forces import nodal_forces
 from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.layer_alone import HeldLayers
+from thinlayer.solving.layer_alone import DirichletLayers
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.compat import expand_derivatives
 
@@ -64,7 +64,7 @@ class Goal(ABC):
         """Q without displacements, where it is linear: what given strains and loads do. Collective."""
         return self.value(replace(state, u=fem.Function(model.V)), model)
 
-    def in_layers(self, layers: HeldLayers) -> tuple[Array, Array]:
+    def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
         """The same of the meshed layers: weights at their unknowns, and motions of their sides; by default none."""
         return np.zeros_like(layers.load), np.zeros_like(layers.load)
 
@@ -77,7 +77,7 @@ class Goal(ABC):
         """
 
 
-class Directed(Goal):
+class DirectedGoal(Goal):
     """A goal along a direction (d,), not zero."""
 
     direction: Sequence[float]
@@ -88,13 +88,13 @@ class Directed(Goal):
     def unit(self, model: Model) -> Array:
         """The direction of unit length; raises InputError if it is none."""
         d = model.joint.dim
-        found: Any = finite(self.direction, (d,))
+        found: Any = finite_values(self.direction, (d,))
         good = found is not None and found.any()
         require(good, f"{self.name}: the direction", self.direction, f"give {d} numbers, not all zero")
         return np.asarray(found / np.linalg.norm(found))
 
 
-def written(vector: Any) -> str:
+def vector_text(vector: Any) -> str:
     """A vector in the name of a goal; as it is if it is none, which `check` refuses."""
     try:
         return f"({', '.join(f'{c:.4g}' for c in vector)})"
@@ -128,17 +128,17 @@ class Compliance(Goal):
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return 0.0  # reactions have it
 
-    def in_layers(self, layers: HeldLayers) -> tuple[Array, Array]:
+    def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
         return layers.forces, layers.values
 
 
-def _mean_size(surface: Surface, state: State) -> float:
+def _rms_traction(surface: Surface, state: State) -> float:
     """Root mean square of the tractions on a surface."""
     return surface.norm(surface.traction(state)) / math.sqrt(surface.integral(1.0))
 
 
 @dataclass(frozen=True)
-class Reaction(Directed):
+class Reaction(DirectedGoal):
     """The force that a place gives to the structure along a direction, see `State.reaction`.
 
     Attributes:
@@ -152,10 +152,10 @@ class Reaction(Directed):
     @property
     def name(self) -> str:  # type: ignore[override]
         """Of the goal."""
-        return f"reaction {self.place} along {written(self.direction)}"
+        return f"reaction {self.place} along {vector_text(self.direction)}"
 
     def unit(self, model: Model) -> Array:
-        """As of `Directed`; in a body of revolution without the radial part, along which forces add up to zero."""
+        """As of `DirectedGoal`; in a body of revolution without the radial part, along which forces add up to zero."""
         axial = super().unit(model) * balanced_motions(model.kinematics, model.joint.dim)[: model.joint.dim]
         allowed = "give one with a part along the axis: forces along radii add up to zero"
         require(axial.any(), f"{self.name}: the direction", self.direction, allowed)
@@ -168,7 +168,7 @@ class Reaction(Directed):
         forces = [one.force for one in state.reactions_by_place().values()]
         found = float(sum(np.linalg.norm(one) for one in [*forces, state.applied().force]))
         surfaces = [Surface(model, name) for name in model.layers]  # of moments all resultants are zero
-        return max(found, sum(_mean_size(one, state) * one.integral(1.0) for one in surfaces))
+        return max(found, sum(_rms_traction(one, state) * one.integral(1.0) for one in surfaces))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model, along = adjoint.model, self.unit(adjoint.model)
@@ -184,12 +184,12 @@ class Reaction(Directed):
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return model.constraints.given_resultant(model.held_by(self.place), self.unit(model), state.t)
 
-    def in_layers(self, layers: HeldLayers) -> tuple[Array, Array]:
+    def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
         return np.zeros_like(layers.load), layers.motion_of(self.place, self.unit(layers.model))
 
 
 @dataclass(frozen=True)
-class MeanTraction(Directed):
+class MeanTraction(DirectedGoal):
     """The mean over a seam of the traction along a direction: the bodies' reactions on S over its area.
 
     Reactions at nodes that supports or plates hold, which contain theirs, are left out.
@@ -206,7 +206,7 @@ class MeanTraction(Directed):
     def name(self) -> str:  # type: ignore[override]
         """Of the goal."""
         of = "" if self.seam == S else f" {self.seam}"
-        return f"mean traction{of} along {written(self.direction)}"
+        return f"mean traction{of} along {vector_text(self.direction)}"
 
     def check(self, model: InterfaceModel) -> None:
         self.unit(model)
@@ -222,7 +222,7 @@ class MeanTraction(Directed):
         return sum(state.model.comm.allreduce(fem.assemble_scalar(compiled(one))) for one in works if one.integrals())
 
     def scale(self, state: State, model: InterfaceModel) -> float:
-        return _mean_size(Surface(model, self.seam), state)
+        return _rms_traction(Surface(model, self.seam), state)
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model = adjoint.model
@@ -250,9 +250,9 @@ class MeanTraction(Directed):
         total = 0.0
         for name in names:
             others = [nodes for other, both in sides.items() if other != name for nodes in both]
-            mixed = sums_at(W, others, [np.ones(len(e))] * len(others)) + held.x.array.reshape(-1, len(e))
+            mixed = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + held.x.array.reshape(-1, len(e))
             w, whole, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
-            w.x.array[:] = (_shares(W, *sides[name], mixed > 0) * e).ravel()
+            w.x.array[:] = (_reaction_shares(W, *sides[name], mixed > 0) * e).ravel()
             whole.interpolate(w)
             lower, upper = surface.sides(whole, model, surface.quadrature)
             area, jump = surface.integral(1.0), surface.integral(lower - upper) @ e
@@ -264,15 +264,15 @@ class MeanTraction(Directed):
         return v
 
 
-def _shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
+def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
     """(nodes, d) shares in the traction on a seam of the reactions at its nodes, negative above; zero at `mixed` nodes."""
 
     def facing(values: Any) -> Array:
         """Sums at the nodes of the values of those that face them."""
-        return sums_at(W, both, [values[lower], values[upper]][: len(both)])
+        return nodal_sums(W, both, [values[lower], values[upper]][: len(both)])
 
     both = [upper, lower] if len(upper) == len(lower) else []  # on a rigid base nothing faces them
-    above, below = (sums_at(W, [nodes], [np.ones((*nodes.shape, mixed.shape[1]))]) > 0 for nodes in (upper, lower))
+    above, below = (nodal_sums(W, [nodes], [np.ones((*nodes.shape, mixed.shape[1]))]) > 0 for nodes in (upper, lower))
     usable = (above != below) & ~mixed  # where a seam meets itself nodes may be on both sides
     whole = usable & (facing(usable) < facing(np.ones_like(usable)))
     shares = np.where(whole, 1.0, 0.5 * (usable & (facing(whole) == 0)))
@@ -280,12 +280,12 @@ def _shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolA
     sides = both or [upper]
     known = np.sum([shares[nodes] for nodes in sides], axis=0) > 0
     more = np.broadcast_to(known.shape[1] / np.maximum(known.sum(axis=1, keepdims=True), 1), known.shape)
-    facets = sums_at(W, sides, [np.ones(known.shape)] * len(sides))
-    shares *= sums_at(W, sides, [more] * len(sides)) / np.maximum(facets, 1.0)
+    facets = nodal_sums(W, sides, [np.ones(known.shape)] * len(sides))
+    shares *= nodal_sums(W, sides, [more] * len(sides)) / np.maximum(facets, 1.0)
     return np.where(above, -shares, shares)
 
 
-def sums_at(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Array]) -> Array:
+def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Array]) -> Array:
     """(nodes, d) sums of values (..., d) that all ranks have at local nodes (...) of a vector space. Collective."""
     f, d = fem.Function(W), W.dofmap.bs
     for places, some in zip(nodes, values, strict=True):
@@ -296,7 +296,7 @@ def sums_at(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Ar
 
 
 @dataclass(frozen=True)
-class Displacement(Directed):
+class Displacement(DirectedGoal):
     """The displacement of a place along a direction.
 
     Attributes:
@@ -315,7 +315,7 @@ class Displacement(Directed):
     def name(self) -> str:  # type: ignore[override]
         """Of the goal."""
         side = f" {self.side}" if self.side else ""
-        return f"displacement at {written(self.x)}{side} along {written(self.direction)}"
+        return f"displacement at {vector_text(self.x)}{side} along {vector_text(self.direction)}"
 
     def check(self, model: InterfaceModel) -> None:
         self.unit(model)
@@ -366,7 +366,7 @@ class Functional(Goal):
             raise InputError(f"the goal {self.name!r}: its function (u, model) fails: {error}") from error
         good = isinstance(form, ufl.Form) and not form.arguments()
         require(good, f"the goal {self.name!r}", form, "it must be a UFL form without test functions")
-        return whole(form, model, f"the goal {self.name!r}")
+        return whole_structure_form(form, model, f"the goal {self.name!r}")
 
     def value(self, state: State, model: InterfaceModel) -> float:
         form = self._form(displacements_of(state, model), model)

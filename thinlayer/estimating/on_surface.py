@@ -13,15 +13,15 @@ from geometry.topology import sub_entities
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
-from thinlayer.estimating.global_local import GlobalLocal, Iterate
+from thinlayer.estimating.global_local import BodyEquilibrium, GlobalLocal
 from thinlayer.output.surface import Surface
-from thinlayer.surface.excess import stiffness_of_jumps
+from thinlayer.surface.excess import jump_stiffness
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
 NOTHING = (1e-11, 1e-9)  # traction over the layer's stiffness times displacements, jump over these: rounding up to here
 
 
-def squares_of(before: State, better: State, one: SeamLayer, layers: State) -> Array:
+def squared_norms(before: State, better: State, one: SeamLayer, layers: State) -> Array:
     """(4,) squares of norms on a seam: t(u_1) - t(u_0), t(u_0), and so of [u]. Collective.
 
     They are zero where they are rounding. The tractions t(u_1) are those of the meshed `layers`.
@@ -32,19 +32,19 @@ def squares_of(before: State, better: State, one: SeamLayer, layers: State) -> A
     fields = [surface.traction(layers) - t, t] + ([surface.jump(better) - w, w] if has_law else [])
     found = np.array([surface.norm(f) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
     moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(1.0)
-    least = np.square(NOTHING) * moved * (max(stiffness_of_jumps(one.samples[0])) ** 2, 1.0)
+    least = np.square(NOTHING) * moved * (max(jump_stiffness(one.samples[0])) ** 2, 1.0)
     found[1::2] *= found[1::2] > least  # rounding of bodies that bear nothing there
     return np.asarray(found)
 
 
-def errors_of(squares: Array) -> tuple[float, float]:
-    """Relative errors of traction and jump, from `squares_of`; nan: not known."""
+def relative_errors(squares: Array) -> tuple[float, float]:
+    """Relative errors of traction and jump, from `squared_norms`; nan: not known."""
     of_t, t, of_w, w = (float(root) for root in np.sqrt(squares))
     found = of_t / t if t else math.nan, of_w / w if w else math.nan
     return found[0] * (found[0] > NOTHING[1]), found[1] * (found[1] > NOTHING[1])
 
 
-def density_of(iteration: GlobalLocal, given: State, better: State, z: Iterate) -> Array:
+def change_density(iteration: GlobalLocal, given: State, better: State, z: BodyEquilibrium) -> Array:
     """(m,) density, at the nodes of S, of the change of a goal from a state to a better one. Collective.
 
     It is the work of the interface laws in weights z, less that of the layers by themselves whose faces move as in the

@@ -16,12 +16,12 @@ from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
-from thinlayer.estimating.global_local import NARROW, Bounds, GlobalLocal, Iterate
+from thinlayer.estimating.global_local import NARROW, BodyEquilibrium, GlobalLocal, GoalBounds
 from thinlayer.estimating.goals import Goal
-from thinlayer.estimating.on_surface import density_of
+from thinlayer.estimating.on_surface import change_density
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.layer_alone import HeldLayers, LayerAlone
+from thinlayer.solving.layer_alone import DirichletLayers, LayerSubproblem
 from thinlayer.solving.petsc import Options
 from thinlayer.system.table import Table
 
@@ -128,11 +128,11 @@ class Estimate:
     jump: float
     seconds: float
     inside: State
-    energy: Bounds | None
-    _layers: LayerAlone
+    energy: GoalBounds | None
+    _layers: LayerSubproblem
     _first: State  # from which steps led to it
     _old: State | None  # before that of the laws, given or in place of bonds; None: rest
-    _weights: Mapping[str, Iterate]  # of goals
+    _weights: Mapping[str, BodyEquilibrium]  # of goals
     _goals: Mapping[str, Goal]
     _options: Options | None
 
@@ -167,7 +167,7 @@ class Estimate:
         of_laws = self._first if self.state.model.bonds else self.state
         with Adjoint(of_laws, self._old, self._options) as adjoint:
             iteration = GlobalLocal(adjoint, self._layers)
-            found = density_of(iteration, self.state, self.better, self._weights[goal])
+            found = change_density(iteration, self.state, self.better, self._weights[goal])
             linear = iteration.model.linear and self._goals[goal].is_linear(iteration.model)
         total, error = Surface(self.better.model).integral(found), self.goals[goal]
         if abs(total - error.change) > FAR_OFF * abs(error.change) + ROUNDING * error.scale:
@@ -201,7 +201,7 @@ class Estimate:
         model: Any = self.better.model
         alone, z = self._layers, self._weights[goal]
         layers = {name: one.layer for name, one in self.layers.items()}
-        fine = HeldLayers(LayerModel(model, layers, alone.through, at_ends), self.state.t)
+        fine = DirichletLayers(LayerModel(model, layers, alone.through, at_ends), self.state.t)
         inside = alone.inside(alone.at_faces(self.better.u.x.array), alone.load, alone.values)
         weights, found = alone.inside(z.v, z.load, z.values), []
         finer = alone.in_parts(inside, fine), alone.in_parts(weights, fine)
@@ -243,14 +243,16 @@ class Estimate:
     @cached_property
     def sentences(self) -> list[str]:
         """What the estimate says."""
-        errors = _said_of_fields(self.traction, self.jump) + [_said(name, goal) for name, goal in self.goals.items()]
+        errors = _fields_sentence(self.traction, self.jump) + [
+            _goal_sentence(name, goal) for name, goal in self.goals.items()
+        ]
         found = [f"{self.dropped}: {', '.join(errors)}"]
         for name, one in self.layers.items():
             where = f" {name}" if len(self.layers) > 1 else ""
             if math.isnan(one.traction):
                 found.append(f"the layer{where} bears no traction")
             elif where:
-                found.append(f"{name}: {', '.join(_said_of_fields(one.traction, one.jump))}")
+                found.append(f"{name}: {', '.join(_fields_sentence(one.traction, one.jump))}")
         cells = f"for these cells of the bodies, and {self._layers.through} cells through the layer"
         return [*found, cells, *self.caveats]
 
@@ -261,12 +263,12 @@ class Estimate:
         return f"Estimate({self})"
 
 
-def _said_of_fields(traction: float, jump: float) -> list[str]:
+def _fields_sentence(traction: float, jump: float) -> list[str]:
     pairs = (("traction", traction), ("jump", jump))
     return [f"{_percent(error)} in {name}" for name, error in pairs if math.isfinite(error)]
 
 
-def _said(name: str, goal: GoalError) -> str:
+def _goal_sentence(name: str, goal: GoalError) -> str:
     if goal.zero or goal.fixed:
         return f"{name} is zero" if goal.zero else f"no change in {name}"
     if goal.bounded and goal.upper - goal.lower > NARROW * abs(goal.change):

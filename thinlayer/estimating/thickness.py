@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from forms.base import InputError, is_number, require
-from geometry.inflating.layering import by_seam
+from geometry.inflating.layering import value_by_seam
 from geometry.refusals import require_known
 from geometry.seam import S
 from thinlayer.discretisation.layer import Bond, Layers, ThinLayer
@@ -24,8 +24,8 @@ from thinlayer.estimating.result import FIELDS, Estimate
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solvers import solve
-from thinlayer.system.progress import telling
-from thinlayer.system.ranks import on_all
+from thinlayer.system.progress import report
+from thinlayer.system.ranks import errors_on_all
 from thinlayer.system.table import Table
 from thinlayer.time.marching import march
 
@@ -68,7 +68,7 @@ class ThinEnough:
         return f"up to {self.eps:.3g} {layer}: at most {allowed}; thicker ones were not tried"
 
 
-@telling("thin_enough")
+@report("thin_enough")
 def thin_enough(
     structure: Structure,
     layer: Layers,
@@ -146,8 +146,8 @@ def _checked(
 ) -> dict[str, Any]:
     """What is on each seam; raises InputError for arguments out of range."""
     require(isinstance(structure, Structure), "thin_enough: the structure", structure, "it takes a Structure")
-    with on_all(structure.comm):
-        given = by_seam(structure.joint, layer, "layer")
+    with errors_on_all(structure.comm):
+        given = value_by_seam(structure.joint, layer, "layer")
         if not (seam == S and isinstance(layer, ThinLayer)):
             require_known("seam", seam, given, "thin_enough: seam=... names the layer that becomes thinner")
         sought, known = given.get(seam, layer), isinstance(goal, Goal) or goal in FIELDS

@@ -15,8 +15,8 @@ from geometry.joint import Joint
 from geometry.topology import BoolArray, IntArray, lagrange
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
-from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT, at_contact
-from thinlayer.output.grid import Grid, gather, vtk_order, vtk_type
+from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT, contact_values
+from thinlayer.output.grid import VtkGrid, gather_grid, vtk_order, vtk_type
 from thinlayer.output.surface import STATUSES, Surface
 from thinlayer.output.tractions import LawPoints, law_points
 
@@ -37,8 +37,8 @@ def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | N
         model: the interface model, of the same joint, to whose S tractions and jumps are brought.
     """
     of_cells, of_facets = _cell_data(state)
-    grid = gather(state)
-    on_s = None if model is None else _on_s(state, model, of_facets)
+    grid = gather_grid(state)
+    on_s = None if model is None else _surface_block(state, model, of_facets)
     if grid is None:
         return None
     whole = _volume(state.model.domain.joint, grid, of_cells)
@@ -62,18 +62,18 @@ def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
     for points in law_points(state):
         if points.quadrature.region.dim == joint.dim:
             of_cells.add(points, STRESS, points.stress())
-            for name, values in _named(points.internal(), 0, several=False):
+            for name, values in _named_variables(points.internal(), 0, several=False):
                 of_cells.add(points, name, values)
             continue
         key = points.term.key
         several = sum(term.key == key for term in model.layer_terms) > 1
-        for name, values in _named(points.internal(), through.setdefault(key, 0), several=several):
+        for name, values in _named_variables(points.internal(), through.setdefault(key, 0), several=several):
             of_facets.add(points, name, values)
         through[key] += 1
     return of_cells.found, of_facets.found
 
 
-def _named(sublayers: list[dict[str, Array]], before: int, *, several: bool) -> Iterator[tuple[str, Array]]:
+def _named_variables(sublayers: list[dict[str, Array]], before: int, *, several: bool) -> Iterator[tuple[str, Array]]:
     """Names and values of internal variables; where a facet has several points of one name they are numbered from below."""
     for number, variables in enumerate(sublayers, before + 1):
         for name, values in variables.items():
@@ -115,7 +115,7 @@ def von_mises(stress: Array) -> Array:
     return np.asarray(np.sqrt(1.5 * ((deviator**2).sum(axis=1) + 2 * (shear**2).sum(axis=1))))
 
 
-def _volume(joint: Joint, grid: Grid, of_cells: Mapping[str, Array]) -> pyvista.UnstructuredGrid:
+def _volume(joint: Joint, grid: VtkGrid, of_cells: Mapping[str, Array]) -> pyvista.UnstructuredGrid:
     """All cells with their data."""
     mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points)
     mesh.point_data["u"] = grid.u
@@ -146,7 +146,9 @@ def _part(mesh: pyvista.UnstructuredGrid, chosen: BoolArray) -> pyvista.Unstruct
 
 
 # ---------------------------------------------------------------- S
-def _on_s(state: State, model: InterfaceModel, of_facets: Mapping[str, Array]) -> pyvista.UnstructuredGrid | None:
+def _surface_block(
+    state: State, model: InterfaceModel, of_facets: Mapping[str, Array]
+) -> pyvista.UnstructuredGrid | None:
     """The facets of S, in the joint's order; None on other ranks. Collective.
 
     Each facet has nodes of its own. Point data are "traction", "jump", "normal", "u_upper", "u_lower", their mean "u" (to
@@ -163,7 +165,7 @@ def _on_s(state: State, model: InterfaceModel, of_facets: Mapping[str, Array]) -
     lower, upper = surface.displacements(state)
     fields = {"x": surface.x, "n": surface.n, "traction": surface.traction(state), "upper": upper, "lower": lower}
     status = surface.status(state)[:, 0] if own else None
-    contact = at_contact(surface, state) if own else {}
+    contact = contact_values(surface, state) if own else {}
     if model.comm.rank:
         return None
     degree = max(joint.degree, model.structure.degree)
@@ -173,8 +175,8 @@ def _on_s(state: State, model: InterfaceModel, of_facets: Mapping[str, Array]) -
     n, k = at["x"].shape[:2]
     kind, in_vtk = (vtk_type(surface.kind, k), vtk_order(surface.kind, k)) if d == 3 else (POLY_LINE, np.r_[0, 2:k, 1])
     cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, in_vtk]]).ravel()
-    block = pyvista.UnstructuredGrid(cells, np.full(n, kind), _in_space(at.pop("x")))
-    block.point_data.update(_of_nodes(at, d))
+    block = pyvista.UnstructuredGrid(cells, np.full(n, kind), _three_components(at.pop("x")))
+    block.point_data.update(_nodal_data(at, d))
     block.cell_data["seam"] = joint.seam_numbers
     _add_texts(block, "seams", joint.seams)
     if status is not None:
@@ -187,7 +189,7 @@ def _on_s(state: State, model: InterfaceModel, of_facets: Mapping[str, Array]) -
         codes = codes[surface.nodes][:, at_corners.argmax(axis=1)]  # of nodes between corners, that of one of these
         slip = at_corners @ slip[surface.nodes]
         slip[codes < 0] = np.nan
-        block.point_data.update({"contact": codes.ravel(), "slip": _in_space(slip)})
+        block.point_data.update({"contact": codes.ravel(), "slip": _three_components(slip)})
         block.field_data["contact codes"] = _legend(CONTACT_CODES)
     block.cell_data.update(of_facets)
     return block
@@ -206,23 +208,23 @@ def _legend(codes: Mapping[str, int]) -> list[str]:
     return [f"{code} {name}" for name, code in sorted(codes.items(), key=lambda one: one[1])]
 
 
-def _in_space(values: Array) -> Array:
+def _three_components(values: Array) -> Array:
     """Vectors (n, k, d) as (n k, 3)."""
     flat = values.reshape(-1, values.shape[-1])
     return np.pad(flat, ((0, 0), (0, 3 - flat.shape[1])))
 
 
-def _of_nodes(at: Mapping[str, Array], d: int) -> dict[str, Array]:
+def _nodal_data(at: Mapping[str, Array], d: int) -> dict[str, Array]:
     """Point data from values (facets, nodes, d)."""
     t, upper, lower = at["traction"], at["upper"], at["lower"]
     n = at["n"] / np.linalg.norm(at["n"], axis=2, keepdims=True)
     jump = upper - lower
     data = {"traction": t, "jump": jump, "normal": n, "u": (upper + lower) / 2, "u_upper": upper, "u_lower": lower}
-    found = {name: _in_space(values) for name, values in data.items()}
+    found = {name: _three_components(values) for name, values in data.items()}
     for name, vector in (("t", t), ("w", jump)):
         along_n = np.einsum("fki,fki->fk", vector, n)
         tangential = vector - along_n[..., None] * n
         found[f"{name}_N"] = along_n.ravel()
         signed = n[..., 1] * vector[..., 0] - n[..., 0] * vector[..., 1]
-        found[f"{name}_T"] = signed.ravel() if d == 2 else _in_space(tangential)
+        found[f"{name}_T"] = signed.ravel() if d == 2 else _three_components(tangential)
     return found

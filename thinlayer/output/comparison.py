@@ -17,8 +17,8 @@ from thinlayer.discretisation.state import State
 from thinlayer.output.surface import Surface
 from thinlayer.solving.history import SAME_TIME, History, Solution
 from thinlayer.surface.excess import times_too_stiff
-from thinlayer.system.identity import differences, in_words
-from thinlayer.system.ranks import on_all, require_same
+from thinlayer.system.identity import differences, differences_text
+from thinlayer.system.ranks import errors_on_all, require_same
 
 Where = Callable[[Array], Any]
 ROUNDING = 1e-12  # a jump up to this share of the displacements is their rounding
@@ -56,7 +56,7 @@ def compare(
     for one in (full, interface):
         require(isinstance(one, (State, History)), "compare: a state", one, "give what solve or march returns")
     require(at is None or is_finite(at), "compare: at", at, "give a time, a finite number")
-    full, interface = (_state(one, at) for one in (full, interface))
+    full, interface = (_state_at(one, at) for one in (full, interface))
     meshed, limit = full.model, interface.model
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):
         raise InputError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
@@ -73,7 +73,7 @@ def compare(
         if thin and other and thin.eps != other.eps:
             raise InputError(f"compare needs one thickness of {layer}, not {thin.eps} and {other.eps}")
     _require_same_places(meshed, limit)
-    with on_all(meshed.comm):
+    with errors_on_all(meshed.comm):
         _require_same_structure(meshed, limit)
     surface = Surface(limit, seam)
     part = _part(surface, where)
@@ -96,7 +96,7 @@ def _too_stiff(state: State, seam: str) -> dict[str, float]:
     return {f"too_stiff {name}" if several else "too_stiff": one for name, one in factors.items() if one is not None}
 
 
-def _state(one: Solution, at: float | None) -> State:
+def _state_at(one: Solution, at: float | None) -> State:
     if isinstance(one, State):
         if at is not None and not abs(one.t - at) <= SAME_TIME * max(abs(one.t), abs(at)):
             raise InputError(f"compare: a state is of t = {one.t:g}, not of at = {at:g}; give its history, or no at")
@@ -124,7 +124,7 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
     )
     if there != here:
         found = [*differences(there, here)]
-        raise InputError(f"compare needs the same {found[0][0][0]}: {in_words(found)}")
+        raise InputError(f"compare needs the same {found[0][0][0]}: {differences_text(found)}")
     for name, layer in interface.layers.items():
         both = [one.thin.profile for one in (full.layers[name], layer) if one.thin]
         shapes = [full.joint.relative_thickness(profile, name) for profile in both]  # a law on S has no thickness
@@ -134,7 +134,7 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
 
 def _part(surface: Surface, where: Where | None) -> Array:
     """(n, q) 1 on a part of S, 0 elsewhere."""
-    with on_all(surface.model.comm):
+    with errors_on_all(surface.model.comm):
         part = surface.where(1.0 if where is None else where)
         if not np.isin(part, (0.0, 1.0)).all():
             raise InputError("where gives numbers; it must hold or not at each place, as lambda x: x[0] > 1 does")

@@ -14,8 +14,8 @@ import ufl
 from forms.base import Array, InputError
 from forms.contact import Status
 from geometry.seam import S
-from geometry.topology import IntArray, connected, sums
-from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, pairs_of
+from geometry.topology import IntArray, connected, sum_by_number
+from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface, body_pairs
 from thinlayer.discretisation.state import State
 from thinlayer.output.nodal_forces import contact_forces, nodal_forces
 from thinlayer.surface.surface_mesh import SurfaceMesh
@@ -149,9 +149,9 @@ class Contact:
         return "\n".join([self._counted, *lines, forces])
 
 
-def contact_on(surface: SurfaceMesh, state: State) -> Contact:
+def contact_result(surface: SurfaceMesh, state: State) -> Contact:
     """Contact of a state on a surface. Collective; raises InputError."""
-    values = at_contact(surface, state)
+    values = contact_values(surface, state)
     if not values:
         known = ", ".join(state.model.contacts)
         hint = f"; seams with one: {known}" if known else ""
@@ -160,19 +160,19 @@ def contact_on(surface: SurfaceMesh, state: State) -> Contact:
     return Contact(surface=surface, **values, equilibrium=equilibrium, clapeyron=clapeyron)
 
 
-def at_contact(surface: SurfaceMesh, state: State) -> dict[str, Any]:
+def contact_values(surface: SurfaceMesh, state: State) -> dict[str, Any]:
     """Values at the nodes of a surface, by the names of `Contact`; {} without contact laws. Collective."""
     seams = [name for name in state.model.contacts if surface.seam in (S, name)]
-    parts = [part for name in seams for part in state.model.comm.allgather(_of_rank(state, name))]
+    parts = [part for name in seams for part in state.model.comm.allgather(_rank_values(state, name))]
     if not parts:
         return {}
     found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     at, m, own, areas = (surface.find(found.pop("number")), len(surface.numbers), *map(found.pop, ("own", "areas")))
-    around = sums(at, areas, m)
+    around = sum_by_number(at, areas, m)
     values: dict[str, Any] = {"areas": around}
     for name, array in found.items():
         if name in ("p", "t_T", "threshold"):  # vertices have the forces of nodes between them
-            values[name] = (sums(at, (array.T * areas).T, m).T / np.where(around > 0, around, 1.0)).T
+            values[name] = (sum_by_number(at, (array.T * areas).T, m).T / np.where(around > 0, around, 1.0)).T
             continue
         values[name] = np.zeros((m, *array.shape[1:])) if name != "status" else np.full(m, NO_CONTACT)
         values[name][at] = array  # of a neighbour, where a vertex has no area: on the axis of a solid of revolution
@@ -180,7 +180,7 @@ def at_contact(surface: SurfaceMesh, state: State) -> dict[str, Any]:
     return values
 
 
-def _of_rank(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
+def _rank_values(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
     """What a contact law finds at its nodes of this rank, once for each vertex beside a node, and the vertices' numbers."""
     model, law = state.model, state.model.contacts[seam]
     nodes = ContactNodes(ContactSurface.of(model, seam), model.constraints.held, gap=law.gaps)
@@ -194,7 +194,7 @@ def _of_rank(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
     kind = np.where(p <= ROUNDING * largest, Status.SEPARATED, kind)
     status = np.array([NAMES[Status(int(one))] for one in kind], dtype="<U9")
     status[nodes.held.all(axis=1)] = PINNED
-    node, number = pairs_of(model.joint, seam, nodes.file_numbers)
+    node, number = body_pairs(model.joint, seam, nodes.file_numbers)
     beside = np.bincount(node, minlength=len(w))
     found: dict[str, npt.NDArray[Any]] = {
         "own": beside == 1, "status": status, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],

@@ -9,24 +9,24 @@ from typing import Any
 from mpi4py import MPI
 
 from forms.base import InputError, require
-from geometry.parallel import on_root, within, world
+from geometry.parallel import default_comm, on_root, use_comm
 from thinlayer.errors import SolveError
-from thinlayer.output.row_file import GENERATOR, RowFile, checked, make_room, require_csv
-from thinlayer.system.folder import LOCK, locked, owned, read_sealed
+from thinlayer.output.row_file import GENERATOR, RowFile, checked_row, make_room, require_csv
+from thinlayer.system.folder import LOCK, lock_folder, own_folder, read_sealed
 from thinlayer.system.identity import Resume, random_states
 from thinlayer.system.progress import track
-from thinlayer.system.ranks import on_all, require_same
+from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table
 
 RUN, FAILURE = "run", "failure"  # columns that an ensemble adds
 
-Case = Mapping[str, float | str]
-Run = Callable[[Case], Mapping[str, Any]]
+CaseValues = Mapping[str, float | str]
+RunFunction = Callable[[CaseValues], Mapping[str, Any]]
 
 
 def ensemble(
-    make: Callable[[], Run],
-    cases: Sequence[Case],
+    make: Callable[[], RunFunction],
+    cases: Sequence[CaseValues],
     out: str | Path | None = None,
     resume: Resume = False,
     *,
@@ -64,11 +64,11 @@ def ensemble(
             another ensemble; several groups or parts draw from a generator that goes on from run to run. OSError: a file
             could not be written. Errors of runs.
     """
-    with on_all(None):
-        comm = world()
+    with errors_on_all(None):
+        comm = default_comm()
         require(callable(make), "make", make, "it must be a function that returns a function of a case")
         require_csv(out, resume)
-        known = _known(cases)
+        known = _checked_cases(cases)
         ranks = comm.size if ranks is None else ranks
         dividing = [n for n in range(1, comm.size + 1) if comm.size % n == 0]
         require(ranks in dividing, "ranks", ranks, f"allowed: a number that divides the number of ranks, {comm.size}")
@@ -82,8 +82,8 @@ def ensemble(
     path = None if out is None else Path(out)
     own: Any = comm.Split(group)
     try:
-        with owned(path and path.parent, name=f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK}"):
-            there = {} if path is None else on_root(None, lambda: _there(path, make, known, resume))
+        with own_folder(path and path.parent, name=f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK}"):
+            there = {} if path is None else on_root(None, lambda: _existing_rows(path, make, known, resume))
             left = [k for k in range(first, len(known), step) if k not in there]
             file = _file(path, f"{first}-of-{step}", make) if path and own.rank == 0 else None
             rows, error = dict[int, Row](), None
@@ -91,7 +91,7 @@ def ensemble(
                 if left:
                     if file:
                         file.read(resume)
-                    with within(own):
+                    with use_comm(own):
                         _compute(own, make, known, left, rows, file, alone=step == 1, keep_failures=keep_failures)
             except Exception as problem:  # the other groups go on
                 error = problem
@@ -105,11 +105,11 @@ def ensemble(
 
 
 def _compute(
-    comm: MPI.Intracomm, make: Callable[[], Run], cases: list[Row], left: Sequence[int], rows: dict[int, Row],
+    comm: MPI.Intracomm, make: Callable[[], RunFunction], cases: list[Row], left: Sequence[int], rows: dict[int, Row],
     file: RowFile | None, *, alone: bool, keep_failures: bool,
 ) -> None:  # fmt: skip
     """Compute the rows of the runs that are left, into `rows` and into a file. Collective over the group."""
-    with on_all(comm):
+    with errors_on_all(comm):
         run = make()
         if not callable(run):
             raise InputError(f"make returns {run!r}; it must return a function of a case")
@@ -119,15 +119,15 @@ def _compute(
     for k in track(left, "ensemble", "run {}"):
         case, found, failure = cases[k], Row(), None
         try:
-            with on_all(comm):
+            with errors_on_all(comm):
                 given: Any = {**case}
-                found = checked(run(given), f"the row of run {k}", (RUN, FAILURE, *case))
+                found = checked_row(run(given), f"the row of run {k}", (RUN, FAILURE, *case))
         except SolveError as error:
             if not keep_failures:
                 raise
             failure = str(error)
         rows[k] = {RUN: float(k), **case, **found} | ({FAILURE: failure} if keep_failures else {})
-        with on_all(comm):
+        with errors_on_all(comm):
             if not alone and random_states((make, run)) != states:
                 raise InputError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR}")
         if file:
@@ -139,12 +139,12 @@ def _parts(path: Path) -> Path:
     return path.with_name(f"{path.name}.parts")
 
 
-def _file(path: Path, name: str, make: Callable[[], Run]) -> RowFile:
+def _file(path: Path, name: str, make: Callable[[], RunFunction]) -> RowFile:
     """The file of a group."""
     return RowFile(_parts(path) / f"{name}.json", make, "ensemble")
 
 
-def _there(path: Path, make: Callable[[], Run], cases: list[Row], resume: Resume) -> dict[int, Row]:
+def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
     """The rows of all files; those of an earlier ensemble are moved away first unless it is resumed."""
     make_room(path, _parts(path), resume)
     files = [_file(path, one.stem, make) for one in sorted(_parts(path).glob("*-of-*.json"))]
@@ -161,7 +161,7 @@ def _there(path: Path, make: Callable[[], Run], cases: list[Row], resume: Resume
 
 def _merged(path: Path, cases: list[Row]) -> dict[int, Row]:
     """Write all rows of all files into one table, one job after the other; returns them."""
-    with locked(_parts(path), f".merge{LOCK}", wait=True):
+    with lock_folder(_parts(path), f".merge{LOCK}", wait=True):
         rows = _by_run([row for one in _parts(path).glob("*-of-*.json") for row in read_sealed(one)["rows"]])
         if rows:
             _table(cases, rows).put(path)
@@ -181,11 +181,11 @@ def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
     return Table({name: row.get(name) for name in names} for row in ordered)
 
 
-def _known(cases: Any) -> list[Row]:
+def _checked_cases(cases: Any) -> list[Row]:
     """The cases as rows; raises InputError."""
     if not isinstance(cases, Iterable) or not (known := [*cases]):
         raise InputError(f"cases is {cases!r:.80}; an ensemble needs one case or more")
-    rows = [checked(case, f"case {k}", (RUN, FAILURE)) for k, case in enumerate(known)]
+    rows = [checked_row(case, f"case {k}", (RUN, FAILURE)) for k, case in enumerate(known)]
     for k, row in enumerate(rows):
         if [*row] != [*rows[0]] or None in row.values():
             raise InputError(f"case {k} has {', '.join(row)}, the first one {', '.join(rows[0])}; all need the same")

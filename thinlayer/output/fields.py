@@ -13,14 +13,14 @@ import pyvista
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from forms.base import InputError, require
-from geometry.parallel import on_root, world
+from geometry.parallel import default_comm, on_root
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.blocks import blocks
 from thinlayer.output.surface import Surface
 from thinlayer.solving.history import History, Solution
-from thinlayer.system.folder import replaced
-from thinlayer.system.ranks import on_all, require_same
+from thinlayer.system.folder import replace_file
+from thinlayer.system.ranks import errors_on_all, require_same
 
 VTK = ".pvd"
 
@@ -56,8 +56,8 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
         InputError: no state, no name of a file, or another ending; a surface of another joint.
         OSError: the files could not be written; on all ranks.
     """
-    comm = solution.model.comm if isinstance(solution, (State, History)) else world()
-    with on_all(comm):
+    comm = solution.model.comm if isinstance(solution, (State, History)) else default_comm()
+    with errors_on_all(comm):
         states = _states(solution)
         wanted = "it must be the name of a file that ends in .pvd"
         require(isinstance(path, (str, Path)) and Path(path).suffix == VTK, "path", path, wanted)
@@ -111,7 +111,7 @@ def _save(found: pyvista.MultiBlock | None, name: Path) -> None:
         writer.WriteToOutputStringOn()
         writer.Write()
         file = name.with_suffix("") / f"{name.stem}_{number}.vtu"
-        with replaced(file) as out:
+        with replace_file(file) as out:
             out.write(writer.GetOutputString().encode())
         rows.append(f'index="{number}" name={quoteattr(block)} file={quoteattr(f"{name.stem}/{file.name}")}')
     _list(name, "vtkMultiBlockDataSet", rows)
@@ -121,5 +121,5 @@ def _list(path: Path, kind: str, rows: Iterable[str]) -> None:
     """Write a file that names others, a row of attributes for each."""
     named = "".join(f"    <DataSet {row}/>\n" for row in rows)
     text = f'<VTKFile type="{kind}" version="1.0">\n  <{kind}>\n{named}  </{kind}>\n</VTKFile>\n'
-    with replaced(path) as file:
+    with replace_file(path) as file:
         file.write(f'<?xml version="1.0"?>\n{text}'.encode())

@@ -33,7 +33,7 @@ def vtk_order(cell_type: str, n_nodes: int) -> IntArray:
 
 
 @dataclass(frozen=True)
-class Grid:
+class VtkGrid:
     """A displacement field on VTK cells; the nodes on S are double.
 
     Attributes:
@@ -73,7 +73,7 @@ def nodal_displacement(state: State) -> fem.Function:
     return u
 
 
-def gather(state: State) -> Grid | None:
+def gather_grid(state: State) -> VtkGrid | None:
     """The field of a state, on rank 0; None on other ranks. Collective.
 
     Cells are in the order of the joint that the mesh was made from, nodes in the order in which cells come to them: any
@@ -111,7 +111,7 @@ def gather(state: State) -> Grid | None:
     first_layer = len(joint.regions) - len(joint.band.regions if joint.band else ())
     region = np.where(joint.region >= first_layer, first_layer - joint.region - 1, joint.region)
     types = np.full(len(rows), vtk_type(joint.cell_type, rows.shape[1]), np.uint8)
-    return Grid(d, points, moved, cells, types, region, *_base(joint))
+    return VtkGrid(d, points, moved, cells, types, region, *_base(joint))
 
 
 def _base(joint: Joint) -> tuple[Array, int]:

@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from forms.base import Array, InputError
-from forms.work import added
-from geometry.parallel import world
+from forms.work import with_added_strain
+from geometry.parallel import default_comm
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.given import Coordinates
 from thinlayer.discretisation.given_strains import PAIRS, MeanStrain, Strain
-from thinlayer.discretisation.model import Family, Model
+from thinlayer.discretisation.model import Model, ModelFamily
 from thinlayer.discretisation.point_loads import ConcentratedForms
 from thinlayer.discretisation.time_functions import piecewise
 from thinlayer.errors import SolveError
 from thinlayer.solving.solvers import Solver
-from thinlayer.system.ranks import on_all
+from thinlayer.system.ranks import errors_on_all
 
 ASYMMETRY = 1e-8  # difference of the stiffness from its transpose, over its size, that shows a wrong law or solve
 ROUNDING = 1e-12  # the same over the stiffness of the bodies, whose strains are differences
@@ -41,17 +41,17 @@ def homogenised_stiffness(model: Model) -> Array:
             supports that move.
         SolveError: no unique solution; the stiffness of symmetric laws is not symmetric.
     """
-    with on_all(model.comm if isinstance(model, Model) else world()):
+    with errors_on_all(model.comm if isinstance(model, Model) else default_comm()):
         _check(model)
     strained = copy(model)
-    strained.family = Family()  # what the model's family keeps has its strains
+    strained.family = ModelFamily()  # what the model's family keeps has its strains
     strained.coordinates = at = Coordinates.of(model.domain)
     strained.strain, strained.stress = MeanStrain(_unit_strains(model.joint.dim), at, model.joint), None
     some = model.bodies, model.layer_terms
     bodies, strained.layer_terms = ([replace(p, given=None) for p in terms] for terms in some)
-    strained.bodies = added(bodies, strained.strain.expression)
+    strained.bodies = with_added_strain(bodies, strained.strain.expression)
     if not model.broken:
-        strained.layer_terms = added(strained.layer_terms, strained.strain.expression)
+        strained.layer_terms = with_added_strain(strained.layer_terms, strained.strain.expression)
     points = ConcentratedForms(model.domain, model.joint, model.structure.degree, at)
     unloaded = model.structure.with_loads({"tractions": None, "body_force": None, "loads": ()})
     strained.forces = Forces(model.domain, model.kinematics, points, unloaded)

@@ -13,7 +13,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.system.ranks import destroy
 
 
-def reaction(state: State, joined: bool = False) -> fem.Function:
+def layer_forces(state: State, joined: bool = False) -> fem.Function:
     """Nodal forces that the layer (or the other body) exerts on the bodies, on the nodes of the faces of S. Collective.
 
     r_i = int_body stress(u) : e(phi_i) - L(phi_i), with the work of additions to the model (springs at the end of S, say)

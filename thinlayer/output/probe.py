@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError
-from geometry.refusals import place, refuse
+from geometry.refusals import place_text, refuse
 from geometry.seam import S
 from geometry.topology import IntArray, by_place, is_tensor
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -19,9 +19,9 @@ from thinlayer.discretisation.layer import BODY, LAYER
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.output.tractions import LawPoints, law_points
-from thinlayer.surface.locating import Located
+from thinlayer.surface.locating import LocatedPoints
 from thinlayer.surface.surface_mesh import SurfaceMesh
-from thinlayer.system.ranks import on_all, require_same
+from thinlayer.system.ranks import errors_on_all, require_same
 
 SAME = 1e-9  # difference of displacements at one place, over the largest displacement, that counts as none
 
@@ -100,13 +100,13 @@ class Probe:
         out = located.mean(total).reshape(-1, 3, 3)
         return out if np.ndim(x) > 1 else out[0]
 
-    def _located(self, x: Any, side: str | None, seam: str) -> Located:
-        with on_all(self._comm):
+    def _located(self, x: Any, side: str | None, seam: str) -> LocatedPoints:
+        with errors_on_all(self._comm):
             located = cells_at(self.state.model, x, side, seam)
         require_same(self._comm, places=located.x, side=side, seam=seam)
         return located
 
-    def _fitted(self, points: LawPoints, values: Array, located: Located) -> Array:
+    def _fitted(self, points: LawPoints, values: Array, located: LocatedPoints) -> Array:
         """Values (m, k) at located places of the polynomials nearest to values (points, k) in their cells; else zero."""
         out = np.zeros((len(located.entity), values.shape[1]))
         own = {int(entity): row for row, entity in enumerate(points.entities)}
@@ -183,7 +183,7 @@ class Probe:
             located = self._located(x, None, S)
             entity = located.entity
         else:
-            with on_all(self._comm):
+            with errors_on_all(self._comm):
                 located, _ = SurfaceMesh(self.state.model).at(x)
             require_same(self._comm, places=located.x)
             entity = self._joint.surface_rows[located.entity]
@@ -191,7 +191,7 @@ class Probe:
         for k, one in enumerate(located.x):
             here = np.flatnonzero(np.isin(found.entity, entity[located.point == k]))
             if not len(here):
-                raise InputError(f"the law {found.key!r} does not act at {place(one)}")
+                raise InputError(f"the law {found.key!r} does not act at {place_text(one)}")
             out[k] = found.values[here[cKDTree(found.x[here]).query(one)[1]]]
         return out if np.ndim(x) > 1 else out[0]
 
@@ -208,13 +208,13 @@ class Probe:
         return key or having[0]
 
 
-def cells_at(model: Model, x: Any, side: str | None = None, seam: str = S) -> Located:
+def cells_at(model: Model, x: Any, side: str | None = None, seam: str = S) -> LocatedPoints:
     """The cells of a model that contain places (n, d), or one (d,); with a side of S those on it alone.
 
     Raises:
         InputError: no places, or outside the cells; no side, or one that is only a rigid base; an unknown seam.
     """
-    located = Located.in_cells(model.domain.joint, x)
+    located = LocatedPoints.in_cells(model.domain.joint, x)
     if side is None:
         return located
     if not isinstance(model, InterfaceModel):

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from forms.base import InputError, require
-from thinlayer.system.folder import moved_away, read_sealed, write_sealed
+from thinlayer.system.folder import move_away, read_sealed, write_sealed
 from thinlayer.system.identity import (
     CODE,
     FILE,
     MISSING,
     SAME,
     Resume,
-    described,
+    describe,
     differences,
-    in_words,
+    differences_text,
     random_states,
     require_resume,
 )
@@ -45,7 +45,7 @@ class RowFile:
 
     def __init__(self, path: Path, run: Callable[..., Any], kind: str) -> None:
         self.path, self._run, self._kind = path, run, kind
-        self._made_from, self._rows = described(run), list[Row]()
+        self._made_from, self._rows = describe(run), list[Row]()
         self._changing: set[tuple[str, ...]] = set()
         self._drawn = False  # whether rows have moved a generator of random numbers
         self.watch(run)
@@ -65,18 +65,18 @@ class RowFile:
         content, name = read_sealed(self.path), str(self.path)
         self._changing, self._drawn = {*map(tuple, content["changing"])}, content["drawn"]
         found = differences(content["made from"], self._made_from)
-        other = [one for one in found if _changed(*one) not in self._changing]
+        other = [one for one in found if _changed_path(*one) not in self._changing]
         if self._drawn and resume != "anyway":
             raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR}; {ADVICE}")
         if other and resume != "anyway":
-            raise InputError(f"{name!r} is the table of another {self._kind} ({in_words(other)}); {ADVICE}")
+            raise InputError(f"{name!r} is the table of another {self._kind} ({differences_text(other)}); {ADVICE}")
         self._rows = content["rows"]
         return [*self._rows]
 
     def add(self, row: Row) -> None:
         """Add a row, on the disk before this returns."""
         self._rows.append(row)
-        changed = (_changed(*one) for one in differences(self._made_from, described(self._run)))
+        changed = (_changed_path(*one) for one in differences(self._made_from, describe(self._run)))
         self._changing |= {path for path in changed if path}
         self._drawn |= random_states(self._watched, shared=True) != self._states
         about = {"made from": self._made_from, "changing": sorted(self._changing), "drawn": self._drawn}
@@ -94,13 +94,13 @@ def require_csv(out: Any, resume: Any) -> None:
 def make_room(table: Path, beside: Path, resume: Resume) -> None:
     """Move a table that is not resumed away, with what is kept beside it. InputError: it cannot be resumed."""
     if not resume:
-        moved_away(table.parent, [table.name, beside.name])
+        move_away(table.parent, [table.name, beside.name])
     elif table.exists() and not beside.exists():
         reason = f"there is no {beside.name} that tells what it is made from; give another name, or remove it"
         raise InputError(f"{str(table)!r} cannot be resumed: {reason}")
 
 
-def checked(row: Any, what: str, taken: Collection[str]) -> Row:
+def checked_row(row: Any, what: str, taken: Collection[str]) -> Row:
     """A row that a user gives, with floats, texts and None.
 
     Raises:
@@ -119,7 +119,7 @@ def checked(row: Any, what: str, taken: Collection[str]) -> Row:
     return found
 
 
-def _changed(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
+def _changed_path(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
     """Path of a changed value, with "*" for values that only one description has; None for code."""
     if {CODE, FILE, SAME} & {*path}:
         return None

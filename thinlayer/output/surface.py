@@ -13,10 +13,10 @@ from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, at_contact, contact_on
-from thinlayer.output.tractions import LawPoints, by_reactions, in_rule, of_layers, points_on
+from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, contact_result, contact_values
+from thinlayer.output.tractions import LawPoints, layer_points, layer_tractions, points_of_rule, reaction_tractions
 from thinlayer.solving.history import phase_shares, phase_slots, seams_with_phases
-from thinlayer.surface.excess import sublayers_of, times_too_stiff
+from thinlayer.surface.excess import resting_sublayers, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
 
@@ -47,10 +47,14 @@ class Surface(SurfaceMesh):
         self._require_same_joint(state)
         model = state.model
         if not model.bonds:
-            return self.at_points(of_layers(self, state))
+            return self.at_points(layer_tractions(self, state))
         bonded = np.isin(self.seams, model.bonds)
         reaction = self.reaction(state)
-        return reaction if bonded.all() else np.where(bonded[:, None], reaction, self.at_points(of_layers(self, state)))
+        return (
+            reaction
+            if bonded.all()
+            else np.where(bonded[:, None], reaction, self.at_points(layer_tractions(self, state)))
+        )
 
     def reaction(self, state: State) -> Array:
         """(d, n, q) the traction whose nodal forces are the bodies' reactions on both sides, linear on each facet.
@@ -61,10 +65,10 @@ class Surface(SurfaceMesh):
         """
         self._require_same_joint(state)
         whole = SurfaceMesh(self.model)  # forces at junctions are of all seams there
-        found, bonds = by_reactions(whole, state), np.isin(whole.seams, state.model.bonds)
+        found, bonds = reaction_tractions(whole, state), np.isin(whole.seams, state.model.bonds)
         if bonds.any() and not bonds.all() and state.model.broken:
             of_bonds = whole.sums(np.broadcast_to(bonds[:, None], whole.nodes.shape).astype(float)) > 0
-            found = np.where(of_bonds[:, None], found, by_reactions(whole, state, joined=True))
+            found = np.where(of_bonds[:, None], found, reaction_tractions(whole, state, joined=True))
         return self.at_points(found[whole.find(self.numbers)])
 
     # ---------------------------------------------------------------- what S does
@@ -91,12 +95,12 @@ class Surface(SurfaceMesh):
         for name in model.joint.seams:
             if len(possible := statuses(model, name)) == 1:
                 areas[possible[0]][self.seams == name] = 1.0
-        for points, rows in points_on(self, state):
+        for points, rows in layer_points(self, state):
             if _has_plastic_strain(points.term.law):
                 found, weights = _at_points(self, points, rows), self.rule(points.quadrature.degree).weights
                 for name in YIELDS:
                     np.add.at(areas[name], rows[rows >= 0], (weights[rows[rows >= 0]] * (found == name)).sum(axis=1))
-        if of_contact := at_contact(self, state):
+        if of_contact := contact_values(self, state):
             at_corners = of_contact["status"][self.nodes]
             for name in CONTACT_STATUSES:
                 areas[name] += ((self.weights @ self.shapes) * (at_corners == name)).sum(axis=1)
@@ -109,7 +113,7 @@ class Surface(SurfaceMesh):
         """
         self._require_same_joint(state)
         sums = np.zeros((2, len(self.rows)))
-        for points, rows in points_on(self, state):
+        for points, rows in layer_points(self, state):
             slots = phase_slots(points.term.law)
             memory = points.state.memory[points.key] if slots else np.empty(0)
             cells = points.quadrature.cells[rows >= 0]
@@ -127,7 +131,7 @@ class Surface(SurfaceMesh):
             InputError: the state's model has no contact law here.
         """
         self._require_same_joint(state)
-        return contact_on(self, state)
+        return contact_result(self, state)
 
     def table(self, state: State) -> Table:
         """A row for each seam; of each law the columns that it has, None for other seams.
@@ -147,7 +151,7 @@ class Surface(SurfaceMesh):
         self._require_same_joint(state)
         model, rows = state.model, []
         found = self.status(state) if isinstance(model, InterfaceModel) else None
-        nodes = at_contact(self, state)
+        nodes = contact_values(self, state)
         for seam in dict.fromkeys(self.seams.tolist()):
             mine, layer = self.seams == seam, model.layers.get(seam)
             size = float(self.weights[mine].sum())
@@ -162,7 +166,7 @@ class Surface(SurfaceMesh):
             if layer and seam in seams_with_phases(model):
                 row |= phase_shares(state, seam)
             if layer and layer.thin and found is not None and (factor := times_too_stiff(state, layer)) is not None:
-                row |= {"delta": float(layer.thin.eps) * sublayers_of(layer)[0].length, "too_stiff": factor}
+                row |= {"delta": float(layer.thin.eps) * resting_sublayers(layer)[0].length, "too_stiff": factor}
             rows.append(row)
         columns = dict.fromkeys(name for row in rows for name in row)
         return Table({name: row.get(name) for name in columns} for row in rows)
@@ -197,7 +201,7 @@ def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.N
     t_N, closed = ((vector * q.n).sum(axis=1) for vector in (t, -flow))
     slip = 2 * np.linalg.norm(flow + closed[:, None] * q.n, axis=1)
     largest = model.comm.allreduce(float(np.abs(t).max(initial=0.0)), max)
-    order = in_rule(rule, rows, points)
+    order = points_of_rule(rule, rows, points)
     slip, closed, t_N = slip[order], closed[order], t_N[order]
     free = (opening[rows[rows >= 0]] > 0) & (np.abs(t_N) <= ROUNDING * largest)
     still = np.maximum(slip, np.abs(closed)) <= ROUNDING * strain

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from forms.base import InputError, is_finite, require
-from geometry.parallel import on_root, world
-from thinlayer.output.row_file import RowFile, checked, make_room, require_csv
-from thinlayer.system.folder import LOCK, owned
+from geometry.parallel import default_comm, on_root
+from thinlayer.output.row_file import RowFile, checked_row, make_room, require_csv
+from thinlayer.system.folder import LOCK, own_folder
 from thinlayer.system.identity import Resume
 from thinlayer.system.progress import track
-from thinlayer.system.ranks import on_all, require_same
+from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table
 
 ERRORS = ("eps", "error_traction", "error_jump")
@@ -41,15 +41,15 @@ def sweep(
             others than the first; `out` is a folder, cannot be written, another run writes it, or it is to be resumed and
             is another sweep's. OSError: a row could not be written. All of them on all ranks.
     """
-    with on_all(world()):
+    with errors_on_all(default_comm()):
         require_csv(out, resume)
         require(callable(run), "run", run, "it must be a function of a thickness")
         given = tuple(eps) if np.iterable(eps) and not isinstance(eps, str) else ()
         values = sorted({float(e) for e in given if is_finite(e) and e > 0}, reverse=True)
         require(0 < len(given) == len(values), "eps", eps, "a sweep needs different thicknesses > 0")
-    require_same(world(), eps=values, out=out and str(out), resume=resume)
+    require_same(default_comm(), eps=values, out=out and str(out), resume=resume)
     path, rows, file = None if out is None else Path(out), dict[float, Row](), None
-    with owned(path and path.parent, name=f".{path and path.name}{LOCK}"):
+    with own_folder(path and path.parent, name=f".{path and path.name}{LOCK}"):
         if path is not None:
             file = RowFile(path.with_name(f"{path.name}.json"), run, "sweep")
             on_root(None, partial(make_room, path, file.path, resume))
@@ -68,8 +68,8 @@ def sweep(
 def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | None) -> Row:
     """The row of a thickness, as any rank's error is all ranks'."""
     what = f"the row that run({eps:g}) returns"
-    with on_all(world()):
-        row = checked(run(eps), what, ORDERS)
+    with errors_on_all(default_comm()):
+        row = checked_row(run(eps), what, ORDERS)
         if wrong := [name for name in ERRORS if not isinstance(row.get(name), float)]:
             raise InputError(f"{what} has no number {', '.join(wrong)}; return what compare returns")
         if not abs(row["eps"] - eps) <= SAME_EPS * eps:  # type: ignore[operator]

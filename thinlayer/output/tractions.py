@@ -18,17 +18,17 @@ from ufl.classes import Zero
 
 from forms.base import Array, InputError
 from forms.declarations import SIZES
-from forms.kinematics import MANDEL, Expr, from_mandel, mandel, tensors, vectors
+from forms.kinematics import MANDEL, Expr, mandel_tensor, mandel_tensors, mandel_vector, mandel_vectors
 from forms.law import BulkLaw
 from forms.work import Term, stress
 from geometry.domain import cell_nodes
 from geometry.topology import BoolArray, IntArray, lagrange
-from thinlayer.discretisation.layer import LAYER, PRESSURE, SeamLayer, real_law
+from thinlayer.discretisation.layer import LAYER, PRESSURE, SeamLayer, law_with_numbers
 from thinlayer.discretisation.measures import column_numbers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.output.contact_fields import at_contact
-from thinlayer.output.nodal_forces import reaction
+from thinlayer.output.contact_fields import contact_values
+from thinlayer.output.nodal_forces import layer_forces
 from thinlayer.pointwise.integrals import Quadrature
 from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
 
@@ -63,8 +63,8 @@ class LawPoints:
         if term.law.traits.compiled:
             known = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL))))
         else:
-            known = points.values(mandel(stress(term, self.state.u)))
-        return tensors(known) + self._pressure()[:, None, None] * np.eye(3)
+            known = points.values(mandel_vector(stress(term, self.state.u)))
+        return mandel_tensors(known) + self._pressure()[:, None, None] * np.eye(3)
 
     def _pressure(self) -> Array:
         """Pressure (points,) of an incompressible law, a part of its stress; else zero."""
@@ -84,7 +84,7 @@ class LawPoints:
         memory = self.state.memory.get(self.key, np.zeros((self.quadrature.count, self.term.law.memory)))
         sizes = [law.memory for law in sublayers]
         own = np.split(memory[:, self.term.law.memory - sum(sizes) :], np.cumsum(sizes)[:-1], axis=1)
-        return [unpacked(law, values) for law, values in zip(sublayers, own, strict=True)]
+        return [unpack_memory(law, values) for law, values in zip(sublayers, own, strict=True)]
 
 
 def law_points(state: State) -> Iterator[LawPoints]:
@@ -98,14 +98,14 @@ def law_points(state: State) -> Iterator[LawPoints]:
         yield LawPoints(state, term, quadrature, keys.get(id(own), ""))
 
 
-def unpacked(law: BulkLaw, memory: Array) -> dict[str, Array]:
+def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
     """The internal variables of a law by name, (points, *shape), from the rows of its memory (points, values)."""
     if sum(SIZES[shape] for shape in law.internal.values()) != memory.shape[1]:
         return {MEMORY: memory}
     found, start = {}, 0
     for name, shape in law.internal.items():
         part = memory[:, start : start + SIZES[shape]]
-        found[name] = tensors(part) if shape == (3, 3) else part if shape else part[:, 0]
+        found[name] = mandel_tensors(part) if shape == (3, 3) else part if shape else part[:, 0]
         start += SIZES[shape]
     return found
 
@@ -117,25 +117,25 @@ MOST_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
 
 
 # ---------------------------------------------------------------- of layers
-def of_layers(surface: SurfaceMesh, state: State) -> Array:
+def layer_tractions(surface: SurfaceMesh, state: State) -> Array:
     """(m, d) tractions of a state with layers, see `Surface.traction`: the projection to degree 1. Collective."""
     moments = np.zeros((*surface.corners.shape, surface.joint.dim))
-    for points, rows in points_on(surface, state):
-        add = _add_of_law if points.quadrature.region.dim < surface.joint.dim else _add_of_cells
+    for points, rows in layer_points(surface, state):
+        add = _add_law_moments if points.quadrature.region.dim < surface.joint.dim else _add_cell_moments
         add(moments, surface, rows, points)
     moments = state.model.comm.allreduce(moments)
     nodal = surface.lumped(moments) if surface.model.contact else surface.projected(moments)
-    if state.model.contacts and (of_contact := at_contact(surface, state)):
+    if state.model.contacts and (of_contact := contact_values(surface, state)):
         nodal += np.einsum("nij,ni->nj", of_contact["frames"], np.column_stack([of_contact["t_T"], -of_contact["p"]]))
     return nodal
 
 
-def points_on(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints, IntArray]]:
+def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints, IntArray]]:
     """The points of the layers' laws, and the facet of the surface of each of their entities; -1: none. Collective."""
     joint = surface.joint
     place = np.full(len(joint.table.vertices), -1)
     place[joint.surface_rows[surface.rows]] = np.arange(len(surface.rows))
-    columns = _columns(surface, state) if not state.model.broken else None
+    columns = _facet_of_cells(surface, state) if not state.model.broken else None
     for points in law_points(state):
         if points.quadrature.region.dim < joint.dim:
             yield points, place[points.entities]
@@ -143,14 +143,14 @@ def points_on(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints, I
             yield points, columns[points.entities]
 
 
-def _add_of_law(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
+def _add_law_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
     """Add the moments of an interface law's traction, with the functions of degree 1; `rows`: facets, or -1."""
     rule, mine = surface.rule(points.quadrature.degree), rows[rows >= 0]
-    t = _traction(points)[in_rule(rule, rows, points)]
+    t = _point_tractions(points)[points_of_rule(rule, rows, points)]
     np.add.at(moments, mine, np.einsum("fq,fqa,fqd->fad", rule.weights[mine], rule.shapes[mine], t))
 
 
-def in_rule(rule: FacetPoints, rows: IntArray, points: LawPoints) -> IntArray:
+def points_of_rule(rule: FacetPoints, rows: IntArray, points: LawPoints) -> IntArray:
     """(facets, q) the law's points at those of a rule of the same degree, on the facets `rows` that are not -1."""
     q = points.quadrature
     cells, there = q.cells[rows >= 0], np.moveaxis(rule.x[:, rows[rows >= 0]], 0, -1)
@@ -158,26 +158,26 @@ def in_rule(rule: FacetPoints, rows: IntArray, points: LawPoints) -> IntArray:
     return np.take_along_axis(cells, order, axis=1)
 
 
-def _traction(points: LawPoints) -> Array:
+def _point_tractions(points: LawPoints) -> Array:
     """(points, d) what the stresses of a term on S do in [u], per area."""
     q, stress = points.quadrature, points.stress()
     if points.term.traction is None:
         return np.asarray(np.einsum("pij,pj->pi", stress, q.n)[:, : q.dim])
     if q not in _OF_EACH:
-        _OF_EACH[q] = _of_each_stress(points.term.traction, q)
-    return np.asarray(np.einsum("pkd,pk->pd", _OF_EACH[q], vectors(stress)))
+        _OF_EACH[q] = _unit_stress_tractions(points.term.traction, q)
+    return np.asarray(np.einsum("pkd,pk->pd", _OF_EACH[q], mandel_vectors(stress)))
 
 
-def _of_each_stress(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:
+def _unit_stress_tractions(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:
     """(points, 6, d) tractions of unit stresses in Mandel's order."""
-    units = [from_mandel(ufl.as_vector([float(i == k) for i in range(6)])) for k in range(6)]
+    units = [mandel_tensor(ufl.as_vector([float(i == k) for i in range(6)])) for k in range(6)]
     components = [t[i] for t in map(traction, units) for i in range(q.dim)]
     if all(isinstance(t, Zero) for t in components):  # a station that bears the difference of the faces alone
         return np.zeros((q.count, 6, q.dim))
     return q.values(ufl.as_vector(components)).reshape(q.count, 6, q.dim)
 
 
-def _columns(surface: SurfaceMesh, state: State) -> IntArray:
+def _facet_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
     """For each cell of an inflated joint the facet of the surface that it has become; -1: none, as where layers meet."""
     joint = surface.joint
     numbers, centres = column_numbers(state.model.domain.joint)
@@ -186,7 +186,7 @@ def _columns(surface: SurfaceMesh, state: State) -> IntArray:
     return np.where(numbers >= 0, row[numbers], -1)
 
 
-def _add_of_cells(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
+def _add_cell_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
     """Add the moments of the mean of stress n through a meshed layer; `rows`: facets of its cells, or -1."""
     joint, q, mine = surface.joint, points.quadrature, np.flatnonzero(rows >= 0)
     layer = next(one for one in points.state.model.layers.values() if one.key == points.term.key)
@@ -200,12 +200,12 @@ def _add_of_cells(moments: Array, surface: SurfaceMesh, rows: IntArray, points: 
     eps = np.einsum("fqa,fa->fq", N, surface.thickness(layer, surface.corners[rows]))
     n = q.n[:, : joint.dim]
     t = np.einsum("pij,pj->pi", points.stress(), q.n)[:, : joint.dim]
-    along, across = _weights(layer, points)
+    along, across = _sublayer_weights(layer, points)
     t = along * t + (across - along) * np.einsum("pi,pi,pj->pj", t, n, n)
     np.add.at(moments, rows, np.einsum("fq,fqa,fqd->fad", q.weights[cells] / eps, N, t[cells]))
 
 
-def _weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
+def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
     """Weights of a sublayer's stresses in the mean through the layer: its share of the jump over that of the thickness.
 
     So it is what works in [u]: elastic sublayers share tangential and normal jumps by their compliances. Others have 1.
@@ -213,7 +213,7 @@ def _weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
     if len(layer.law.sublayers) == 1:
         return 1.0, 1.0
     model = points.state.model
-    sublayers = real_law(layer.layer, model.kinematics).sublayers
+    sublayers = law_with_numbers(layer.layer, model.kinematics).sublayers
     try:
         moduli = [law.elastic_moduli() for _, law in sublayers]
     except InputError:
@@ -225,13 +225,13 @@ def _weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
 
 
 # ---------------------------------------------------------------- reactions
-def by_reactions(surface: SurfaceMesh, state: State, *, joined: bool = False) -> Array:
+def reaction_tractions(surface: SurfaceMesh, state: State, *, joined: bool = False) -> Array:
     """(m, d) tractions whose nodal forces are the bodies' reactions, see `Surface.reaction`. Collective.
 
     Where `joined`, those of layers alone: bonds are inside the bodies, and what they transmit is not theirs.
     """
     model, d = state.model, surface.joint.dim
-    r = reaction(state, joined)
+    r = layer_forces(state, joined)
     held = fem.Function(r.function_space)
     held.x.array[model.held_in(r.function_space)] = 1.0
     held.x.scatter_forward()

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from forms.base import Array, InputError
-from forms.ends.corner import Corner
+from forms.ends.corner import CornerField
 from forms.law import BulkLaw
-from forms.temperature import finite
-from geometry.refusals import place, require_known
+from forms.temperature import finite_values
+from geometry.refusals import place_text, require_known
 from geometry.seam import S
 from geometry.sheet import StraightEnd, straight_ends
 from thinlayer.discretisation.full_model import FullModel, LayerModel
@@ -20,10 +20,10 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.side_loads import SideLoad
 from thinlayer.discretisation.state import State
-from thinlayer.errors import Refused, warn
+from thinlayer.errors import Violation, warn
 from thinlayer.output.probe import Probe
 from thinlayer.output.surface import Surface
-from thinlayer.solving.layer_alone import HeldLayers, LayerAlone
+from thinlayer.solving.layer_alone import DirichletLayers, LayerSubproblem
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
 NEAR = 3.0  # distance of two ends, over the thickness, within which the field of one is not that of an end alone
@@ -102,10 +102,10 @@ class Zoom:
                 raise InputError(f"{what}it remembers earlier steps; mesh it (structure.full)")
             layers[name] = replace(thin, order=0, edges=None)
         divided = LayerModel(model, layers, cells_through, at_ends)
-        coarse = LayerAlone(model, layers, state.t, cells_through)
+        coarse = LayerSubproblem(model, layers, state.t, cells_through)
         w = coarse.settled(coarse.at_faces(state.u.x.array))
         self._require_faces(coarse.state(w))
-        fine = HeldLayers(divided, state.t)
+        fine = DirichletLayers(divided, state.t)
         return fine.state(fine.settled(coarse.in_parts(w, fine)))
 
     @property
@@ -150,7 +150,7 @@ class Zoom:
             near = free.distance(self.state.model.joint.points, located.x) < AT_CORNER * self.eps
             near &= np.abs(y) > 0.5 - AT_CORNER
             if near.any():
-                corner = f"the corner at {place(located.x[near.argmax()])}, height {y[near.argmax()]:g}"
+                corner = f"the corner at {place_text(located.x[near.argmax()])}, height {y[near.argmax()]:g}"
                 why = "is nearer than cells can tell, and stresses are infinite there"
                 raise InputError(f"{corner}, {why}; their exponents and strengths are in `corners`")
         found = self._probe.stress(self._surface.in_layer(located.x, y))
@@ -162,7 +162,7 @@ class Zoom:
         return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
 
     def _heights(self, height: Any, n: int) -> Array:
-        if (y := finite(height, (), (n,))) is None or not (np.abs(y) <= 0.5).all():
+        if (y := finite_values(height, (), (n,))) is None or not (np.abs(y) <= 0.5).all():
             allowed = f"one number or {n}, from -1/2 to 1/2 of the thickness"
             raise InputError(f"heights are {height!r:.80}; allowed: {allowed}")
         return np.broadcast_to(y, (n,))
@@ -195,7 +195,7 @@ class Zoom:
             InputError: corners of which exponents are not known, with the reason.
         """
         for load in SideLoad.of(self.state.model, self._one):
-            raise Refused("loaded side", f"the {load.what} acts on the layer's side").error(self._at_corners)
+            raise Violation("loaded side", f"the {load.what} acts on the layer's side").error(self._at_corners)
         self._known.require("corners", self._at_corners)
         return [self._strength(end, x, side) for end, x in self.ends for side in (-1, 1)]
 
@@ -208,7 +208,7 @@ class Zoom:
         sublayers = self.law.sublayers
         share, law = sublayers[0 if side < 0 else -1]
         lmbda, mu = law.elastic_moduli()
-        corner = Corner(1 / (1 + mu / lmbda) / 2 if lmbda else 0.0)
+        corner = CornerField(1 / (1 + mu / lmbda) / 2 if lmbda else 0.0)
         radius = RADIUS if len(sublayers) == 1 else min(RADIUS, OF_SUBLAYER * share)
         r, axes = radius * self.eps, end.axes * np.array([[1.0], [-side]])  # inward, and into the layer
         at = np.vstack([corner.arc(radius), [[0.0, 0.0], [radius, 0.0]]])

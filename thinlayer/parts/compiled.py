@@ -14,15 +14,15 @@ from petsc4py import PETSc
 from forms.base import Array, InputError
 from forms.check import NOT_SYMMETRIC
 from forms.kinematics import MANDEL
-from forms.trace import takes_time
+from forms.trace import depends_on_step_length
 from forms.work import Term
 from thinlayer.discretisation.layer import LAYER
 from thinlayer.discretisation.state import Configuration
-from thinlayer.discretisation.time_functions import Hand
-from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
+from thinlayer.discretisation.time_functions import TimeLevel
+from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.column_term import ColumnTerm
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
-from thinlayer.pointwise.integrals import Origin
+from thinlayer.pointwise.integrals import MeshOrigin
 from thinlayer.system.ranks import destroy
 
 ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
@@ -30,14 +30,16 @@ SAME = 1e-12  # relative difference of parameters at several times that counts a
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # of a step, at which it is tested what changes in time
 
 
-def falls(points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response) -> tuple[str, str] | None:
+def softening_law(
+    points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response
+) -> tuple[str, str] | None:
     """Name of a law whose stress falls at strains e or since e_old, and where; None: it does not. Collective."""
     term = points.term
     count = points.comm.allreduce(points.falls(e, e_old, memory, response))
     return (type(term.law.in_space).__name__, f"at {count} points of the {term.key or LAYER}") if count else None
 
 
-class GivenAtPoints:
+class PointStrains:
     """The given strain of a compiled term at its points, at any time. Collective.
 
     Args:
@@ -46,7 +48,7 @@ class GivenAtPoints:
 
     def __init__(self, points: CompiledTerm) -> None:
         given = points.term.given
-        self._points, self._hand = points, Hand()
+        self._points, self._hand = points, TimeLevel()
         self._form = None if given is None else points.form_of(self._hand.of(given))
 
     def __call__(self, t: float) -> Array:
@@ -74,12 +76,12 @@ class CompiledPart(Part):
     """
 
     def __init__(
-        self, key: str, V: fem.FunctionSpace, term: Term, origin: Origin | None = None, *, symmetric: bool = False
+        self, key: str, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None, *, symmetric: bool = False
     ) -> None:
         self.key, self._symmetric = key, symmetric
         meshed = term.law.traits.softens and term.measure.integral_type() == "cell"
         self.points = (ColumnTerm if meshed else CompiledTerm)(V, term, origin)
-        self._given_at = GivenAtPoints(self.points)
+        self._given_at = PointStrains(self.points)
         self.comm = self.points.comm
         self.law = law = term.law
         self._t, self._in_body = 0.0, term.n is None
@@ -109,7 +111,7 @@ class CompiledPart(Part):
         self.points.ease(ease)
         self.points.at_time(self._t)
 
-    def begin(self, interval: Interval) -> None:
+    def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         # Laws with rate do not answer to sudden strains: what is given at the start has always been there.
         sudden, self._given = interval.old.at_rest and not self.law.traits.rate, self._given_at(interval.t)
@@ -146,7 +148,7 @@ class CompiledPart(Part):
         return [Block(one, kept=True) for one in (self._tangent, *self.points.constant)]
 
     # ---------------------------------------------------------------- an accepted step
-    def commit(self) -> Outcome:
+    def commit(self) -> StepOutcome:
         """As in `Part`. Laws compute their remainder for constant parameters; otherwise it follows from the work."""
         response, interval = self._response, self.interval
         before = interval.old.stored[self.key] if self.key in interval.old.stored else self._at_rest()
@@ -163,7 +165,7 @@ class CompiledPart(Part):
         if interval.theta < 1:  # forces balance within the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
         energies = before, float(after), float(dissipated), float(remainder)
-        return Outcome(*energies, response.memory, supplied=supplied, stress=stress)
+        return StepOutcome(*energies, response.memory, supplied=supplied, stress=stress)
 
     def _at_rest(self) -> float:
         """Energy stored before the first step, by a strain that has always been given."""
@@ -203,14 +205,14 @@ class CompiledPart(Part):
     def undeclared_softening(self) -> tuple[str, str] | None:
         if self._in_body or not self.law.traits.may_soften:
             return None
-        return falls(self.points, self._e, self._e_old, self._memory, self._response)
+        return softening_law(self.points, self._e, self._e_old, self._memory, self._response)
 
     def takes_time(self) -> str:
-        return next((type(law.in_space).__name__ for _, law in self.law.sublayers if takes_time(law)), "")
+        return next((type(law.in_space).__name__ for _, law in self.law.sublayers if depends_on_step_length(law)), "")
 
     def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
         for (_, law), changes in zip(self.law.sublayers, self._change(times), strict=True):
-            if not takes_time(law) and (changes or not law.traits.linear):
+            if not depends_on_step_length(law) and (changes or not law.traits.linear):
                 return type(law.in_space).__name__, bool(changes)
         return None
 

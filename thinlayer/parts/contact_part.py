@@ -7,11 +7,11 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from forms.contact import ContactLaw, EasedContact
+from forms.contact import ContactHomotopy, ContactLaw
 from geometry.topology import Indices
 from thinlayer.discretisation.contact_nodes import NONE, ContactNodes, ContactSurface
 from thinlayer.discretisation.layer import CONTACT
-from thinlayer.parts.part import Block, FileOrder, Interval, Outcome, Part, PartTraits
+from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, StepOutcome, TimeStep
 
 LEAST_SHARE = 1e-8  # share of the springs of an eased law as its ease tends to zero
 
@@ -39,7 +39,7 @@ class ContactPart(Part):
         of_law = {name: getattr(law.traits, name) for name in ("remembers", "softens")}
         self.traits = PartTraits(nonlinear=True, releases=True, eases=True, **of_law)
         self.key, self.law, self.nodes, self.cancelling = key, law, ContactNodes(surface, held, gap=law.gaps), 0.0
-        self.now: ContactLaw | EasedContact = law
+        self.now: ContactLaw | ContactHomotopy = law
         self.slip = self.rest()
         law.check_dimension(self.nodes.dim)
         self.distance = self.nodes.comm.allreduce(float(np.abs(self.nodes.gap).max(initial=0.0)), max)
@@ -53,7 +53,7 @@ class ContactPart(Part):
     def rest(self) -> Array:
         return np.zeros((len(self.nodes.upper), self.nodes.dim - 1))
 
-    def begin(self, interval: Interval) -> None:
+    def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         self.slip = interval.old.memory[self.key]
 
@@ -88,7 +88,7 @@ class ContactPart(Part):
     def _moved(self) -> bool:
         return bool(self.nodes.comm.allreduce(int(self.nodes.jump(self._u.x.petsc_vec).any())))
 
-    def commit(self) -> Outcome:
+    def commit(self) -> StepOutcome:
         w, law, nodes = self._w, self.law, self.nodes
         old = self.interval.old
         stored, dissipated = law.energies(w, self.slip)
@@ -99,7 +99,7 @@ class ContactPart(Part):
         after, lost, work = map(float, sums[:3] if law.traits.has_energy else np.full(3, np.nan))
         before = old.stored.get(self.key, 0.0)
         memory = law.slip_after(w, self.slip)
-        return Outcome(before, after, lost, work - (after - before) - lost, memory, supplied=float(sums[3]))
+        return StepOutcome(before, after, lost, work - (after - before) - lost, memory, supplied=float(sums[3]))
 
     def error_measure(self, u: fem.Function) -> Array:
         return (self.nodes.jump(u.x.petsc_vec) * np.sqrt(self.nodes.weights)[:, None]).ravel()

@@ -18,15 +18,15 @@ from forms.base import InputError
 from forms.check import check
 from forms.kinematics import Expr
 from forms.law import BulkLaw, Step
-from forms.trace import named
+from forms.trace import law_identity
 from forms.work import Term, energy, stress, work
-from thinlayer.discretisation.measures import compiled, compiled_summands, zeros
+from thinlayer.discretisation.measures import compiled, compiled_summands, zero_matrix
 from thinlayer.discretisation.state import Configuration
-from thinlayer.discretisation.time_functions import OverStep
-from thinlayer.parts.compiled import GivenAtPoints, falls
-from thinlayer.parts.part import Block, Interval, Outcome, Part, PartTraits
+from thinlayer.discretisation.time_functions import StepStrains
+from thinlayer.parts.compiled import PointStrains, softening_law
+from thinlayer.parts.part import Block, Part, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.pointwise.integrals import add_forces_of, add_spread, matrix_of
+from thinlayer.pointwise.integrals import add_assembled_forces, add_distributed, assemble_matrix
 from thinlayer.system.ranks import communicator, destroy
 
 
@@ -61,7 +61,7 @@ class FormPart(Part):
         self._F = [] if F is None else compiled_summands(F)
         tangent = ufl.Form([]) if F is None else ufl.derivative(F, u, ufl.TrialFunction(V))
         self._J = compiled_summands(tangent)
-        self._tangent = zeros(V, tangent) if self._J else None
+        self._tangent = zero_matrix(V, tangent) if self._J else None
         self._g = [] if g is None else compiled_summands(g)
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
@@ -77,7 +77,7 @@ class FormPart(Part):
 
     def add_fixed(self, out: PETSc.Vec) -> None:
         if self._g:
-            add_forces_of(out, *self._g)
+            add_assembled_forces(out, *self._g)
 
     def add_forces(self, out: PETSc.Vec) -> float:
         return self._add(self._mid.x.petsc_vec, out)
@@ -90,7 +90,7 @@ class FormPart(Part):
             size = float(self._product.norm())
             out.axpy(1.0, self._product)
         if self._F or self._g:
-            size = max(size, add_forces_of(out, *self._F, *self._g))
+            size = max(size, add_assembled_forces(out, *self._F, *self._g))
         return size
 
     def tangents(self, relative_residual: float) -> list[Block]:
@@ -114,7 +114,7 @@ class FormPart(Part):
         self._add(state.u.x.petsc_vec, out)
 
     # ---------------------------------------------------------------- an accepted step
-    def commit(self) -> Outcome:
+    def commit(self) -> StepOutcome:
         now, old = self._end.x.petsc_vec, self.interval.old.u.x.petsc_vec
         change, theta = now.duplicate(), self.interval.theta
         change.waxpy(-1.0, old, now)
@@ -123,7 +123,7 @@ class FormPart(Part):
         remainder = (2 * theta - 1) * of_change
         if self._F or self._g:
             self._product.set(0.0)
-            add_forces_of(self._product, *self._F, *self._g)
+            add_assembled_forces(self._product, *self._F, *self._g)
             supplied = self._supplied()
             worked = float(self._product.dot(change)) + supplied
             taken = self._u.x.array.copy()  # `now` may be the vector of these values
@@ -131,7 +131,7 @@ class FormPart(Part):
             self._u.x.array[:] = taken
             before, after, remainder = before + first, after + last, remainder + worked - (last - first)
         change.destroy()
-        return Outcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
+        return StepOutcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
 
     def _supplied(self) -> float:
         """Work of given strains in the step, with the stresses of the last evaluation."""
@@ -148,7 +148,7 @@ class FormPart(Part):
     def _energy_forms(self) -> list[fem.Form]:
         return [] if self._energy is None else compiled_summands(self._energy)
 
-    def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
+    def _stored(self, u: PETSc.Vec, interval: TimeStep, *, before: bool = False) -> float:
         """The energy of F and g at displacements u at the end of a step, or `before` it; NaN if they have none."""
         if self._energy is None:
             return float("nan")
@@ -159,12 +159,12 @@ class FormPart(Part):
         destroy(self.K, self._product, self._tangent)
 
 
-def matrix(form: Expr) -> PETSc.Mat:
+def assemble_plain_matrix(form: Expr) -> PETSc.Mat:
     """The assembled matrix of a bilinear form."""
-    return matrix_of(compiled(form))
+    return assemble_matrix(compiled(form))
 
 
-class LawForms(FormPart):
+class LawFormPart(FormPart):
     """The terms of bodies and layer whose laws are not compiled: linear laws in K, the others in F.
 
     If no law of bodies is linear, K is zero with the nonzero pattern of the tangent. Strains that are given beside those
@@ -187,27 +187,29 @@ class LawForms(FormPart):
         linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
         others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
         strained, bodies = [p for p in linear if p.given is not None], [p for p in terms if p.n is None]
-        self._over = over = OverStep(V.mesh, terms)
+        self._over = over = StepStrains(V.mesh, terms)
         self._strained = any(p.given is not None for p in terms)
         u, v = fem.Function(V), ufl.TestFunction(V)
         stored = None
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
             # what a given strain adds to the energy of the displacements, of a linear law
-            known = _given(strained, over.now)
-            beyond = [_of_given(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure for p in known]
-            stored = energy(_given(others, over.now), u) + sum(beyond)
-        K = _stiffness(V, linear, everywhere, beside) if linear or everywhere else None
-        F = work(_given(others, over.balanced), u, v) if others else None
-        g = sum(_of_given(p, v) for p in _given(strained, over.balanced)) if strained else None
+            known = _with_strains(strained, over.now)
+            beyond = [_strain_work(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure for p in known]
+            stored = energy(_with_strains(others, over.now), u) + sum(beyond)
+        K = _linear_stiffness(V, linear, everywhere, beside) if linear or everywhere else None
+        F = work(_with_strains(others, over.balanced), u, v) if others else None
+        g = sum(_strain_work(p, v) for p in _with_strains(strained, over.balanced)) if strained else None
         super().__init__(key, u, K, F, stored, g=g)
-        self._opposing = _opposing([p for p in _given(others, over.balanced) if p.n is None and p.given is not None], u)
-        self.traits = replace(reduce(or_, map(_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
+        self._opposing = _opposing_integrals(
+            [p for p in _with_strains(others, over.balanced) if p.n is None and p.given is not None], u
+        )
+        self.traits = replace(reduce(or_, map(_form_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
 
     def named(self) -> dict[str, PartTraits]:
         laws: dict[str, PartTraits] = {}
         for p in self._terms:
             name = type(p.law).__name__
-            laws[name] = laws.get(name, PartTraits()) | _traits(p)
+            laws[name] = laws.get(name, PartTraits()) | _form_traits(p)
         return laws
 
     # ---------------------------------------------------------------- given strains
@@ -215,10 +217,10 @@ class LawForms(FormPart):
     def _power(self) -> fem.Form:
         """Work of the stresses at the last evaluation in the growth of given strains over the step."""
         over, grown = self._over, [p for p in self._terms if p.given is not None]
-        pairs = zip([stress(p, self._u) for p in _given(grown, over.balanced)], grown, strict=True)
+        pairs = zip([stress(p, self._u) for p in _with_strains(grown, over.balanced)], grown, strict=True)
         return compiled(sum(ufl.inner(s, over.growth(p.given)) * p.weight * p.measure for s, p in pairs))
 
-    def begin(self, interval: Interval) -> None:
+    def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         self._over.begin(interval.old.t, interval.t, interval.theta, at_rest=interval.old.at_rest)
 
@@ -244,11 +246,11 @@ class LawForms(FormPart):
         there = fem.Function(self._u.function_space)
         for u, own in ((z, there), (self._mid, self._u)):
             self._take(u.x.petsc_vec, own)
-        for p in _given(self._terms, self._over.balanced):
+        for p in _with_strains(self._terms, self._over.balanced):
             density = ufl.inner(stress(p, self._u), p.strain(there)) * p.weight
-            add_spread(density, there.function_space, p.measure, out)
+            add_distributed(density, there.function_space, p.measure, out)
 
-    def _stored(self, u: PETSc.Vec, interval: Interval, *, before: bool = False) -> float:
+    def _stored(self, u: PETSc.Vec, interval: TimeStep, *, before: bool = False) -> float:
         old = interval.old
         self._over.look_at(old.t if before else interval.t, at_rest=before and old.at_rest)
         return super()._stored(u, interval, before=before)
@@ -264,12 +266,12 @@ class LawForms(FormPart):
         return found if 0 < found < np.inf else 1.0
 
     @cached_property
-    def _softening(self) -> list[tuple[CompiledTerm, GivenAtPoints]]:
+    def _softening(self) -> list[tuple[CompiledTerm, PointStrains]]:
         """The layers' laws that may soften, at points, but those of a meshed layer with parameters that are functions."""
         terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
         V = self._u.function_space
-        points = [CompiledTerm(V, replace(p, law=_at_points(p.law))) for p in terms]
-        return [(one, GivenAtPoints(one)) for one in points]
+        points = [CompiledTerm(V, replace(p, law=_compiled_law(p.law))) for p in terms]
+        return [(one, PointStrains(one)) for one in points]
 
     def undeclared_softening(self) -> tuple[str, str] | None:
         old = self.interval.old
@@ -277,7 +279,7 @@ class LawForms(FormPart):
         for points, given in self._softening:
             e, e_old = (points.strain(u.x.petsc_vec) + given(t) for u, t in ends)
             response = points.respond(e, e_old, points.rest(), 0.0, 1.0)
-            if found := falls(points, e, e_old, points.rest(), response):
+            if found := softening_law(points, e, e_old, points.rest(), response):
                 return found
         return None
 
@@ -292,29 +294,29 @@ def _is_uniform(law: BulkLaw) -> bool:
     return all(isinstance(value, fem.Constant) or not isinstance(value, ufl.core.expr.Expr) for value in parameters)
 
 
-def _at_points(law: BulkLaw) -> BulkLaw:
+def _compiled_law(law: BulkLaw) -> BulkLaw:
     """The law compiled, with the present values of its Constants."""
     return law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float)).for_points()
 
 
-def _traits(p: Term) -> PartTraits:
+def _form_traits(p: Term) -> PartTraits:
     """Traits of a law in forms: Newton's method takes it as it is, and is told of what weakens in layers alone."""
     traits = PartTraits.of(p.law)
     weakens, unchecked = traits.weakens and p.n is not None, not p.proportional
     return replace(traits, singular=False, eases=False, weakens=weakens, unchecked=unchecked)
 
 
-def _given(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:
+def _with_strains(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:
     """The terms, their given strains changed."""
     return [p if p.given is None else replace(p, given=change(p.given)) for p in terms]
 
 
-def _of_given(p: Term, v: Expr) -> Expr:
+def _strain_work(p: Term, v: Expr) -> Expr:
     """Virtual work of the stress of a given strain alone in the strains of v."""
     return ufl.inner(p.law.stress(Step(p.given, p.n)), p.strain(v)) * p.weight * p.measure
 
 
-def _opposing(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
+def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
     """Work of stresses in their given strains, integral of the squares of these, and volume of the bodies."""
     one = fem.Constant(u.function_space.mesh, 1.0)
     densities = [(ufl.inner(stress(p, u), p.given), ufl.inner(p.given, p.given), one) for p in strained]
@@ -322,7 +324,7 @@ def _opposing(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
     return [compiled(sum(column)) for column in zip(*rows, strict=True)]
 
 
-def _stiffness(
+def _linear_stiffness(
     V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term], beside: Iterable[Term]
 ) -> PETSc.Mat:
     """The assembled matrix of the linear laws; if there are none, zeros in the nonzero pattern of elastic bodies.
@@ -331,13 +333,13 @@ def _stiffness(
         InputError: a law declares that it is linear and is not.
     """
     across = [p for p in beside if p.measure.integral_type() == "interior_facet" and not p.law.traits.compiled]
-    K = zeros(V, sum(1 * p.measure for p in (*(linear or bodies), *across)))
+    K = zero_matrix(V, sum(1 * p.measure for p in (*(linear or bodies), *across)))
     try:
         form = work((replace(p, given=None) for p in linear), ufl.TrialFunction(V), ufl.TestFunction(V))
         for summand in compiled_summands(form) if linear else ():
             dolfinx.fem.petsc.assemble_matrix(K, summand)
     except ArityMismatch as error:
-        names = " or ".join(sorted({type(p.law).__name__ for p in linear if named(p.law) is None}))
+        names = " or ".join(sorted({type(p.law).__name__ for p in linear if law_identity(p.law) is None}))
         raise InputError(
             f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}; "
             "write linear = False in the class"

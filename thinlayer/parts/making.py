@@ -17,10 +17,10 @@ from thinlayer.discretisation.measures import compiled_terms
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.parts.form_part import LawForms
+from thinlayer.parts.form_part import LawFormPart
 from thinlayer.parts.mean_stress import MeanStressPart
 from thinlayer.parts.part import Part
-from thinlayer.parts.pressure_part import PressurePart, has_flow
+from thinlayer.parts.pressure_part import PressurePart, flows_along_surface
 
 
 def body_parts(model: Model) -> list[Part]:
@@ -28,7 +28,10 @@ def body_parts(model: Model) -> list[Part]:
 
     The first has a matrix with the nonzero pattern of the bodies.
     """
-    parts: list[Part] = [LawForms("forms", model.V, model.bodies, model.layer_terms), *_compiled(model, model.bodies)]
+    parts: list[Part] = [
+        LawFormPart("forms", model.V, model.bodies, model.layer_terms),
+        *_compiled_parts(model, model.bodies),
+    ]
     if model.stress:
         parts.append(MeanStressPart(model.V, model.solids, model.stress, model.volume, model.comm))
     return parts
@@ -42,12 +45,14 @@ def layer_parts(model: Model, held: Indices, bodies: Sequence[Part]) -> list[Par
         held: displacements of this rank that supports prescribe (local, unrolled).
         bodies: those of `body_parts`.
     """
-    parts: list[Part] = [*_in_forms(model, model.layer_terms, "forms"), *_compiled(model, model.layer_terms)]
+    parts: list[Part] = [*_form_parts(model, model.layer_terms, "forms"), *_compiled_parts(model, model.layer_terms)]
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
         largest = _largest_at_rest(model, bodies or parts)
         joint = model.domain.joint  # whose vertices are those of the mesh
         masters = joint.masters if joint.periods else None
-        parts += [PressurePart(model.V, p, largest, model.origin, _free(model, p), masters) for p in constrained]
+        parts += [
+            PressurePart(model.V, p, largest, model.origin, _free_vertices(model, p), masters) for p in constrained
+        ]
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
     return parts
@@ -55,23 +60,23 @@ def layer_parts(model: Model, held: Indices, bodies: Sequence[Part]) -> list[Par
 
 def _largest_at_rest(model: Model, parts: Sequence[Part]) -> float:
     """Largest diagonal entry of the tangents at rest."""
-    in_forms, largest = [part for part in parts if isinstance(part, LawForms)], 0.0
+    in_forms, largest = [part for part in parts if isinstance(part, LawFormPart)], 0.0
     if parts != in_forms:
         sums = fem.Function(model.V)  # the vector lives as long as it does
         largest = float(diagonal_at_rest(parts, sums.x.petsc_vec).max()[1])
     return largest or max(part.largest_at_rest() for part in in_forms)
 
 
-def _in_forms(model: Model, terms: Iterable[Term], end: str) -> list[LawForms]:
+def _form_parts(model: Model, terms: Iterable[Term], end: str) -> list[LawFormPart]:
     """A part for the laws in forms of each layer."""
     of_layers: dict[str, list[Term]] = {}
     for p in terms:
         if not p.law.traits.compiled:
             of_layers.setdefault(p.key, []).append(p)
-    return [LawForms(f"{key}/{end}", model.V, own) for key, own in of_layers.items()]
+    return [LawFormPart(f"{key}/{end}", model.V, own) for key, own in of_layers.items()]
 
 
-def _compiled(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
+def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
     keys = compiled_terms(terms).items()
     return [CompiledPart(key, model.V, term, model.origin, symmetric=model.symmetric) for key, term in keys]
 
@@ -87,9 +92,9 @@ def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
     return out
 
 
-def _free(model: Model, term: Term) -> Array | None:
+def _free_vertices(model: Model, term: Term) -> Array | None:
     """Vertices of S where the pressure of a layer of order 1 is zero; None for other terms."""
-    if not has_flow(term):
+    if not flows_along_surface(term):
         return None
     one = next(one for one in model.layers.values() if one.key == term.key)
     known = model.reductions[one.name]

@@ -12,14 +12,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array
-from forms.kinematics import lift
+from forms.kinematics import three_dimensional
 from forms.law import Step
 from forms.work import Term
-from thinlayer.discretisation.given_strains import MEAN_STRAIN, MeanStress, of_components
-from thinlayer.discretisation.mesh_functions import Keys, broken_space
-from thinlayer.discretisation.time_functions import OverStep
-from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
-from thinlayer.pointwise.integrals import matrix_of, values_of
+from thinlayer.discretisation.given_strains import MEAN_STRAIN, MeanStress, voigt_strain
+from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
+from thinlayer.discretisation.time_functions import StepStrains
+from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
+from thinlayer.pointwise.integrals import assemble_matrix, assemble_values
 from thinlayer.system.ranks import destroy
 
 
@@ -46,17 +46,17 @@ class MeanStressPart(FieldPart):
         self._given, self.unit, self._volume, mesh = given, 1 / given.size, volume, V.mesh
         whole = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(given.count,)))
         same = np.zeros(np.shape(whole.dofmap.list), np.int64)
-        W = broken_space(comm, Keys(whole, same[:1, 0], same[:1, 0], same))
+        W = broken_space(comm, SharedDofs(whole, same[:1, 0], same[:1, 0], same))
         self.field = fem.Function(W)
         v, E, F = ufl.TestFunction(V), ufl.TrialFunction(W), ufl.TestFunction(W)
-        strained = [(p, p.law.stress(Step(lift(of_components(E)) / given.size, p.n))) for p in bodies]
+        strained = [(p, p.law.stress(Step(three_dimensional(voigt_strain(E)) / given.size, p.n))) for p in bodies]
         couple = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in strained)
-        tensor = lift(of_components(F)) / given.size
+        tensor = three_dimensional(voigt_strain(F)) / given.size
         own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained)
-        self.B, self.D = matrix_of(fem.form(couple)), matrix_of(fem.form(own))
+        self.B, self.D = assemble_matrix(fem.form(couple)), assemble_matrix(fem.form(own))
         self._turned = self.B.transpose(PETSc.Mat())
         of_given = [p for p in bodies if p.given is not None]
-        self._over = OverStep(mesh, of_given)
+        self._over = StepStrains(mesh, of_given)
         stresses = [(p, p.law.stress(Step(self._over.now(p.given), p.n))) for p in of_given]
         own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
         self._own_of_given = fem.form(own) if of_given else None
@@ -64,7 +64,7 @@ class MeanStressPart(FieldPart):
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))
 
     # ---------------------------------------------------------------- a step
-    def begin(self, interval: Interval) -> None:
+    def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         new, old = self._of_given(interval.t), self._of_given(interval.old.t, at_rest=interval.old.at_rest)
         self._strained = new, old, interval.theta * new + (1 - interval.theta) * old
@@ -73,7 +73,7 @@ class MeanStressPart(FieldPart):
     def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
         """Own forces (own unknowns,) of the strains given to the bodies, at a time or at rest."""
         self._over.look_at(t, at_rest=at_rest)
-        return np.asarray(values_of(self._own_of_given, self.own_size))
+        return np.asarray(assemble_values(self._own_of_given, self.own_size))
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         theta, self._u = self.interval.theta, u
@@ -101,7 +101,7 @@ class MeanStressPart(FieldPart):
             Block(self.D, theta, row=self.key, column=self.key, kept=True),
         ]
 
-    def commit(self) -> Outcome:
+    def commit(self) -> StepOutcome:
         """As in `Part`; the energy is that of the bodies beyond the energy of the displacements alone."""
         now, old = self._u.x.petsc_vec, self.interval.old.u.x.petsc_vec
         difference = now - old
@@ -114,7 +114,7 @@ class MeanStressPart(FieldPart):
         supplied += theta * self._product(new_s - old_s, self._mid)
         supplied += (1 - theta) * self._product(new_s - old_s, self._old)
         difference.destroy()
-        return Outcome(before, after, 0.0, (2 * theta - 1) * of_change, kept=False, supplied=supplied)
+        return StepOutcome(before, after, 0.0, (2 * theta - 1) * of_change, kept=False, supplied=supplied)
 
     def _energy(self, u: PETSc.Vec, E: PETSc.Vec, own: Array) -> float:
         """Energy at displacements and a mean strain, with the own forces of given strains."""

@@ -20,7 +20,7 @@ DISPLACEMENTS = "u"  # the key of the unknowns that all parts share
 
 
 @dataclass(frozen=True)
-class Interval:
+class TimeStep:
     """A time step: from a configuration to the time t = old.t + dt, with the balance of forces at old.t + theta dt."""
 
     old: Configuration
@@ -99,7 +99,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StepOutcome:
     """Energies of a part over an accepted step (NaN if a law declares none), and its memory.
 
     Attributes:
@@ -202,9 +202,9 @@ class Part(ABC):
     traits = PartTraits()
     failed: int = 0
     K: PETSc.Mat | None = None
-    interval: Interval
+    interval: TimeStep
 
-    def begin(self, interval: Interval) -> None:
+    def begin(self, interval: TimeStep) -> None:
         """Begin a step, from `interval.old`."""
         self.interval = interval
 
@@ -232,7 +232,7 @@ class Part(ABC):
         return self.tangents(relative_residual)
 
     @abstractmethod
-    def commit(self) -> Outcome:
+    def commit(self) -> StepOutcome:
         """Energies and memory at the end of the step, for the last evaluation."""
 
     def rest(self) -> Memory | None:
@@ -273,7 +273,7 @@ class FieldPart(Part):
     on_S: bool = False
     hint: str = ""
 
-    def begin(self, interval: Interval) -> None:
+    def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         self.load, theta = self.load_at(interval.t), interval.theta
         if theta < 1:

@@ -14,11 +14,18 @@ from dolfinx import fem
 from forms.base import Array, InputError
 from forms.kinematics import Expr
 from geometry.refusals import require_known
-from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.boundary import AXES, on_boundary
-from thinlayer.discretisation.constraints import Tied
-from thinlayer.discretisation.given import Given
-from thinlayer.discretisation.rigid import balanced_motions, centroid, count, on_centre, require_point, rigid
+from thinlayer.discretisation.addition import HostModel, PartDefinition
+from thinlayer.discretisation.boundary import AXES, boundary_values
+from thinlayer.discretisation.constraints import MultiPointConstraint
+from thinlayer.discretisation.given import Coefficient
+from thinlayer.discretisation.rigid import (
+    balanced_motions,
+    centroid,
+    moment_centre,
+    motion_count,
+    motion_fields,
+    require_point,
+)
 from thinlayer.discretisation.state import State
 
 Number = float | Callable[[Expr, Any], Any]
@@ -47,7 +54,7 @@ class PlateMotion:
 
 
 @dataclass(frozen=True)
-class RigidPlate(Addition):
+class RigidPlate(PartDefinition):
     """A rigid plate, bonded to a facet set of the outer boundary and to the side of the layer that continues it.
 
     Its nodes move as a rigid body, with small rotations. For each of its 3 motions (in 3D 6) either the force or moment is
@@ -77,14 +84,14 @@ class RigidPlate(Addition):
     def __post_init__(self) -> None:
         object.__setattr__(self, "key", f"plate {self.place}")
 
-    def tied(self, model: Host) -> Tied:
+    def tied(self, model: HostModel) -> MultiPointConstraint:
         """Its nodes, which follow its motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
-        scale = np.where(np.arange(count(d)) < d, 1.0, size)
+        scale = np.where(np.arange(motion_count(d)) < d, 1.0, size)
         keys, given, at = self.motions_held(model), self._resultants(model), self._motions(model)
         held = {k: partial(lambda k, t: float(at[k].at_time(t) * scale[k]) if k in at else 0.0, k) for k in keys}
         R = self._tie(model, self.point(model), size)
-        return Tied(self.key, motion_names(d), R, held, lambda t: self._at(t, given, keys, d) / scale)
+        return MultiPointConstraint(self.key, motion_names(d), R, held, lambda t: self._at(t, given, keys, d) / scale)
 
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""
@@ -94,7 +101,7 @@ class RigidPlate(Addition):
         rotation = q[d:] / model.domain.joint.size  # of lengths
         return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
 
-    def _tie(self, model: Host, about: Array, size: float) -> Any:
+    def _tie(self, model: HostModel, about: Array, size: float) -> Any:
         """(n, k) sparse: displacements of this rank by the plate's motions, rotations times a length. Collective.
 
         A plate that turns moves bodies on both sides of a layer apart along S, by the layer's thickness as an arm.
@@ -115,7 +122,7 @@ class RigidPlate(Addition):
             every = np.array(model.comm.allgather((least, most)))
             middle = (every[:, 0].min(axis=0) + every[:, 1].max(axis=0)) / 2  # the plate's point stays
             x = x + by_node[blocks] - middle
-        values = rigid(x, about)
+        values = motion_fields(x, about)
         values[:, :, d:] /= size
         k = values.shape[2]
         rows = np.repeat(blocks[:, None] * d + np.arange(d), k)
@@ -128,9 +135,9 @@ class RigidPlate(Addition):
         """The plate in messages."""
         return f"plate on {self.place!r}"
 
-    def check(self, model: Host) -> None:
-        """As in `Addition`."""
-        on_boundary(model.domain, model.kinematics, self.place, self.what)
+    def check(self, model: HostModel) -> None:
+        """As in `PartDefinition`."""
+        boundary_values(model.domain, model.kinematics, self.place, self.what)
         d = model.joint.dim
         names = motion_names(d)
         for name in self.motion:
@@ -142,29 +149,29 @@ class RigidPlate(Addition):
         if not any(value.varies for value in [*self._resultants(model).values(), *self._motions(model).values()]):
             self._at(0.0, self._resultants(model), self.motions_held(model), d)
 
-    def _resultants(self, model: Host) -> dict[str, Given]:
+    def _resultants(self, model: HostModel) -> dict[str, Coefficient]:
         """The force and the moment, those that are given."""
         d, given = model.joint.dim, (("force", self.force), ("moment", self.moment))
         shapes: dict[str, tuple[int, ...]] = {"force": (d,), "moment": () if d == 2 else (3,)}
         return {name: self._value(model, name, value, shapes[name]) for name, value in given if value is not None}
 
-    def _motions(self, model: Host) -> dict[int, Given]:
+    def _motions(self, model: HostModel) -> dict[int, Coefficient]:
         """Number of a motion that is given -> its value."""
         names = motion_names(model.joint.dim)
         return {names.index(k): self._value(model, f"motion {k!r}", value, ()) for k, value in self.motion.items()}
 
-    def _value(self, model: Host, name: str, value: Any, shape: tuple[int, ...]) -> Given:
+    def _value(self, model: HostModel, name: str, value: Any, shape: tuple[int, ...]) -> Coefficient:
         """A value that is one for the whole plate."""
         return model.coordinates.given(value, f"{self.what}: {name}", shape).once("the whole plate")
 
     @staticmethod
-    def _prevented(model: Host) -> list[int]:
+    def _prevented(model: HostModel) -> list[int]:
         """Numbers of the motions that kinematics do not have."""
         return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
 
-    def _at(self, t: float, given: Mapping[str, Given], held: Sequence[int], d: int) -> Array:
+    def _at(self, t: float, given: Mapping[str, Coefficient], held: Sequence[int], d: int) -> Array:
         """Force and moment (k,) at a time; raises InputError if one of them is along a prescribed motion."""
-        out, places = np.zeros(count(d)), {"force": slice(d), "moment": slice(d, None)}
+        out, places = np.zeros(motion_count(d)), {"force": slice(d), "moment": slice(d, None)}
         for name, value in given.items():
             out[places[name]] = value.at_time(t)
         for k in held:
@@ -175,12 +182,12 @@ class RigidPlate(Addition):
                 )
         return out
 
-    def point(self, model: Host) -> Array:
+    def point(self, model: HostModel) -> Array:
         """The point (d,) to which motions and moments refer. Collective."""
         if self.about is not None:
             return require_point(self.about, model.joint.dim)
-        return on_centre(model.kinematics, centroid(model.domain, self.place))
+        return moment_centre(model.kinematics, centroid(model.domain, self.place))
 
-    def motions_held(self, model: Host) -> list[int]:
+    def motions_held(self, model: HostModel) -> list[int]:
         """Numbers of the prescribed motions; a plate of revolution moves along its axis alone."""
         return sorted({*self._prevented(model), *(motion_names(model.joint.dim).index(name) for name in self.motion)})

@@ -18,10 +18,18 @@ from forms.work import Term
 from geometry.domain import cell_nodes
 from geometry.topology import IntArray
 from thinlayer.discretisation.layer import LAYER, PRESSURE
-from thinlayer.discretisation.mesh_functions import Keys, broken_space
-from thinlayer.discretisation.time_functions import OverStep
-from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, Interval, Outcome, PartTraits
-from thinlayer.pointwise.integrals import Origin, Quadrature, Region, add_spread, give, matrix_of, values_of
+from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
+from thinlayer.discretisation.time_functions import StepStrains
+from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
+from thinlayer.pointwise.integrals import (
+    MeasureRegion,
+    MeshOrigin,
+    Quadrature,
+    add_distributed,
+    assemble_matrix,
+    assemble_values,
+    set_owned_values,
+)
 from thinlayer.system.ranks import communicator, destroy
 
 SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one
@@ -58,30 +66,30 @@ class PressurePart(FieldPart):
     hint = "S has too few cells for the pressures of its layer"
 
     def __init__(
-        self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: Origin | None = None,
+        self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: MeshOrigin | None = None,
         free: Array | None = None, masters: IntArray | None = None,
     ) -> None:  # fmt: skip
         self.key, self._origin = PRESSURE + term.key.removeprefix(LAYER), origin
         self._term = term
         points = Quadrature(V, term, origin) if term.law.fields else None
-        self.region = region = points.region if points else Region(V.mesh, term.measure)
-        if has_flow(term) and origin and origin.middle is not None:
+        self.region = region = points.region if points else MeasureRegion(V.mesh, term.measure)
+        if flows_along_surface(term) and origin and origin.middle is not None:
             region.move(origin.middle)
         self.on_S = region.dim < region.parent_mesh.topology.dim
         self._whole = fem.functionspace(region.mesh, ("Lagrange", 1))
-        space = self._whole if masters is None else identified(region, masters)
+        space = self._whole if masters is None else periodic_functions(region, masters)
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
-        self.G = matrix_of(region.compiled(q * ufl.tr(term.strain(v)) * term.weight * term.measure))
+        self.G = assemble_matrix(region.compiled(q * ufl.tr(term.strain(v)) * term.weight * term.measure))
         self.C = self._compliance(space, term, points)
         self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
         if self.C is not None:  # else the rounding of volumes beside stiff bodies would count as much as forces
             self.unit = min(self.unit, math.sqrt(stiffness / self.C.norm(PETSc.NormType.INFINITY)))
             self.C.scale(self.unit**2)
         self.G.scale(self.unit)
-        self._zero = at_places(space, free) if free is not None and len(free) else np.empty(0, np.int64)
+        self._zero = dofs_at_vertices(space, free) if free is not None and len(free) else np.empty(0, np.int64)
         strained = [term] if term.given is not None else []
-        self._over = OverStep(V.mesh, strained)
+        self._over = StepStrains(V.mesh, strained)
         room = sum(q * ufl.tr(self._over.now(p.given)) * p.weight * p.measure for p in strained)
         self._room = region.compiled(room) if strained else None
         self._turned = self.G.transpose(PETSc.Mat())
@@ -100,12 +108,12 @@ class PressurePart(FieldPart):
             measure = points.measure
         if not isinstance(volume := ufl.as_ufl(law.volume_compliance), Zero):
             forms.append(volume * region.side(p) * region.side(q) * term.weight * measure)
-        if has_flow(term):  # on S: gradients of functions of its mesh are along S
+        if flows_along_surface(term):  # on S: gradients of functions of its mesh are along S
             flow = self._means(term.flow) * term.kinematics.on(region.mesh).factor
             forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
         if not forms:
             return None
-        C, *others = (matrix_of(region.compiled(form)) for form in forms)
+        C, *others = (assemble_matrix(region.compiled(form)) for form in forms)
         for other in others:
             C.axpy(1.0, other)
             other.destroy()
@@ -116,8 +124,8 @@ class PressurePart(FieldPart):
         space = fem.functionspace(self.region.mesh, ("DG", 0))
         q, own = self.region.side(ufl.TestFunction(space)), space.dofmap.index_map.size_local
         forms = [one * q * self.region.measure for one in (f, fem.Constant(self.region.parent_mesh, 1.0))]
-        of_f, sizes = (values_of(self.region.compiled(form), own) for form in forms)
-        return give(fem.Function(space), of_f / sizes)
+        of_f, sizes = (assemble_values(self.region.compiled(form), own) for form in forms)
+        return set_owned_values(fem.Function(space), of_f / sizes)
 
     def _end(self) -> Array:
         """Pressures of this rank at the end of the step, in the units of `field`."""
@@ -133,7 +141,7 @@ class PressurePart(FieldPart):
         v.destroy()
         return self._squeezed.array_r.copy(), work
 
-    def begin(self, interval: Interval) -> None:
+    def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         old = interval.old
         self._given, before = self._of_given(interval.t), self._of_given(old.t, at_rest=old.at_rest)
@@ -142,7 +150,7 @@ class PressurePart(FieldPart):
     def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
         """What given strains add to `own_residual`, at a time or at rest."""
         self._over.look_at(t, at_rest=at_rest)
-        return np.asarray(self.unit * values_of(self._room, self.own_size))
+        return np.asarray(self.unit * assemble_values(self._room, self.own_size))
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self.G.mult(u.x.petsc_vec, self._volume)
@@ -158,7 +166,7 @@ class PressurePart(FieldPart):
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
         density = self.unit * self.region.side(self._p) * ufl.tr(self._term.strain(z)) * self._term.weight
-        add_spread(density, z.function_space, self._term.measure, out, self.region.maps)
+        add_distributed(density, z.function_space, self._term.measure, out, self.region.maps)
 
     def own_residual(self) -> Array:
         room = self._volume.array_r + self._given
@@ -177,15 +185,15 @@ class PressurePart(FieldPart):
             blocks.append(Block(self.C, factor=-1 / self.interval.theta, row=self.key, column=self.key, kept=True))
         return blocks
 
-    def commit(self) -> Outcome:
+    def commit(self) -> StepOutcome:
         """As in `Part`; the pressure does work in given strains, which displacements follow, and stores energy in C."""
         self._volume.array[:] = self._growth
         supplied = float(self._volume.dot(self._p.x.petsc_vec))
         if self.C is None:
-            return Outcome(kept=False, supplied=supplied)
+            return StepOutcome(kept=False, supplied=supplied)
         new, old = self._end(), self.own_start(self.interval.old)
         before, after, lost = (self._squeeze(self.C, p)[1] / 2 for p in (old, new, new - old))
-        return Outcome(before, after, remainder=(2 * self.interval.theta - 1) * lost, supplied=supplied)
+        return StepOutcome(before, after, remainder=(2 * self.interval.theta - 1) * lost, supplied=supplied)
 
     def own_result(self) -> fem.Function:
         """The pressure at the end of the step; `field` is the one at old.t + theta dt."""
@@ -208,22 +216,22 @@ class PressurePart(FieldPart):
         destroy(self.G, self.C, self._turned, self._volume, self._forces, self._squeezed)
 
 
-def has_flow(term: Term) -> bool:
+def flows_along_surface(term: Term) -> bool:
     """Whether the pressure of a term is that of an interface law of order 1, which flows along S."""
     return not isinstance(ufl.as_ufl(term.flow), Zero)
 
 
-def identified(region: Region, masters: IntArray) -> fem.FunctionSpace:
+def periodic_functions(region: MeasureRegion, masters: IntArray) -> fem.FunctionSpace:
     """Functions that are the same at vertices that periodic sides identify (`Joint.masters`). Collective."""
     mesh = region.mesh
     element = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)
     corners = cell_nodes(mesh)[:, : element.basix_element.dim]
     vertices = np.asarray(mesh.geometry.input_global_indices, np.int64)[corners]
     comm = communicator(region.parent_mesh)
-    return broken_space(comm, Keys.of_entities(comm, mesh, element, [masters[vertices]]))
+    return broken_space(comm, SharedDofs.of_entities(comm, mesh, element, [masters[vertices]]))
 
 
-def at_places(space: fem.FunctionSpace, places: Array) -> IntArray:
+def dofs_at_vertices(space: fem.FunctionSpace, places: Array) -> IntArray:
     """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d). Collective."""
     x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, : places.shape[1]]
     ends = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))

@@ -12,21 +12,21 @@ from dolfinx import fem
 
 from forms.base import Array, InputError
 from forms.kinematics import Expr
-from geometry.refusals import place as at_place
-from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.boundary import on_boundary
-from thinlayer.discretisation.given import DEGREE, Given
+from geometry.refusals import place_text as at_place
+from thinlayer.discretisation.addition import HostModel, PartDefinition
+from thinlayer.discretisation.boundary import boundary_values
+from thinlayer.discretisation.given import DEGREE, Coefficient
 from thinlayer.discretisation.measures import per_unit
-from thinlayer.discretisation.rigid import rigid_expression
+from thinlayer.discretisation.rigid import motion_expression
 from thinlayer.discretisation.supports import Place
-from thinlayer.parts.form_part import FormPart, matrix
+from thinlayer.parts.form_part import FormPart, assemble_plain_matrix
 
 Stiffness = float | Callable[[Any], Any]
 ROUNDING = 1e-9  # a negative stiffness that counts as rounding, over the largest one
 
 
 @dataclass(frozen=True)
-class Springs(Addition):
+class Springs(PartDefinition):
     """Springs between a facet set of the outer boundary and a base that does not move: t = -k_N u_N - k_T u_T.
 
     They push and pull: a foundation that only pushes is contact with a rigid base (`geometry.block`, a contact law). A
@@ -55,9 +55,9 @@ class Springs(Addition):
             raise InputError(f"springs on {self.place!r} have no stiffness; give normal=... or tangential=...")
         object.__setattr__(self, "key", f"springs {self.place}")
 
-    def check(self, model: Host) -> None:
+    def check(self, model: HostModel) -> None:
         """Raise InputError unless the facets lie on the outer boundary, and the stiffnesses are finite and >= 0 there."""
-        on_boundary(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
+        boundary_values(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
         facets, V = model.domain.facets(self.place), fem.functionspace(model.domain.mesh, ("Lagrange", DEGREE))
         for stiffness in self._stiffnesses(model):
             nodes = fem.locate_dofs_topological(V, model.joint.dim - 1, facets)
@@ -67,25 +67,25 @@ class Springs(Addition):
                 k = int(values.argmin())
                 raise InputError(f"{stiffness.what} is {values[k]:.6g} at {at_place(x[k])}; allowed: finite, >= 0")
 
-    def _stiffnesses(self, model: Host) -> list[Given]:
+    def _stiffnesses(self, model: HostModel) -> list[Coefficient]:
         """The stiffnesses, normal and tangential. Collective."""
         names = ("normal", "tangential")
         what = f"springs on {self.place!r}: "
         return [model.coordinates.given(getattr(self, name), what + name, (), of_place=True) for name in names]
 
-    def work(self, model: Host, u: Expr, v: Expr) -> Any:
+    def work(self, model: HostModel, u: Expr, v: Expr) -> Any:
         """Virtual work of the springs, a UFL form."""
         n = ufl.FacetNormal(model.V.mesh)
         normal, tangential = (stiffness.expression for stiffness in self._stiffnesses(model))
         work = (normal - tangential) * ufl.dot(u, n) * ufl.dot(v, n) + tangential * ufl.inner(u, v)
         return work * model.kinematics.factor * model.ds(model.domain.values(self.place))
 
-    def reaction(self, model: Host, u: fem.Function) -> list[tuple[Place, Array]]:
-        """As in `Addition`: the force and moment of the springs."""
-        motion, v = rigid_expression(model.domain.mesh, model.centre)
+    def reaction(self, model: HostModel, u: fem.Function) -> list[tuple[Place, Array]]:
+        """As in `PartDefinition`: the force and moment of the springs."""
+        motion, v = motion_expression(model.domain.mesh, model.centre)
         return [(self.place, -per_unit(model.comm, self.work(model, u, v), motion))]
 
-    def part(self, model: Host) -> FormPart:
+    def part(self, model: HostModel) -> FormPart:
         """The springs as a part of a model's balance. Collective."""
         u, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
-        return FormPart(self.key, fem.Function(model.V), matrix(self.work(model, u, v)), kept=True)
+        return FormPart(self.key, fem.Function(model.V), assemble_plain_matrix(self.work(model, u, v)), kept=True)

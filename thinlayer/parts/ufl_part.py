@@ -14,17 +14,17 @@ from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from forms.base import InputError
 from forms.kinematics import Expr
-from thinlayer.discretisation.addition import Addition, Host
-from thinlayer.discretisation.measures import whole
-from thinlayer.parts.form_part import FormPart, matrix
-from thinlayer.parts.part import Outcome, PartTraits
-from thinlayer.system.compat import expand_derivatives, replaced, without_cycles
+from thinlayer.discretisation.addition import HostModel, PartDefinition
+from thinlayer.discretisation.measures import whole_structure_form
+from thinlayer.parts.form_part import FormPart, assemble_plain_matrix
+from thinlayer.parts.part import PartTraits, StepOutcome
+from thinlayer.system.compat import expand_derivatives, ufl_replace, without_cycles
 
 ASYMMETRY = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding
 
 
 @dataclass(frozen=True)
-class UflPart(Addition):
+class UflPart(PartDefinition):
     """Forces given by a UFL form: their virtual work, or their energy.
 
     UFL finds the derivatives. The form is evaluated at the displacements at old.t + theta dt. If there is an energy, give
@@ -51,7 +51,7 @@ class UflPart(Addition):
         if len(given) != 1 or not callable(given[0]):
             raise InputError(f"{self!r}: give one function, virtual_work(u, v, model) or energy(u, model)")
 
-    def check(self, model: Host) -> None:
+    def check(self, model: HostModel) -> None:
         """Raise InputError unless the function gives a form that can be assembled on the model. Collective."""
         u, v = fem.Function(model.V), ufl.TestFunction(model.V)
         what = f"the part {self.key!r}"
@@ -65,44 +65,46 @@ class UflPart(Addition):
             raise InputError(f"{what} gives {form!r}; it must be a UFL form {wanted}")
         if not all(domain is model.V.mesh.ufl_domain() for domain in form.ufl_domains()):
             raise InputError(f"{what} is a form on another mesh than the model's; use model.dx and model.ds")
-        whole(form, model, what)
+        whole_structure_form(form, model, what)
         if form.arguments() != arguments or not has_arity(form):
             raise InputError(f"{what} is {str(form)[:80]}; it must be a form {wanted}")
         forces = ufl.derivative(form, u, v) if self.energy else form
         if expand_derivatives(ufl.derivative(expand_derivatives(forces), u, ufl.TrialFunction(model.V))).empty():
             raise InputError(f"the forces of {what} do not depend on u; loads are `tractions` and `body_force`")
 
-    def _given(self, model: Host, u: Expr, v: Expr) -> Any:
+    def _given(self, model: HostModel, u: Expr, v: Expr) -> Any:
         return self.virtual_work(u, v, model) if self.virtual_work else self.energy(u, model)  # type: ignore[misc]
 
-    def work(self, model: Host, u: Expr, v: Expr) -> Any:
+    def work(self, model: HostModel, u: Expr, v: Expr) -> Any:
         """Virtual work at displacements u, a form linear in v."""
         if self.virtual_work:
-            return whole(self._given(model, u, v), model)
+            return whole_structure_form(self._given(model, u, v), model)
         unknown = fem.Function(model.V)
-        energy = whole(self._given(model, unknown, v), model)
-        return replaced(expand_derivatives(ufl.derivative(energy, unknown, v)), {unknown: u})
+        energy = whole_structure_form(self._given(model, unknown, v), model)
+        return ufl_replace(expand_derivatives(ufl.derivative(energy, unknown, v)), {unknown: u})
 
-    def is_linear(self, model: Host) -> bool:
+    def is_linear(self, model: HostModel) -> bool:
         return has_arity(self.work(model, ufl.TrialFunction(model.V), ufl.TestFunction(model.V)))
 
-    def is_symmetric(self, model: Host) -> bool:
+    def is_symmetric(self, model: HostModel) -> bool:
         return self.energy is not None
 
-    def part(self, model: Host) -> FormPart:
+    def part(self, model: HostModel) -> FormPart:
         """The form as a part of a model's balance. Collective."""
-        return _OwnForms(self, model)
+        return _UserFormPart(self, model)
 
 
-class _OwnForms(FormPart):
+class _UserFormPart(FormPart):
     """The forces of a `UflPart`: a matrix if they are linear, else a form."""
 
-    def __init__(self, given: UflPart, model: Host) -> None:
+    def __init__(self, given: UflPart, model: HostModel) -> None:
         u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), given.is_linear(model)
         if linear:
-            super().__init__(given.key, u, matrix(given.work(model, ufl.TrialFunction(model.V), v)), kept=True)
+            super().__init__(
+                given.key, u, assemble_plain_matrix(given.work(model, ufl.TrialFunction(model.V), v)), kept=True
+            )
         else:
-            energy = whole(given.energy(u, model), model) if given.energy else None
+            energy = whole_structure_form(given.energy(u, model), model) if given.energy else None
             super().__init__(given.key, u, None, given.work(model, u, v), energy, kept=True)
         K = self.K
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
@@ -110,7 +112,7 @@ class _OwnForms(FormPart):
         self._has_energy = K is None or K.isSymmetric(ASYMMETRY * K.norm())
         self.traits = PartTraits(saddle=True, weakens=not (self._has_energy and linear), nonlinear=not linear)
 
-    def commit(self) -> Outcome:
+    def commit(self) -> StepOutcome:
         found, nan = super().commit(), float("nan")
         return found if self._has_energy else replace(found, before=nan, after=nan, remainder=nan)
 

@@ -15,7 +15,7 @@ from forms.trace import needs_director, tangent_at_rest
 from forms.work import Term
 from geometry.topology import is_tensor
 from thinlayer.pointwise.compiled_term import INDEPENDENT, CompiledTerm, Projection, Response
-from thinlayer.pointwise.integrals import Origin
+from thinlayer.pointwise.integrals import MeshOrigin
 from thinlayer.system.ranks import destroy
 
 
@@ -28,7 +28,7 @@ class ColumnTerm(CompiledTerm):
         energy = int [psi(mean) + (e - mean) : C (e - mean)/2]
     """
 
-    def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
+    def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
         super().__init__(V, term, origin)
         self._B_of_means, rest = self._mean.matrix(self.B), self.B.copy()
         rest.axpy(-1.0, self._B_of_means)

@@ -12,13 +12,13 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from forms.kinematics import MANDEL, UNITS, Expr, mandel
+from forms.kinematics import MANDEL, UNITS, Expr, mandel_vector
 from forms.trace import LONG
 from forms.work import Term
 from thinlayer.pointwise.columns import Switching
-from thinlayer.pointwise.integrals import DIAGONAL, Origin, Quadrature, add_spread, matrix_of
-from thinlayer.pointwise.material import Material
-from thinlayer.system.ranks import destroy, on_all
+from thinlayer.pointwise.integrals import DIAGONAL, MeshOrigin, Quadrature, add_distributed, assemble_matrix
+from thinlayer.pointwise.material import CompiledLaw
+from thinlayer.system.ranks import destroy, errors_on_all
 
 # Size of a tangent below which underflow may have cost digits.
 UNDERFLOW = np.finfo(float).tiny / np.finfo(float).eps ** 2
@@ -73,11 +73,11 @@ class CompiledTerm(Quadrature):
 
     constant: tuple[PETSc.Mat, ...] = ()
 
-    def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
+    def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
         super().__init__(V, term, origin)
         self._V = V
         # displacements -> strains at the points (m rows each); assembled once, as strains are linear
-        self.B = B = matrix_of(self.form_of(self.term.strain(ufl.TrialFunction(V))))
+        self.B = B = assemble_matrix(self.form_of(self.term.strain(ufl.TrialFunction(V))))
         B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self._volume = None if term.volume is None else MeanVolume(self, term.volume)
         if self._volume:
@@ -86,14 +86,14 @@ class CompiledTerm(Quadrature):
         stressed = term.kinematics.stressed(self.dim)
         self._none = [k for k in range(len(MANDEL)) if k not in stressed]
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
-        self.material = Material(self.comm, term.law)
+        self.material = CompiledLaw(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
         self._at_rest = self.tangent_at_rest() if term.law.traits.singular else None
 
     def form_of(self, strain: Expr) -> fem.Form:
         """A form from which `values_of` computes the values of a strain (3, 3) at the points."""
         q = self.region.side(ufl.TestFunction(self._space((len(self.slots),))))
-        return self.region.compiled(ufl.inner(mandel(strain, self.slots), q) * self.measure)
+        return self.region.compiled(ufl.inner(mandel_vector(strain, self.slots), q) * self.measure)
 
     def values_of(self, form: fem.Form) -> Array:
         """Strains (points, m) of a form, with the present values of its constants, as the law gets them."""
@@ -173,7 +173,7 @@ class CompiledTerm(Quadrature):
         """
         if self.material.varies:
             places = self.joint_x
-            with on_all(self.comm):
+            with errors_on_all(self.comm):
                 self.material.take_at(places, t)
 
     def tangent_at_rest(self) -> Array:
@@ -202,9 +202,9 @@ class CompiledTerm(Quadrature):
         return self._forces
 
     def spread(self, density: Array, out: PETSc.Vec) -> None:
-        """Add the integral of a density at the points (points,) to displacements, see `add_spread`. Collective."""
+        """Add the integral of a density at the points (points,) to displacements, see `add_distributed`. Collective."""
         weighted = self.region.side(self.at_points(density)) * self.term.weight
-        add_spread(weighted, self._V, self.measure, out, self.region.maps)
+        add_distributed(weighted, self._V, self.measure, out, self.region.maps)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Matrix of int e(v) : tangent : e(du), for Newton's method. Collective.

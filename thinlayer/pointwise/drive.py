@@ -10,10 +10,10 @@ import numpy as np
 import ufl
 
 from forms.base import Array, InputError, is_finite, is_number, require
-from forms.kinematics import layer_frame, tensors
+from forms.kinematics import layer_frame, mandel_tensors
 from forms.law import Law
-from forms.temperature import finite
-from forms.trace import numbers, takes_time
+from forms.temperature import finite_values
+from forms.trace import depends_on_step_length, evaluate
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint
 from thinlayer.system.table import Table
@@ -93,9 +93,9 @@ def drive(
     steps = list(steps)
     normal, axes = _frame(n)
     law.check_dimension(len(normal))
-    path = [_read(step, k, len(normal)) for k, step in enumerate(steps)]
+    path = [_read_step(step, k, len(normal)) for k, step in enumerate(steps)]
     no_time = isinstance(dt, tuple) and not dt
-    lengths = _lengths(1.0 if no_time else dt, len(path))
+    lengths = _step_lengths(1.0 if no_time else dt, len(path))
     if not path:
         raise InputError("a path needs at least one step")
     require(is_number(theta) and 0.5 <= theta <= 1, "theta", theta, "allowed: 0.5 to 1")
@@ -104,7 +104,7 @@ def drive(
     if law.traits.rate and (lengths == 0).any():
         raise InputError(f"dt is 0 in step {np.argmin(lengths) + 1}; {type(law).__name__} lets no jump change at once")
     point = MaterialPoint(law.of_strains(), normal, axes, float(theta))
-    if no_time and any(takes_time(one) for _, one in point.law.sublayers):
+    if no_time and any(depends_on_step_length(one) for _, one in point.law.sublayers):
         raise InputError(f"dt is missing: {type(law).__name__} depends on the length of the steps in time")
     states = [point.rest()]
     parts: list[int] = []
@@ -116,7 +116,11 @@ def drive(
         def column(name: str, *shape: int) -> Array:
             return np.array([getattr(row, name) for row in rows], float).reshape(len(rows), *shape)
 
-        w, traction, stress = column("w", len(normal)), column("traction", len(normal)), tensors(column("stress", 6))
+        w, traction, stress = (
+            column("w", len(normal)),
+            column("traction", len(normal)),
+            mandel_tensors(column("stress", 6)),
+        )
         energies = column("energies", 3) if law.traits.has_energy else np.full((len(rows), 3), np.nan)
         memory = column("memory", point.material.memory)
         return PointHistory(normal, column("t"), w, traction, stress, memory, energies, np.array(parts, int))
@@ -134,10 +138,10 @@ def drive(
 
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     """Unit normal (d,) and axes (3, d) of S, as `forms.kinematics.layer_frame`."""
-    if (normal := finite(n, (2,), (3,))) is None or not normal.any():
+    if (normal := finite_values(n, (2,), (3,))) is None or not normal.any():
         raise InputError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
     normal = normal / np.linalg.norm(normal)
-    frame = numbers(layer_frame(ufl.as_vector(normal.tolist())))
+    frame = evaluate(layer_frame(ufl.as_vector(normal.tolist())))
     if len(normal) == 2:
         return normal, frame[:, :2]
     along = frame[:, [0, 2]]
@@ -145,7 +149,7 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     return normal, np.column_stack([along, normal])
 
 
-def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
+def _read_step(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
     """(d,) whether each component of a step has a prescribed jump, and (d,) the prescribed values."""
     names = COMPONENTS[d]
     allowed = ", ".join(f"w_{c} or t_{c}" for c in names)
@@ -162,7 +166,7 @@ def _read(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
     return jumps_given, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
 
 
-def _lengths(dt: float | Sequence[float], count: int) -> Array:
-    if (lengths := finite(dt, (), (count,))) is None or (lengths < 0).any():
+def _step_lengths(dt: float | Sequence[float], count: int) -> Array:
+    if (lengths := finite_values(dt, (), (count,))) is None or (lengths < 0).any():
         raise InputError(f"dt is {dt!r}; allowed: a number >= 0, or one for each of the {count} steps")
     return np.broadcast_to(lengths, count)

@@ -20,9 +20,9 @@ from petsc4py import PETSc
 from ufl.classes import Zero
 
 from forms.base import Array, InputError
-from forms.kinematics import MANDEL, Expr, lift
+from forms.kinematics import MANDEL, Expr, three_dimensional
 from forms.work import Term
-from geometry.domain import connect
+from geometry.domain import create_connectivity
 from geometry.topology import Indices, IntArray
 from thinlayer.pointwise.columns import Columns
 from thinlayer.system.compat import compiled, create_submesh
@@ -33,7 +33,7 @@ KINDS = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 
 @dataclass(frozen=True, eq=False)
-class Origin:
+class MeshOrigin:
     """Relation of a mesh to the joint it was made from, before inflating and distributing.
 
     Attributes:
@@ -54,7 +54,7 @@ class Origin:
     middle: Array | None = None
 
 
-class Region:
+class MeasureRegion:
     """The part of a mesh where a measure integrates, as a mesh of its own. Collective.
 
     Attributes:
@@ -94,10 +94,10 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     """Local cells or facets over which a measure integrates, and those that are ghosts here. Sorted. Collective."""
     kind, data, topology = measure.integral_type(), measure.subdomain_data(), mesh.topology
     dim = topology.dim - (kind != "cell")
-    connect(mesh, dim)
+    create_connectivity(mesh, dim)
     ids = np.atleast_1d(np.asarray(measure.subdomain_id(), object))
     if "everywhere" in ids:
-        found = _everywhere(mesh, kind)
+        found = _all_entities(mesh, kind)
     elif data is None:
         tags = ", ".join(map(str, ids))
         raise InputError(f"the measure {KINDS[kind]}({tags}) has no tags; give {KINDS[kind]} its subdomain_data")
@@ -117,7 +117,7 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     return np.flatnonzero(marks.array).astype(np.int32)
 
 
-def _everywhere(mesh: Mesh, kind: str) -> Indices:
+def _all_entities(mesh: Mesh, kind: str) -> Indices:
     """All owned entities that a measure of this kind integrates over."""
     own = np.arange(mesh.topology.index_map(mesh.topology.dim - (kind != "cell")).size_local, dtype=np.int32)
     if kind == "cell":
@@ -157,12 +157,12 @@ class Quadrature:
         weights: (points,) quadrature weights.
     """
 
-    def __init__(self, V: fem.FunctionSpace, term: Term, origin: Origin | None = None) -> None:
+    def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
         self.term, self.origin = term, origin
         metadata = dict(term.measure.metadata())
         degree = quadrature_degree(V, term.measure) + term.kinematics.degree
         self.degree = metadata.setdefault("quadrature_degree", degree)
-        self.region = Region(V.mesh, term.measure)
+        self.region = MeasureRegion(V.mesh, term.measure)
         self.comm = origin.comm if origin else communicator(V.mesh)
         self.measure = term.measure.reconstruct(metadata=metadata)
         self._functions: dict[int, fem.FunctionSpace] = {}
@@ -195,7 +195,7 @@ class Quadrature:
         mesh = self.region.mesh
         self.cells = np.asarray(W.dofmap.list)[: mesh.topology.index_map(mesh.topology.dim).size_local]
         q, x = (self.region.side(f) for f in (ufl.TestFunction(W), ufl.SpatialCoordinate(self.region.parent_mesh)))
-        n = lift(self.term.n) if self.term.n is not None else ufl.zero(3)
+        n = three_dimensional(self.term.n) if self.term.n is not None else ufl.zero(3)
         rows = ufl.as_vector([n[0], n[1], n[2], 1, self.term.weight, *(x[i] for i in range(d))])
         values = self._integrated(rows, q)
         self._integrals, self.weights = values[:, 3].copy(), values[:, 4].copy()
@@ -242,7 +242,7 @@ class Quadrature:
 
     def at_points(self, values: Array) -> fem.Function:
         """A function on the region's mesh with values (n,) at the points, for measures of its degree. Collective."""
-        return give(fem.Function(self._space(())), values)
+        return set_owned_values(fem.Function(self._space(())), values)
 
     @property
     def original(self) -> IntArray:
@@ -279,7 +279,7 @@ class Quadrature:
         return np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
 
 
-def matrix_of(form: fem.Form) -> PETSc.Mat:
+def assemble_matrix(form: fem.Form) -> PETSc.Mat:
     """The matrix of a bilinear form, without supports."""
     pattern = fem.create_sparsity_pattern(form)
     pattern.finalize()
@@ -291,7 +291,7 @@ def matrix_of(form: fem.Form) -> PETSc.Mat:
     return A
 
 
-def forces_of(first: fem.Form, *others: fem.Form) -> PETSc.Vec:
+def assemble_forces(first: fem.Form, *others: fem.Form) -> PETSc.Vec:
     """The sum of linear forms at the nodes; the caller destroys the vector."""
     b = dolfinx.fem.petsc.assemble_vector(first)
     for form in others:
@@ -300,37 +300,39 @@ def forces_of(first: fem.Form, *others: fem.Form) -> PETSc.Vec:
     return b
 
 
-def add_forces_of(out: PETSc.Vec, *forms: fem.Form) -> float:
+def add_assembled_forces(out: PETSc.Vec, *forms: fem.Form) -> float:
     """Add the sum of linear forms at the nodes to a vector; returns its norm."""
-    b = forces_of(*forms)
+    b = assemble_forces(*forms)
     out.axpy(1.0, b)
     size = float(b.norm())
     b.destroy()
     return size
 
 
-def give(f: fem.Function, values: Array) -> fem.Function:
+def set_owned_values(f: fem.Function, values: Array) -> fem.Function:
     """Give a function the values of its degrees of freedom that this rank owns, and its ghosts theirs. Collective."""
     f.x.array[: len(values)] = values
     f.x.scatter_forward()
     return f
 
 
-def values_of(form: fem.Form | None, count: int) -> Any:
+def assemble_values(form: fem.Form | None, count: int) -> Any:
     """The values (count,) of a linear form at the nodes of this rank; zeros for None."""
     if form is None:
         return np.zeros(count)
-    b = forces_of(form)
+    b = assemble_forces(form)
     values = b.array_r.copy()
     b.destroy()
     return values
 
 
-def add_spread(density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, out: PETSc.Vec, maps: Any = None) -> None:
+def add_distributed(
+    density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, out: PETSc.Vec, maps: Any = None
+) -> None:
     """Add the integral of a density to the first components of displacements, in shares by shape functions.
 
     On S they are those of the upper side; shape functions add up to one.
     """
     v = ufl.TestFunction(V)
     v = v("+") if measure.integral_type() == "interior_facet" else v
-    add_forces_of(out, compiled(density * v[0] * measure, maps))
+    add_assembled_forces(out, compiled(density * v[0] * measure, maps))

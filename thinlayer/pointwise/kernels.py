@@ -25,9 +25,9 @@ from forms.base import Array, InputError
 from forms.check import check
 from forms.declarations import SIZES
 from forms.kernel import KernelLaw
-from forms.kinematics import Expr, mandel
+from forms.kinematics import Expr, mandel_vector
 from forms.law import BulkLaw, Step
-from forms.trace import Symbolic, named, require_numbers_alone, symbolic
+from forms.trace import SymbolicLaw, law_identity, require_numbers_alone, symbolic
 from thinlayer.system.compilation import library
 
 C_KERNEL = "int{}(double *out, const void *, const double *in)"
@@ -59,7 +59,7 @@ class Kernel:
         return self.memory + 3 * self.plane
 
 
-def kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
+def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
     """The compiled functions of a law with real parameters, one for each sublayer. Collective.
 
     Raises:
@@ -91,7 +91,7 @@ _COMPILED: dict[Any, tuple[int, Any]] = {}  # this package's laws, by name; othe
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
-    name = named(law)
+    name = law_identity(law)
     if name is not None and not comm.allreduce(int(name not in _COMPILED)):
         return _COMPILED[name]
     point = symbolic(law)
@@ -107,21 +107,21 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
     return compiled
 
 
-def _outputs(law: BulkLaw, point: Symbolic) -> list[Expr]:
+def _outputs(law: BulkLaw, point: SymbolicLaw) -> list[Expr]:
     """Outputs of a law for symbols: stress (6,), internal values, three energies: zero if it declares none."""
     one, step = point.law, point.step
-    stress, new = mandel(one.stress(one.own_step(step))), one.advance(step)
-    memory = [value for name, shape in law.internal.items() for value in _packed(new[name], shape)]
+    stress, new = mandel_vector(one.stress(one.own_step(step))), one.advance(step)
+    memory = [value for name, shape in law.internal.items() for value in _packed_components(new[name], shape)]
     energies: list[Expr] = [0.0, 0.0, 0.0]
     if law.traits.has_energy:
         energies = [one.energy(Step(step.e, step.n, q=new)), one.dissipated(step), one.remainder(step)]
     return [stress, *memory, *map(ufl.as_ufl, energies)]
 
 
-def _packed(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
+def _packed_components(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
     if shape == ():
         return [ufl.as_ufl(value)]
-    flat = mandel(value) if shape == (3, 3) else value
+    flat = mandel_vector(value) if shape == (3, 3) else value
     return [flat[i] for i in range(SIZES[shape])]
 
 

@@ -11,9 +11,9 @@ from mpi4py import MPI
 from forms.base import Array, InputError
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw
-from forms.parameter_fields import number_of
-from forms.trace import named
-from thinlayer.pointwise.kernels import kernels
+from forms.parameter_fields import parameter_numbers
+from forms.trace import law_identity
+from thinlayer.pointwise.kernels import compile_kernels
 from thinlayer.system.compilation import library, pointers
 
 TRIAL_SIZES = tuple(10.0**k for k in range(-15, 7))  # of strains, or jumps in any unit
@@ -21,7 +21,7 @@ TRIAL_STEPS = (1.0, 0.0, 1e12, 1e30)  # lengths of steps in any unit of time
 SOURCE = Path(__file__).with_name("response.c")
 
 
-class Material:
+class CompiledLaw:
     """A law with real parameters, ready to be run over points. Collective.
 
     Attributes:
@@ -30,7 +30,7 @@ class Material:
     """
 
     def __init__(self, comm: MPI.Intracomm, law: BulkLaw) -> None:
-        self.law, self._current, self._kernels = law, law, kernels(comm, law)
+        self.law, self._current, self._kernels = law, law, compile_kernels(comm, law)
         self._library = library(SOURCE, comm)
         self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
         addresses, fractions = (np.array([getattr(k, name) for k in self._kernels]) for name in ("address", "fraction"))
@@ -50,11 +50,14 @@ class Material:
         Raises:
             InputError: a law of another kind, or parameters of another shape.
         """
-        if _kinds(law) != _kinds(self.law) or [len(numbers) for numbers in _numbers(law)] != self._counts.tolist():
+        if (
+            _code_identities(law) != _code_identities(self.law)
+            or [len(numbers) for numbers in _parameter_numbers(law)] != self._counts.tolist()
+        ):
             raise InputError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
         self._current = law
         if not law.traits.varies:
-            self.parameters = np.concatenate(_numbers(law))
+            self.parameters = np.concatenate(_parameter_numbers(law))
 
     @property
     def varies(self) -> bool:
@@ -74,9 +77,9 @@ class Material:
         """
         columns = []
         for _, law in self._current.sublayers:
-            varying = law.fields_at(x) if law.fields else _varying(law, x, t) if law.traits.varies else {}
+            varying = law.fields_at(x) if law.fields else _varying_parameters(law, x, t) if law.traits.varies else {}
             for name, value in law.parameters().items():
-                fixed = np.broadcast_to(np.ravel(number_of(value)), (x.shape[1], np.size(value)))
+                fixed = np.broadcast_to(np.ravel(parameter_numbers(value)), (x.shape[1], np.size(value)))
                 columns.append(varying[name][:, None] if name in varying else fixed)
         self.parameters = np.ascontiguousarray(np.hstack(columns))
 
@@ -127,10 +130,10 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
     Its compiled function is called for strains, or jumps, of all sizes, with steps of several lengths.
     """
     key = type(law), law.parameter_values().tobytes()
-    if not isinstance(law, KernelLaw) or named(law) is not None or law.traits.rate or key in _KERNELS:
+    if not isinstance(law, KernelLaw) or law_identity(law) is not None or law.traits.rate or key in _KERNELS:
         return
     _KERNELS.add(key)  # also while it is checked, as the law is compiled again
-    material, name = Material(comm, law), type(law).__name__
+    material, name = CompiledLaw(comm, law), type(law).__name__
     e = np.array(TRIAL_SIZES)[:, None] * np.cos(np.arange(6.0 * len(TRIAL_SIZES))).reshape(-1, 6)
     q, n = np.zeros((len(e), law.memory)), np.tile([0.6, 0.8, 0.0], (len(e), 1))
     usual, *others = (material.update(range(6), e, 0 * e, q, n, dt, 1.0) for dt in TRIAL_STEPS)
@@ -141,7 +144,7 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
         raise InputError(f"{name} says {said} in the class")
 
 
-def _varying(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
+def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
     """The parameters of a law that vary, at places x (d, n) and a time: name -> (n,)."""
     asked = f"{type(law).__name__}.at(x, t), for x of shape {x.shape}"
     known = [name for name, value in law.parameters().items() if np.ndim(value) == 0]
@@ -155,11 +158,11 @@ def _varying(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
     return given
 
 
-def _kinds(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
+def _code_identities(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
     """Class and choices of each sublayer, which determine its compiled code."""
     return [(type(one), repr(one.choices())) for _, one in law.sublayers]
 
 
-def _numbers(law: BulkLaw) -> list[Array]:
+def _parameter_numbers(law: BulkLaw) -> list[Array]:
     """Parameters of each sublayer, one after the other."""
     return [one.parameter_values() for _, one in law.sublayers]

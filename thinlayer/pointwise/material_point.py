@@ -12,7 +12,7 @@ from forms.kinematics import UNITS
 from forms.law import BulkLaw
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.columns import Switching
-from thinlayer.pointwise.material import Material
+from thinlayer.pointwise.material import CompiledLaw
 
 COMPONENTS = {2: ("T", "N"), 3: ("T1", "T2", "N")}
 ITERATIONS, SHORTENINGS = 60, 25  # limits of the Newton iterations, and of the halvings of each Newton step
@@ -38,7 +38,7 @@ class MaterialPoint:
 
     def __init__(self, law: BulkLaw, n: Array, axes: Array, theta: float) -> None:
         self.law, self.n, self.theta = law, n, theta
-        self.material = Material(MPI.COMM_SELF, law)
+        self.material = CompiledLaw(MPI.COMM_SELF, law)
         self.switching = Switching(law) if law.traits.switches else None
         self.n3 = np.append(n, np.zeros(3 - len(n)))
         # (6, d), strain of a unit jump in each component: e = E w, t = E^T stress

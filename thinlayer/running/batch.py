@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from forms.base import InputError, require
-from geometry.parallel import world
+from geometry.parallel import default_comm
 from thinlayer.running.catalogue import studies
 from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
 from thinlayer.running.record import Record
-from thinlayer.system.folder import locked
-from thinlayer.system.progress import telling
-from thinlayer.system.words import say
+from thinlayer.system.folder import lock_folder
+from thinlayer.system.progress import report
+from thinlayer.system.words import print_safely
 
 WORDS = {OK: "all checks hold", CHECK_FAILED: "a check fails", UNFINISHED: "not finished"}
 LOG = ".log"
@@ -67,7 +67,7 @@ class Job:
         Raises:
             InputError: the folder cannot be written.
         """
-        with locked(self.folder, wait=True):  # a killed batch may have left a process that still runs
+        with lock_folder(self.folder, wait=True):  # a killed batch may have left a process that still runs
             earlier = self.result()
         if earlier and earlier["error"] is None:
             return None
@@ -107,12 +107,17 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
     Raises:
         InputError: started on several ranks; another batch is at work in `out`, or no files can be written there.
     """
-    require(world().size == 1, "ranks of MPI", world().size, "studies run as processes of their own, without mpirun")
+    require(
+        default_comm().size == 1,
+        "ranks of MPI",
+        default_comm().size,
+        "studies run as processes of their own, without mpirun",
+    )
     cores = len(os.sched_getaffinity(0)) if at_a_time is None else at_a_time
     require(cores >= 1, "studies at a time, -j", cores, "allowed: 1 or more")
     waiting, statuses = sorted(jobs, key=lambda job: -job.seconds), [OK]
     running: dict[Job, tuple[subprocess.Popen[bytes] | None, float]] = {}
-    with locked(out, ".batch"), telling("studies") as tell, ExitStack() as ends:
+    with lock_folder(out, ".batch"), report("studies") as tell, ExitStack() as ends:
         ends.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, signal.default_int_handler))
         while waiting or running:
             for job in waiting[: cores - len(running)]:
@@ -123,7 +128,9 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
                     del running[job]
                     statuses.append(job.status())
                     spent = f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG}" if process else "done before"
-                    say(f"{len(statuses) - 1} of {len(jobs)}  {job.folder.name}: {WORDS[statuses[-1]]} ({spent})")
+                    print_safely(
+                        f"{len(statuses) - 1} of {len(jobs)}  {job.folder.name}: {WORDS[statuses[-1]]} ({spent})"
+                    )
             now = f"{len(statuses) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
             left, whole = (sum(job.seconds for job in some) for some in ([*waiting, *running], jobs))
             tell(1 - left / whole, now)

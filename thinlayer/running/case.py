@@ -17,15 +17,15 @@ from thinlayer.discretisation.time_functions import piecewise
 from thinlayer.estimating import goals as kinds
 from thinlayer.estimating.goals import Goal
 from thinlayer.running.description import Description
-from thinlayer.running.materials import Material
-from thinlayer.running.section import History
-from thinlayer.system.ranks import on_all
+from thinlayer.running.materials import MaterialEntry
+from thinlayer.running.section import TimeSeries
+from thinlayer.system.ranks import errors_on_all
 
 LEAST_EPS = 1e-9  # thickness over the size of the bodies: below, rounding is larger than its effect
 
 
 @dataclass(frozen=True)
-class Case:
+class DescribedCase:
     """A structure with its layer, and goals.
 
     Attributes:
@@ -41,7 +41,7 @@ class Case:
     goals: Sequence[Goal]
 
     @classmethod
-    def of(cls, given: Description) -> Case:
+    def of(cls, given: Description) -> DescribedCase:
         """The case that is described. Collective.
 
         Raises:
@@ -68,7 +68,7 @@ class Case:
         """
         model = self.structure.interface(self.layer, bodies=self.given.bodies)
         for name, goal in zip(self.given.goals or ("compliance",), self.goals, strict=True):
-            with self.given.section.described("goals", name), on_all(model.comm):
+            with self.given.section.described("goals", name), errors_on_all(model.comm):
                 goal.check(model)
         return model
 
@@ -87,10 +87,10 @@ def _timed(value: Any) -> Any:
     """A value, or the function of time that a history is, also in a table."""
     if isinstance(value, Mapping):
         return {name: _timed(one) for name, one in value.items()}
-    return piecewise(value.values) if isinstance(value, History) else value
+    return piecewise(value.values) if isinstance(value, TimeSeries) else value
 
 
-def _by_name(given: Mapping[str | None, Material], make: Any) -> Any:
+def _by_name(given: Mapping[str | None, MaterialEntry], make: Any) -> Any:
     """The only entry, or {name: entry}."""
     made = {name: make(one) for name, one in given.items()}
     return made.get(None, made)

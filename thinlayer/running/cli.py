@@ -22,13 +22,13 @@ from thinlayer.running.process import (
     OK,
     UNFINISHED,
     computed,
-    in_words,
+    error_text,
     is_first,
     recorded,
     set_signals,
     stop,
 )
-from thinlayer.system.words import VERSION, columns, reason, say, version_of
+from thinlayer.system.words import VERSION, error_reason, print_safely, two_columns, version_of
 
 if TYPE_CHECKING:
     from thinlayer.running.description import Description
@@ -44,7 +44,7 @@ REPRODUCED = (
 TAKEN_UP = "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
 PETSC_PREFIX = "-thinlayer_"
 Petsc = Mapping[str, str | None]
-Work = Callable[["Parser", argparse.Namespace, Petsc], int]
+Command = Callable[["Parser", argparse.Namespace, Petsc], int]
 
 
 class Parser(argparse.ArgumentParser):
@@ -77,9 +77,9 @@ class Parser(argparse.ArgumentParser):
 
 
 def _unknown(kind: str, name: object, known: Iterable[object]) -> str:
-    from forms.base import unknown  # not before it is needed: it takes a second
+    from forms.base import unknown_name_message  # not before it is needed: it takes a second
 
-    return unknown(kind, name, [one for one in map(str, known) if one != "-h"])
+    return unknown_name_message(kind, name, [one for one in map(str, known) if one != "-h"])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -105,7 +105,7 @@ def start() -> int:
     try:
         return main()
     except (KeyboardInterrupt, OSError) as error:
-        return stop(True, UNFINISHED, reason(error))
+        return stop(True, UNFINISHED, error_reason(error))
     except Exception as error:
         import traceback
 
@@ -118,7 +118,7 @@ def command_line() -> argparse.ArgumentParser:
     prog = "thinlayer" if Path(sys.argv[0]).stem == "thinlayer" else "python3 -m thinlayer"
     parser = Parser(prog=prog, description="Thin soft layers, meshed or replaced by their interface law.")
     parser.add_argument("-V", "--version", action="store_true", help="print the versions of thinlayer and of DOLFINx")
-    parser.set_defaults(work=_neither)
+    parser.set_defaults(work=_require_subcommand)
     commands = parser.add_subparsers(metavar="COMMAND")
     what = "List the studies in groups, with their times on one core; without benchmarks."
     _add_json(_command(commands, "list", _list, what, "--json"))
@@ -172,7 +172,7 @@ def _add_batch(parser: Parser, out: Path) -> None:
     parser.add_argument("-j", type=int, metavar="N", help="studies at a time (default: as many as cores)")
 
 
-def _command(commands: Any, name: str, work: Work, what: str, example: str) -> Parser:
+def _command(commands: Any, name: str, work: Command, what: str, example: str) -> Parser:
     """The parser of a command."""
     short, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
     one: Parser = commands.add_parser(name, help=short[0].lower() + short[1:], description=what, epilog=epilog)
@@ -203,30 +203,30 @@ def _add_json(one: argparse._ActionsContainer) -> None:
     one.add_argument("--json", action="store_true", help="print the answer as JSON, nothing else on standard output")
 
 
-def _tell(chosen: argparse.Namespace, answer: Any, words: str) -> int:
+def _print_answer(chosen: argparse.Namespace, answer: Any, words: str) -> int:
     """Print an answer on rank 0, in words or with --json as JSON."""
     if is_first():
-        say(json.dumps(answer, indent=1, default=str) if chosen.json else words)
+        print_safely(json.dumps(answer, indent=1, default=str) if chosen.json else words)
     return OK
 
 
-def _neither(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
+def _require_subcommand(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
     if not chosen.version:
         parser.print_help()
         return BAD_INPUT
-    say(f"thinlayer {VERSION} (DOLFINx {version_of('fenics-dolfinx')})")
+    print_safely(f"thinlayer {VERSION} (DOLFINx {version_of('fenics-dolfinx')})")
     return OK
 
 
 def _list(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
-    return _tell(chosen, {name: vars(study) for name, study in studies().items()}, listed())
+    return _print_answer(chosen, {name: vars(study) for name, study in studies().items()}, listed())
 
 
 def _info(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
     from thinlayer.running.provenance import versions
 
     set_signals()
-    return _tell(chosen, versions(), columns(versions()))
+    return _print_answer(chosen, versions(), two_columns(versions()))
 
 
 def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
@@ -242,9 +242,9 @@ def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
     except (InputError, FileNotFoundError, KeyError) as error:
         parser.error(f"{out} is not a whole run of {chosen.study}: {error}; run the study first")
     except OSError as error:
-        return stop(True, UNFINISHED, reason(error))
+        return stop(True, UNFINISHED, error_reason(error))
     if chosen.verbose >= 0:
-        say(f"drawn again in {out}")
+        print_safely(f"drawn again in {out}")
     return OK
 
 
@@ -297,7 +297,7 @@ def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
     try:
         given = Description.read(chosen.description, chosen.set)
     except InputError as error:
-        return stop(is_first(), BAD_INPUT, in_words(error, chosen.verbose))
+        return stop(is_first(), BAD_INPUT, error_text(error, chosen.verbose))
     if chosen.check:
         return ask(partial(_check, chosen, given))
 
@@ -308,7 +308,7 @@ def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
         with given.section.described():
             run(record, given, chosen.description)
         if chosen.json:
-            _tell(chosen, record.results, "")
+            _print_answer(chosen, record.results, "")
 
     out = chosen.out or Path("out", "estimate", chosen.description.stem)
     return recorded("estimate", out, work, options={"set": chosen.set}, petsc=petsc, verbose=chosen.verbose)
@@ -317,12 +317,12 @@ def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
 def _new(chosen: argparse.Namespace) -> int:
     from thinlayer.running.template import template
 
-    return _tell(chosen, None, template(chosen.description))
+    return _print_answer(chosen, None, template(chosen.description))
 
 
 def _check(chosen: argparse.Namespace, given: Description) -> int:
-    from thinlayer.running.case import Case
-    from thinlayer.running.understood import understood
+    from thinlayer.running.case import DescribedCase
+    from thinlayer.running.understood import summarise
 
     with given.section.described():
-        return _tell(chosen, None, understood(Case.of(given)))
+        return _print_answer(chosen, None, summarise(DescribedCase.of(given)))

@@ -12,8 +12,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from thinlayer.running.materials import Material, materials
-from thinlayer.running.section import Reader, Section, choice, history, is_growing, positive, read
+from thinlayer.running.materials import MaterialEntry, read_materials
+from thinlayer.running.section import (
+    Reader,
+    Section,
+    choice_reader,
+    is_growing,
+    positive_reader,
+    read_description,
+    time_series,
+)
 
 Place = str | tuple[float, ...]
 Vector = tuple[float, ...]
@@ -22,7 +30,7 @@ GOALS: dict[str, dict[str, Reader]] = {
     "compliance": {},
     "reaction": {"place": Section.text, "direction": Section.vector},
     "mean_traction": {"direction": Section.vector, "seam": Section.text},
-    "displacement": {"x": Section.vector, "direction": Section.vector, "side": choice("lower", "upper")},
+    "displacement": {"x": Section.vector, "direction": Section.vector, "side": choice_reader("lower", "upper")},
 }  # kind -> its arguments
 ALWAYS = ("traction", "jump")  # quantities that every estimate has, besides goals
 
@@ -51,8 +59,8 @@ class Description:
 
     section: Section
     mesh: Mapping[str, Any]
-    body: Mapping[str | None, Material]
-    layer: Mapping[str | None, Material]
+    body: Mapping[str | None, MaterialEntry]
+    layer: Mapping[str | None, MaterialEntry]
     units: tuple[str, str] | None = None
     supports: Mapping[Place, Any] = field(default_factory=dict)
     tractions: Mapping[str, Any] = field(default_factory=dict)
@@ -73,7 +81,7 @@ class Description:
         Raises:
             DescriptionError: where, what is wrong, and what is allowed.
         """
-        section = read(path, settings)
+        section = read_description(path, settings)
         law = "the parameters of a law, such as E and nu, in a table"
         needed = {"mesh": MESH, "body": f"{law} [body]", "layer": f"{law} [layer]"}
         found = cls(section, **section.entries(READERS, needed))
@@ -98,16 +106,16 @@ class Description:
 
 
 def _mesh(section: Section, key: str) -> dict[str, Any]:
-    """Arguments of `read`. S is all that is between `upper` and `lower` if these are given alone."""
+    """Arguments of `read_description`. S is all that is between `upper` and `lower` if these are given alone."""
     given, sides = section.values[key], dict.fromkeys(("upper", "lower"), Section.texts)
     one = section.inner({"path": given} if isinstance(given, str) else given, "path and arguments of read", key)
     readers: dict[str, Reader] = {"path": Section.text, "S": _sides, **sides, "direction": Section.vector}
-    found = one.entries(readers | {"scale": positive("a factor")}, {"path": MESH})
+    found = one.entries(readers | {"scale": positive_reader("a factor")}, {"path": MESH})
     return {"S": None, **found} if sides.keys() <= found.keys() else found
 
 
 def _sides(section: Section, key: str) -> Any:
-    """Names of facets; of a table `read` checks the sides."""
+    """Names of facets; of a table `read_description` checks the sides."""
     value = section.values[key]
     return value if isinstance(value, Mapping) else section.texts(key)
 
@@ -126,7 +134,7 @@ def _supports(section: Section, key: str) -> dict[Place, Any]:
     for name, value in places.values.items():
         place = _place(name)
         if isinstance(value, Mapping):
-            readers = dict.fromkeys("xyzn" if isinstance(place, str) else "xyz", history(Section.number))
+            readers = dict.fromkeys("xyzn" if isinstance(place, str) else "xyz", time_series(Section.number))
             found[place] = places.table(name, "components").entries(readers, kind="component")
             if not value:
                 places.refuse("no component is given, such as {x = 0}", name)
@@ -148,13 +156,13 @@ def _place(text: str) -> Place:
 def _tractions(section: Section, key: str) -> dict[str, Any]:
     """Name of a facet set -> components, or {"pressure": number}."""
     sets = section.table(key, "names of facet sets with a vector, such as TOP = [0, -50]")
-    return {name: history(_traction)(sets, name) for name in sets.values}
+    return {name: time_series(_traction)(sets, name) for name in sets.values}
 
 
 def _traction(section: Section, key: str) -> Any:
     if isinstance(section.values[key], Mapping):
         what = {"pressure": "a stress, > 0 where it presses"}
-        return section.table(key, "pressure").entries({"pressure": history(Section.number)}, what)
+        return section.table(key, "pressure").entries({"pressure": time_series(Section.number)}, what)
     return section.vector(key)
 
 
@@ -174,7 +182,7 @@ def _loads(section: Section, key: str) -> tuple[dict[str, Any], ...]:
         if {"first", "second"} & one.values.keys():
             where = {"first": Section.text, "second": Section.text}
         needed = {**dict.fromkeys(where, "where the load acts"), "force": "the vector of the force"}
-        found.append(one.entries({**where, "force": history(Section.vector), "body": Section.text}, needed))
+        found.append(one.entries({**where, "force": time_series(Section.vector), "body": Section.text}, needed))
     return tuple(found)
 
 
@@ -204,7 +212,7 @@ def _tolerance(section: Section, key: str) -> dict[str, float]:
     value, what = section.values[key], "the largest relative change that is allowed, between 0 and 1"
     one = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, key)
     goals = section.values.get("goals") or {"compliance": True}
-    found = one.entries(dict.fromkeys([*ALWAYS, *goals], positive(what)), kind="quantity")
+    found = one.entries(dict.fromkeys([*ALWAYS, *goals], positive_reader(what)), kind="quantity")
     return {name: one.checked(name, lambda number: number < 1, f"is not < 1; it is {what}") for name in found}
 
 
@@ -212,15 +220,15 @@ MESH = 'the name of a mesh file, mesh = "joint.msh"'
 READERS: dict[str, Reader] = {
     "mesh": _mesh,
     "units": _units,
-    "body": materials,
-    "layer": partial(materials, thin=True),
+    "body": read_materials,
+    "layer": partial(read_materials, thin=True),
     "supports": _supports,
     "tractions": _tractions,
     "body_force": _body_force,
     "loads": _loads,
-    "plane": choice("strain", "stress", "axisymmetric"),
-    "element": choice("P2", "Q2", "S2"),  # of degree 2, as interface laws of order 1 need it
-    "bodies": choice("kept", "extended"),
+    "plane": choice_reader("strain", "stress", "axisymmetric"),
+    "element": choice_reader("P2", "Q2", "S2"),  # of degree 2, as interface laws of order 1 need it
+    "bodies": choice_reader("kept", "extended"),
     "times": _times,
     "goals": _goals,
     "tolerance": _tolerance,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from forms.base import Array, InputError
-from geometry.parallel import on_root, world
+from geometry.parallel import default_comm, on_root
 from geometry.seam import S
 from thinlayer import plotting
 from thinlayer.discretisation.model import Model
@@ -21,7 +21,7 @@ from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
 from thinlayer.output.surface import Surface
-from thinlayer.running.case import Case
+from thinlayer.running.case import DescribedCase
 from thinlayer.running.description import Description
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
@@ -44,8 +44,8 @@ def run(record: Record, given: Description, file: Path) -> None:
     Raises:
         InputError, SolveError: as the description, the models and the solves raise them.
     """
-    case = Case.of(given)
-    files = {str(path): on_root(world(), partial(hash_of, path)) for path in (Path(given.mesh["path"]), file)}
+    case = DescribedCase.of(given)
+    files = {str(path): on_root(default_comm(), partial(hash_of, path)) for path in (Path(given.mesh["path"]), file)}
     record.parameters = {"files": files, "description": given.section.values}
     found = {LAW: _estimate(record, case, case.model())}
     if given.bonded:
@@ -71,7 +71,7 @@ def run(record: Record, given: Description, file: Path) -> None:
         _draw(record, case, name, one)
 
 
-def _estimate(record: Record, case: Case, model: Model, **left_out: Any) -> Estimate:
+def _estimate(record: Record, case: DescribedCase, model: Model, **left_out: Any) -> Estimate:
     state: State | History = march(model, case.given.times) if case.given.times else solve(model)
     for one in state if isinstance(state, History) else [state]:
         record.solved(one)
@@ -80,7 +80,7 @@ def _estimate(record: Record, case: Case, model: Model, **left_out: Any) -> Esti
     return found
 
 
-def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
+def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[dict[str, Any]]:
     """The thickness below which each quantity changes by less than its tolerance; told as soon as it is known."""
     goals, rows = {goal.name: goal for goal in case.goals}, []
     seams = [*case.layer] if isinstance(case.layer, Mapping) else [S]
@@ -100,7 +100,7 @@ def _thicknesses(record: Record, case: Case, name: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _draw(record: Record, case: Case, name: str, found: Estimate) -> None:
+def _draw(record: Record, case: DescribedCase, name: str, found: Estimate) -> None:
     """A picture for each goal whose density on S is known, and how much of its change arises near the ends of S."""
     stems = list[str]()
     for goal in found.goals:

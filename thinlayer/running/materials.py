@@ -13,16 +13,16 @@ import forms
 from forms.base import InputError
 from forms.elastic import LinearElastic
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw, scalars
+from forms.law import BulkLaw, scalar_fields
 from forms.series import Stack
-from thinlayer.running.section import Reader, Section, choice, positive
+from thinlayer.running.section import Reader, Section, choice_reader, positive_reader
 
 ELASTIC = ("E", "nu", "K", "G", "mu", "lmbda")
 PAIRS = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
 
 
 @dataclass(frozen=True)
-class Material:
+class MaterialEntry:
     """A law with real parameters, and what else belongs to it.
 
     Attributes:
@@ -36,7 +36,7 @@ class Material:
     eigenstrain: float | None
 
 
-def materials(section: Section, key: str, *, thin: bool = False) -> dict[str | None, Material]:
+def read_materials(section: Section, key: str, *, thin: bool = False) -> dict[str | None, MaterialEntry]:
     """The materials in the table of a key, of layers with a thickness, by name; None stands for all.
 
     Raises:
@@ -50,9 +50,9 @@ def materials(section: Section, key: str, *, thin: bool = False) -> dict[str | N
     tables = {name: whole.table(name, what) for name in whole.values} if any(inside) else {None: whole}
     found = {}
     for name, one in tables.items():
-        needed = {"eps": positive(thickness)} if thin else {}
+        needed = {"eps": positive_reader(thickness)} if thin else {}
         law, beside = _law(one, {**needed, "eigenstrain": Section.number}, dict.fromkeys(needed, thickness))
-        found[name] = Material(law, beside.get("eps", 0.0), beside.get("eigenstrain"))
+        found[name] = MaterialEntry(law, beside.get("eps", 0.0), beside.get("eigenstrain"))
     return found
 
 
@@ -66,7 +66,7 @@ def known_laws() -> dict[str, type[BulkLaw]]:
 def _law(section: Section, beside: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:
     """The law {law: its name, parameter: value}, or {sublayers: ...}, of a table, and the entries beside it."""
     if "sublayers" in section.values or section.values.get("law") == "Stack":
-        of_stack = {"law": choice("Stack"), "sublayers": _sublayers, **beside}
+        of_stack = {"law": choice_reader("Stack"), "sublayers": _sublayers, **beside}
         found = section.entries(of_stack, {**needed, "sublayers": "tables with a law"}, "key of Stack")
         return _made(section, lambda: Stack(*found["sublayers"])), found
     name = section.text("law", known_laws(), "law of strains") if "law" in section.values else "LinearElastic"
@@ -96,14 +96,14 @@ def _made(section: Section, make: Callable[[], BulkLaw]) -> BulkLaw:
 def _sublayers(section: Section, key: str) -> list[tuple[float, BulkLaw]]:
     what, pairs = "share of the thickness", []
     for one in section.tables(key, "a fraction of the thickness and a law"):
-        law, beside = _law(one, {"fraction": positive(what)}, {"fraction": what})
+        law, beside = _law(one, {"fraction": positive_reader(what)}, {"fraction": what})
         pairs.append((beside["fraction"], law))
     return pairs
 
 
 def _value(kind: Any, section: Section, key: str) -> Any:
     """The value of a parameter: a number where the law has a number, else what is given, lists as arrays."""
-    if key in scalars(kind):
+    if key in scalar_fields(kind):
         return section.number(key)
     value = section.values[key]
     try:

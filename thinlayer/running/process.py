@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thinlayer.system.words import reason
+from thinlayer.system.words import error_reason
 
 if TYPE_CHECKING:
     from thinlayer.running.record import Record
@@ -102,7 +102,7 @@ def computed(work: Callable[[], int], *, petsc: Mapping[str, str | None], verbos
 
     import thinlayer.running.record  # noqa: F401  (its C++ modules, while an interrupt still ends the process)
     from thinlayer.errors import InputError, SolveError
-    from thinlayer.solving.petsc import given_elsewhere
+    from thinlayer.solving.petsc import database_options
     from thinlayer.system import ranks
 
     set_signals()
@@ -112,7 +112,7 @@ def computed(work: Callable[[], int], *, petsc: Mapping[str, str | None], verbos
         logging.getLogger("thinlayer").setLevel({-1: logging.ERROR, 1: logging.INFO}.get(verbose, logging.DEBUG))
     comm = MPI.COMM_WORLD
     root = comm.rank == 0
-    if root and (elsewhere := given_elsewhere()):
+    if root and (elsewhere := database_options()):
         print(f"thinlayer: PETSc options from PETSC_OPTIONS or a file petscrc: {elsewhere}", file=sys.stderr)
     PETSc.Options().setValue("options_left", False)  # options that are not read are errors of ours, not PETSc's report
     for option, value in petsc.items():
@@ -123,9 +123,9 @@ def computed(work: Callable[[], int], *, petsc: Mapping[str, str | None], verbos
     try:
         return work()
     except InputError as error:
-        return stop(root, BAD_INPUT, in_words(error, verbose))
+        return stop(root, BAD_INPUT, error_text(error, verbose))
     except (SolveError, OSError, KeyboardInterrupt) as error:
-        message = f"{in_words(error, verbose)}{kept}"
+        message = f"{error_text(error, verbose)}{kept}"
         if comm.size > 1 and not (isinstance(error, SolveError) or getattr(error, "on_all_ranks", False)):
             stop(True, UNFINISHED, message)  # the others may not know of it
             sys.stderr.flush()
@@ -137,9 +137,9 @@ def computed(work: Callable[[], int], *, petsc: Mapping[str, str | None], verbos
         raise
 
 
-def in_words(error: BaseException, verbose: int) -> str:
+def error_text(error: BaseException, verbose: int) -> str:
     """Words for an error that ends a command; its class as well if the user asked for more."""
-    words = str(error) if isinstance(error, ValueError) else reason(error)
+    words = str(error) if isinstance(error, ValueError) else error_reason(error)
     return f"{type(error).__name__}: {words}" if verbose > 0 else words
 
 

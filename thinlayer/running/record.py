@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from forms.base import InputError
-from geometry.parallel import on_root, world
+from geometry.parallel import default_comm, on_root
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
@@ -21,15 +21,15 @@ from thinlayer.output.sweep import sweep
 from thinlayer.running.provenance import code, petsc_options, versions
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import PREFIX
-from thinlayer.system.folder import locked, moved_away, moved_back, replaced
-from thinlayer.system.identity import differences, in_words
+from thinlayer.system.folder import lock_folder, move_away, move_back, replace_file
+from thinlayer.system.identity import differences, differences_text
 from thinlayer.system.progress import logger, track
 from thinlayer.system.table import Table
-from thinlayer.system.words import reason, say
+from thinlayer.system.words import error_reason, print_safely
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 
-Found = TypeVar("Found", State, History)
+SolvedType = TypeVar("SolvedType", State, History)
 LOG = logger("study")
 RUN, FORMAT = "run.json", 1  # the format is that of run.json
 PRINTED = 40  # most rows of a table that is printed
@@ -82,7 +82,7 @@ class Record:
         results: numbers that the study found besides its tables, for run.json.
         solves: how each state was found, for run.json.
         root: whether this is rank 0.
-        quiet: whether `say` prints nothing.
+        quiet: whether `print_safely` prints nothing.
     """
 
     def __init__(self, study: str, out: str | Path, options: Mapping[str, Any], *, resume: bool = False) -> None:
@@ -96,7 +96,7 @@ class Record:
         self._previous: Path | None = None  # where the files of an earlier run are now
         self._lock = ExitStack()
         self._start = time.perf_counter()
-        self.root = world().rank == 0
+        self.root = default_comm().rank == 0
         self.quiet = False
         self._owns = False
 
@@ -109,19 +109,19 @@ class Record:
                 the earlier run cannot be resumed.
         """
         with ExitStack() as stack:
-            on_root(world(), lambda: self._take(stack))
+            on_root(default_comm(), lambda: self._take(stack))
             self._lock = stack.pop_all()
         self._owns = True
         return self
 
     def _take(self, stack: ExitStack) -> None:
-        stack.enter_context(locked(self.out))
+        stack.enter_context(lock_folder(self.out))
         if (self.out / RUN).exists():
             if self.resume:
                 self._files |= {*self.same_run()["files"]}
             else:  # run.json last: it is still there if the process is killed while files are moved
                 files = (name for name in self._read()["files"] if Path(name).name == name)
-                self._previous = moved_away(self.out, [*files, RUN])
+                self._previous = move_away(self.out, [*files, RUN])
         elif tables := sorted(path.name for path in self.out.glob("*.csv")):
             what = f"{self.out} has tables ({', '.join(tables)}) and no run.json"
             raise InputError(f"{what}; give another --out, or remove these")
@@ -139,11 +139,11 @@ class Record:
                 with suppress(OSError):
                     results = any((self.out / name).exists() for name in self._files)
                     if not isinstance(error, InputError):
-                        self._write(reason(error))
+                        self._write(error_reason(error))
                     elif not results:
                         (self.out / RUN).unlink(missing_ok=True)
                         if self._previous:
-                            moved_back(self._previous)
+                            move_back(self._previous)
 
     def _read(self) -> dict[str, Any]:
         """The content of run.json; on rank 0. InputError: the file cannot be read, or has other content."""
@@ -177,7 +177,9 @@ class Record:
         for one in (there, here):
             one["petsc"] = {k: value for k, value in one["petsc"]["options"].items() if k.startswith(f"-{PREFIX}")}
         if found := [*differences(there, here)]:
-            raise InputError(f"--resume: the run in {self.out} was another one ({in_words(found)}); run the study anew")
+            raise InputError(
+                f"--resume: the run in {self.out} was another one ({differences_text(found)}); run the study anew"
+            )
         return run
 
     def identity(self) -> list[Any]:
@@ -186,18 +188,18 @@ class Record:
 
     def check_drawn(self) -> None:
         """Raise InputError if the folder has no run of the study. Collective."""
-        on_root(world(), self._of_study)
+        on_root(default_comm(), self._of_study)
 
     def close(self) -> None:
         """Write run.json. Collective; raises OSError on all ranks."""
-        on_root(world(), lambda: self._write(None))
+        on_root(default_comm(), lambda: self._write(None))
 
     def _write(self, error: str | None) -> None:
         content = {name: getattr(self, name) for name in ("study", "options", "parameters", "results", "solves")}
-        content |= {"code": code(), "petsc": petsc_options(), "versions": versions(), "ranks": world().size}
+        content |= {"code": code(), "petsc": petsc_options(), "versions": versions(), "ranks": default_comm().size}
         content |= {"seconds": round(time.perf_counter() - self._start, 3), "checks": [*map(asdict, self.checks)]}
         content |= {"format": FORMAT, "error": error, "files": sorted(self._files)}
-        with replaced(self.out / RUN) as file:
+        with replace_file(self.out / RUN) as file:
             file.write((json.dumps(content, indent=1, default=str) + "\n").encode())
         if error is None:
             shutil.rmtree(self.out / MARCHES, ignore_errors=True)
@@ -209,7 +211,7 @@ class Record:
             self._files.add(name)
             if self._owns and self.root:  # so that run.json names the files even if the run is killed
                 with suppress(OSError):
-                    moved_away(self.out, [name])  # of another origin: files of earlier runs are away
+                    move_away(self.out, [name])  # of another origin: files of earlier runs are away
                     self._write("not finished")
         return self.out / name
 
@@ -239,7 +241,7 @@ class Record:
 
     def has(self, name: str) -> bool:
         """Whether the folder has a file of this name. Collective."""
-        return on_root(world(), (self.out / name).exists)
+        return on_root(default_comm(), (self.out / name).exists)
 
     def load(self, name: str) -> Table:
         """Read a table of the folder. Collective."""
@@ -255,7 +257,7 @@ class Record:
     def say(self, text: object) -> None:
         """Print on rank 0, unless the record is quiet."""
         if self.root and not self.quiet:
-            say(text)
+            print_safely(text)
 
     def sweep(self, run: Callable[[float], Mapping[str, Any]], eps: Sequence[float], name: str = "table.csv") -> Table:
         """Run `thinlayer.sweep`, with its table in the folder; it is resumed if the run is. Collective."""
@@ -276,7 +278,7 @@ class Record:
                 self.solved(state)
         return history
 
-    def solved(self, found: Found) -> Found:
+    def solved(self, found: SolvedType) -> SolvedType:
         """Note for run.json how a state, or the last one of a history, was found; returns what it is given."""
         state = found if isinstance(found, State) else found.last
         thin = {name: one.thin.eps for name, one in state.model.layers.items() if one.thin}

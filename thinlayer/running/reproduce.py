@@ -26,9 +26,9 @@ from thinlayer.running.batch import LOG, Job, quick_options, run_all
 from thinlayer.running.markup import DATA, html_of, line_of
 from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
 from thinlayer.running.provenance import code, versions
-from thinlayer.system.folder import replaced
+from thinlayer.system.folder import replace_file
 from thinlayer.system.table import Table
-from thinlayer.system.words import say
+from thinlayer.system.words import print_safely
 
 STATUS = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED}  # by verdict
 SHOWN = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions at the head of the page
@@ -93,9 +93,9 @@ class Page:
         self.summary = f"{hold}; {figures} figures; {len(self.data['errata'])} places of the paper corrected"
         content = {**facts, "versions": versions(), "unfinished": self.unfinished, "rows": self.rows}
         for name, text in {"reproduce.json": json.dumps(content, indent=1), "index.html": self.html(facts)}.items():
-            with replaced(self.out / name) as file:
+            with replace_file(self.out / name) as file:
                 file.write(text.encode())
-        say(f"{self.summary}\nwritten to {self.out / 'index.html'}")
+        print_safely(f"{self.summary}\nwritten to {self.out / 'index.html'}")
         return max(UNFINISHED if self.unfinished else OK, *(STATUS[row["verdict"]] for row in self.rows))
 
     def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[dict[str, Any]]:
@@ -117,7 +117,7 @@ class Page:
                 computed = f"{check['value']:.6g}" if matches else ""
                 verdict = {True: "holds", False: "fails", None: "missing"}[check["passed"]]
                 words = {"label": label, "printed": entry.get("printed", ""), "verdict": verdict}
-                rows.append(about | check | words | {"computed": computed, "bounds": bounds(check)})
+                rows.append(about | check | words | {"computed": computed, "bounds": bounds_text(check)})
         return rows
 
     def html(self, facts: Mapping[str, str]) -> str:
@@ -125,21 +125,24 @@ class Page:
         about = {name: html_of(text) for name, text in self.data["paper"].items() if name != "bibtex"}
         about |= {name: escape(self.data["paper"][name].strip()) for name in ("title", "bibtex")}
         sections = self.data["sections"]
-        about["links"] = "".join(fill("link", id=part["id"], short=part["short"]) for part in sections)
+        about["links"] = "".join(fill_template("link", id=part["id"], short=part["short"]) for part in sections)
         about["sections"] = "".join(map(self.section, sections))
-        about["gaps"] = "".join(fill("gap", name=name, log=f"{name}{LOG}") for name in self.unfinished)
-        about |= {"errata": table(ERRATA, "erratum", map(self.erratum, self.data["errata"])), "summary": self.summary}
-        return fill("page", **about, facts=pairs(facts), versions=pairs(versions()))
+        about["gaps"] = "".join(fill_template("gap", name=name, log=f"{name}{LOG}") for name in self.unfinished)
+        about |= {
+            "errata": html_table(ERRATA, "erratum", map(self.erratum, self.data["errata"])),
+            "summary": self.summary,
+        }
+        return fill_template("page", **about, facts=html_pairs(facts), versions=html_pairs(versions()))
 
     def section(self, part: Mapping[str, Any]) -> str:
         """A section: the paper on the left, what is computed on the right; pictures, numbers, details."""
         words = {"id": part["id"], "title": line_of(part["title"])}
         words |= {name: html_of(part[name]) for name in ("problem", "says", "computed")}
-        words["sketch"] = picture(DATA / part["sketch"], part["sketch_says"])
-        words["pictures"] = "".join(picture(self.out / name, text) for name, text in part["pictures"].items())
+        words["sketch"] = html_picture(DATA / part["sketch"], part["sketch_says"])
+        words["pictures"] = "".join(html_picture(self.out / name, text) for name, text in part["pictures"].items())
         runs = dict.fromkeys(row["run"] for row in part["rows"])
         words["details"] = "".join(self.details(name, part.get("tables", ())) for name in runs)
-        return fill("section", **words, numbers=table(NUMBERS, "number", self.of(part["rows"])))
+        return fill_template("section", **words, numbers=html_table(NUMBERS, "number", self.of(part["rows"])))
 
     def details(self, run: str, tables: Iterable[str]) -> str:
         """What is folded away of a run: its command, its tables, all its checks, its parameters."""
@@ -147,9 +150,9 @@ class Page:
         paths = [self.out / name for name in tables if name.startswith(f"{run}/")]
         texts = {path.name: str(Table.load(path)) for path in paths if path.exists()}
         words = {"command": escape(shlex.join(job.words)), "seconds": f"{result.get('seconds', 0):.0f}"}
-        words["tables"] = "".join(fill("csv", name=name, text=escape(text)) for name, text in texts.items())
-        words["numbers"] = table(NUMBERS, "number", self.of([{"run": run, "check": "*"}]))
-        return fill("details", **words, parameters=pairs(result.get("parameters", {})))
+        words["tables"] = "".join(fill_template("csv", name=name, text=escape(text)) for name, text in texts.items())
+        words["numbers"] = html_table(NUMBERS, "number", self.of([{"run": run, "check": "*"}]))
+        return fill_template("details", **words, parameters=html_pairs(result.get("parameters", {})))
 
     def erratum(self, entry: Mapping[str, str]) -> dict[str, str]:
         """A row of the errata; its evidence is a check of a section, or words."""
@@ -166,12 +169,12 @@ def templates() -> dict[str, Template]:
     return {"page": Template(first)} | dict(zip(rest[::2], map(Template, rest[1::2]), strict=True))
 
 
-def fill(part: str, **values: str) -> str:
+def fill_template(part: str, **values: str) -> str:
     """A part with values that are HTML."""
     return templates()[part].substitute(values)
 
 
-def bounds(check: Mapping[str, Any]) -> str:
+def bounds_text(check: Mapping[str, Any]) -> str:
     """Words for the range of a check."""
     low, high = check["low"], check["high"]
     if low is None or high is None:
@@ -181,21 +184,21 @@ def bounds(check: Mapping[str, Any]) -> str:
     return near if half <= CLOSE * abs(low) else f"{low:.6g} to {high:.6g}"
 
 
-def table(heads: Mapping[str, str], part: str, rows: Iterable[Mapping[str, Any]]) -> str:
+def html_table(heads: Mapping[str, str], part: str, rows: Iterable[Mapping[str, Any]]) -> str:
     """A table; `part` is filled with the texts of each row."""
-    lines = [fill(part, **row | {name: line_of(row[name]) for name in heads}) for row in map(dict, rows)]
-    return fill("table", head="".join(f"<th>{name}</th>" for name in heads.values()), body="".join(lines))
+    lines = [fill_template(part, **row | {name: line_of(row[name]) for name in heads}) for row in map(dict, rows)]
+    return fill_template("table", head="".join(f"<th>{name}</th>" for name in heads.values()), body="".join(lines))
 
 
-def pairs(values: Mapping[str, Any]) -> str:
+def html_pairs(values: Mapping[str, Any]) -> str:
     """Names and values."""
     texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
-    return "".join(fill("pair", name=escape(name), value=escape(text)) for name, text in texts.items())
+    return "".join(fill_template("pair", name=escape(name), value=escape(text)) for name, text in texts.items())
 
 
-def picture(path: Path, text: str) -> str:
+def html_picture(path: Path, text: str) -> str:
     """A picture with its caption, in the page itself; words if there is none."""
     if not path.exists():
-        return fill("no figure", caption=line_of(text))
+        return fill_template("no figure", caption=line_of(text))
     words = {"alt": escape(re.sub(r"[$`\\{}]", "", text)), "type": guess_type(path.name)[0] or "", "name": path.stem}
-    return fill("figure", **words, content=base64.b64encode(path.read_bytes()).decode(), caption=line_of(text))
+    return fill_template("figure", **words, content=base64.b64encode(path.read_bytes()).decode(), caption=line_of(text))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
-from forms.base import InputError, is_finite, unknown
+from forms.base import InputError, is_finite, unknown_name_message
 
 Keys = tuple[str, ...]
 NONE: Mapping[str, str] = {}
@@ -21,14 +21,14 @@ class DescriptionError(InputError):
 
 
 @dataclass(frozen=True)
-class History:
+class TimeSeries:
     """Values at times, two or more, linear between them; and the keys that lead to them."""
 
     values: Mapping[float, Any]
     keys: Keys
 
 
-def read(path: Path, settings: Iterable[str] = ()) -> Section:
+def read_description(path: Path, settings: Iterable[str] = ()) -> Section:
     """A description in TOML, with keys set anew.
 
     Args:
@@ -53,7 +53,7 @@ def read(path: Path, settings: Iterable[str] = ()) -> Section:
     name = str(path)
     for text in settings:
         option = f"--set {text!r}"
-        values = _put(values, *_assignment(text, option), option)
+        values = _with_value(values, *_assignment(text, option), option)
         name += f"{',' if '--set' in name else ' with'} {option}"
     return Section(values, (), name, [])
 
@@ -76,17 +76,17 @@ def _assignment(text: str, option: str) -> tuple[Keys, Any]:
     return keys, value
 
 
-def _put(old: Any, keys: Sequence[str], value: Any, option: str) -> Any:
+def _with_value(old: Any, keys: Sequence[str], value: Any, option: str) -> Any:
     """A table or a list with another value at some keys."""
     if not keys:
         return value
     key, *rest = keys
     if isinstance(old, list) and key in (numbers := [str(k) for k in range(1, len(old) + 1)]):
         k = numbers.index(key)
-        return [*old[:k], _put(old[k], rest, value, option), *old[k + 1 :]]
+        return [*old[:k], _with_value(old[k], rest, value, option), *old[k + 1 :]]
     if not isinstance(old, dict):
         raise DescriptionError(f"{option}: {_shown(old)} has no {key!r}; set the whole entry")
-    return {**old, key: _put(old.get(key, {}), rest, value, option)}
+    return {**old, key: _with_value(old.get(key, {}), rest, value, option)}
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class Section:
     values: Mapping[str, Any]
     path: Keys
     name: str
-    histories: list[History]
+    histories: list[TimeSeries]
 
     def refuse(self, what: str, *keys: str) -> NoReturn:
         """Raise DescriptionError about this table, or about an entry of it."""
@@ -129,7 +129,7 @@ class Section:
         """
         for key in self.values:
             if key not in keys:
-                self.refuse(unknown(kind, key, keys))
+                self.refuse(unknown_name_message(kind, key, keys))
         for key, what in needs.items():
             if key not in self.values:
                 self.refuse(f"{key} is missing: {what}")
@@ -156,7 +156,7 @@ class Section:
         if not isinstance(value, str) or not value:
             self.refuse(f"{_shown(value)} is no text" + (f"; allowed: {', '.join(allowed)}" if allowed else ""), key)
         if allowed and value not in allowed:
-            self.refuse(unknown(kind, value, allowed), key)
+            self.refuse(unknown_name_message(kind, value, allowed), key)
         return value
 
     def texts(self, key: str) -> str | list[str]:
@@ -184,12 +184,12 @@ class Section:
 Reader = Callable[[Section, str], Any]
 
 
-def choice(*allowed: str) -> Reader:
+def choice_reader(*allowed: str) -> Reader:
     """Reader of one of these texts."""
     return lambda section, key: section.text(key, allowed)
 
 
-def positive(what: str) -> Reader:
+def positive_reader(what: str) -> Reader:
     """Reader of a number > 0, with words for what it is."""
 
     def read(section: Section, key: str) -> float:
@@ -199,8 +199,8 @@ def positive(what: str) -> Reader:
     return read
 
 
-def history(read: Reader) -> Reader:
-    """Reader of what `read` reads, or of a `History` of such values, {times = ..., values = ...}."""
+def time_series(read: Reader) -> Reader:
+    """Reader of what `read_description` reads, or of a `TimeSeries` of such values, {times = ..., values = ...}."""
 
     def read_each(section: Section, key: str) -> Any:
         given, what = section.values[key], "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
@@ -211,7 +211,7 @@ def history(read: Reader) -> Reader:
         if not (isinstance(values, list) and is_growing(times) and len(times) == len(values) >= 2):
             section.refuse(what, key)
         inner = section.inner({str(k): value for k, value in enumerate(values, 1)}, what, key, "values")
-        found = History({float(t): read(inner, str(k)) for k, t in enumerate(times, 1)}, (*section.path, key))
+        found = TimeSeries({float(t): read(inner, str(k)) for k, t in enumerate(times, 1)}, (*section.path, key))
         section.histories.append(found)
         return found
 

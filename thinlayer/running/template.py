@@ -7,9 +7,9 @@ from functools import partial
 from pathlib import Path
 from string import Template
 
-from geometry.importing.naming import Named
-from geometry.importing.reading import with_groups
-from geometry.parallel import on_root, world
+from geometry.importing.naming import NamedGroups
+from geometry.importing.reading import read_groups
+from geometry.parallel import default_comm, on_root
 
 quoted = partial(json.dumps, ensure_ascii=False)  # a text as a string or a key of TOML
 
@@ -22,10 +22,10 @@ def template(mesh: Path) -> str:
     Raises:
         InputError: the file cannot be read, as by `geometry.read`.
     """
-    return on_root(world(), partial(with_groups, mesh, partial(_filled, mesh)))
+    return on_root(default_comm(), partial(read_groups, mesh, partial(_filled, mesh)))
 
 
-def _filled(mesh: Path, named: Named) -> str:
+def _filled(mesh: Path, named: NamedGroups) -> str:
     beside = {name: named.beside(name) for name in named.facets}
     inside = {name: named.touched(cells) for name, cells in beside.items() if cells.size and (cells >= 0).all()}
     seam, words = _seam(inside, ", ".join(named.facets))

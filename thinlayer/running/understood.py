@@ -12,11 +12,11 @@ from dolfinx import fem
 from geometry.seam import S
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import per_unit
-from thinlayer.running.case import Case
-from thinlayer.running.materials import Material
+from thinlayer.running.case import DescribedCase
+from thinlayer.running.materials import MaterialEntry
 
 
-def understood(case: Case) -> str:
+def summarise(case: DescribedCase) -> str:
     """Bodies, layers, supports, loads and goals of a case, by the names of the description and of its mesh. Collective.
 
     Areas and volumes of bodies of revolution are those of the whole revolution, like the resultant of the loads. This is at
@@ -44,7 +44,7 @@ def understood(case: Case) -> str:
     return "\n".join([*lines, *(f"goal {goal.name}" for goal in case.goals)])
 
 
-def _law(values: Mapping[str, Any], materials: Mapping[str | None, Material], name: str) -> str:
+def _law(values: Mapping[str, Any], materials: Mapping[str | None, MaterialEntry], name: str) -> str:
     """The law of a body or of a layer, and its numbers as they were given."""
     key = name if name in materials else None
     return _entries({"law": type(materials[key].law).__name__, **(values[key] if key else values)})

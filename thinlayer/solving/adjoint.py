@@ -19,12 +19,12 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import Configuration, State
 from thinlayer.discretisation.supports import Place
-from thinlayer.parts.part import DISPLACEMENTS, Interval, Part
-from thinlayer.pointwise.integrals import forces_of, give
+from thinlayer.parts.part import DISPLACEMENTS, Part, TimeStep
+from thinlayer.pointwise.integrals import assemble_forces, set_owned_values
 from thinlayer.solving.balance import PartSum, TangentMatrix
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import factors_alone, linear_solvers, mark
-from thinlayer.solving.petsc import Options, defaults, solve_linear, value_of
+from thinlayer.solving.linear_solvers import linear_solvers, mark_symmetry, needs_factor_only
+from thinlayer.solving.petsc import Options, default_options, solve_linear, value_of
 from thinlayer.system.ranks import destroy
 
 DUAL = 1e-6  # difference of changes of a goal, relative, that counts as rounding: forces of random motions are large
@@ -53,7 +53,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         self._given = dict(options or {})
         self._x, self._r = equations.vector(), equations.vector()
         begun = equations.rest(state.t) if old is None else old
-        self.interval = Interval(begun, state.t, state.t - begun.t, 1.0)
+        self.interval = TimeStep(begun, state.t, state.t - begun.t, 1.0)
         equations.begin(self.interval)
         equations.put_state(state, self._x)
         equations.residual(self._x, self._r)
@@ -64,8 +64,8 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         self._same = self.model.linear and self.model.symmetric  # its factor serves all states, and the transpose
         if self._same and equations.factor.of == (0.0, 1.0):
             return
-        with defaults(self._options):
-            if self._same and factors_alone():
+        with default_options(self._options):
+            if self._same and needs_factor_only():
                 with equations.with_supports(lend=True) as A:
                     self._renew(A)
                     equations.factor.set_up()
@@ -76,7 +76,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
                 self._renew(A)
 
     def _renew(self, A: PETSc.Mat) -> None:
-        mark(A, self.model, saddle=self.equations.traits.saddle)
+        mark_symmetry(A, self.model, saddle=self.equations.traits.saddle)
         self.equations.factor.renew(A, None, self.equations.tell)
 
     def __exit__(self, *_: object) -> None:
@@ -89,7 +89,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     def of_form(self, form: Expr) -> PETSc.Vec:
         """The values q of a UFL form that is linear in a test function of the model's displacements."""
-        return self.equations.on_unknowns(forces_of(compiled(form)))
+        return self.equations.on_unknowns(assemble_forces(compiled(form)))
 
     def of_nodes(self, dofs: IntArray, values: Array) -> PETSc.Vec:
         """Weights q (n,) at displacements (n,), local numbers that one rank gives, ghosts included."""
@@ -176,7 +176,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return equations.configuration(z)
 
     def _solve(self, q: PETSc.Vec, x: PETSc.Vec, *, transposed: bool) -> None:
-        with defaults(self._options):
+        with default_options(self._options):
             if transposed and not self.model.symmetric:
                 self.equations.factor.ksp.solveTranspose(q, x)
             else:
@@ -210,7 +210,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             return first.matrix  # the matrix of the bodies is the largest
         return TangentMatrix(self.model.comm, {DISPLACEMENTS: self.equations.n_displacements}).fill(blocks)
 
-    def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: Interval) -> Array:
+    def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: TimeStep) -> Array:
         """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""
         out = self.equations.u.x.petsc_vec.duplicate()
         out.set(0.0)
@@ -218,7 +218,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             layers = PartSum(parts)
             layers.begin_parts(interval)
             for part in layers.with_own:
-                give(part.field, part.own_start(state))
+                set_owned_values(part.field, part.own_start(state))
             layers.forces(u, u, out)
         return np.asarray(out.array_r.copy())
 

@@ -16,11 +16,11 @@ from petsc4py import PETSc
 
 from forms.base import Array, InputError
 from geometry.topology import Indices
-from thinlayer.discretisation.constraints import csr_of
+from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
-from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, Interval, Memory, Outcome, Part, PartTraits
-from thinlayer.pointwise.integrals import give
+from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, Memory, Part, PartTraits, StepOutcome, TimeStep
+from thinlayer.pointwise.integrals import set_owned_values
 from thinlayer.system.ranks import destroy, send
 
 AIM = 1e-10  # residual at which solvers stop, relative to the forces
@@ -28,7 +28,7 @@ ALLOWED = 1e-6  # largest residual of an accepted state, relative to the forces
 EPSILON = float(np.finfo(float).eps)
 ROUNDING_SHARE = 1e-14  # rounding of summed forces, relative to stiffness times displacement
 TINY = 1e-300  # divisor instead of zero if there are no forces
-Kind = TypeVar("Kind", bound=Part)
+PartType = TypeVar("PartType", bound=Part)
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
@@ -156,7 +156,7 @@ class PartSum:
         timed = (part.traits.rate or (part.traits.remembers and not part.traits.switches) for part in self.parts)
         self.depends_on_dt, self.failed = any(timed), 0
 
-    def of_kind(self, kind: type[Kind]) -> list[Kind]:
+    def of_kind(self, kind: type[PartType]) -> list[PartType]:
         """The parts of a kind."""
         return [part for part in self.parts if isinstance(part, kind)]
 
@@ -190,7 +190,7 @@ class PartSum:
             if (width := getattr(part, "stress_width", 0)) and (rest := part.rest()) is not None
         }
 
-    def begin_parts(self, interval: Interval) -> None:
+    def begin_parts(self, interval: TimeStep) -> None:
         """Begin a step in all parts."""
         for part in self.parts:
             part.begin(interval)
@@ -239,7 +239,7 @@ class PartSum:
         """Change columns to the phases of lowest energy in the last evaluation. True if any column changes."""
         return any(self.ask("switch"))
 
-    def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, Outcome], Configuration]:
+    def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, StepOutcome], Configuration]:
         """End the step in all parts, at displacements u of the last evaluation: energies by key, new configuration."""
         found = {part.key: part.commit() for part in self.parts}
         memory = {key: one.memory for key, one in found.items() if one.memory is not None}
@@ -294,7 +294,7 @@ class PartSum:
 
 
 # ---------------------------------------------------------------- unknowns and tangent
-class Layout:
+class UnknownLayout:
     """The unknowns of this rank, field after field. Collective.
 
     Args:
@@ -320,14 +320,14 @@ class Layout:
     def put(self, x: PETSc.Vec) -> None:
         """Write unknowns into their functions, ghosts included."""
         for key, values in self.split(x.array_r).items():
-            give(self.fields[key], values)
+            set_owned_values(self.fields[key], values)
 
     def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
         """A matrix of displacements on all unknowns, the others as they are; None of None."""
         if T is None or len(self.sizes) == 1:
             return T
-        others = _diagonal(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENTS], 1.0)
-        return side_by_side([[T, None], [None, others]], self.comm)
+        others = _diagonal_matrix(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENTS], 1.0)
+        return block_matrix([[T, None], [None, others]], self.comm)
 
     def rows(self, local: Indices) -> npt.NDArray[PETSc.IntType]:
         """Global numbers of unknowns of this rank."""
@@ -383,8 +383,8 @@ class TangentMatrix:
     def _side_by_side(self) -> PETSc.Mat:
         rows = [[self._sums.get((row, column)) for column in self.sizes] for row in self.sizes]
         for k, n in enumerate(self.sizes.values()):
-            rows[k][k] = rows[k][k] or _diagonal(self.comm, n, 0.0)
-        whole = side_by_side(rows, self.comm)
+            rows[k][k] = rows[k][k] or _diagonal_matrix(self.comm, n, 0.0)
+        whole = block_matrix(rows, self.comm)
         if self._whole is None:
             whole.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
             self._whole = whole
@@ -399,7 +399,7 @@ class TangentMatrix:
 
 
 @contextmanager
-def lent(
+def augmented_in_place(
     comm: MPI.Intracomm, K: PETSc.Mat, others: Sequence[Block], held: npt.NDArray[Any], value: float
 ) -> Iterator[PETSc.Mat]:
     """In a `with` block K itself is its sum with other blocks, with supports: a copy would take as much memory again.
@@ -413,16 +413,20 @@ def lent(
         held: rows and columns that become those of `value` times the identity.
         value: see `held`.
     """
-    beside = K.createSubMatrix(_indices(K, held))  # its columns are rows with held columns: the pattern is symmetric
+    beside = K.createSubMatrix(
+        _block_indices(K, held)
+    )  # its columns are rows with held columns: the pattern is symmetric
     columns = np.unique(beside.getValuesCSR()[1])
     beside.destroy()
     rows = [held, send(comm, np.searchsorted(K.getOwnershipRanges(), columns, "right") - 1, columns)]
     rows += [K.getOwnershipRange()[0] + np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])) for block in others]
     changed = np.unique(np.concatenate(rows)).astype(PETSc.IntType)
-    before = K.createSubMatrix(_indices(K, changed))
+    before = K.createSubMatrix(_block_indices(K, changed))
     try:
         for block in others:
-            K.axpy(block.factor, block.matrix, SUBSET if _within(comm, block.matrix, before, changed) else DIFFERENT)
+            K.axpy(
+                block.factor, block.matrix, SUBSET if _fits_pattern(comm, block.matrix, before, changed) else DIFFERENT
+            )
         destroy(*(block.matrix for block in others if not block.kept))
         K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         K.zeroRowsColumns(held, value)
@@ -435,23 +439,23 @@ def lent(
         before.destroy()
 
 
-def _within(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: npt.NDArray[Any]) -> bool:
+def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: npt.NDArray[Any]) -> bool:
     """Whether all entries of a matrix have places in rows of another one, given by their numbers. Collective."""
-    own, known = csr_of(part)[numbers - part.getOwnershipRange()[0]], csr_of(rows)
+    own, known = local_csr(part)[numbers - part.getOwnershipRange()[0]], local_csr(rows)
     own.data[:], known.data[:] = 1.0, 1.0  # entries may be zero
     return bool(comm.allreduce(own.multiply(known).nnz == own.nnz, MPI.LAND))
 
 
-def _indices(A: PETSc.Mat, rows: npt.NDArray[Any]) -> PETSc.IS:
+def _block_indices(A: PETSc.Mat, rows: npt.NDArray[Any]) -> PETSc.IS:
     return PETSc.IS().createGeneral(rows.astype(PETSc.IntType, copy=False), comm=A.comm)
 
 
-def side_by_side(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:
+def block_matrix(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:
     """One matrix of blocks; on each rank rows and columns of the first block come first, then those of the next."""
     return PETSc.Mat().createNest(blocks, comm=comm).convert("aij", PETSc.Mat())
 
 
-def _diagonal(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:
+def _diagonal_matrix(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:
     """A diagonal matrix with n rows on this rank, which stores zeros too: `zeroRowsColumns` needs stored entries."""
     places = np.arange(n + 1, dtype=PETSc.IntType)
     csr = places, (comm.scan(n) - n + places[:-1]).astype(PETSc.IntType), np.full(n, value)

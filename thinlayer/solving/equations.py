@@ -17,18 +17,18 @@ from petsc4py import PETSc
 
 from forms.base import Array
 from geometry.topology import IntArray
-from thinlayer.discretisation.given_strains import VaryingStrains
+from thinlayer.discretisation.given_strains import VaryingStrainIntegrals
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import rigid_motions
+from thinlayer.discretisation.rigid import model_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import SolveError
 from thinlayer.parts.compiled import SAMPLE_FRACTIONS, CompiledPart
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
-from thinlayer.parts.part import DISPLACEMENTS, Block, Interval
-from thinlayer.solving.balance import DIFFERENT, ForceScale, Layout, PartSum, TangentMatrix, lent
-from thinlayer.solving.holding import ReactionSums, RigidMotions
-from thinlayer.solving.linear_solvers import MULTIGRIDS, Kept, orthonormal, split
+from thinlayer.parts.part import DISPLACEMENTS, Block, TimeStep
+from thinlayer.solving.balance import DIFFERENT, ForceScale, PartSum, TangentMatrix, UnknownLayout, augmented_in_place
+from thinlayer.solving.holding import RigidMotions, SupportReactions
+from thinlayer.solving.linear_solvers import MULTIGRIDS, SharedMatrices, orthonormal, set_field_split
 from thinlayer.system.ranks import destroy
 
 LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
@@ -60,15 +60,17 @@ class Equations(PartSum):
     def __init__(self, model: Model) -> None:
         self.model, self.comm = model, model.comm
         self.constraints = model.constraints
-        self._strains = VaryingStrains(model.terms, model.coordinates)
+        self._strains = VaryingStrainIntegrals(model.terms, model.coordinates)
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
-        self._kept = kept = Kept.of(model)
+        self._kept = kept = SharedMatrices.of(model)
         self.bodies = kept.bodies = kept.bodies or body_parts(model)
         self.layers = layer_parts(model, self.constraints.held, kept.bodies)
         added = [part for addition in model.parts if (part := addition.part(model)) is not None]
         self._own_parts = [*self.layers, *added]
         super().__init__([*kept.bodies, *self._own_parts])
-        self._layout = Layout(self.comm, {DISPLACEMENTS: self.u, **{part.key: part.field for part in self.with_own}})
+        self._layout = UnknownLayout(
+            self.comm, {DISPLACEMENTS: self.u, **{part.key: part.field for part in self.with_own}}
+        )
         kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
         self.factor = kept.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENTS]
@@ -81,7 +83,7 @@ class Equations(PartSum):
         self.n_blocks = self.within.shape[0]
         self.scale = ForceScale(self.norms(diagonal.array_r), max([0.0, *self.ask("cancelling")]), self.within)
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
-        self._reactions = ReactionSums(model, self.parts)
+        self._reactions = SupportReactions(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.eased, self._relative_residual = 0.0, 0.0
 
@@ -141,7 +143,7 @@ class Equations(PartSum):
     @cached_property
     def near_null(self) -> list[PETSc.Vec]:
         """The unknowns of rigid motions of the whole structure, orthonormal."""
-        motions = rigid_motions(self.model).values()
+        motions = model_motions(self.model).values()
         vectors = [self.vector() for _ in motions]
         for x, motion in zip(vectors, motions, strict=True):
             x.array[: self.n_displacements] = self.constraints.unknowns(motion.x.array[: self.n_displacements])
@@ -153,7 +155,7 @@ class Equations(PartSum):
         if kind in MULTIGRIDS:
             A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null, comm=A.comm))
         elif kind == "fieldsplit" and self.with_own:
-            split(ksp.getPC(), A, self._layout, self.near_null)
+            set_field_split(ksp.getPC(), A, self._layout, self.near_null)
 
     # ---------------------------------------------------------------- uniqueness
     def require_unique(self, r: PETSc.Vec | None = None) -> None:
@@ -178,7 +180,7 @@ class Equations(PartSum):
         memory, stresses = self.memory_at_rest, self.stresses_at_rest
         return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=lost)
 
-    def begin(self, interval: Interval) -> None:
+    def begin(self, interval: TimeStep) -> None:
         """Begin a step: set its loads and supports, and begin it in all parts.
 
         Raises:
@@ -301,7 +303,7 @@ class Equations(PartSum):
             self.hold(A, x, b)
             yield A
             return
-        with lent(self.comm, first.matrix, others, self.held_rows, self.mean_stiffness or 1.0) as A:
+        with augmented_in_place(self.comm, first.matrix, others, self.held_rows, self.mean_stiffness or 1.0) as A:
             yield A
 
     def ease(self, ease: float) -> None:

@@ -13,7 +13,7 @@ from forms.base import InputError
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import AIM, ALLOWED
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import factors_alone, least_pivot, mark
+from thinlayer.solving.linear_solvers import least_pivot, mark_symmetry, needs_factor_only
 from thinlayer.solving.petsc import PREFIX, OptionValue, reason_name, solve_linear, solve_nonlinear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
@@ -50,7 +50,7 @@ UNRESISTED = 1e4  # linear step, relative to the old displacements, that shows a
 
 
 @dataclass(frozen=True)
-class Found:
+class StepSolution:
     """Unknowns at the end of a step.
 
     Attributes:
@@ -64,7 +64,7 @@ class Found:
     residual: float
 
 
-class Finder(ABC):
+class EquilibriumSolver(ABC):
     """Finds the unknowns of the step that its equations have begun; keeps matrices and factors between steps.
 
     Attributes:
@@ -76,7 +76,7 @@ class Finder(ABC):
     reused = False
 
     @abstractmethod
-    def find(self, start: PETSc.Vec | None = None) -> Found:
+    def find(self, start: PETSc.Vec | None = None) -> StepSolution:
         """The unknowns at the end of the step. Collective.
 
         Args:
@@ -94,8 +94,8 @@ class Finder(ABC):
         """Free matrices and factors."""
 
 
-class Equilibrium(Finder):
-    """A `Finder` for static equilibrium that keeps its factor as long as the matrix stays the same.
+class NewtonSolver(EquilibriumSolver):
+    """A `EquilibriumSolver` for static equilibrium that keeps its factor as long as the matrix stays the same.
 
     Attributes:
         equations: the equations of the step.
@@ -114,7 +114,7 @@ class Equilibrium(Finder):
         was_reused, self.reused = self.reused, False
         return was_reused
 
-    def find(self, start: PETSc.Vec | None = None) -> Found:
+    def find(self, start: PETSc.Vec | None = None) -> StepSolution:
         """Unknowns at the end of the step; if `start` is given, Newton's method begins there without a linear step.
 
         Errors as in `solve`.
@@ -138,7 +138,7 @@ class Equilibrium(Finder):
             raise SolveError(f"at the start of the step {equations.failure()}")
         return self._from_linear_step(x, r, d, move) if self.nonlinear else self._linear(x, r, d)
 
-    def _linear(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> Found:
+    def _linear(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> StepSolution:
         r.scale(-1.0)
         r.array[self.equations.held] = 0.0
         self._prepare()
@@ -147,9 +147,9 @@ class Equilibrium(Finder):
         self.equations.scale.move(_largest(x))
         self.equations.residual(x, r)
         residual, refining = self._refine(x, r, d)
-        return Found(x, iterations + refining, residual)
+        return StepSolution(x, iterations + refining, residual)
 
-    def _from_linear_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> Found:
+    def _from_linear_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> StepSolution:
         """Newton's method from where a linear step leads, in which supports move."""
         equations, forces = self.equations, float(self.equations.scale.forces[0])
         self._require_finite("stress", self._free_norm(r))
@@ -200,13 +200,13 @@ class Equilibrium(Finder):
         if move is None and self._factor.of == key:
             self.reused = True
             return
-        once = not self.nonlinear and factors_alone()
+        once = not self.nonlinear and needs_factor_only()
         with equations.with_supports(move, b, lend=once) as A:
             if self.nonlinear:
                 self._require_finite("tangent (the slope of the stress)", A.norm())
             else:
                 equations.require_unique()
-            mark(A, equations.model, saddle=equations.traits.saddle)
+            mark_symmetry(A, equations.model, saddle=equations.traits.saddle)
             self.reused = self._factor.renew(A, key, equations.tell) and not self.nonlinear
             if once:
                 self._factor.set_up()
@@ -295,7 +295,7 @@ class Equilibrium(Finder):
         return float(r.norm())
 
     # ---------------------------------------------------------------- Newton's method
-    def _newton(self, x: PETSc.Vec) -> Found:
+    def _newton(self, x: PETSc.Vec) -> StepSolution:
         """Newton's method, by PETSc's SNES, from unknowns x at which the last residual was computed; they are overwritten.
 
         The force scale says when to stop, unless the user's options do. If a law yields, the method stops early where the
@@ -364,7 +364,7 @@ class Equilibrium(Finder):
             raise SolveError(what, residuals=tuple(residuals), advice=advice)
         if not equations.traits.releases:
             equations.require_unique()
-        return Found(x, steps + 1, last)
+        return StepSolution(x, steps + 1, last)
 
 
 def _largest(x: PETSc.Vec) -> float:

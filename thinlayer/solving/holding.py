@@ -13,16 +13,16 @@ from petsc4py import PETSc
 from scipy.sparse.linalg import splu
 
 from forms.base import Array
-from geometry.refusals import place
+from geometry.refusals import place_text
 from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.boundary import AXES
-from thinlayer.discretisation.constraints import product
+from thinlayer.discretisation.constraints import distributed_product
 from thinlayer.discretisation.layer import LAYER, PRESSURE, nodes_of_sides
 from thinlayer.discretisation.mesh_functions import cut_at_faces
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import rigid_at, rigid_values
+from thinlayer.discretisation.rigid import model_motion_values, motion_values
 from thinlayer.errors import LooseBody
-from thinlayer.parts.part import DISPLACEMENTS, Block, Interval, Part
+from thinlayer.parts.part import DISPLACEMENTS, Block, Part, TimeStep
 from thinlayer.system.ranks import destroy
 
 # Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
@@ -34,7 +34,7 @@ RESISTED_MOTION = 1e3 * np.finfo(float).eps
 SEVERAL = 1e-6  # least singular value of motions of a piece that are independent of each other
 
 
-class ReactionSums:
+class SupportReactions:
     """Resultants of the forces of `Model.holders`. All methods are collective.
 
     Args:
@@ -47,9 +47,9 @@ class ReactionSums:
 
     def _motions(self, rows: npt.NDArray[Any]) -> Array:
         """The motions of `rigid` (m, k) in some displacements of this rank."""
-        return rigid_values(self.model.places, self.model.centre, rows)
+        return motion_values(self.model.places, self.model.centre, rows)
 
-    def at_end(self, r: PETSc.Vec, interval: Interval, loads_at: Callable[[float], PETSc.Vec]) -> Array:
+    def at_end(self, r: PETSc.Vec, interval: TimeStep, loads_at: Callable[[float], PETSc.Vec]) -> Array:
         """Forces and moments (n, k) at the end of a step, about `Model.centre`.
 
         They are linear in the forces of the step: what balances within it is the mean of the step's two ends.
@@ -160,7 +160,7 @@ class RigidMotions:
         """
         model, constraints = self.model, self.model.constraints
         n, rows = constraints.n, rows if constraints.T is None else np.arange(constraints.n)
-        piece, values = self._pieces[rows // model.joint.dim], rigid_at(model, rows)
+        piece, values = self._pieces[rows // model.joint.dim], model_motion_values(model, rows)
         self._per = per = values.shape[1]
         starts = np.zeros(n + 1, np.int64)
         starts[rows + 1] = per
@@ -188,12 +188,12 @@ class RigidMotions:
                 first, _ = block.matrix.getOwnershipRange()
                 here = PETSc.IS().createGeneral((first + rows).astype(PETSc.IntType), comm=comm)
                 motions, part = self._motions(rows)[0][rows], block.matrix.createSubMatrix(here, here)
-                stiffness += block.factor * (motions.T @ product(part, motions))
+                stiffness += block.factor * (motions.T @ distributed_product(part, motions))
                 destroy(part)
         destroy(*(block.matrix for block in blocks if not block.kept))
         resistance = allowed.T @ comm.allreduce(stiffness) @ allowed
         least = RESISTED_MOTION * self._stiffness
-        if not allowed.shape[1] or _exceeds(resistance, least):
+        if not allowed.shape[1] or _is_definite(resistance, least):
             return
         _, sizes, ways = np.linalg.svd(resistance.toarray())
         if not (sizes <= least).any():
@@ -211,7 +211,7 @@ class RigidMotions:
         shift[axes], turn = np.split(each[k, :, -1], [len(axes)])
         joint = self.model.domain.joint
         middle = joint.points[joint.corners[self.model.splitting.pieces == k]].mean(axis=(0, 1))
-        where = f" at {place(middle)}" if self._names.count(self._names[k]) > 1 else ""
+        where = f" at {place_text(middle)}" if self._names.count(self._names[k]) > 1 else ""
         body = f"body {self._names[k]!r}{where}"
         if self.model.kinematics.turns and np.linalg.matrix_rank(each[k], tol=SEVERAL) == self._per:
             return f"{body} can move and turn freely"
@@ -225,7 +225,7 @@ class RigidMotions:
         return f"{body} can move along ({direction})"
 
 
-def _exceeds(A: scipy.sparse.csc_matrix, least: float) -> bool:
+def _is_definite(A: scipy.sparse.csc_matrix, least: float) -> bool:
     """Whether all eigenvalues of the symmetric part of a matrix are larger, and so its singular values; or it has NaNs."""
     if not np.isfinite(A.data).all():
         return True

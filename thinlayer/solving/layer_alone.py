@@ -18,15 +18,15 @@ from scipy.sparse.csgraph import connected_components
 from forms.base import Array
 from geometry.joint import Joint
 from geometry.topology import IntArray, sub_entities
-from thinlayer.discretisation.constraints import aij_of, csr_of
-from thinlayer.discretisation.full_model import LayerModel, beside
+from thinlayer.discretisation.constraints import create_aij, local_csr
+from thinlayer.discretisation.full_model import LayerModel, meeting_layers
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
-from thinlayer.discretisation.rigid import rigid_motions
+from thinlayer.discretisation.rigid import model_motions
 from thinlayer.discretisation.state import Configuration, Report, State
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import SolveError
-from thinlayer.parts.part import Interval
+from thinlayer.parts.part import TimeStep
 from thinlayer.solving.balance import ROUNDING_SHARE
 from thinlayer.solving.equations import Equations
 from thinlayer.system.compat import interpolation_points
@@ -41,7 +41,7 @@ MOST_LOST = 0.01  # of the work of forces in what they move, by which the energy
 INDEPENDENT = 1e-9  # singular value of motions that are independent of each other, over the largest
 
 
-class HeldLayers:
+class DirichletLayers:
     """Layers by themselves, at a time, between faces that are moved. Vectors have their unknowns.
 
     Attributes:
@@ -89,7 +89,7 @@ class HeldLayers:
     def begin(self, old: Configuration, t: float) -> None:
         """Begin a step from a state of the layers to a time."""
         equations = self._equations
-        equations.begin(Interval(old, t, t - old.t, 1.0))
+        equations.begin(TimeStep(old, t, t - old.t, 1.0))
         self.forces[: self._displacements], self.values[equations.held] = equations.loads.array_r, equations.prescribed
         equations.put_state(old, self._x)
         self.linearise(self._x.array_r.copy())
@@ -103,7 +103,7 @@ class HeldLayers:
     def linearise(self, w: Array) -> None:
         """Let K be the tangent at w, and `load` such that the residual there is K w - load."""
         r = self.residual(w)
-        self.K = csr_of(self._equations.tangent())
+        self.K = local_csr(self._equations.tangent())
         self.load = self.K @ w - r
         self._forget()
 
@@ -114,8 +114,8 @@ class HeldLayers:
         return State(**vars(end), model=self.model, report=Report("layers", 0, 0.0, 0.0))
 
     @cached_property
-    def _dirichlet(self) -> _Factor:
-        return _Factor(self.K, self._inside, symmetric=self.model.symmetric)
+    def _dirichlet(self) -> _SubmatrixFactor:
+        return _SubmatrixFactor(self.K, self._inside, symmetric=self.model.symmetric)
 
     def inside(self, v: Array, load: Array, values: Array) -> Array:
         """Displacements of layers whose faces are at v, under forces and with prescribed displacements of their sides.
@@ -134,7 +134,7 @@ class HeldLayers:
         """
         return self._balanced(self.inside(v, self.load, self.values), np.zeros(len(v)), lambda: self._dirichlet)
 
-    def _balanced(self, w: Array, forces: Array, factor: Callable[[], _Factor]) -> Array:
+    def _balanced(self, w: Array, forces: Array, factor: Callable[[], _SubmatrixFactor]) -> Array:
         """Displacements, from w on, under forces on the unknowns of a factor, by Newton's method."""
         if self.model.linear:
             return w
@@ -152,7 +152,7 @@ class HeldLayers:
                 if factor().negative > self._inside[self._displacements :].sum():  # each pressure has one
                     raise SolveError("the layer by itself softens: its stress falls as strains grow", advice=REMEDY)
                 return w
-            w = w + d * share_of_step(slope, first)
+            w = w + d * line_search_share(slope, first)
         raise SolveError(f"the layer by itself: no equilibrium after {NEWTON_STEPS} of Newton's steps", advice=REMEDY)
 
     def motion_of(self, place: Place, direction: Array) -> Array:
@@ -161,7 +161,7 @@ class HeldLayers:
         out[: self._displacements] = -self.model.constraints.dual_to_resultant(self.model.held_by(place), direction)
         return out
 
-    def in_parts(self, w: Array, fine: HeldLayers) -> Array:
+    def in_parts(self, w: Array, fine: DirichletLayers) -> Array:
         """(m,) displacements w of these layers in cells that are parts of theirs; other unknowns are zero there."""
         divided, d = fine.model.divided, self.model.joint.dim
         if divided is None:
@@ -169,7 +169,7 @@ class HeldLayers:
         V, element = fine.model.V, self.model.V.ufl_element().basix_element
         X = divided.in_parents(interpolation_points(V))
         shapes = element.tabulate(0, X.reshape(-1, d))[0, :, :, 0].reshape(*X.shape[:2], -1)
-        own = self.model.V.dofmap.list[_cells_of(self.model, self.model.domain.joint)[divided.parent]]
+        own = self.model.V.dofmap.list[_local_cells(self.model, self.model.domain.joint)[divided.parent]]
         nodal = w[: self._displacements].reshape(-1, d)[own]
         values = np.einsum("iq,nqk,nkd->nid", element.interpolation_matrix, shapes, nodal)
         out = np.zeros(len(fine.load))
@@ -177,7 +177,7 @@ class HeldLayers:
         return out
 
 
-class LayerAlone(HeldLayers):
+class LayerSubproblem(DirichletLayers):
     """The layers of an interface model by themselves, at a time.
 
     With the faces at v and the least energy inside, the forces that hold them are E v - l, a Schur complement of the
@@ -201,7 +201,7 @@ class LayerAlone(HeldLayers):
     ) -> None:
         super().__init__(LayerModel(interface, layers, cells_through), t)
         self.seams, self.through, self._comm = [*layers], cells_through, interface.comm
-        self._ours, self._theirs = _pairs(interface, self.model)
+        self._ours, self._theirs = _matching_dofs(interface, self.model)
         self._require_pairs(interface)
         of_bodies = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
         of_bodies[interface.constraints.held] = 1.0
@@ -211,12 +211,12 @@ class LayerAlone(HeldLayers):
     def _require_pairs(self, interface: InterfaceModel) -> None:
         """Raise InputError if a displacement of the layers' faces is that of several bodies, which could not part there."""
         times = self._comm.allreduce(np.bincount(self._theirs, minlength=len(self.load)))
-        if (times > 1).any() and (refused := beside(interface.joint, self.seams)):
+        if (times > 1).any() and (refused := meeting_layers(interface.joint, self.seams)):
             raise refused.error()
 
     @cached_property
-    def _neumann(self) -> _Factor:
-        return _Factor(self.K, (self.free_faces | self._inside) & ~self._pins, symmetric=self.model.symmetric)
+    def _neumann(self) -> _SubmatrixFactor:
+        return _SubmatrixFactor(self.K, (self.free_faces | self._inside) & ~self._pins, symmetric=self.model.symmetric)
 
     def work(self, w: Array, z: Array) -> Array:
         """Work (k,) of the stresses at w in the strains of z, less that of the loads, spread over displacements."""
@@ -231,7 +231,7 @@ class LayerAlone(HeldLayers):
     def _motions(self, free: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Motions without energy (n, m), and as many unknowns (n,) that hold them."""
         model, pins, found = self.model, np.zeros(len(free), bool), []
-        motions = rigid_motions(model).values()
+        motions = model_motions(model).values()
         rigid = np.zeros((len(free), len(motions)))
         rigid[: self._displacements] = np.column_stack([one.x.array[: self._displacements] for one in motions])
         count, piece = connected_components(self.K, directed=False)
@@ -302,13 +302,13 @@ class LayerAlone(HeldLayers):
         return float(work[:-1].mean()), float(work[1:].mean())
 
 
-class _Factor:
+class _SubmatrixFactor:
     """Rows and columns of a matrix, factored."""
 
     def __init__(self, K: scipy.sparse.csr_matrix, which: npt.NDArray[np.bool_], *, symmetric: bool) -> None:
         self._which, self._symmetric = which, symmetric
         part = K[which][:, which].sorted_indices()
-        A = aij_of(part, MPI.COMM_SELF)
+        A = create_aij(part, MPI.COMM_SELF)
         A.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
         self._ksp.setOperators(A)
@@ -334,7 +334,7 @@ class _Factor:
         return float(self._b.dot(self._x))
 
 
-def share_of_step(slope: Callable[[float], float], start: float) -> float:
+def line_search_share(slope: Callable[[float], float], start: float) -> float:
     """The share of a step at which the slope of a convex energy, `start` > 0 downhill at first, is not far uphill."""
     share = 1.0 if math.isfinite(start) else 0.0
     while share and not (end := slope(share)) >= -start / 2:  # a law that fails has none
@@ -345,10 +345,10 @@ def share_of_step(slope: Callable[[float], float], start: float) -> float:
     return share
 
 
-def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, IntArray]:
+def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, IntArray]:
     """Displacements of this rank at the layers' seams, and those of the layers' faces that are the same, unrolled."""
     base, band, d = layers.joint, layers.domain.joint, interface.joint.dim
-    ours_of, theirs_of = (_cells_of(model, joint) for model, joint in ((interface, base), (layers, band)))
+    ours_of, theirs_of = (_local_cells(model, joint) for model, joint in ((interface, base), (layers, band)))
     of_key: dict[tuple[Vertices, int, Vertices], int] = {}
     for number, seam in enumerate(base.seams):
         facets = np.sort(base.surface[base.seam_numbers == number][:, : base.table.vertices.shape[1]], axis=1)
@@ -358,7 +358,7 @@ def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, Int
             for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
                 below = dict(zip(face, facet, strict=True))
                 cell, local = band.table.cells[row, 0], band.table.local[row, 0]
-                for node, vertices in _nodes(layers, theirs_of, band, cell, local):
+                for node, vertices in _facet_dofs(layers, theirs_of, band, cell, local):
                     of_key[tuple(facet), side, tuple(sorted(below[v] for v in vertices))] = node
     owned, pairs = interface.V.dofmap.index_map.size_local, {}
     for row, cells in zip(base.surface_rows, base.surface_cells, strict=True):
@@ -366,7 +366,7 @@ def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, Int
         for side, cell in enumerate(cells):
             if cell >= 0:
                 local = base.table.local[row][list(base.table.cells[row]).index(cell)]
-                for node, vertices in _nodes(interface, ours_of, base, cell, local):
+                for node, vertices in _facet_dofs(interface, ours_of, base, cell, local):
                     key = facet, side, tuple(sorted(vertices))
                     if node < owned and key in of_key:
                         pairs[node] = of_key[key]
@@ -375,7 +375,7 @@ def _pairs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, Int
     return ours, theirs
 
 
-def _cells_of(model: InterfaceModel | LayerModel, joint: Joint) -> IntArray:
+def _local_cells(model: InterfaceModel | LayerModel, joint: Joint) -> IntArray:
     """Cells (n_cells,) of the model's mesh on this rank that are those of the joint; -1: not on this rank."""
     out = np.full(len(joint.corners), -1, np.int64)
     original = model.domain.original_cells
@@ -383,7 +383,7 @@ def _cells_of(model: InterfaceModel | LayerModel, joint: Joint) -> IntArray:
     return out
 
 
-def _nodes(
+def _facet_dofs(
     model: InterfaceModel | LayerModel, cells: IntArray, joint: Joint, cell: int, facet: int
 ) -> Iterator[tuple[int, IntArray]]:
     """Nodes on a facet of a cell of the joint, and the vertices of the vertex, edge or face that each belongs to."""

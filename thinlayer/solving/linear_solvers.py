@@ -18,8 +18,8 @@ from forms.work import Term
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
-from thinlayer.solving.balance import Layout, TangentMatrix
-from thinlayer.solving.petsc import PREFIX, OptionValue, lean_products, options_set, put_in_blocks, set_residual
+from thinlayer.solving.balance import TangentMatrix, UnknownLayout
+from thinlayer.solving.petsc import PREFIX, OptionValue, convert_to_blocks, lean_products, options_set, set_residual
 from thinlayer.system.ranks import destroy
 
 DIRECT: dict[str, OptionValue] = {
@@ -108,7 +108,7 @@ def direct_solver(model: Model) -> dict[str, OptionValue]:
     return {**DIRECT, **ORDERINGS[model.joint.dim], "pc_type": "cholesky" if model.symmetric else "lu"}
 
 
-def factors_alone() -> bool:
+def needs_factor_only() -> bool:
     """Whether solves need no more than the factor, or than the matrices in blocks, with the options that are set."""
     options, names = options_set(), ("ksp_type", "pc_factor_mat_solver_type")
     return options.get("pc_type") == "gamg" or all(options.get(name) == DIRECT[name] for name in names)
@@ -122,7 +122,7 @@ def least_pivot(pc: PETSc.PC) -> float:
     return smallest / largest if largest else 0.0
 
 
-def mark(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
+def mark_symmetry(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
     """Tell PETSc whether a tangent is symmetric, and whether it is positive definite, as it is not at a saddle point."""
     A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
@@ -180,9 +180,9 @@ class Factor:
         with lean_products():
             self.ksp.setUp()
         destroy(self._blocks)
-        self._blocks, finest = put_in_blocks(A, PETSc.Mat().create(A.comm)), pc.getMGLevels() - 1
+        self._blocks, finest = convert_to_blocks(A, PETSc.Mat().create(A.comm)), pc.getMGLevels() - 1
         for level in range(1, finest):  # the coarsest has a factor instead of a smoother
-            put_in_blocks(pc.getMGSmoother(level).getOperators()[0])
+            convert_to_blocks(pc.getMGSmoother(level).getOperators()[0])
         if finest:
             pc.getMGSmoother(finest).setOperators(self._blocks)
             set_residual(pc, finest, self._blocks)
@@ -195,7 +195,7 @@ class Factor:
         self.ksp = self.of = self._blocks = None
 
 
-class Kept:
+class SharedMatrices:
     """Matrices of the equations of a model, which may serve other models of its family.
 
     Attributes:
@@ -212,7 +212,7 @@ class Kept:
         self._pattern: Any = None
 
     @classmethod
-    def of(cls, model: Model) -> Kept:
+    def of(cls, model: Model) -> SharedMatrices:
         """What the model's family has, made fit for this model; new if it has nothing."""
         kept = model.family.kept or cls()
         model.family.kept = None
@@ -252,7 +252,7 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
     return vectors
 
 
-def split(pc: PETSc.PC, A: PETSc.Mat, layout: Layout, motions: list[PETSc.Vec]) -> None:
+def set_field_split(pc: PETSc.PC, A: PETSc.Mat, layout: UnknownLayout, motions: list[PETSc.Vec]) -> None:
     """Tell a PCFIELDSPLIT its blocks "u", displacements, and "p", pressures. Collective.
 
     Args:

@@ -1,6 +1,6 @@
 """PETSc's options, with errors for those that no solver reads, its solves, and functions of it that petsc4py lacks.
 
-- `schur_of` and `keep_unknowns`: MUMPS's Schur complement. Without it a bar with 256 squares would take 514 solves more.
+- `schur_complement` and `keep_unknowns`: MUMPS's Schur complement. Without it a bar of 256 squares takes 514 solves more.
 - `was_read`: whether PETSc has read an option. Without it misspelt options would be ignored silently.
 """
 
@@ -26,7 +26,9 @@ PREFIX = "thinlayer_"
 OPTION_ERRORS = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
 Options = Mapping[str, OptionValue]  # names without the prefix -> values
-_PLACED: set[str] = set()  # names, without the prefix, of the options that `defaults` has put into PETSc's database
+_PLACED: set[str] = (
+    set()
+)  # names, without the prefix, of the options that `default_options` has put into PETSc's database
 POINTER = ctypes.c_void_p
 ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code
     "PetscOptionsUsed": (POINTER, ctypes.c_char_p, POINTER),
@@ -39,7 +41,7 @@ ARGUMENTS = {  # name of a function -> types of its arguments; all functions ret
 
 
 @contextmanager
-def defaults(options: Options) -> Iterator[None]:
+def default_options(options: Options) -> Iterator[None]:
     """Within a `with` block, PETSc's database has these options under our prefix, unless the user has set them."""
     database = PETSc.Options()
     theirs = database.getAll()  # hasName would mark the option as read
@@ -72,7 +74,7 @@ def value_of(name: str, given: Options) -> str | None:
     return None if found is None else str(found)
 
 
-def given_elsewhere() -> str:
+def database_options() -> str:
     """The options under our prefix in PETSc's database, written as on a command line."""
     return " ".join(f"-{PREFIX}{name} {value}".rstrip() for name, value in sorted(options_set().items()))
 
@@ -87,7 +89,7 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
 
 
 @contextmanager
-def chosen(ours: Options, given: Options | None = None) -> Iterator[None]:
+def chosen_options(ours: Options, given: Options | None = None) -> Iterator[None]:
     """Within a `with` block, PETSc's database has our options, and those of a script, which override them.
 
     Raises:
@@ -95,7 +97,7 @@ def chosen(ours: Options, given: Options | None = None) -> Iterator[None]:
         SolveError: PETSc, or a library that it calls, has failed, so that a march can try a shorter step.
     """
     given = given or {}
-    with defaults({**ours, **given}):
+    with default_options({**ours, **given}):
         try:
             yield
         except PETSc.Error as error:
@@ -109,7 +111,7 @@ def chosen(ours: Options, given: Options | None = None) -> Iterator[None]:
 
 
 @cache
-def function(name: str) -> Any:
+def c_function(name: str) -> Any:
     """The function of this name, one of ARGUMENTS.
 
     Raises:
@@ -124,32 +126,32 @@ def function(name: str) -> Any:
     return found
 
 
-def _call(name: str, *arguments: Any) -> None:
-    if code := function(name)(*arguments):
+def _checked_call(name: str, *arguments: Any) -> None:
+    if code := c_function(name)(*arguments):
         raise PETSc.Error(code)
 
 
 def was_read(option: str) -> bool:
     """Whether PETSc has read an option of its database; the name includes the prefix."""
     used = ctypes.c_int(0)
-    _call("PetscOptionsUsed", None, option.encode(), ctypes.byref(used))
+    _checked_call("PetscOptionsUsed", None, option.encode(), ctypes.byref(used))
     return bool(used.value)
 
 
 def keep_unknowns(factor: PETSc.Mat, unknowns: npt.NDArray[Any]) -> None:
     """Tell a factor, before the factorisation, which unknowns (c,) to keep: it then computes their Schur complement."""
     places = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-    _call("MatFactorSetSchurIS", factor.handle, places.handle)
+    _checked_call("MatFactorSetSchurIS", factor.handle, places.handle)
 
 
-def schur_of(factor: PETSc.Mat, c: int) -> Array:
+def schur_complement(factor: PETSc.Mat, c: int) -> Array:
     """Copy (c, c) of the Schur complement of the c unknowns that a Cholesky factor keeps; its upper triangle is set."""
     out = np.empty((c, c))
     dense = PETSc.Mat().createDense((c, c), array=out.T, comm=PETSc.COMM_SELF)  # PETSc stores columns
     inside, status = POINTER(), ctypes.c_int()
-    _call("MatFactorCreateSchurComplement", factor.handle, ctypes.byref(inside), ctypes.byref(status))
-    _call("MatCopy", inside, dense.handle, 0)
-    _call("MatDestroy", ctypes.byref(inside))
+    _checked_call("MatFactorCreateSchurComplement", factor.handle, ctypes.byref(inside), ctypes.byref(status))
+    _checked_call("MatCopy", inside, dense.handle, 0)
+    _checked_call("MatDestroy", ctypes.byref(inside))
     return out
 
 
@@ -177,7 +179,7 @@ def _products(options: dict[str, OptionValue]) -> Iterator[None]:
             database.delValue(name)
 
 
-def put_in_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
+def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
     """Turn A, or another matrix, into A in blocks, which multiply faster; PETSc's own conversion is slower."""
     indptr, indices, values = A.getValuesCSR()
     d, shape = A.getBlockSize(), (A.getLocalSize()[0], A.getSize()[1])
@@ -193,7 +195,7 @@ def put_in_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
 
 def set_residual(pc: PETSc.PC, level: int, A: PETSc.Mat) -> None:
     """Let a level of multigrid compute residuals with A."""
-    _call("PCMGSetResidual", pc.handle, level, None, A.handle)
+    _checked_call("PCMGSetResidual", pc.handle, level, None, A.handle)
 
 
 def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:

@@ -14,22 +14,22 @@ from mpi4py import MPI
 from forms.kinematics import average_lame
 from forms.trace import in_plane_modulus
 from geometry.parallel import on_root
-from geometry.refusals import place
+from geometry.refusals import place_text
 from thinlayer.discretisation.layer import BODY, SeamLayer
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.reduction import Reduction
+from thinlayer.discretisation.reduction import Applicability
 from thinlayer.discretisation.state import State
 from thinlayer.surface.excess import (
     LEAST_ERROR,
-    Faces,
+    FaceDisplacements,
     Remark,
-    Sublayer,
-    acts_on_jumps,
-    beyond_free_ends,
-    stiffness_of_jumps,
-    sublayers_of,
-    too_stiff,
+    RestingSublayer,
+    acts_as_springs,
+    free_end_remark,
+    jump_stiffness,
+    resting_sublayers,
+    stiffness_remark,
 )
 from thinlayer.surface.surface_mesh import surface_of
 
@@ -63,8 +63,8 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
             solid = model.contact is not None and setup.joint.cell_type == "tetrahedron"
             remedy = "hexahedra with element='Q2'" if solid else f"element='{setup.element[0]}2'"
             model.warn("locking", f"{what}: {why}; use {remedy}", law)
-    for one in _thin(model):
-        for key, remark in _of_layer(model, one, lasting):
+    for one in _strain_layers(model):
+        for key, remark in _model_remarks(model, one, lasting):
             model.warn(key, remark, one.name)
     for name, known in model.reductions.items() if model.broken else ():
         if known.one.flows and known.coarse.any():
@@ -76,16 +76,16 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
             model.warn(refused.key, f"{refused.reason}: what it bears is left out; {refused.remedy}", name)
 
 
-def _of_layer(model: Model, one: SeamLayer, lasting: Sequence[float]) -> Iterator[Remark]:
+def _model_remarks(model: Model, one: SeamLayer, lasting: Sequence[float]) -> Iterator[Remark]:
     """What a model tells of a layer, before it is solved."""
-    sublayers = sublayers_of(one)
-    yield from _of_facets(model, one)
-    if not acts_on_jumps(sublayers):
-        yield from _of_thickness(model, one, sublayers)
-    if one.flows or _told_by_states(one, sublayers):
+    sublayers = resting_sublayers(one)
+    yield from _facet_remarks(model, one)
+    if not acts_as_springs(sublayers):
+        yield from _thickness_remarks(model, one, sublayers)
+    if one.flows or _jumps_tell_more(one, sublayers):
         return
     at_once = [] if lasting and one.law.traits.rate else [sublayers]
-    yield from beyond_free_ends(model, one, [*at_once, *(sublayers_of(one, dt) for dt in lasting)])
+    yield from free_end_remark(model, one, [*at_once, *(resting_sublayers(one, dt) for dt in lasting)])
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -102,7 +102,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     model = states[0].model
     warn_of_strains(states)
     for known in model.reductions.values() if model.broken else ():
-        pulls = [_tension(known, state) for state in states]
+        pulls = [_largest_tension(known, state) for state in states]
         if max(pulls) > CAVITATION:
             t, times = states[int(np.argmax(pulls))].t, max(pulls)
             what = f"at t = {t:.4g} the pressure of {known.one} is a tension, {times:.3g} times its shear modulus"
@@ -115,8 +115,8 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         why = "they are the elastic_fraction of its stiffness, and hide its limit load"
         remedy = "take a smaller elastic_fraction, 0 if Newton's method then converges"
         model.warn("elastic share", f"{what}: {why}; {remedy}", "", states[-1].t)
-    for one in _thin(model):
-        for key, remark in _of_states(states, one, start):
+    for one in _strain_layers(model):
+        for key, remark in _state_remarks(states, one, start):
             model.warn(key, remark, one.name, states[-1].t)
 
 
@@ -152,39 +152,39 @@ def warn_of_strains(states: Sequence[State]) -> None:
         model.warn("strains", f"{what}, {since}: {why}: {remedy}", name, states[-1].t)
 
 
-def _of_states(states: Sequence[State], one: SeamLayer, start: float | None) -> Iterator[Remark]:
+def _state_remarks(states: Sequence[State], one: SeamLayer, start: float | None) -> Iterator[Remark]:
     """What states tell of a layer."""
-    model, sublayers = states[0].model, sublayers_of(one)
-    if not (model.linear or acts_on_jumps(sublayers)):
+    model, sublayers = states[0].model, resting_sublayers(one)
+    if not (model.linear or acts_as_springs(sublayers)):
         # the mean over S, as jumps are large at single places in any case; not from 1 on, because under one load jumps
         # stay as the thickness tends to zero; not of linear models, whose results are proportional to loads of any size
-        closings = [Faces.of(state, one).mean_closing for state in states]
+        closings = [FaceDisplacements.of(state, one).mean_closing for state in states]
         if max(closings) > LEAST_OVERLAP:
-            faces = Faces.of(states[int(np.argmax(closings))], one)
+            faces = FaceDisplacements.of(states[int(np.argmax(closings))], one)
             facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
-            x = place(faces.surface.corner_points.x[:, facet, corner])
+            x = place_text(faces.surface.corner_points.x[:, facet, corner])
             t, times = faces.state.t, max(closings)
             what = f"at t = {t:.4g} {one} closes by {times:.3g} times its thickness, on average over S"
             most = f"most near {x}, by {faces.closing.max():.3g} times"
             remedy = "bodies overlap, and the law is for small strains; check loads, thickness and parameters"
             yield "overlap", f"{what} ({most}): {remedy}"
     if one.law.traits.linear and not one.flows:
-        told = [*too_stiff(one, states, start)]
-        yield from told or (beyond_free_ends(model, one, [sublayers]) if _told_by_states(one, sublayers) else ())
+        told = [*stiffness_remark(one, states, start)]
+        yield from told or (free_end_remark(model, one, [sublayers]) if _jumps_tell_more(one, sublayers) else ())
 
 
-def _told_by_states(one: SeamLayer, sublayers: list[Sublayer]) -> bool:
+def _jumps_tell_more(one: SeamLayer, sublayers: list[RestingSublayer]) -> bool:
     """Whether jumps say more of the pressure than free ends do, so that one warning is enough."""
     of_one = one.law.traits.linear and not one.remembers and len(sublayers) == 1
     return of_one and sublayers[0].length < math.inf
 
 
-def _thin(model: Model) -> list[SeamLayer]:
+def _strain_layers(model: Model) -> list[SeamLayer]:
     """The layers of an interface model whose laws are of strains, several times where parameters are functions."""
     return [sample for one in model.layers.values() if one.thin for sample in one.samples] if model.broken else []
 
 
-def _of_facets(model: Model, one: SeamLayer) -> Iterator[Remark]:
+def _facet_remarks(model: Model, one: SeamLayer) -> Iterator[Remark]:
     """Slip along straight facets of a curved S that is resisted by the angles between the facets.
 
     A slip w opens the layer by w . (N - n), with the facet's normal n and the mean normal N of its neighbours at each
@@ -199,7 +199,7 @@ def _of_facets(model: Model, one: SeamLayer) -> Iterator[Remark]:
     tilt = mean[surface.nodes] - surface.n[:, :, 0].T[:, None]
     tilt[np.linalg.norm(tilt, axis=2) > CORNER_ANGLE] = 0.0
     angle = surface.norm(surface.between(np.moveaxis(tilt, -1, 0))) / math.sqrt(surface.integral(1.0))
-    normal, tangential = stiffness_of_jumps(one)
+    normal, tangential = jump_stiffness(one)
     if normal * angle**2 > LEAST_ERROR * tangential:
         share = normal * angle**2 / tangential if tangential else math.inf
         effect = f"is about {1 + share:.3g} times too stiff against it," if tangential else "resists"
@@ -208,7 +208,7 @@ def _of_facets(model: Model, one: SeamLayer) -> Iterator[Remark]:
         yield "facets", f"{what}: a slip along S opens the layer there, which {effect} by the mesh alone; {remedy}"
 
 
-def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> Iterator[Remark]:
+def _thickness_remarks(model: Model, one: SeamLayer, sublayers: list[RestingSublayer]) -> Iterator[Remark]:
     """A layer thicker than a body, whose law is the start of a series in eps over its stresses' length; or a harder one.
 
     Order 0 leaves eps grad_S <u>, about eps t/E_body, out of a jump of about eps t/E_layer.
@@ -233,14 +233,14 @@ def _of_thickness(model: Model, one: SeamLayer, sublayers: list[Sublayer]) -> It
     )
     if len(one.sheet.heights) == 2 and one.sheet.planar and length > SLENDER * 2 * mean and softest > 0:
         # two beams of one height under a half-wave of load; as one the lever of their forces is mean, not mean + eps
-        slip = 2 * stiffness_of_jumps(one)[1] * (length / math.pi) ** 2 / (softest * mean)
+        slip = 2 * jump_stiffness(one)[1] * (length / math.pi) ** 2 / (softest * mean)
         error = 6 * slip / (1 + 4 * slip) * layer.eps / mean
         if error > LEAST_ERROR / 2:
             what = f"{one} joins plates {mean:.4g} high, and order 0 has them meet on S, without its thickness between"
             yield "plates", f"{what}: if they bend, they do so about {error:.2g} too much; use order=1"
 
 
-def _tension(known: Reduction, state: State) -> float:
+def _largest_tension(known: Applicability, state: State) -> float:
     """Largest pressure p (tension > 0) of a layer over its shear modulus, at the vertices of S. Collective.
 
     0 if it has none that flows, or none that pulls.
@@ -263,7 +263,7 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
     begun = [start, *(t for t in model.break_times if t > start)]
     steps = (
         (_step_error((b - a) / own, theta), b - a, a, own, name)
-        for name, own in _own_times(model)
+        for name, own in _law_times(model)
         for a, b in pairwise([start, *times])
         if any(0 <= a - t < own for t in begun)
     )
@@ -277,12 +277,12 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
 
 def warn_of_no_time(model: Model) -> None:
     """Warn that a solve gives what a law that relaxes answers at once. Collective."""
-    for name, own in _own_times(model)[:1]:
+    for name, own in _law_times(model)[:1]:
         what = f"{name} relaxes with the time {own:.3g}, and a solve knows no time: this is the answer to sudden loads"
         model.warn("no time", f"{what} just after they have come; for a later one march(model, times), or give times")
 
 
-def _own_times(model: Model) -> list[tuple[str, float]]:
+def _law_times(model: Model) -> list[tuple[str, float]]:
     """Names of laws with a time each, where parameters are numbers."""
     laws = [*model.body_laws.values(), *(law for one in model.layers.values() for _, law in one.law.sublayers)]
     return [(type(law.in_space).__name__, float(own)) for law in laws if not law.fields for own in law.own_times]

@@ -13,20 +13,29 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import InputError, is_finite, require
-from geometry.parallel import world
+from geometry.parallel import default_comm
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
 from thinlayer.errors import LooseBody, SolveError
-from thinlayer.parts.part import Interval
+from thinlayer.parts.part import TimeStep
 from thinlayer.solving.contact.methods import FINDERS, METHODS, check_method, default_method
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import CONTACT, EASED_CONTACT, NEWTON, SINGULAR, YIELDING, Equilibrium, Finder, Found
+from thinlayer.solving.equilibrium import (
+    CONTACT,
+    EASED_CONTACT,
+    NEWTON,
+    SINGULAR,
+    YIELDING,
+    EquilibriumSolver,
+    NewtonSolver,
+    StepSolution,
+)
 from thinlayer.solving.linear_solvers import linear_solvers
 from thinlayer.solving.petsc import (
     PREFIX,
     Options,
     OptionValue,
-    chosen,
+    chosen_options,
     faster_products,
     is_set,
     options_set,
@@ -36,7 +45,7 @@ from thinlayer.solving.petsc import (
 from thinlayer.solving.ranges import warn_of_model, warn_of_no_time, warn_of_states
 from thinlayer.solving.weak_springs import WeakSprings
 from thinlayer.system.progress import logger
-from thinlayer.system.ranks import collect, on_all, require_same
+from thinlayer.system.ranks import collect, errors_on_all, require_same
 
 # a reason, see `PartSum.refuse`
 SOFTENS = (
@@ -81,7 +90,7 @@ def solve(
             law without an instantaneous response; loads that are not finite; `like` of another joint.
     """
     with Solver(model, options=options, method=method, like=like) as solver:
-        with on_all(model.comm):
+        with errors_on_all(model.comm):
             require(is_finite(t), "t", t, "it must be a finite number")
         require_same(model.comm, t=t)
         late = "{} depends on rates: no equilibrium without time; use march(model, times)"
@@ -93,7 +102,7 @@ def solve(
     return state
 
 
-class Choices(TypedDict, total=False):
+class SolverChoices(TypedDict, total=False):
     """What a march is told of its solver, by keyword: PETSc options and the method, see `solve`."""
 
     options: Options | None
@@ -102,7 +111,7 @@ class Choices(TypedDict, total=False):
 
 def comm_of(model: Any) -> MPI.Intracomm:
     """Communicator of a model; the world if `model` is no model."""
-    return model.comm if isinstance(model, Model) else world()
+    return model.comm if isinstance(model, Model) else default_comm()
 
 
 def _check_like(model: Model, like: Any) -> None:
@@ -114,11 +123,11 @@ def _check_like(model: Model, like: Any) -> None:
         raise InputError("like is a state of an interface model for another one, with the same element and bonds")
 
 
-Way = tuple[str, dict[str, OptionValue]]  # a method, and PETSc options of its linear solver
+SolveWay = tuple[str, dict[str, OptionValue]]  # a method, and PETSc options of its linear solver
 
 
 @dataclass(frozen=True)
-class Attempt:
+class SolveAttempt:
     """One try of a step, as data.
 
     Attributes:
@@ -129,7 +138,7 @@ class Attempt:
     """
 
     name: str
-    way: Way
+    way: SolveWay
     options: Options = field(default_factory=dict)
     eased: bool = False
 
@@ -147,7 +156,7 @@ class Solver(AbstractContextManager["Solver"]):
     def __init__(
         self, model: Model, *, options: Options | None = None, method: str | None = None, like: State | None = None
     ) -> None:
-        with on_all(comm_of(model)):
+        with errors_on_all(comm_of(model)):
             require(isinstance(model, Model), "model", model, "give what Structure.full or Structure.interface returns")
             ours = default_method(model) if model.contact else "linear" if model.linear else "newton"
             self.model, self.method = model, ours if method is None else method
@@ -169,7 +178,7 @@ class Solver(AbstractContextManager["Solver"]):
         self._ways = self._ways_of(self.method)  # without those before one that has succeeded
         if method is None and self.method == "multigrid" and not (self._given or options_set()):
             self._ways += self._ways_of("newton")
-        self._finders = dict[str, Finder]()
+        self._finders = dict[str, EquilibriumSolver]()
         self._finder = self._finder_of(self.method)
 
     def _check(self) -> None:
@@ -187,7 +196,7 @@ class Solver(AbstractContextManager["Solver"]):
             collect(self.equations.comm)
         self.close()
 
-    def _ways_of(self, method: str) -> list[Way]:
+    def _ways_of(self, method: str) -> list[SolveWay]:
         """A method with its linear solvers in turn."""
         if method in METHODS:
             return [(method, {})]
@@ -196,20 +205,20 @@ class Solver(AbstractContextManager["Solver"]):
         ]
         return ways[:1] if is_set("ksp_type", self._given) or is_set("pc_type", self._given) else ways
 
-    def _finder_of(self, method: str) -> Finder:
+    def _finder_of(self, method: str) -> EquilibriumSolver:
         """The finder of a method, made when it is first needed."""
         if method not in self._finders:
             made = FINDERS[method](self.equations, self._like) if method in METHODS else self._equilibrium(method)
             self._finders[method] = made
         return self._finders[method]
 
-    def _equilibrium(self, method: str) -> Equilibrium:
+    def _equilibrium(self, method: str) -> NewtonSolver:
         own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
         advice = "a march from less (loads may have a limit)" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
         if self.model.contact:
             advice = "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
         nonlinear, advice = method == "newton", f"a smaller step or load, {advice}"
-        return Equilibrium(self.equations, nonlinear=nonlinear, own_test=own_test, yields=self.yields, advice=advice)
+        return NewtonSolver(self.equations, nonlinear=nonlinear, own_test=own_test, yields=self.yields, advice=advice)
 
     def close(self) -> None:
         """Free matrices and factors."""
@@ -239,7 +248,7 @@ class Solver(AbstractContextManager["Solver"]):
                 until all columns are in the phase of lowest energy.
         """
         start = time.perf_counter()
-        self.equations.begin(Interval(old, t, t - old.t, theta))
+        self.equations.begin(TimeStep(old, t, t - old.t, theta))
         attempts = [one for one in self._attempts() if thorough or not one.eased]
         solves = [self._from_like(attempts[0], old) or self._work_through(attempts)]
         while not keep_phases and self.equations.switch():
@@ -261,8 +270,8 @@ class Solver(AbstractContextManager["Solver"]):
         linear = self._ways[0][1] or linear_solvers(self.model, self.equations.parts)[0]  # contact alone has none yet
         springs = WeakSprings(self.equations, {**linear, **self._given})
 
-        def follow(end: float) -> Found:
-            step = Interval(old, end, end - old.t, theta)
+        def follow(end: float) -> StepSolution:
+            step = TimeStep(old, end, end - old.t, theta)
             return springs.follow(self.rest(end), step, lambda begin: self._work_through(near, begin))[0]
 
         found = follow(t)
@@ -274,7 +283,7 @@ class Solver(AbstractContextManager["Solver"]):
                 follow(2 * t - old.t)
             raise
 
-    def _from_like(self, attempt: Attempt, old: State) -> tuple[Found, int] | None:
+    def _from_like(self, attempt: SolveAttempt, old: State) -> tuple[StepSolution, int] | None:
         """Result of Newton's method from the displacements of the state that is like this one; None: there is none."""
         if self._like is None or self.method != "newton" or self.model.contact:
             return None
@@ -301,21 +310,21 @@ class Solver(AbstractContextManager["Solver"]):
         return state
 
     # ---------------------------------------------------------------- attempts
-    def _attempts(self) -> list[Attempt]:
+    def _attempts(self) -> list[SolveAttempt]:
         """The attempts in turn: every way, then eased laws."""
-        traits, contact, attempts = self.equations.traits, CONTACT if self.model.contact else {}, list[Attempt]()
+        traits, contact, attempts = self.equations.traits, CONTACT if self.model.contact else {}, list[SolveAttempt]()
         newton = NEWTON | (YIELDING if self.yields else SINGULAR if traits.singular else {}) | contact
         for method, linear in self._ways:
             name = ", ".join(filter(None, (method, str(linear.get("pc_type", "")))))
             options = newton if method == "newton" else FAILS_SOON if len(self._ways) > 1 else {}
-            attempts.append(Attempt(name, (method, linear), options))
+            attempts.append(SolveAttempt(name, (method, linear), options))
         last = attempts[-1]
         if traits.eases and self._finder.eases:
             options = {**last.options, **(EASED_CONTACT if contact else {})}
             attempts.append(replace(last, name="eased laws", options=options, eased=True))
         return attempts
 
-    def _work_through(self, attempts: list[Attempt], start: PETSc.Vec | None = None) -> tuple[Found, int]:
+    def _work_through(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
         """Result of the first attempt that succeeds, with the iterations of all; number of solves with eased laws.
 
         Ways that fail are dropped for all later steps if a later one succeeds.
@@ -344,7 +353,7 @@ class Solver(AbstractContextManager["Solver"]):
             raise errors.pop()
         raise errors.pop(0) from (errors.pop() if errors else None)
 
-    def _try(self, attempt: Attempt, start: PETSc.Vec | None = None) -> Found:
+    def _try(self, attempt: SolveAttempt, start: PETSc.Vec | None = None) -> StepSolution:
         """Result of an attempt, with our PETSc options and the user's, all of which must be read.
 
         If it fails with the factor of an earlier step, it is made again with a new one.
@@ -353,7 +362,7 @@ class Solver(AbstractContextManager["Solver"]):
         self._finder = self._finder_of(attempt.way[0])
         while True:
             try:
-                with chosen(ours, self._given), faster_products(serial=self.equations.comm.size == 1):
+                with chosen_options(ours, self._given), faster_products(serial=self.equations.comm.size == 1):
                     found = self._finder.find(start)
                     if not self._finder.reused:
                         require_all_read(attempt.way[0], ours.keys() - self._given.keys())
@@ -366,7 +375,7 @@ class Solver(AbstractContextManager["Solver"]):
                 self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *done)
                 return found
 
-    def _through_eased_laws(self, attempt: Attempt) -> tuple[Found, int]:
+    def _through_eased_laws(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
         """Lower the ease from 1, an elastic layer, to 0, the law itself; the result, and the number of solves.
 
         The decrement of the ease is doubled after a solve that converges and halved after one that fails. Each solve starts

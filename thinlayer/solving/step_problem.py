@@ -19,13 +19,13 @@ from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.form_part import FormPart
-from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Interval, Part
+from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part, TimeStep
 from thinlayer.parts.ufl_part import has_arity
 from thinlayer.pointwise.columns import TIE
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.solving.balance import ForceScale, Layout, PartSum, TangentMatrix
+from thinlayer.solving.balance import ForceScale, PartSum, TangentMatrix, UnknownLayout
 from thinlayer.system.compat import belongs_to
-from thinlayer.system.ranks import communicator, destroy, on_all
+from thinlayer.system.ranks import communicator, destroy, errors_on_all
 
 
 class StepProblem(PartSum):
@@ -84,17 +84,17 @@ class StepProblem(PartSum):
             _require_jumps(V, term)
         terms = [replace(term, law=term.law.for_points()) if term.law.fields else term for term in terms]
         compiled = compiled_terms(terms)
-        _check(parts, {"forms", *compiled})
+        _check_arguments(parts, {"forms", *compiled})
         in_form = [term for term in terms if not term.law.traits.compiled]
         of_form = FormPart("forms", u, F=form + work(in_form, u, ufl.TestFunction(V)) if in_form else form)
         super().__init__([of_form, *(CompiledPart(key, V, term) for key, term in compiled.items()), *parts])
         self.comm, self._u, self._bcs = communicator(V.mesh), u, list(bcs)
-        with on_all(self.comm):
+        with errors_on_all(self.comm):
             for part in self.of_kind(CompiledPart):
                 part.law.check_at(part.points.joint_x)
         self.state = Configuration(u.copy(), 0.0, self.memory_at_rest, stresses=self.stresses_at_rest, at_rest=True)
         self.energies = {part.key: np.zeros(3) for part in self.parts[1:]}
-        layout = Layout(self.comm, {DISPLACEMENTS: u})
+        layout = UnknownLayout(self.comm, {DISPLACEMENTS: u})
         held = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))
         self._held = held[held < layout.sizes[DISPLACEMENTS]]
         self._held_rows = layout.rows(self._held)
@@ -103,7 +103,7 @@ class StepProblem(PartSum):
         self.begin(0.0)
         self.forces(u, u, self._forces)
         self._tangent, self.scale, self._stiffness = self._first_tangent()
-        self._interval: Interval | None = None
+        self._interval: TimeStep | None = None
 
     def _first_tangent(self) -> tuple[PETSc.Mat, ForceScale, float]:
         """The tangent at the first state, and the form's stiffness as a scale of forces and at prescribed displacements."""
@@ -136,7 +136,7 @@ class StepProblem(PartSum):
         """
         if not dt >= 0:
             raise InputError(f"the length of a step is {dt}; allowed: >= 0")
-        self._interval = Interval(self.state, self.t + float(dt), float(dt), 1.0)
+        self._interval = TimeStep(self.state, self.t + float(dt), float(dt), 1.0)
         self.begin_parts(self._interval)
 
     def residual(self, snes: PETSc.SNES | None, x: PETSc.Vec, out: PETSc.Vec) -> None:
@@ -231,7 +231,7 @@ def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
         raise InputError("displacements do not jump across S in the space of u; make it by `BrokenMesh.space`")
 
 
-def _check(parts: Sequence[Part], keys: set[str]) -> None:
+def _check_arguments(parts: Sequence[Part], keys: set[str]) -> None:
     """Raise InputError unless these are parts without unknowns of their own, with keys other than `keys`."""
     for part in parts:
         require(isinstance(part, Part), "one of parts", part, "allowed: what derives from thinlayer.parts.part.Part")

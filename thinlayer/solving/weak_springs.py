@@ -18,13 +18,13 @@ from petsc4py import PETSc
 from forms.base import Array
 from thinlayer.discretisation.state import State
 from thinlayer.errors import NoEquilibrium, SolveError
-from thinlayer.parts.part import Interval
+from thinlayer.parts.part import TimeStep
 from thinlayer.solving.balance import TINY
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import Factor, mark
-from thinlayer.solving.petsc import Options, chosen, solve_linear
+from thinlayer.solving.linear_solvers import Factor, mark_symmetry
+from thinlayer.solving.petsc import Options, chosen_options, solve_linear
 
-Result = TypeVar("Result")
+SpringResult = TypeVar("SpringResult")
 FIRST_STIFFNESS, LEAST_STIFFNESS = 1.0, 1e-12  # of the springs, relative to the mean diagonal entry of K
 SOFTENING_FACTOR = 10.0  # stiffness of springs divided by that of the next ones
 SETTLED_GROWTH = 1.3  # growth of the distance per SOFTENING_FACTOR below which an equilibrium is near
@@ -51,7 +51,7 @@ class WeakSprings:
         self._x, self._r, self._d = (equations.vector() for _ in range(3))
         self._unit, self._stiffness = equations.mean_stiffness, 0.0
 
-    def follow(self, rest: State, step: Interval, find: Callable[[PETSc.Vec], Result]) -> Result:
+    def follow(self, rest: State, step: TimeStep, find: Callable[[PETSc.Vec], SpringResult]) -> SpringResult:
         """Soften the springs until `find` succeeds without them; returns its result.
 
         Args:
@@ -101,18 +101,18 @@ class WeakSprings:
         raise failed.pop()
 
     # ---------------------------------------------------------------- the step
-    def _elastic_distance(self, rest: State, step: Interval) -> float:
+    def _elastic_distance(self, rest: State, step: TimeStep) -> float:
         """Norm of the displacements that the loads and supports of the step cause from rest, with an elastic layer.
 
         The step has its own length dt, as laws with rate do not answer at once.
         """
         equations, r, d = self.equations, self._r, self._d
-        equations.begin(Interval(rest, step.old.t, step.dt, 1.0))
+        equations.begin(TimeStep(rest, step.old.t, step.dt, 1.0))
         loads, prescribed = equations.given_forces(), equations.prescribed
         ease = equations.eased
         equations.ease(1.0)
         try:
-            equations.begin(Interval(rest, step.t, step.dt, 1.0))
+            equations.begin(TimeStep(rest, step.t, step.dt, 1.0))
             self._x.set(0.0)
             equations.residual(self._x, r)
             A = equations.tangent()
@@ -188,7 +188,7 @@ class WeakSprings:
         return x + at * d, best
 
     def _solve_linear(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        mark(A, self.equations.model, saddle=True)
-        with chosen(self._options):
+        mark_symmetry(A, self.equations.model, saddle=True)
+        with chosen_options(self._options):
             self._factor.renew(A, None, self.equations.tell)
             solve_linear(self._factor.ksp, b, x)

@@ -11,9 +11,9 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from forms.kinematics import average_lame, isotropic
+from forms.kinematics import average_lame, isotropic_tensor
 from forms.law import BulkLaw
-from forms.trace import across, in_plane_modulus
+from forms.trace import acoustic_tensor, in_plane_modulus
 from geometry.topology import FloatArray
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
@@ -27,7 +27,7 @@ SAME_RATIO = 1e-3  # relative change of lmbda/mu in time that counts as none
 
 
 @dataclass(frozen=True)
-class Sublayer:
+class RestingSublayer:
     """One of the sublayers of a layer whose law is a `Stack`, or the whole layer.
 
     Attributes:
@@ -59,42 +59,42 @@ class Sublayer:
         return self.fraction / (self.lmbda + 2 * self.mu)
 
     @classmethod
-    def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> Sublayer | None:
+    def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> RestingSublayer | None:
         """A sublayer from the tangent C at rest; None if the law does not resist shear."""
         lmbda, mu = average_lame(C)
         if law.traits.constrained and not law.parameters().get("lmbda"):
-            held = isotropic(np.abs(C).max() * BULK_MODULUS, 0.0)
+            held = isotropic_tensor(np.abs(C).max() * BULK_MODULUS, 0.0)
             return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
 
-def sublayers_of(one: SeamLayer, dt: float = 0.0) -> list[Sublayer]:
+def resting_sublayers(one: SeamLayer, dt: float = 0.0) -> list[RestingSublayer]:
     """The sublayers of a layer under loads that have lasted dt (0: at rest); [] if tangents are not known."""
     n, sublayers = one.at_rest.n, one.at_rest.sublayers
     later = one.at_rest.over(dt) if dt > 0 else [None] * len(sublayers)
-    found: list[Sublayer] = []
+    found: list[RestingSublayer] = []
     for (a, law, C), C_later in zip(sublayers, later, strict=True):
         if C is None and C_later is None:
             return []
-        rest, then = (None if one is None else Sublayer.of(a, law, one, n) for one in (C, C_later))
+        rest, then = (None if one is None else RestingSublayer.of(a, law, one, n) for one in (C, C_later))
         if then and not (rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=SAME_RATIO)):
             then = replace(then, when=f" under loads that last {dt:.4g}")
         found += [one for one in (then or rest,) if one]
     return found
 
 
-def acts_on_jumps(sublayers: list[Sublayer]) -> bool:
+def acts_as_springs(sublayers: list[RestingSublayer]) -> bool:
     """Whether strains along S cause no stress, as in springs: the traction then does not depend on the thickness."""
     return bool(sublayers) and all(one.along <= NEGLIGIBLE * one.mu for one in sublayers)
 
 
-def stiffness_of_jumps(one: SeamLayer) -> tuple[float, float]:
+def jump_stiffness(one: SeamLayer) -> tuple[float, float]:
     """Normal and least tangential stiffness of the layer at rest, per area; zeros if they are not known."""
     n, compliances = one.at_rest.n, np.zeros(2)
     for fraction, _, C in one.at_rest.sublayers:
         if C is None:
             return 0.0, 0.0
-        A = across(C, n)
+        A = acoustic_tensor(C, n)
         size, up = float(np.abs(A).max()), float(n @ A @ n)
         along = float(np.linalg.eigvalsh((A + A.T) / 2 + 2 * size * np.outer(n, n))[0])
         if min(along, up) <= NEGLIGIBLE * size:
@@ -113,7 +113,7 @@ LEAST_ERROR = 0.1  # relative error of a layer's stiffness from which on there i
 
 
 @dataclass(frozen=True)
-class Faces:
+class FaceDisplacements:
     """How the faces of a layer are displaced in a state, at the k corners of the n facets of its seam. Collective.
 
     Attributes:
@@ -127,7 +127,7 @@ class Faces:
     one: SeamLayer
 
     @classmethod
-    def of(cls, state: State, one: SeamLayer) -> Faces:
+    def of(cls, state: State, one: SeamLayer) -> FaceDisplacements:
         """Those of a layer by itself."""
         return cls(surface_of(state.model, one.name), state, one)
 
@@ -173,7 +173,7 @@ class Faces:
 
 
 @dataclass(frozen=True)
-class Excess:
+class PressureExcess:
     """How much a layer's law is too stiff, as it lets no material flow along S: its pressure p_0 is in excess of p.
 
     Attributes:
@@ -196,10 +196,12 @@ def times_too_stiff(state: State, one: SeamLayer) -> float | None:
     """1 + opening of `pressure_excess`, 1 of a law with a pressure that flows; None of laws without it. Collective."""
     if state.model.reductions[one.name].why_not("excess of pressure"):
         return None
-    return 1.0 if one.flows else 1 + pressure_excess(Faces.of(state, one), sublayers_of(one)[0]).opening
+    return (
+        1.0 if one.flows else 1 + pressure_excess(FaceDisplacements.of(state, one), resting_sublayers(one)[0]).opening
+    )
 
 
-def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
+def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> PressureExcess:
     """Compare the pressure of the law with that of the layer, for the displacements found. Collective.
 
     With wb = [u_N] + eps div_S <u> the pressure of the law is p_0 = lmbda wb/eps, and the pressure p of the layer solves
@@ -214,7 +216,7 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
     displacements count as none.
     """
     if not layer.lmbda:
-        return Excess()
+        return PressureExcess()
     surface, joint = faces.surface, faces.surface.joint
     eps = surface.between(surface.thickness(faces.one, surface.corners))
     opening = surface.between(faces.opening)
@@ -227,7 +229,7 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
     volume = joined.T @ surface.mass(1 / stiff) @ joined
     whole = volume + joined.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ joined
     if not b @ b:  # nor numbers whose squares are none
-        return Excess()
+        return PressureExcess()
     rim = faces.state.model.reductions[faces.one.name].neglected
     at_rim = surface.thickness(faces.one, rim.vertices).mean(axis=1)
     resistance = layer.length * (1 - 1 / np.sqrt(1 + (rim.depth / (layer.length * at_rim)) ** 2 / 12))
@@ -240,15 +242,15 @@ def pressure_excess(faces: Faces, layer: Sublayer) -> Excess:
     slip = surface.between(faces.slip_squared) / eps
     work = (of_law - of_layer) / (of_layer + layer.mu * float(surface.integral(slip)))
     if surface.norm(surface.at_points(joined @ p_0) / stiff) <= faces.rounding * math.sqrt(surface.integral(1.0)):
-        return Excess(work=work)
+        return PressureExcess(work=work)
     t_N = surface.norm(stiff * wb + 2 * layer.mu * opening / eps)
     t_T = layer.mu * math.sqrt(surface.integral(slip / eps))
     off = surface.norm(surface.at_points(joined @ (p_0 - p)))
-    return Excess(float(b @ p_0) / of_layer - 1, work, off / math.hypot(t_N, t_T))
+    return PressureExcess(float(b @ p_0) / of_layer - 1, work, off / math.hypot(t_N, t_T))
 
 
 # ---------------------------------------------------------------- warnings
-def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublayer]]) -> Iterator[Remark]:
+def free_end_remark(model: Model, one: SeamLayer, layers: Sequence[list[RestingSublayer]]) -> Iterator[Remark]:
     """Where the pressure of a nearly incompressible layer falls to zero at free ends over a long length delta, in words.
 
     Interface laws do not contain this effect. Between rigid faces a strip of half-width l carries only the share
@@ -283,7 +285,7 @@ def beyond_free_ends(model: Model, one: SeamLayer, layers: Sequence[list[Sublaye
         yield "free ends", f"{one} is nearly incompressible{worst.when}: {falls}, {part}; {stiff}; {remedy}"
 
 
-def pressure_length(sublayers: list[Sublayer], width: float) -> float:
+def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
     """Length delta over which the pressure falls to zero at a free end of S, relative to the thickness of the layer.
 
     All sublayers have one normal traction t. The layer opens by w = c t - B t'': c is the sum of their compliances, and
@@ -310,22 +312,22 @@ def pressure_length(sublayers: list[Sublayer], width: float) -> float:
     return math.sqrt(flow / sum(one.compliance for one in sublayers))
 
 
-def too_stiff(one: SeamLayer, states: Sequence[State], start: float | None) -> Iterator[Remark]:
+def stiffness_remark(one: SeamLayer, states: Sequence[State], start: float | None) -> Iterator[Remark]:
     """How many times a law is too stiff for the openings found, against a layer whose pressure evens out along S, in words.
 
     Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
     or relax become nearly incompressible with time.
     """
     has_column = not states[0].model.reductions[one.name].why_not("excess of pressure")
-    if not (has_column or one.law.traits.compiled or any(k.nearly for k in sublayers_of(one))):
+    if not (has_column or one.law.traits.compiled or any(k.nearly for k in resting_sublayers(one))):
         return  # tangents of others do not change
-    openings = [float(np.abs(Faces.of(state, one).opening).max()) for state in states]
+    openings = [float(np.abs(FaceDisplacements.of(state, one).opening).max()) for state in states]
     last = max(k for k, opening in enumerate(openings) if opening >= LATE_OPENING * max(openings))
     told = []
     for state in (states[k] for k in sorted({openings.index(max(openings)), last})):
-        sublayers = sublayers_of(one, 0.0 if start is None else state.t - start)
+        sublayers = resting_sublayers(one, 0.0 if start is None else state.t - start)
         if len(sublayers) == 1 and (has_column or sublayers[0].nearly) and sublayers[0].length < math.inf:
-            told.append((pressure_excess(Faces.of(state, one), sublayers[0]).told, sublayers[0]))
+            told.append((pressure_excess(FaceDisplacements.of(state, one), sublayers[0]).told, sublayers[0]))
     worst, layer = max(told, key=lambda pair: pair[0], default=(0.0, None))
     if layer and worst > LEAST_ERROR:
         ratio = f"{one}{layer.when} has lmbda/mu = {layer.lmbda / layer.mu:.4g}"

@@ -9,7 +9,7 @@ import basix
 import numpy as np
 
 from forms.base import Array, InputError, require
-from forms.temperature import finite
+from forms.temperature import finite_values
 from geometry.joint import Joint
 from geometry.topology import BoolArray, IntArray, along, by_place, connected, is_tensor, lagrange
 from thinlayer.system.table import Table
@@ -140,7 +140,7 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
 
 def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> Segments:
     """Where a plane cuts facets in 3D, given by their nodes (n, k) and taken as straight; arguments as in `lines_on`."""
-    if (both := finite(plane, (2, 3))) is None or not both[1].any():
+    if (both := finite_values(plane, (2, 3))) is None or not both[1].any():
         raise InputError(f"plane is {plane!r}; it needs (point, normal), three finite numbers each, not all zero")
     around = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
     ring, values = nodes[:, around], values[:, around]
@@ -148,13 +148,13 @@ def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> 
     height = (x - both[0]) @ both[1] / np.linalg.norm(both[1])
     height[np.abs(height) <= SAME * joint.size] = 0.0
     for above in (height >= 0, height > 0):  # a plane along facets: those on one side of it are cut, at their edges
-        found = _crossed(ring, x, values, height, above)
+        found = _cut_polygon(ring, x, values, height, above)
         if len(found.keys):
             return found
     return found
 
 
-def _crossed(ring: IntArray, x: Array, values: Array, height: Array, above: BoolArray) -> Segments:
+def _cut_polygon(ring: IntArray, x: Array, values: Array, height: Array, above: BoolArray) -> Segments:
     after = np.roll(np.arange(ring.shape[1]), -1)
     crossed = above != above[:, after]
     facets = np.flatnonzero(crossed.sum(axis=1) == 2)

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError
-from forms.temperature import finite
+from forms.temperature import finite_values
 from geometry.joint import Joint
 from geometry.refusals import refuse
-from geometry.topology import BoolArray, IntArray, geometry_degree, is_tensor, lagrange, sums
+from geometry.topology import BoolArray, IntArray, geometry_degree, is_tensor, lagrange, sum_by_number
 
 INSIDE = 1e-9  # how far outside the reference entity a place may be that counts as in it
 PARTED = "as bodies='extended' has the faces of bodies half a thickness away from S"
@@ -22,7 +22,7 @@ STEPS = 30  # of Newton's method for places in entities that are not affine
 
 
 @dataclass(frozen=True)
-class Located:
+class LocatedPoints:
     """The cells, or facets, that contain places: all of them, for a place on their boundary lies in several.
 
     Attributes:
@@ -38,7 +38,7 @@ class Located:
     X: Array
 
     @classmethod
-    def of(cls, kind: str, nodes: Array, x: Any) -> Located:
+    def of(cls, kind: str, nodes: Array, x: Any) -> LocatedPoints:
         """Those that contain places (n, d), or one place (d,), if any do.
 
         Args:
@@ -50,7 +50,7 @@ class Located:
             InputError: no finite numbers of this shape.
         """
         d, degree = nodes.shape[2], geometry_degree(kind, nodes.shape[1])
-        if (given := finite(x, (d,), (-1, d))) is None or not given.size:
+        if (given := finite_values(x, (d,), (-1, d))) is None or not given.size:
             raise InputError(f"places are {x!r:.80}; they need {d} finite coordinates each, (n, {d})")
         given = np.atleast_2d(given)
         low, high = nodes.min(axis=1), nodes.max(axis=1)
@@ -62,20 +62,20 @@ class Located:
         entity = np.array([k for one in near for k in sorted(one)], np.int64)
         boxed = ((given[point] >= low[entity]) & (given[point] <= high[entity])).all(axis=1)
         point, entity = point[boxed], entity[boxed]
-        X = _pulled_back(kind, degree, nodes[entity], given[point])
+        X = _reference_points(kind, degree, nodes[entity], given[point])
         last = X.max(axis=1, initial=-np.inf) if is_tensor(kind) else X.sum(axis=1)
         return cls(given, point, entity, X)[(X >= -INSIDE).all(axis=1) & (last <= 1 + INSIDE)]
 
     @classmethod
-    def in_cells(cls, joint: Joint, x: Any) -> Located:
+    def in_cells(cls, joint: Joint, x: Any) -> LocatedPoints:
         """The cells of a joint, inflated or not, that contain places; raises InputError as `of`, or if some are in none."""
         located = cls.of(joint.cell_type, joint.cell_points, x)
         words = "{bad} of {all} places are in no cell of the mesh, the first at {at}"
         refuse(located.missing, located.x, words if joint.parted is None else f"{words}; {PARTED}")
         return located
 
-    def __getitem__(self, rows: IntArray | BoolArray) -> Located:
-        return Located(self.x, self.point[rows], self.entity[rows], self.X[rows])
+    def __getitem__(self, rows: IntArray | BoolArray) -> LocatedPoints:
+        return LocatedPoints(self.x, self.point[rows], self.entity[rows], self.X[rows])
 
     @property
     def missing(self) -> BoolArray:
@@ -85,10 +85,10 @@ class Located:
     def mean(self, values: Array) -> Array:
         """(n, ...) means of values (m, ...) over the entities at each place."""
         counts = np.bincount(self.point, minlength=len(self.x))
-        return np.asarray(sums(self.point, values, len(self.x)) / counts.reshape(-1, *[1] * (values.ndim - 1)))
+        return np.asarray(sum_by_number(self.point, values, len(self.x)) / counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
-def _pulled_back(kind: str, degree: int, nodes: Array, x: Array) -> Array:
+def _reference_points(kind: str, degree: int, nodes: Array, x: Array) -> Array:
     """Places x (n, d) in the reference entities of those with nodes (n, a, d); outside them for places elsewhere."""
     element = lagrange(kind, degree)
     X = np.tile(basix.geometry(basix.CellType[kind]).mean(axis=0), (len(x), 1))

@@ -19,14 +19,14 @@ from geometry.joint import Joint
 from geometry.refusals import refuse, require_known
 from geometry.seam import BASE, S
 from geometry.sheet import Rim, Sheet
-from geometry.topology import FACET_TYPES, BoolArray, IntArray, along, by_place, lagrange, sums
-from thinlayer.discretisation.contact_nodes import frames_at
+from geometry.topology import FACET_TYPES, BoolArray, IntArray, along, by_place, lagrange, sum_by_number
+from thinlayer.discretisation.contact_nodes import normal_frames
 from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.surface.lines import Line, Plane, lines_on
-from thinlayer.surface.locating import PARTED, Located
+from thinlayer.surface.locating import PARTED, LocatedPoints
 
 Where = Array | BoolArray | Callable[[Array], Any]
 SIDES = ("lower", "upper")
@@ -139,18 +139,18 @@ class SurfaceMesh:
         return self.on_facets(np.asarray(basix.geometry(basix.CellType[self.kind])))
 
     # ---------------------------------------------------------------- places
-    def at(self, x: Any) -> tuple[Located, FacetPoints]:
+    def at(self, x: Any) -> tuple[LocatedPoints, FacetPoints]:
         """The facets that contain places (n, d), or one (d,): all of them, and a point on each.
 
         Raises:
             InputError: no finite numbers of this shape; places that are not on the surface.
         """
-        located = Located.of(self.kind, self.faces.mean(axis=0), x)
+        located = LocatedPoints.of(self.kind, self.faces.mean(axis=0), x)
         off = f"{{bad}} of {{all}} places are not on {self.seam}, the first at {{at}}"
         refuse(located.missing, located.x, off)
         return located, FacetPoints(self, located.entity, located.X[:, None])
 
-    def beside(self, located: Located, side: str) -> Located:
+    def beside(self, located: LocatedPoints, side: str) -> LocatedPoints:
         """Places in cells of the joint: those on the surface in the cells on one side alone, others in all of theirs.
 
         Raises:
@@ -159,7 +159,7 @@ class SurfaceMesh:
         require(side in SIDES, "side", side, "allowed: lower, upper")
         count, on_s, wanted = len(self.joint.cells) + 1, [], np.empty(0, np.int64)
         for name, nodes, cells in zip(SIDES, self.faces, self.cells.T, strict=True):
-            at = Located.of(self.kind, nodes, located.x)
+            at = LocatedPoints.of(self.kind, nodes, located.x)
             on_s.append(at.point)
             if name == side:
                 wanted = (at.point * count + cells[at.entity])[cells[at.entity] >= 0]
@@ -291,7 +291,7 @@ class SurfaceMesh:
         f, n = self._field(f), self.n
         if f.shape != n.shape:
             raise InputError(f"frame needs a vector field, of shape {n.shape}, not {f.shape}")
-        axes = frames_at(np.moveaxis(n, 0, -1).reshape(-1, len(n))).reshape(*self.weights.shape, len(n), len(n))
+        axes = normal_frames(np.moveaxis(n, 0, -1).reshape(-1, len(n))).reshape(*self.weights.shape, len(n), len(n))
         return np.einsum("fqij,jfq->ifq", axes, f)
 
     # ---------------------------------------------------------------- nodes
@@ -351,7 +351,7 @@ class SurfaceMesh:
 
     def sums(self, of_corners: Array) -> Array:
         """(m, ...) sums at the nodes of values (n, k, ...) at the corners of facets."""
-        return sums(self.nodes, of_corners, len(self.numbers))
+        return sum_by_number(self.nodes, of_corners, len(self.numbers))
 
     def moments(self, f: Any) -> Array:
         """(n, k) or (n, k, d) integrals of a field over each facet with the functions of degree 1 of its corners."""

@@ -20,7 +20,7 @@ from dolfinx import cpp, fem
 from dolfinx.mesh import Mesh
 
 import thinlayer.system.compilation  # noqa: F401  # before any form is compiled
-from geometry.domain import connect, first_that_fits
+from geometry.domain import create_connectivity, first_accepted
 
 
 def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: Any) -> fem.FunctionSpace:
@@ -29,7 +29,7 @@ def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: A
     layout = base._cpp_object.dof_layout if hasattr(base, "_cpp_object") else base.dof_layout
     rows = cpp.graph.AdjacencyList_int32(np.ascontiguousarray(dofs, np.int32))
     arguments = (old.mesh, old.element, cpp.fem.DofMap(layout, imap, base.index_map_bs, rows, base.bs))
-    space = first_that_fits(lambda: type(old)(*arguments), lambda: type(old)(*arguments, old.value_shape))
+    space = first_accepted(lambda: type(old)(*arguments), lambda: type(old)(*arguments, old.value_shape))
     return fem.FunctionSpace(V.mesh, V.ufl_element(), space)
 
 
@@ -46,10 +46,10 @@ def exterior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.ND
 def _entities(name: str, mesh: Any, entities: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
     """Local cells or facets as integrals of a type have them, those of other ranks left out."""
     dim = mesh.topology.dim - (name != "cell")
-    connect(mesh, dim)
+    create_connectivity(mesh, dim)
     given = getattr(fem.IntegralType, name), getattr(mesh.topology, "_cpp_object", mesh.topology), entities
     domains = cpp.fem.compute_integration_domains
-    return np.array(first_that_fits(lambda: domains(*given), lambda: domains(*given, dim)), dtype=np.int32)
+    return np.array(first_accepted(lambda: domains(*given), lambda: domains(*given, dim)), dtype=np.int32)
 
 
 def by_domain(form: ufl.Form) -> dict[Any, list[Any]]:
@@ -139,4 +139,4 @@ def without_cycles() -> Iterator[None]:
 
 
 expand_derivatives = without_cycles()(ufl.algorithms.expand_derivatives)
-replaced = without_cycles()(ufl.replace)
+ufl_replace = without_cycles()(ufl.replace)

@@ -34,8 +34,8 @@ from mpi4py import MPI
 
 import thinlayer.system.ranks  # noqa: F401  # before DOLFINx, which starts PETSc
 from forms.base import InputError, ThinlayerError
-from thinlayer.system.identity import content
-from thinlayer.system.progress import telling_of_a_call
+from thinlayer.system.identity import source_content
+from thinlayer.system.progress import report_call
 
 # Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.
 _LOCKS: dict[Path, int] = {}
@@ -90,14 +90,14 @@ def workshop(folder: Path, name: str) -> Iterator[Path]:
         yield Path(work)
 
 
-def keep(made: Path, file: Path) -> None:
+def keep_file(made: Path, file: Path) -> None:
     """Write a file to the disk and move it to where it is kept."""
     with made.open("rb") as written:
         os.fsync(written.fileno())
     made.replace(file)
 
 
-def load(library: Path) -> Any:
+def load_library(library: Path) -> Any:
     """The module of a compiled library.
 
     Raises:
@@ -123,7 +123,7 @@ def _mend_ffcx() -> None:
         for library in (folder / f"{module_name}{end}" for end in EXTENSION_SUFFIXES):
             if library.exists() and source.exists() and ready.exists():
                 try:
-                    module = load(library)
+                    module = load_library(library)
                 except ImportError:
                     break
                 return [getattr(module.lib, name) for name in object_names], module
@@ -145,14 +145,14 @@ def _mend_ffcx() -> None:
         call = parameters.bind(*arguments, **options)
         folder, name = Path(call.arguments["cache_dir"]), call.arguments["module_name"]
         try:
-            with telling_of_a_call("compiling a form, kept for later runs"), workshop(folder, name) as work:
+            with report_call("compiling a form, kept for later runs"), workshop(folder, name) as work:
                 call.arguments["cache_dir"] = work
                 code = build(*call.args, **call.kwargs)
                 made = {file.name: file for file in work.iterdir() if file.name.startswith(f"{name}.")}
                 ready = made.pop(f"{name}.c.cached")
                 made.pop(f"{name}.o", None)
                 for file in [*made.values(), ready]:  # `ready` last: it says that all others are there
-                    keep(file, folder / file.name)
+                    keep_file(file, folder / file.name)
         finally:
             release(folder, name)
         return code
@@ -192,7 +192,7 @@ def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
 
 
 own_library = functools.cache(library)  # of sources of the package, which do not change while it runs
-_loaded = functools.cache(load)
+_loaded = functools.cache(load_library)
 
 
 def pointers(library: Any, *arrays: np.ndarray) -> list[Any]:
@@ -203,7 +203,7 @@ def pointers(library: Any, *arrays: np.ndarray) -> list[Any]:
 def _file_of(source: Path) -> Path:
     """The file of a compiled source, in FFCx's folder; its name has a hash of the source and the files it includes."""
     folder = Path(dolfinx.jit.get_options()["cache_dir"]).expanduser()
-    name = hashlib.sha256(content(source) + cffi.__version__.encode()).hexdigest()[:16]
+    name = hashlib.sha256(source_content(source) + cffi.__version__.encode()).hexdigest()[:16]
     return folder / f"thinlayer_{source.stem}_{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
 
 
@@ -221,6 +221,6 @@ def _build(source: Path, file: Path) -> None:
         builder.cdef("\n".join(head + ";" for head in EXPORTED.findall(text)))
         builder.set_source(name, text, extra_compile_args=["-O2"], include_dirs=[str(source.parent.resolve())])
         with workshop(file.parent, name) as work:
-            keep(Path(builder.compile(tmpdir=work)), file)
+            keep_file(Path(builder.compile(tmpdir=work)), file)
     finally:
         release(file.parent, name)

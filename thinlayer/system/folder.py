@@ -26,7 +26,7 @@ WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # err
 
 # ---------------------------------------------------------------- whole files
 @contextmanager
-def replaced(path: Path) -> Iterator[BinaryIO]:
+def replace_file(path: Path) -> Iterator[BinaryIO]:
     """A file that replaces another one once it is complete on the disk; after an error nothing of it is left."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.part")
@@ -51,7 +51,7 @@ def hash_of(path: Path) -> str | None:
 
 def write_sealed(path: Path, content: Mapping[str, Any]) -> None:
     """Write data as JSON with their hash."""
-    with replaced(path) as file:
+    with replace_file(path) as file:
         file.write(json.dumps({**content, "hash": _seal(content)}).encode())
 
 
@@ -76,7 +76,7 @@ def _seal(content: Mapping[str, Any]) -> str:
 
 # ---------------------------------------------------------------- locks
 @contextmanager
-def owned(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LOCK) -> Iterator[None]:
+def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LOCK) -> Iterator[None]:
     """Own a folder in a block: no other run may write into it. Collective.
 
     The folder is made if necessary, and removed again if it is empty at the end. The lock is the operating system's:
@@ -92,12 +92,12 @@ def owned(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LO
     """
     with ExitStack() as stack:
         if folder is not None:
-            on_root(comm, lambda: stack.enter_context(locked(folder, name)))
+            on_root(comm, lambda: stack.enter_context(lock_folder(folder, name)))
         yield
 
 
 @contextmanager
-def locked(folder: Path, name: str = LOCK, *, wait: bool = False) -> Iterator[None]:
+def lock_folder(folder: Path, name: str = LOCK, *, wait: bool = False) -> Iterator[None]:
     """The same on one rank, which may wait for another run."""
     made, file = [], -1
     try:
@@ -142,7 +142,7 @@ def _lock(path: Path, wait: bool) -> int:
 
 
 # ---------------------------------------------------------------- earlier runs
-def moved_away(folder: Path, names: Iterable[str]) -> Path | None:
+def move_away(folder: Path, names: Iterable[str]) -> Path | None:
     """Move files of an earlier run into folder/previous-N, N counting up; None: there are none."""
     there = [folder / name for name in names if (folder / name).exists()]
     if not there:
@@ -155,8 +155,8 @@ def moved_away(folder: Path, names: Iterable[str]) -> Path | None:
     return target
 
 
-def moved_back(previous: Path) -> None:
-    """Undo `moved_away`."""
+def move_back(previous: Path) -> None:
+    """Undo `move_away`."""
     for path in [*previous.iterdir()]:
         path.rename(previous.parent / path.name)
     previous.rmdir()

@@ -49,7 +49,7 @@ _NUMBERS: dict[int, tuple[Any, int]] = {}  # id -> reference to an object that o
 NAMED = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # a file in a preprocessor line
 
 
-def described(value: Any) -> Any:
+def describe(value: Any) -> Any:
     """A value as JSON that is the same in another process, on any number of ranks, if the value is.
 
     Numbers, texts, arrays and containers stand for themselves, whatever the order of a dict; dataclasses and other objects
@@ -95,7 +95,7 @@ def differences(one: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tu
         yield path, one, other
 
 
-def in_words(found: list[tuple[tuple[str, ...], Any, Any]]) -> str:
+def differences_text(found: list[tuple[tuple[str, ...], Any, Any]]) -> str:
     """The first of these differences in words, each pair of values once."""
     pairs = {(_short(one), _short(other)): ".".join(path) for path, one, other in reversed(found)}
     words = [f"{path}: {one} there, {other} here" for (one, other), path in reversed(pairs.items())]
@@ -236,7 +236,7 @@ def _members(kind: type) -> dict[str, Any]:
     found: dict[str, Any] = {name: f for name, f in functions.items() if f and name not in made}  # not by dataclass
     source = vars(kind).get("source")
     if isinstance(source, (str, Path)) and Path(source).is_file():
-        found["source"] = content(Path(source))
+        found["source"] = source_content(Path(source))
     return found | _file_of(getattr(sys.modules.get(kind.__module__), "__file__", None))
 
 
@@ -302,7 +302,7 @@ def _name(kind: Any) -> str:
 
 
 # ---------------------------------------------------------------- C sources
-def content(source: Path) -> bytes:
+def source_content(source: Path) -> bytes:
     """Content of a C source, and recursively of the files beside it that its preprocessor lines name.
 
     Nothing is preprocessed: a file counts even where a condition leaves it out.

@@ -20,7 +20,7 @@ from typing import TextIO
 
 from mpi4py import MPI
 
-from geometry.parallel import T, world
+from geometry.parallel import T, default_comm
 
 LEAST = 1e-3  # share from which on the time left is told
 # s before the first line and the next: on a terminal, else
@@ -36,11 +36,11 @@ def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
         part: "solve" (what a solve tries), "march" (steps in time), "study" (what a study has done).
         comm: communicator of the model.
     """
-    return _SILENT if (comm or world()).rank else logging.getLogger(f"thinlayer.{part}")
+    return _SILENT if (comm or default_comm()).rank else logging.getLogger(f"thinlayer.{part}")
 
 
 @dataclass(eq=False)
-class _Work:
+class _Task:
     """Some work: its share that is done, the share of what is being done, and words for that."""
 
     what: str
@@ -49,19 +49,19 @@ class _Work:
     now: str = ""
 
 
-class Teller:
+class ProgressReporter:
     """Tells of the work in progress, one within the other; `stream` and `clock` as sys.stderr and time.monotonic."""
 
     def __init__(self, stream: Callable[[], TextIO], clock: Callable[[], float]) -> None:
         self._stream, self._clock = stream, clock
-        self._open: list[_Work] = []
+        self._open: list[_Task] = []
         self._begun = self._due = 0.0
         self._shown = False
 
     @contextmanager
     def telling(self, what: str) -> Iterator[Callable[..., None]]:
         """A context, or decorator, of some work; it gives a function of the share that is done and of words for it."""
-        work = _Work(what)
+        work = _Task(what)
         if not self._open:
             self._begun, self._shown = self._clock(), False
             self._due = self._begun + AFTER[self._stream().isatty()]
@@ -121,5 +121,5 @@ class Teller:
         stream.flush()
 
 
-_teller = Teller(lambda: sys.stderr, time.monotonic)
-track, telling, telling_of_a_call = _teller.track, _teller.telling, _teller.telling_of_a_call
+_reporter = ProgressReporter(lambda: sys.stderr, time.monotonic)
+track, report, report_call = _reporter.track, _reporter.telling, _reporter.telling_of_a_call

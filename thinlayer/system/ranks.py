@@ -21,8 +21,8 @@ import numpy.typing as npt
 from mpi4py import MPI
 
 from forms.base import InputError
-from geometry.parallel import world
-from thinlayer.system.identity import ALONE, MISSING, described, differences, digest
+from geometry.parallel import default_comm
+from thinlayer.system.identity import ALONE, MISSING, describe, differences, digest
 
 if TYPE_CHECKING:
     from dolfinx.fem import FunctionSpace
@@ -42,7 +42,7 @@ _DEPTH: Counter[int] = Counter()  # communicator -> number of nested blocks that
 
 # ---------------------------------------------------------------- agreement
 @contextmanager
-def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
+def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
     """Context for code that each rank runs by itself, also users' code: an error on one rank is raised on all. Collective.
 
     The code may make collective calls. If an error keeps a rank from a call that the others wait in, they never reach the
@@ -52,7 +52,7 @@ def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
     Raises:
         InputError: on some ranks an error occurred; it names the first of them. If all have one, each raises its own.
     """
-    comm = comm or world()
+    comm = comm or default_comm()
     key, began = comm.py2f(), time.monotonic()
     problem: Exception | None = None
     _DEPTH[key] += 1
@@ -62,18 +62,18 @@ def on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
         except Exception as error:
             problem = error
         if comm.size > 1:
-            texts = _texts(comm, _DEPTH[key], problem, max(PATIENCE, time.monotonic() - began))
+            texts = _error_texts(comm, _DEPTH[key], problem, max(PATIENCE, time.monotonic() - began))
             wrong = [rank for rank, text in enumerate(texts) if text is not None]
             if wrong and len(wrong) < comm.size:
-                raise _for_all(InputError(f"rank {wrong[0]}: {texts[wrong[0]]}")) from problem
+                raise _raised_on_all(InputError(f"rank {wrong[0]}: {texts[wrong[0]]}")) from problem
         if problem is not None:
-            raise _for_all(problem)
+            raise _raised_on_all(problem)
     finally:
         _DEPTH[key] -= 1
         problem = None  # whose traceback has this frame
 
 
-def _texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
+def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
     """Every rank's error, once all ranks have reached the end of the same block.
 
     Ranks in an inner block receive the errors there, and reach this block with errors of their own.
@@ -100,14 +100,14 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
 
     Args:
         comm: communicator (default: the world).
-        given: name -> value, see `thinlayer.system.identity.described`; the same names on all ranks.
+        given: name -> value, see `thinlayer.system.identity.describe`; the same names on all ranks.
             What only one process knows, such as a function on a mesh, counts by its class.
     """
-    comm = comm or world()
+    comm = comm or default_comm()
     if comm.size == 1:
         return ""
-    with on_all(comm):
-        texts = {name: json.dumps(described(one), sort_keys=True) for name, one in given.items()}
+    with errors_on_all(comm):
+        texts = {name: json.dumps(describe(one), sort_keys=True) for name, one in given.items()}
         texts = {name: re.sub(rf"{ALONE} \(\d+\)", "", text) for name, text in texts.items()}
     found = comm.allgather({name: digest(text) for name, text in texts.items()})
     for name, first in found[0].items():
@@ -119,11 +119,11 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
                 here, there = ("nothing" if one is MISSING else json.dumps(one)[:SHOWN] for one in both)
                 at = f"{'.'.join(path)} is " if path else ""
                 what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
-                raise _for_all(InputError(f"{what}; give all ranks the same"))
+                raise _raised_on_all(InputError(f"{what}; give all ranks the same"))
     return digest(found[0])
 
 
-def _for_all(error: Exception) -> Exception:
+def _raised_on_all(error: Exception) -> Exception:
     """The error, marked as raised on all ranks."""
     error.on_all_ranks = True  # type: ignore[attr-defined]
     return error
@@ -196,7 +196,7 @@ def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Ar
     return out
 
 
-def carry(comm: MPI.Intracomm, cells: Array, values: Callable[[Array], Array], wanted: Array) -> Array:
+def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array], Array], wanted: Array) -> Array:
     """Send values of cells, known by their original numbers, to the ranks that want them. Collective.
 
     Args:

@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 from forms.base import InputError
 from geometry.parallel import on_root
-from thinlayer.system.folder import replaced
+from thinlayer.system.folder import replace_file
 
 Row = dict[str, float | str | None]
 
@@ -78,7 +78,7 @@ class Table:
         writer = csv.writer(text)
         writer.writerow(self.columns)
         writer.writerows([_text(value, repr) for value in row.values()] for row in self.rows)
-        with replaced(path) as file:
+        with replace_file(path) as file:
             file.write(text.getvalue().encode())
 
     @classmethod

@@ -18,7 +18,7 @@ def version_of(package: str) -> str:
     return "not installed"
 
 
-def reason(error: BaseException) -> str:
+def error_reason(error: BaseException) -> str:
     """Words for an error that ends a run."""
     if isinstance(error, OSError):
         where = f" {str(error.filename)!r}" if error.filename else ""
@@ -28,7 +28,7 @@ def reason(error: BaseException) -> str:
     return str(error) if isinstance(error, RuntimeError) else f"{type(error).__name__}: {error}"
 
 
-def say(text: object) -> None:
+def print_safely(text: object) -> None:
     """Print, or do nothing once the reader of standard output has gone, as in `python3 -m thinlayer list | head -1`."""
     try:
         print(text, flush=True)
@@ -36,7 +36,7 @@ def say(text: object) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def columns(texts: Mapping[str, str]) -> str:
+def two_columns(texts: Mapping[str, str]) -> str:
     """Names and texts, in two columns."""
     width = max(map(len, texts), default=0)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in texts.items())

@@ -16,9 +16,9 @@ from geometry.topology import IntArray
 from thinlayer.discretisation.state import Audit, Report, State
 from thinlayer.parts.part import FileOrder
 from thinlayer.solving.equations import Equations
-from thinlayer.system.folder import hash_of, read_sealed, replaced, write_sealed
-from thinlayer.system.identity import Resume, differences, in_words
-from thinlayer.system.ranks import carry
+from thinlayer.system.folder import hash_of, read_sealed, replace_file, write_sealed
+from thinlayer.system.identity import Resume, differences, differences_text
+from thinlayer.system.ranks import carry_cell_values
 from thinlayer.system.table import Table
 
 TABLE = "table.csv"
@@ -51,10 +51,10 @@ class Checkpoint:
                 self._orders |= {MEMORY + part.key: order, STRESS + part.key: order}
         own = self.model.domain.mesh.topology.index_map(self.model.joint.dim).size_local
         rest = equations.rest(0.0)
-        for name, f in _functions(rest).items():
+        for name, f in _state_functions(rest).items():
             dofs = np.asarray(f.function_space.dofmap.list)
             self._orders[name] = FileOrder(self.model.domain.original_cells[: len(dofs)], dofs, own)
-        for name in _values(rest).keys() - self._orders.keys():
+        for name in _state_values(rest).keys() - self._orders.keys():
             what = f"the part {name.removeprefix(MEMORY)!r} remembers values that have no order in files"
             raise InputError(f"{what}: march without out=, or give its class file_order, of the rows of its memory")
 
@@ -96,12 +96,12 @@ class Checkpoint:
 
     def _write_state(self, row: int, state: State) -> None:
         arrays = {} if state.reactions is None else {REACTIONS: state.reactions}
-        arrays |= {name: self._gather(self._orders[name], values) for name, values in _values(state).items()}
+        arrays |= {name: self._gather(self._orders[name], values) for name, values in _state_values(state).items()}
         about = {"report": asdict(state.report), "audit": asdict(state.audit)}
         about |= {name: getattr(state, name) for name in NUMBERS}
 
         def write() -> None:
-            with replaced(self._file(row)) as file:
+            with replace_file(self._file(row)) as file:
                 np.savez(file, allow_pickle=False, **arrays)
             self._states[str(row)] = about | {"hash": hash_of(self._file(row))}
 
@@ -146,7 +146,7 @@ class Checkpoint:
             what = f"it has the format {there.get('format')} of another version, this one reads {FORMAT}"
             raise InputError(f"{str(self.path)!r} cannot be read ({what}); give another folder, or remove it")
         if there != self.mark and resume != "anyway":
-            other = in_words([*differences(there, self.mark)])
+            other = differences_text([*differences(there, self.mark)])
             remedy = "give another folder, remove it, or resume='anyway'"
             raise InputError(f"{self.path} is of another march ({other}); {remedy}")
         if there["observe"].keys() != self.mark["observe"].keys():
@@ -175,31 +175,31 @@ class Checkpoint:
         report, audit = Report(**about["report"] | {"method": "resumed"}), Audit(**about["audit"])
         known = {name: about[name] for name in NUMBERS} | {"report": report, "audit": audit, "reactions": reactions}
         state = replace(rest, memory=memory, fields=fields, at_rest=False, **known)
-        for name, values in _values(state).items():
+        for name, values in _state_values(state).items():
             order = self._orders[name]
             order.put(values, self._wanted(row, arrays.get(name), order.numbers, order.width * values.shape[1]))
-        for f in (*_functions(state).values(), *state.fields.values()):
+        for f in (*_state_functions(state).values(), *state.fields.values()):
             f.x.scatter_forward()
         return state
 
     def _wanted(self, row: int, rows: Array | None, numbers: IntArray, width: int) -> Array:
         """The values (len(numbers), width) of these numbers on each rank, from rows (number, values...) on rank 0."""
         rows = rows if rows is not None and rows.shape[1] == width + 1 else np.empty((0, width + 1))
-        found = carry(self.comm, rows[:, 0].astype(np.int64), lambda at: rows[at, 1:], numbers)
+        found = carry_cell_values(self.comm, rows[:, 0].astype(np.int64), lambda at: rows[at, 1:], numbers)
         if self.comm.allreduce(int(not np.isfinite(found).all())):
             raise InputError(f"{self._file(row)} is of a march with other unknowns; remove the folder to start anew")
         return found
 
 
-def _functions(state: State) -> dict[str, fem.Function]:
+def _state_functions(state: State) -> dict[str, fem.Function]:
     """The functions among what a state has, by their names in its file, except own unknowns of parts."""
     kept = [(key, one) for key, one in state.memory.items() if isinstance(one, Mapping)]
     return {"u": state.u, **{f"{MEMORY}{key}/{name}": f for key, one in kept for name, f in one.items()}}
 
 
-def _values(state: State) -> dict[str, Array]:
+def _state_values(state: State) -> dict[str, Array]:
     """Values (n, v) of what a state has, by their names in its file; no copies."""
-    found = {name: f.x.array.reshape(-1, f.function_space.dofmap.bs) for name, f in _functions(state).items()}
+    found = {name: f.x.array.reshape(-1, f.function_space.dofmap.bs) for name, f in _state_functions(state).items()}
     found |= {FIELD + key: f.x.array[:, None] for key, f in state.fields.items()}
     found |= {MEMORY + key: kept for key, kept in state.memory.items() if not isinstance(kept, Mapping)}
     return found | {STRESS + key: kept for key, kept in state.stresses.items()}

@@ -16,12 +16,12 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.history import SAME_TIME, History
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
-from thinlayer.system.progress import logger, telling
+from thinlayer.system.progress import logger, report
 from thinlayer.time.journal import Journal
 
 
 @dataclass(frozen=True)
-class Attempt:
+class StepAttempt:
     """A way to make a step, as data.
 
     Attributes:
@@ -84,7 +84,7 @@ class Controller(ABC):
 
     @property
     @abstractmethod
-    def attempts(self) -> list[Attempt]:
+    def attempts(self) -> list[StepAttempt]:
         """How a step is tried, in turn."""
 
     def shorter(self, length: float, error: SolveError) -> float:
@@ -107,7 +107,7 @@ class Controller(ABC):
             resume: whether to go on from what is in the journal's folder.
             begun: the state to go on from, perhaps after the one before it; (): from rest.
         """
-        with telling("march") as tell:
+        with report("march") as tell:
             if self.journal.read(resume):
                 self._compare_times()
             elif begun:

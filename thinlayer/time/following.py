@@ -12,7 +12,7 @@ import numpy as np
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError, TurningPoint
 from thinlayer.solving.petsc import Options
-from thinlayer.time.controller import Attempt, Controller
+from thinlayer.time.controller import Controller, StepAttempt
 from thinlayer.time.path import EquilibriumPath
 from thinlayer.time.plan import ArcLength
 
@@ -24,7 +24,7 @@ MANY_STEPS = 10**6
 
 
 @dataclass(eq=False)
-class AlongPath(Controller):
+class ArcLengthController(Controller):
     """Steps by arc length. Lengths are relative to that of the first step.
 
     Attributes:
@@ -79,9 +79,9 @@ class AlongPath(Controller):
         return 1 / unit**2
 
     @property
-    def attempts(self) -> list[Attempt]:
-        ahead = Attempt("a step along the path", self._ahead)
-        corner = Attempt("a step through a corner", self._through_corner, CORNER_LENGTH / 2)
+    def attempts(self) -> list[StepAttempt]:
+        ahead = StepAttempt("a step along the path", self._ahead)
+        corner = StepAttempt("a step through a corner", self._through_corner, CORNER_LENGTH / 2)
         return [ahead, corner] if self._curve.weight else [ahead]
 
     def _arc(self, length: float) -> float:
@@ -116,7 +116,7 @@ class AlongPath(Controller):
         return self.error(f"{step}, failed, and so did longer ones: {errors[0]}")
 
 
-class PathInTime(AlongPath):
+class PathToTimesController(ArcLengthController):
     """Steps to given times along an equilibrium path, which end where the path turns back in time.
 
     Displacements of supports or loads control it. Steps along the path pass over no part of it: were they steps in time, a
@@ -140,7 +140,7 @@ class PathInTime(AlongPath):
         super()._aim(anew=self._breaks(self.last.t))
 
     def _checked(self, state: State, length: float) -> list[State]:
-        """As in `AlongPath`. SolveError: beyond this state, or between the two, the path leads back in time."""
+        """As in `ArcLengthController`. SolveError: beyond this state, or between the two, the path leads back in time."""
         states = super()._checked(state, length)
         self._turned = not (self._curve.slope > 0 and state.t > self.last.t)
         if self._turned:

@@ -15,13 +15,13 @@ from forms.base import InputError, ThinlayerError
 from thinlayer.discretisation.state import State
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import History, columns
-from thinlayer.system.identity import Resume, code_of, described
+from thinlayer.system.identity import Resume, code_of, describe
 from thinlayer.system.progress import logger
-from thinlayer.system.ranks import collect, on_all
+from thinlayer.system.ranks import collect, errors_on_all
 from thinlayer.system.table import Row
 from thinlayer.time.checkpoint import Checkpoint
 
-Observe = Mapping[str, Callable[[State], float]]
+Observers = Mapping[str, Callable[[State], float]]
 OBSERVING = "it must be a function of a state that returns a real number"
 # Largest relative difference of an observed value between ranks. Rounding is much smaller; values of one rank's part of the
 # mesh differ by more.
@@ -61,7 +61,7 @@ class Journal:
 
     equations: Equations
     choices: Mapping[str, Any]
-    observe: Observe = field(default_factory=dict)
+    observe: Observers = field(default_factory=dict)
     keep: str = "last"
     out: Path | None = None
 
@@ -75,7 +75,7 @@ class Journal:
         self._files, self._written = None, 0
         if self.out:
             # of observing functions it is known by what stays as they collect values
-            observed = {name: code_of(described(function)) for name, function in self._observe.items()}
+            observed = {name: code_of(describe(function)) for name, function in self._observe.items()}
             mark = json.loads(json.dumps({**self.model.identity(), "observe": observed, **self.choices}))
             self._files = Checkpoint(self.out, self.equations, mark)
 
@@ -132,7 +132,7 @@ class Journal:
         """The value of an observing function on rank 0. InputError: the function fails, or ranks find other values."""
         place = f"observe[{name!r}] at t = {state.t:g}"
         try:
-            with on_all(self.model.comm):
+            with errors_on_all(self.model.comm):
                 value = float(np.asarray(self._observe[name](state)).astype(float, casting="same_kind"))
         except Exception as error:
             kind = "" if isinstance(error, (ThinlayerError, TypeError, ValueError)) else f"{type(error).__name__}: "

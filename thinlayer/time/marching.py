@@ -17,24 +17,30 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.history import History, Solution, columns
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
-from thinlayer.solving.solvers import Choices, Solver, comm_of
-from thinlayer.system.folder import owned
+from thinlayer.solving.solvers import Solver, SolverChoices, comm_of
+from thinlayer.system.folder import own_folder
 from thinlayer.system.identity import Resume, require_resume
-from thinlayer.system.progress import telling
-from thinlayer.system.ranks import on_all, require_same
+from thinlayer.system.progress import report
+from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.time.controller import Controller
-from thinlayer.time.following import AlongPath, PathInTime
-from thinlayer.time.journal import OBSERVING, Journal, Observe
+from thinlayer.time.following import ArcLengthController, PathToTimesController
+from thinlayer.time.journal import OBSERVING, Journal, Observers
 from thinlayer.time.plan import (
     Adaptive,
     ArcLength,
     Times,
     ends_of_steps,
-    lasting,
+    load_durations,
     require_in_time,
     require_path,
 )
-from thinlayer.time.stepping import QUANTITIES, AdaptiveSteps, ErrorEstimate, PlannedSteps, StepsFromSnapToSnap
+from thinlayer.time.stepping import (
+    QUANTITIES,
+    AdaptiveController,
+    ErrorEstimate,
+    PlannedStepsController,
+    SnapController,
+)
 
 TOLD = 0.02  # least error of the steps that leads to a warning
 FEWEST = 8  # planned steps whose number can be halved; fewer are made again as this many or more
@@ -47,11 +53,11 @@ def march(
     *,
     start: float | None = None,
     theta: float = 1.0,
-    observe: Observe | None = None,
+    observe: Observers | None = None,
     keep: str = "all",
     out: str | Path | None = None,
     resume: Resume = False,
-    **solver: Unpack[Choices],
+    **solver: Unpack[SolverChoices],
 ) -> History:
     """Follow a model in time, from rest just before `start`, or on from a state. Collective.
 
@@ -109,10 +115,10 @@ def march(
         LimitLoad: the same for a layer that yields, or for contact, if loads change and displacements run away as weak
             springs at all nodes are softened; the error has the last loads with an equilibrium.
     """
-    with on_all(comm_of(getattr(begin, "model", begin))):
-        model, begun = _begun(begin)
+    with errors_on_all(comm_of(getattr(begin, "model", begin))):
+        model, begun = _initial_states(begin)
         for name in solver:
-            require_known("argument of march", name, Choices.__annotations__)
+            require_known("argument of march", name, SolverChoices.__annotations__)
         if begun and (start is not None or out is not None):
             raise InputError("a march goes on from a state at its time, and without files: leave start= and out= away")
         start = begun[-1].t if begun else _number("start", start or 0.0)
@@ -125,7 +131,7 @@ def march(
     choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
     require_same(model.comm, times=times, **choices, observe={*(observe or {})})
     folder = Path(out) if out else None
-    with Solver(model, **solver) as finder, owned(folder, model.comm):
+    with Solver(model, **solver) as finder, own_folder(folder, model.comm):
         equations, traits = finder.equations, finder.equations.traits
         ends_at_breaks = traits.remembers or traits.rate or traits.softens or isinstance(times, Adaptive)
         ends = ends_of_steps(times, start, model.break_times if ends_at_breaks else ())
@@ -138,18 +144,20 @@ def march(
         identity = {"start": start, "theta": theta, "tolerance": getattr(times, "tolerance", None)}
         identity |= {"first": getattr(times, "first", ends[0] - start)} if on_path else {}
         journal = Journal(equations, identity, observe or {}, keep, folder)
-        warn_of_model(model, () if on_path or begun else lasting(times, start, ends))
+        warn_of_model(model, () if on_path or begun else load_durations(times, start, ends))
         begin_at: tuple[Solver, Journal, float, list[float]] = finder, journal, start, ends
         controller: Controller
         if isinstance(times, ArcLength):
-            controller = AlongPath(*begin_at, times, solver.get("options"))
+            controller = ArcLengthController(*begin_at, times, solver.get("options"))
         elif on_path:
-            controller = PathInTime(*begin_at, PathInTime.settings(start, ends), solver.get("options"))
+            controller = PathToTimesController(
+                *begin_at, PathToTimesController.settings(start, ends), solver.get("options")
+            )
         elif isinstance(times, Adaptive):
-            controller = AdaptiveSteps(*begin_at, theta, times)
+            controller = AdaptiveController(*begin_at, theta, times)
         else:
             warn_of_steps(model, start, ends, theta)
-            controller = planned(*begin_at, theta)
+            controller = planned_controller(*begin_at, theta)
         try:
             history = controller.run(resume, begun)
         except SolveError as error:
@@ -158,12 +166,12 @@ def march(
         each = [part.traits for part in equations.parts]  # phases that switch have steps of their own
         timed = any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in each)
         if timed and not on_path and not isinstance(times, Adaptive):
-            tell_steps(controller, theta, begun)
+            warn_of_step_errors(controller, theta, begun)
     warn_of_states(list(history), None if on_path else start)
     return history
 
 
-def _begun(begin: Any) -> tuple[Model, list[State]]:
+def _initial_states(begin: Any) -> tuple[Model, list[State]]:
     """The model, and the states from which a march goes on: the last one, perhaps after the one before it."""
     if isinstance(begin, History):
         return begin.model, [*filter(None, [begin.states.get(len(begin) - 2)]), begin.last]
@@ -174,9 +182,11 @@ def _begun(begin: Any) -> tuple[Model, list[State]]:
     return begin, []
 
 
-def planned(solver: Solver, journal: Journal, start: float, ends: Sequence[float], theta: float) -> PlannedSteps:
+def planned_controller(
+    solver: Solver, journal: Journal, start: float, ends: Sequence[float], theta: float
+) -> PlannedStepsController:
     """The controller of planned steps; with snaps where columns switch."""
-    kind = StepsFromSnapToSnap if solver.equations.traits.switches else PlannedSteps
+    kind = SnapController if solver.equations.traits.switches else PlannedStepsController
     return kind(solver, journal, start, ends, theta)
 
 
@@ -200,7 +210,7 @@ def _check(model: Model, theta: float, keep: str, out: Any, resume: Resume, obse
 
 
 # ---------------------------------------------------------------- what planned steps leave undetermined
-def tell_steps(done: Controller, theta: float, begun: Sequence[State]) -> None:
+def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) -> None:
     """Estimate the errors of planned steps at the end of a march, and warn of large ones. Collective.
 
     Laws that are not linear and have a history, as of yield, friction or damage, are marched again with half as many steps:
@@ -213,12 +223,12 @@ def tell_steps(done: Controller, theta: float, begun: Sequence[State]) -> None:
     if dissipated <= IDLE * supplied:  # not if a law does not declare its energy
         history.step_errors = dict.fromkeys(QUANTITIES, 0.0)
         return
-    again = _other(done.targets, done.start, solver.model.break_times)
+    again = _halved_targets(done.targets, done.start, solver.model.break_times)
     remedy = "take more steps, or times=Adaptive(end=..., first=..., tolerance=...)"
     try:
-        with telling("error of the steps"):
+        with report("error of the steps"):
             journal = Journal(solver.equations, {"theta": theta})
-            other = planned(solver, journal, done.start, again, theta).run(begun=begun).last
+            other = planned_controller(solver, journal, done.start, again, theta).run(begun=begun).last
     except SolveError as error:
         history.step_errors = dict.fromkeys(QUANTITIES, np.nan)
         what = f"the error of the march's steps is not known: with {len(again)} steps {error.reason}; {remedy}"
@@ -233,7 +243,7 @@ def tell_steps(done: Controller, theta: float, begun: Sequence[State]) -> None:
         solver.model.warn("step error", f"{what} (march with {len(again)} steps); {remedy}", *done.targets)
 
 
-def _other(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:
+def _halved_targets(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:
     """Every second target, counted from the end, and breaks; where few would be left, all steps in parts."""
     last = len(targets) - 1
     coarse = [t for k, t in enumerate(targets) if (last - k) % 2 == 0 or t in breaks]

@@ -22,10 +22,10 @@ from petsc4py import PETSc
 from forms.base import Array, InputError
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import SolveError
-from thinlayer.parts.part import Interval
+from thinlayer.parts.part import TimeStep
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import Factor, direct_solver, mark
-from thinlayer.solving.petsc import Options, chosen, reason_name, solve_linear
+from thinlayer.solving.linear_solvers import Factor, direct_solver, mark_symmetry
+from thinlayer.solving.petsc import Options, chosen_options, reason_name, solve_linear
 
 ITERATIONS = 12  # largest number of Newton steps
 TURN_ITERATIONS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
@@ -102,7 +102,7 @@ class EquilibriumPath:
 
     def _begin(self, last: State, t: float) -> None:
         try:
-            self.equations.begin(Interval(last, t, t - last.t, 1.0))
+            self.equations.begin(TimeStep(last, t, t - last.t, 1.0))
         except InputError as error:
             raise SolveError(str(error)) from error
 
@@ -129,13 +129,13 @@ class EquilibriumPath:
         change.array[held] = (equations.prescribed - prescribed) / short
         self._matrix = equations.tangent()
         self._matrix.zeroRowsColumns(equations.held_rows, 1.0, change, dR)
-        mark(self._matrix, equations.model, saddle=True)
+        mark_symmetry(self._matrix, equations.model, saddle=True)
         self._solve(dR, change)
         self._solve(self._r, self._step)
         return np.append(-self._step.array_r, 0.0), np.append(change.array_r, 1.0)
 
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        with chosen(self._options):
+        with chosen_options(self._options):
             try:
                 self._factor.renew(self._matrix, None, self.equations.tell)
                 solve_linear(self._factor.ksp, b, x)

@@ -10,7 +10,7 @@ from numbers import Integral
 import numpy as np
 
 from forms.base import InputError, is_finite, is_number, require
-from forms.temperature import real
+from forms.temperature import real_values
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import SAME_TIME
@@ -127,7 +127,7 @@ class ArcLength:
         """Raise InputError unless the path can begin at the time `start`."""
         if not math.isfinite(start) or not self.end > start:
             raise InputError(f"ArcLength: end is {self.end:g}; it must come after start = {start:g}")
-        if not distinct(start, start + self.first) or self.first**2 < np.finfo(float).tiny:
+        if not is_divisible(start, start + self.first) or self.first**2 < np.finfo(float).tiny:
             raise InputError(f"ArcLength: first is {self.first:g}: a step from t = {start:g} that is lost in rounding")
         if not self.lowest(start) < start:
             raise InputError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
@@ -150,7 +150,7 @@ def ends_of_steps(times: Times, start: float, breaks: Iterable[float] = ()) -> l
     require(not isinstance(times, str), "times", times, "it must be a sequence of numbers or Adaptive(...)")
     adaptive = times if isinstance(times, Adaptive) else None
     try:
-        given = real([*({*adaptive.at, adaptive.end} if adaptive else times)])  # type: ignore[misc]
+        given = real_values([*({*adaptive.at, adaptive.end} if adaptive else times)])  # type: ignore[misc]
         if given.ndim != 1:
             raise TypeError("it has rows")
     except (TypeError, ValueError) as error:
@@ -167,14 +167,14 @@ def ends_of_steps(times: Times, start: float, breaks: Iterable[float] = ()) -> l
     return [float(t) for t in np.sort(whole)[1:]]
 
 
-def lasting(times: Times, start: float, ends: Sequence[float]) -> list[float]:
+def load_durations(times: Times, start: float, ends: Sequence[float]) -> list[float]:
     """Durations, at the first, a middle (logarithmic mean) and the last time, of loads that are sudden at `start`."""
     first, last = ends[0] - start, ends[-1] - start
     first = min(first, times.first) if isinstance(times, Adaptive) else first
     return list(dict.fromkeys([first, math.sqrt(first * last), last]))
 
 
-def distinct(start: float, end: float) -> bool:
+def is_divisible(start: float, end: float) -> bool:
     """Whether the two halves of a step are not lost in rounding."""
     return start < (start + end) / 2 < end
 

@@ -13,14 +13,14 @@ from petsc4py import PETSc
 
 from forms.base import Array
 from forms.planes import LIFTED
-from thinlayer.discretisation.rigid import rigid_motions
+from thinlayer.discretisation.rigid import model_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError
 from thinlayer.pointwise.columns import TIE
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import SAME_TIME
-from thinlayer.time.controller import Attempt, Controller
-from thinlayer.time.plan import HALVINGS, MOST_SHORTENED, Adaptive, distinct
+from thinlayer.time.controller import Controller, StepAttempt
+from thinlayer.time.plan import HALVINGS, MOST_SHORTENED, Adaptive, is_divisible
 
 # Least size of jumps to which errors are relative, as a share of the displacements; rounding is smaller.
 LEAST_JUMP = 1e-6
@@ -37,7 +37,7 @@ NO_LIMIT = "no equilibrium was found, which need not be a limit of the loads: tr
 
 
 @dataclass(eq=False)
-class PlannedSteps(Controller):
+class PlannedStepsController(Controller):
     """Steps that end at the targets, or are halved on the way.
 
     Attributes:
@@ -59,12 +59,12 @@ class PlannedSteps(Controller):
         return self.last.t + length if self.target - self.last.t - length >= LEFT * length else self.target
 
     @property
-    def attempts(self) -> list[Attempt]:
+    def attempts(self) -> list[StepAttempt]:
         """Eased laws are tried if no step has failed, after a step that has used them, and in the shortest step."""
         thorough = self._failed_at == math.inf or self.last.report.eased > 0
-        first = Attempt("Newton's method", partial(self._step, thorough=thorough))
-        more = Attempt("Newton's method, with eased laws,", partial(self._step, thorough=True), self.smallest)
-        seek = Attempt("a way by weak springs", self._seek, self.smallest)
+        first = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
+        more = StepAttempt("Newton's method, with eased laws,", partial(self._step, thorough=True), self.smallest)
+        seek = StepAttempt("a way by weak springs", self._seek, self.smallest)
         return [first, *([] if thorough else [more]), seek] if self.solver.bounded else [first]
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
@@ -83,18 +83,18 @@ class PlannedSteps(Controller):
     def _resultant(self, t: float) -> list[float]:
         """Sum of the loads on the bodies at time t, those of rigid plates included, (d,)."""
         model, loads = self.solver.model, self.solver.equations.loads_at(t)
-        translations = [*rigid_motions(model, LIFTED).values()][: model.joint.dim]
+        translations = [*model_motions(model, LIFTED).values()][: model.joint.dim]
         return [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
 
     # ---------------------------------------------------------------- attempts
     def _step(self, length: float, *, thorough: bool) -> list[State]:
         old, end = self.last, self._end(length)
-        if not distinct(old.t, end):
+        if not is_divisible(old.t, end):
             raise SolveError(f"a step of {length:g} from t = {old.t:.16g} is lost in rounding")
         try:
             states = self._states(old, end, 1.0 if old.at_rest else self.theta, thorough)
         except SolveError as error:
-            if not isinstance(error, _TooLarge):
+            if not isinstance(error, _StepTooLarge):
                 self._failed_at = min(self._failed_at, end)
             raise
         self._set_pace(length, end)
@@ -142,7 +142,7 @@ class PlannedSteps(Controller):
         return [state]
 
 
-class _TooLarge(SolveError):
+class _StepTooLarge(SolveError):
     """The estimated error of a step is above the tolerance, and below it if the step is shortened by the factor."""
 
     def __init__(self, factor: float) -> None:
@@ -151,7 +151,7 @@ class _TooLarge(SolveError):
 
 
 @dataclass(eq=False)
-class AdaptiveSteps(PlannedSteps):
+class AdaptiveController(PlannedStepsController):
     """Steps as long as their error allows: each is made once as a whole, and once as two halves, which are its states.
 
     Attributes:
@@ -167,7 +167,7 @@ class AdaptiveSteps(PlannedSteps):
         self.journal.pace.step, self._factor = self.settings.first, 1.0
 
     def shorter(self, length: float, error: SolveError) -> float:
-        return length * error.factor if isinstance(error, _TooLarge) else super().shorter(length, error)
+        return length * error.factor if isinstance(error, _StepTooLarge) else super().shorter(length, error)
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
         """The halves; after rest, errors are relative to the values at the end of the first step tried, accepted or not.
@@ -188,7 +188,7 @@ class AdaptiveSteps(PlannedSteps):
         accepted = error <= tolerance
         pace.largest = [*map(float, np.maximum(largest, middle) if accepted else largest)]
         if not accepted:
-            raise _TooLarge(self._factor)
+            raise _StepTooLarge(self._factor)
         return halves
 
     def _set_pace(self, length: float, end: float) -> None:
@@ -204,7 +204,7 @@ class AdaptiveSteps(PlannedSteps):
         raise SolveError("the error of a step by weak springs is not known")
 
 
-class StepsFromSnapToSnap(PlannedSteps):
+class SnapController(PlannedStepsController):
     """Planned steps of a layer whose columns switch their phases."""
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:

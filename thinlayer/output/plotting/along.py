@@ -15,7 +15,7 @@ from forms.base import InputError, require
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import PINNED, Contact
 from thinlayer.output.plotting.curves import COLOURS, LINES, logarithmic
-from thinlayer.output.plotting.picture import Picture, finish
+from thinlayer.output.plotting.picture import Picture, finish_picture
 from thinlayer.output.surface import Surface
 from thinlayer.surface.lines import Plane
 
@@ -71,7 +71,7 @@ def along(
         axes.set_xlabel(f"arc length{f' ({length})' if length else ''}")
     _legend(figure, rows, surface.joint.dim)
     figure.align_ylabels()
-    return finish(figure, save, title)
+    return finish_picture(figure, save, title)
 
 
 def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, np.ndarray]]:

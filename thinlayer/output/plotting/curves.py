@@ -12,12 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
 from forms.base import InputError, require
-from thinlayer.output.plotting.picture import Picture, finish, symbols
+from thinlayer.output.plotting.picture import Picture, finish_picture, symbols
 from thinlayer.system.table import Table
 
 Lines = Mapping[str, tuple[Any, Any]]  # label -> (x, y)
 Range = tuple[float, float] | None
-Chosen = str | Sequence[str] | Mapping[str, str] | None  # for all curves, in turn, or by label
+StyleChoice = str | Sequence[str] | Mapping[str, str] | None  # for all curves, in turn, or by label
 # Of curves, in turn: colours that no eye confuses (Okabe and Ito), line styles and markers for grey prints.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)), (0, (1, 3)))
@@ -77,7 +77,7 @@ def rates(
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.minorticks_off()
-    return finish(figure, save)
+    return finish_picture(figure, save)
 
 
 def curves(
@@ -87,8 +87,8 @@ def curves(
     *,
     title: str = "",
     save: str | Path | None = None,
-    styles: Chosen = None,
-    colours: Chosen = None,
+    styles: StyleChoice = None,
+    colours: StyleChoice = None,
     log: str = "",
     xlim: Range | Mapping[str, Range] = None,
     ylim: Range | Mapping[str, Range] = None,
@@ -132,7 +132,9 @@ def curves(
                 drawn[label].set_linestyle(dashes[label])
         axes.grid(color="0.9")
         axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
-        axes.set(xlabel=xlabel, ylabel=_of(ylabel, panel), xlim=_of(xlim, panel), ylim=_of(ylim, panel))
+        axes.set(
+            xlabel=xlabel, ylabel=_of_panel(ylabel, panel), xlim=_of_panel(xlim, panel), ylim=_of_panel(ylim, panel)
+        )
         axes.set_title(panel, fontsize=11)
         if levels and panel in levels:
             axes.set_yticks(range(len(levels[panel])), map(symbols, levels[panel]))
@@ -142,7 +144,7 @@ def curves(
         figure.set_figheight(high + ROW * (rows - 1))
         ncols = math.ceil(len(drawn) / rows)
         figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=ncols, frameon=False)
-    return finish(figure, save, title if several else "")
+    return finish_picture(figure, save, title if several else "")
 
 
 def fraction(x: float) -> str:
@@ -150,12 +152,12 @@ def fraction(x: float) -> str:
     return f"1/{1 / x:.0f}" if x <= 1 / 4 and math.frexp(x)[0] == 0.5 else f"{x:.4g}"
 
 
-def _of(given: Any, panel: str) -> Any:
+def _of_panel(given: Any, panel: str) -> Any:
     """What is given for a panel."""
     return given.get(panel) if isinstance(given, Mapping) else given
 
 
-def _by_label(labels: Iterable[str], chosen: Chosen) -> dict[str, str]:
+def _by_label(labels: Iterable[str], chosen: StyleChoice) -> dict[str, str]:
     if isinstance(chosen, Mapping):
         return dict(chosen)
     return dict(zip(labels, cycle([chosen] if isinstance(chosen, str) else chosen or []), strict=False))

@@ -10,14 +10,14 @@ from tempfile import TemporaryDirectory
 from matplotlib import rc_context
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 
-from forms.base import InputError, is_whole, require
+from forms.base import InputError, is_integer, require
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
-from thinlayer.output.grid import gather
+from thinlayer.output.grid import gather_grid
 from thinlayer.output.plotting.scene import Scene, View
 from thinlayer.output.plotting.structures import DEFAULT
 from thinlayer.solving.history import History
-from thinlayer.system.folder import replaced
+from thinlayer.system.folder import replace_file
 from thinlayer.system.progress import track
 
 GIF, MP4 = ".gif", ".mp4"
@@ -56,11 +56,11 @@ def movie(
     states = _states(solution)
     if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF, MP4):
         raise InputError(f"save is {save!r}; it must be the name of a movie, which ends in .gif or .mp4")
-    good = is_whole(per_second, 1) and per_second <= FASTEST
+    good = is_integer(per_second, 1) and per_second <= FASTEST
     require(good, "per_second", per_second, f"allowed: whole numbers from 1 to {FASTEST}")
     path, comm = Path(save), states[0].model.comm
     ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4 else ""
-    grids = [grid for state in track(states, "movie", "{0.t:.4g}") if (grid := gather(state))]
+    grids = [grid for state in track(states, "movie", "{0.t:.4g}") if (grid := gather_grid(state))]
 
     def draw() -> None:
         scene = Scene.of(grids, view)
@@ -73,7 +73,7 @@ def movie(
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # every frame has the layout of the first
         writer: AbstractMovieWriter = PillowWriter(per_second) if path.suffix == GIF else FFMpegWriter(per_second)
-        with TemporaryDirectory() as folder, replaced(path) as file:
+        with TemporaryDirectory() as folder, replace_file(path) as file:
             drawn = Path(folder) / path.name
             with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(figure, str(drawn), DPI):
                 for state, grid in track([*zip(states, grids, strict=True)], "movie", "a frame"):

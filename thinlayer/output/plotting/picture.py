@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 from forms.base import require
 from geometry.parallel import on_root
-from thinlayer.system.folder import replaced
+from thinlayer.system.folder import replace_file
 
 WIDTH, DPI = 6.7, 300  # inches, of a page's text; dots per inch of a picture that is set as wide, or of one less wide
 # Text stays text, and files of the same picture are the same.
@@ -69,12 +69,12 @@ def symbols(text: str) -> str:
 F = TypeVar("F", bound=Figure)
 
 
-def finish(figure: F, save: str | Path | None, title: str = "") -> F:
+def finish_picture(figure: F, save: str | Path | None, title: str = "") -> F:
     """Give a picture its title and save it, if asked to. Collective: rank 0 writes."""
     if title:
         figure.suptitle(title, fontsize=11)
     if save is not None:
-        on_root(None, lambda: put(figure, save))
+        on_root(None, lambda: save_picture(figure, save))
     return figure
 
 
@@ -83,11 +83,11 @@ def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | 
     pictures: list[Picture] = []
     on_root(comm, lambda: pictures.append(draw()))
     if save is not None:
-        on_root(comm, lambda: put(pictures[0], save))
+        on_root(comm, lambda: save_picture(pictures[0], save))
     return pictures[0] if pictures else None
 
 
-def put(figure: Figure, save: str | Path) -> None:
+def save_picture(figure: Figure, save: str | Path) -> None:
     """Save a picture on this rank. A file of this name is replaced only when the new one is complete.
 
     Curves in .svg and .pdf are vectors. Images have 300 dots per inch where the picture is set 170 mm wide, or less wide.
@@ -100,5 +100,5 @@ def put(figure: Figure, save: str | Path) -> None:
     path = Path(save)
     require(not path.is_dir(), "save", save, "it is a folder; give the name of a picture")
     ending, dpi = path.suffix.removeprefix(".") or "png", DPI * min(1.0, WIDTH / figure.get_size_inches()[0])
-    with replaced(path.with_suffix(f".{ending}")) as file, rc_context(VECTORS):
+    with replace_file(path.with_suffix(f".{ending}")) as file, rc_context(VECTORS):
         figure.savefig(file, format=ending, dpi=dpi, metadata=UNDATED.get(ending), bbox_inches="tight")

@@ -20,8 +20,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
 from forms.base import is_finite
-from forms.temperature import finite
-from thinlayer.output.grid import Grid
+from forms.temperature import finite_values
+from thinlayer.output.grid import VtkGrid
 from thinlayer.output.plotting.picture import Picture
 
 LARGEST = 0.05  # largest drawn displacement, over the size of the structure
@@ -80,7 +80,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Shape:
+class DeformedShape:
     """A deformed structure to draw.
 
     Attributes:
@@ -95,7 +95,7 @@ class Shape:
     plane: dict[str, Any] | None = None
 
     @classmethod
-    def of(cls, grid: Grid, component: str, scale: float, cut: Sequence[float] | None = None) -> Shape:
+    def of(cls, grid: VtkGrid, component: str, scale: float, cut: Sequence[float] | None = None) -> DeformedShape:
         """The structure with displacements times a scale; cut: without the half to which this unit vector points."""
         mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
         # times pi: no sum of halves is half-way between two of these digits
@@ -130,12 +130,12 @@ class Shape:
         return np.pad(values, (0, 0 if self.base is None else self.base.n_points), constant_values=np.nan)
 
 
-def surface(mesh: pyvista.UnstructuredGrid) -> pyvista.PolyData:
+def outer_surface(mesh: pyvista.UnstructuredGrid) -> pyvista.PolyData:
     """Outer surface of a mesh (in 2D the mesh itself), curved cells subdivided."""
     return mesh.extract_surface(algorithm=None, nonlinear_subdivision=SUBDIVISION)
 
 
-def edges(surface: pyvista.PolyData) -> pyvista.PolyData:
+def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
     """Outlines of a surface, and where it has sharp edges before it deforms, at their deformed places."""
     still = surface.copy()
     still.points -= ALMOST * surface["moved"]
@@ -151,7 +151,7 @@ def _axes(dim: int, view: View) -> Array:
     """(3, 3) unit vectors to the right, upwards and towards the viewer; raises InputError for a view in 2D, or none."""
     if dim == 2 and (view.towards is not None or view.cut):
         raise InputError("towards and cut are for three-dimensional structures")
-    towards = finite(VIEWS[dim] if view.towards is None else view.towards, (3,))
+    towards = finite_values(VIEWS[dim] if view.towards is None else view.towards, (3,))
     if towards is None or not towards.any():
         raise InputError(f"towards is {view.towards}; it needs three components, not all zero")
     towards /= np.linalg.norm(towards)
@@ -179,7 +179,7 @@ class Scene:
     limits: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
-    def of(cls, grids: Sequence[Grid], view: View) -> Scene:
+    def of(cls, grids: Sequence[VtkGrid], view: View) -> Scene:
         """The view in which all grids can be seen.
 
         Raises:
@@ -199,10 +199,10 @@ class Scene:
         seen = values if np.isnan(values[inside]).all() else values[inside]  # a window may lie inside one cell
         return replace(scene, window=window, limits=(float(np.nanmin(seen)), float(np.nanmax(seen))))
 
-    def shape(self, grid: Grid) -> Shape:
+    def shape(self, grid: VtkGrid) -> DeformedShape:
         """The deformed structure of a grid."""
         front = (0.0, 0.0, float(np.copysign(1.0, self.axes[2, 2]))) if self.view.cut else None
-        return Shape.of(grid, self.view.component, self.factor, front)
+        return DeformedShape.of(grid, self.view.component, self.factor, front)
 
     def panels(self, count: int) -> tuple[Picture, list[Axes]]:
         """A picture with places for so many structures side by side."""
@@ -228,7 +228,7 @@ class Scene:
         """The factor of the displacements, in words."""
         return f"displacements drawn {self.factor:.3g} times".replace("drawn 1 times", "as they are")
 
-    def image(self, grid: Grid, on_s: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
+    def image(self, grid: VtkGrid, on_s: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
         """Image of a structure; edges and outlines of bodies black, of the layer's parts red, the base grey.
 
         With meshes on S, with point data "rgb", bodies have no colours, and in 3D outlines alone.
@@ -242,10 +242,10 @@ class Scene:
         black = BLACK if on_s is None else OUTLINE
         parts = [(region, body, *((RED, 2) if number < 0 else (black, 1))) for number, region in shape.regions.items()]
         for mesh, look, pen, lift in parts + ([] if shape.base is None or outlines else [(shape.base, GREY, GREY, 0)]):
-            outside = surface(mesh)
+            outside = outer_surface(mesh)
             if not outlines:
                 plotter.add_mesh(outside, **look)
-            lines = edges(outside)
+            lines = sharp_edges(outside)
             lines.points += lift * LIFT * (x1 - x0) * towards
             ends = lines.lines.reshape(-1, 3)[:, 1:]
             on_seam = lines["double"][ends].min(axis=1) > ALMOST if lines.n_cells else np.zeros(0, bool)
@@ -277,7 +277,7 @@ def _range(x: Array) -> tuple[float, float]:
 
 def _window(zoom: Any) -> Window:
     """The four numbers of a window; raises InputError."""
-    sides = finite(zoom, (4,))
+    sides = finite_values(zoom, (4,))
     if sides is None or not (sides[0] < sides[1] and sides[2] < sides[3]):
         raise InputError(f"zoom is {zoom!r}; it needs (left, right, bottom, top), left < right and bottom < top")
     left, right, bottom, top = map(float, sides)

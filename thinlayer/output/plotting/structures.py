@@ -16,13 +16,13 @@ from matplotlib.patches import Patch
 
 from forms.base import Array, InputError
 from thinlayer.discretisation.state import State
-from thinlayer.output.grid import Grid, gather
+from thinlayer.output.grid import VtkGrid, gather_grid
 from thinlayer.output.plotting.curves import COLOURS, SHOWN
 from thinlayer.output.plotting.picture import Picture, drawn_on_root
 from thinlayer.output.plotting.scene import BAR, Scene, View
 from thinlayer.output.surface import Surface
 
-Field = np.ndarray | Callable[[Surface, State], np.ndarray]
+SurfaceField = np.ndarray | Callable[[Surface, State], np.ndarray]
 NAMED = {  # also apart as greys, where they occur together
     "elastic": "#bcc3ca", "stick": "#0072B2", "sliding": "#D55E00", "crushed": "#7b1113", "torn": "#CC79A7",
     "open": "#56B4E9", "separated": "#56B4E9", "pinned": "#009E73", "bonded": "#7f5539",
@@ -59,7 +59,7 @@ def deformed(
 
 def on_surface(
     states: Mapping[str, State] | State,
-    field: Field,
+    field: SurfaceField,
     view: View = DEFAULT,
     *,
     seam: str = "S",
@@ -95,13 +95,13 @@ def on_surface(
         moved = surface.sides(state.u, state.model, surface.corner_points)
         sides[label] = surface.joint.points[surface.corners], moved
         surfaces[label] = surface
-    names, fields = numbered(fields)
+    names, fields = numbered_names(fields)
     shown = {label: surfaces[label].at_corners(f) for label, f in fields.items()}
     if wrong := [f.shape[2] for f in shown.values() if f.ndim > 2]:
         raise InputError(f"on_surface: the field has {wrong[0]} components; give one of them")
     colours = _Colours(names, np.concatenate([f.ravel() for f in shown.values()]), log=log)
 
-    def image(scene: Scene, label: str, grid: Grid) -> npt.NDArray[np.uint8]:
+    def image(scene: Scene, label: str, grid: VtkGrid) -> npt.NDArray[np.uint8]:
         x, u = sides[label]
         lower, upper = x + scene.factor * np.moveaxis(u, 1, -1)
         return scene.image(grid, _meshes(colours, shown[label], lower, upper))
@@ -130,7 +130,7 @@ def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
     return panels
 
 
-Image = Callable[[Scene, str, Grid], npt.NDArray[np.uint8]]
+Image = Callable[[Scene, str, VtkGrid], npt.NDArray[np.uint8]]
 Legend = Callable[[Scene, Picture, list[Axes]], None]
 
 
@@ -138,7 +138,7 @@ def _side_by_side(
     panels: Mapping[str, State], view: View, image: Image, legend: Legend, title: str, save: str | Path | None
 ) -> Picture | None:
     """The images of states, with one legend, on rank 0. Collective."""
-    grids = {label: grid for label, state in panels.items() if (grid := gather(state))}
+    grids = {label: grid for label, state in panels.items() if (grid := gather_grid(state))}
 
     def draw() -> Picture:
         scene = Scene.of(list(grids.values()), view)
@@ -154,7 +154,7 @@ def _side_by_side(
     return drawn_on_root(next(iter(panels.values())).model.comm, draw, save)
 
 
-def numbered(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[str, np.ndarray]]:
+def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[str, np.ndarray]]:
     """For fields of names those that occur, and their positions in this list; for numbers [], and the fields."""
     if not any(f.dtype.kind == "U" for f in fields.values()):
         return [], dict(fields)
@@ -207,15 +207,18 @@ def _meshes(colours: _Colours, values: Array, lower: Array, upper: Array) -> lis
     ring = [0, 1, 3, 2] if k == 4 else [*range(k)]
     middle, values = ((lower + upper) / 2)[:, ring], values[:, ring]
     points = 2 if k == 2 else 4
-    rgb = colours(_around(values) if colours.of_numbers else np.repeat(values[:, :, None], points, axis=2))
+    rgb = colours(_corner_points(values) if colours.of_numbers else np.repeat(values[:, :, None], points, axis=2))
     if d == 3:
-        return [_mesh(_around(middle), rgb, "faces")]
-    low, high = _around(lower), _around(upper)
+        return [_mesh(_corner_points(middle), rgb, "faces")]
+    low, high = _corner_points(lower), _corner_points(upper)
     gaps = np.concatenate([low, high[:, :, ::-1]], axis=2)
-    return [_mesh(gaps, np.concatenate([rgb, rgb[:, :, ::-1]], axis=2), "faces"), _mesh(_around(middle), rgb, "lines")]
+    return [
+        _mesh(gaps, np.concatenate([rgb, rgb[:, :, ::-1]], axis=2), "faces"),
+        _mesh(_corner_points(middle), rgb, "lines"),
+    ]
 
 
-def _around(values: Array) -> Array:
+def _corner_points(values: Array) -> Array:
     """(n, k, p, ...) at the p points of the part of a facet around each corner, from values (n, k, ...) at the corners."""
     centre = np.broadcast_to(values.mean(axis=1, keepdims=True), values.shape)
     after = (values + np.roll(values, -1, axis=1)) / 2

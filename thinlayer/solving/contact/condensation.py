@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from forms.base import Array, ThinlayerError
 from geometry.topology import BoolArray, IntArray
 from thinlayer.solving.linear_solvers import DIRECT
-from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, keep_unknowns, schur_of
+from thinlayer.solving.petsc import PREFIX, OptionValue, default_options, keep_unknowns, schur_complement
 from thinlayer.system.compilation import own_library, pointers
 from thinlayer.system.ranks import destroy
 
@@ -151,7 +151,7 @@ class SchurFactor:
         pc.setOperators(upper)
         pc.setType("cholesky")
         pc.setFactorSolverType("mumps")
-        with defaults(OPTIONS | (ROOMY if len(nodes) < SMALL else {})):
+        with default_options(OPTIONS | (ROOMY if len(nodes) < SMALL else {})):
             pc.setFactorSetUpSolverType()
             self._factor = pc.getFactorMatrix()
             self._factor.setOptionsPrefix(PREFIX)
@@ -163,7 +163,7 @@ class SchurFactor:
         if code < 0 or pc.getFailedReason():
             self.close()
             raise FactorError(f"MUMPS could not factorise the stiffness matrix: INFOG(1) = {code}")
-        found = schur_of(self._factor, len(kept)) if len(kept) else np.empty((0, 0))
+        found = schur_complement(self._factor, len(kept)) if len(kept) else np.empty((0, 0))
         self.complement = np.triu(found)
         self.complement += np.triu(found, 1).T
         self.complement[np.diag_indices(len(kept))] -= self._springs

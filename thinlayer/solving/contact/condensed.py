@@ -15,13 +15,13 @@ from petsc4py import PETSc
 
 from forms.base import Array
 from geometry.topology import IntArray, along
-from thinlayer.discretisation.constraints import aij_of
+from thinlayer.discretisation.constraints import create_aij
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED, EPSILON, TINY
 from thinlayer.solving.contact.condensation import Condensation, FactorError
-from thinlayer.solving.contact.finder import ContactFinder
-from thinlayer.solving.contact.pairs import Pairs
+from thinlayer.solving.contact.finder import ContactSolver
+from thinlayer.solving.contact.pairs import ContactPairs
 from thinlayer.solving.equations import Equations
 from thinlayer.system.ranks import destroy
 
@@ -41,7 +41,7 @@ TRIALS = 12  # largest number of trials of a step's length
 FLAT = 0.1  # work along a step at its end, relative to that at its beginning, that ends the search of its length
 
 
-class Condensed(ContactFinder):
+class CondensedContact(ContactSolver):
     """The finder for one seam or a network of them, any number of which meet.
 
     The bodies are condensed to the displacements of all nodes in contact, body by body, once. A small system is left.
@@ -49,7 +49,7 @@ class Condensed(ContactFinder):
 
     def __init__(self, equations: Equations, like: State | None) -> None:
         super().__init__(equations, like)
-        self.pairs = Pairs(self.parts, self.held)
+        self.pairs = ContactPairs(self.parts, self.held)
 
     @cached_property
     def _condensation(self) -> Condensation:
@@ -68,7 +68,7 @@ class Condensed(ContactFinder):
         return CondensedSystem(self._condensation.stiffness, self.pairs, x, lines)
 
     def solve(self, known: bool) -> tuple[int, float]:
-        """As in `ContactFinder`."""
+        """As in `ContactSolver`."""
         equations, pairs, b = self.equations, self.pairs, self.b.array
         try:
             condensation = self._condensation
@@ -119,7 +119,9 @@ class CondensedSystem:
         lines: (m, 2) pairs that are neighbours along S; if they are few there is no coarser system.
     """
 
-    def __init__(self, stiffness: Array | scipy.sparse.csr_matrix, pairs: Pairs, x: Array, lines: IntArray) -> None:
+    def __init__(
+        self, stiffness: Array | scipy.sparse.csr_matrix, pairs: ContactPairs, x: Array, lines: IntArray
+    ) -> None:
         self._stiffness, self.pairs, self._x, self._lines = stiffness, pairs, x, lines
 
     @cached_property
@@ -160,7 +162,9 @@ class CondensedSystem:
         if self._coarser is not None:
             system, P = self._coarser
             try:
-                return np.asarray(P @ system.newton(system.start(P.T @ g), P.T @ g, _of_all, COARSE_TOLERANCE)[0])
+                return np.asarray(
+                    P @ system.newton(system.start(P.T @ g), P.T @ g, _without_scaling, COARSE_TOLERANCE)[0]
+                )
             except SolveError:
                 pass
         springs, forces = self.pairs.bonded()
@@ -180,7 +184,7 @@ class CondensedSystem:
                 return np.full(len(b), np.nan)
         rows = (A + more).tocsr()
         rows.sort_indices()
-        matrix = aij_of(rows, PETSc.COMM_SELF)
+        matrix = create_aij(rows, PETSc.COMM_SELF)
         pc = PETSc.PC().create(PETSc.COMM_SELF)
         pc.setOperators(matrix)
         pc.setType("lu")
@@ -248,7 +252,7 @@ class CondensedSystem:
         return a
 
 
-def _of_all(r: Array, forces: Array, u: Array) -> float:
+def _without_scaling(r: Array, forces: Array, u: Array) -> float:
     return float(np.linalg.norm(r)) / max(float(np.linalg.norm(forces)), TINY)
 
 

@@ -9,11 +9,11 @@ from petsc4py import PETSc
 from scipy.sparse.linalg import splu
 
 from forms.base import Array
-from thinlayer.discretisation.constraints import csr_of
+from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.contact_nodes import ContactNodes
-from thinlayer.solving.contact.pairs import Pairs
+from thinlayer.solving.contact.pairs import ContactPairs
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.petsc import PREFIX, lean_products, put_in_blocks
+from thinlayer.solving.petsc import PREFIX, convert_to_blocks, lean_products
 from thinlayer.system.ranks import destroy
 
 PIVOTS: dict[str, Any] = {  # of SuperLU: diagonal unless small, and columns in an order for such pivots
@@ -28,7 +28,7 @@ FLOOR = 1e-3  # least stiffness of springs in the hierarchy, relative to E/h, fo
 MANY = 0.1  # share of the nodes of S whose springs change by half or more upon which the hierarchy changes, too
 
 
-class Tangent:
+class ContactTangent:
     """The tangent of a contact problem and its preconditioner, as contexts of a PETSc matrix and a PETSc PC.
 
     No rank gathers anything of the others: each factorises the rows of its own nodes of S.
@@ -45,7 +45,7 @@ class Tangent:
     """
 
     def __init__(
-        self, A: PETSc.Mat, nodes: ContactNodes, pairs: Pairs, equations: Equations, start: Array | None
+        self, A: PETSc.Mat, nodes: ContactNodes, pairs: ContactPairs, equations: Equations, start: Array | None
     ) -> None:
         self._A, self.nodes, self.pairs, self.held = A, nodes, pairs, equations.held
         first = A.getOwnershipRange()[0]
@@ -53,7 +53,7 @@ class Tangent:
         self._rows = A.createSubMatrix(index, None)
         index.destroy()
         self._product = self._rows.createVecLeft()
-        self._near = csr_of(self._rows)[:, first + pairs.dofs]  # between the nodes of S on this rank
+        self._near = local_csr(self._rows)[:, first + pairs.dofs]  # between the nodes of S on this rank
         self._blocks = self._near.tobsr((pairs.d,) * 2)
         self._blocks.sort_indices()
         self._scale, self._held_rows = self._stiffness_beside(), equations.held_rows
@@ -102,7 +102,7 @@ class Tangent:
         if self._cycle.getType() == "gamg":
             self._cycle.setReusePreconditioner(True)
             for level in range(1, self._cycle.getMGLevels()):  # the coarsest has a factor instead of a smoother
-                put_in_blocks(self._cycle.getMGSmoother(level).getOperators()[0])
+                convert_to_blocks(self._cycle.getMGSmoother(level).getOperators()[0])
 
     def follow(self, jumps: Array | None) -> None:
         """Change the springs of the hierarchy to those at jumps (n, d), None: bonded, if many are others. Collective.

@@ -11,11 +11,11 @@ from petsc4py import PETSc
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import Finder, Found
+from thinlayer.solving.equilibrium import EquilibriumSolver, StepSolution
 from thinlayer.system.ranks import destroy
 
 
-class ContactFinder(Finder):
+class ContactSolver(EquilibriumSolver):
     """Steps of a model of linear bodies in contact. Collective.
 
     A method finds u with A u + (nodal forces of the contact laws) = b, where A and b hold the displacements of supports.
@@ -48,7 +48,7 @@ class ContactFinder(Finder):
         A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return A
 
-    def find(self, start: PETSc.Vec | None = None) -> Found:
+    def find(self, start: PETSc.Vec | None = None) -> StepSolution:
         """Displacements at the end of the step, from those of `start`, of the state that is like it, or before the step.
 
         Raises:
@@ -73,7 +73,7 @@ class ContactFinder(Finder):
         self.b.array[equations.held] = (equations.mean_stiffness or 1.0) * equations.prescribed
         self._like, self._has_solved = None, True
         steps, residual = self.solve(known)
-        return Found(x, steps, residual)
+        return StepSolution(x, steps, residual)
 
     @abstractmethod
     def solve(self, known: bool) -> tuple[int, float]:

@@ -6,13 +6,13 @@ import numpy as np
 
 from forms.base import InputError
 from thinlayer.discretisation.model import Model
-from thinlayer.solving.contact.condensed import Condensed
-from thinlayer.solving.contact.finder import ContactFinder
+from thinlayer.solving.contact.condensed import CondensedContact
+from thinlayer.solving.contact.finder import ContactSolver
 from thinlayer.solving.contact.multigrid import MultigridContact
 from thinlayer.solving.contact.paper_relaxation import ContactRelaxation
 
-FINDERS: dict[str, type[ContactFinder]] = {
-    "condensed": Condensed,
+FINDERS: dict[str, type[ContactSolver]] = {
+    "condensed": CondensedContact,
     "multigrid": MultigridContact,
     "relaxation": ContactRelaxation,
 }
@@ -30,7 +30,7 @@ def default_method(model: Model) -> str:
     both = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
     each = joint.dim * model.structure.degree ** (joint.dim - 1)
     narrow = (_most_vertices(model) if _is_network(model) else both) * each <= CONDENSED_UP_TO[joint.dim]
-    suited = (method for method in ("condensed", "multigrid") if not _unsuited(model, method))
+    suited = (method for method in ("condensed", "multigrid") if not _why_unsuited(model, method))
     chosen = (method for method in suited if not model.layer_terms and (narrow or method != "condensed"))
     return next(chosen, "newton")
 
@@ -62,11 +62,11 @@ def _is_linear(model: Model) -> bool:
 
 def check_method(model: Model, method: str) -> None:
     """Raise InputError unless one of METHODS suits the model."""
-    if reason := _unsuited(model, method):
+    if reason := _why_unsuited(model, method):
         raise InputError(f"method={method!r} {reason}")
 
 
-def _unsuited(model: Model, method: str) -> str:
+def _why_unsuited(model: Model, method: str) -> str:
     """Why one of METHODS does not suit the model; "" if it does."""
     own = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
     if model.contact is None:

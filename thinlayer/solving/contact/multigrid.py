@@ -15,17 +15,27 @@ from thinlayer.discretisation.contact_nodes import ContactNodes
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import AIM, TINY
-from thinlayer.solving.contact.contact_tangent import Tangent
-from thinlayer.solving.contact.finder import ContactFinder
-from thinlayer.solving.contact.pairs import SOURCE, Pairs
+from thinlayer.solving.contact.contact_tangent import ContactTangent
+from thinlayer.solving.contact.finder import ContactSolver
+from thinlayer.solving.contact.pairs import SOURCE, ContactPairs
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
-from thinlayer.solving.petsc import PREFIX, OptionValue, defaults, is_set, options_set, reason_name, solve_nonlinear
+from thinlayer.solving.petsc import (
+    PREFIX,
+    OptionValue,
+    default_options,
+    is_set,
+    options_set,
+    reason_name,
+    solve_nonlinear,
+)
 from thinlayer.system.compilation import library
 from thinlayer.system.ranks import destroy
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
-Sliding = tuple[npt.NDArray[np.int8], Array]  # status of nodes (n,), and their tangential jumps less slip (n, d - 1)
+SlidingState = tuple[
+    npt.NDArray[np.int8], Array
+]  # status of nodes (n,), and their tangential jumps less slip (n, d - 1)
 
 TOLERANCE = 1e-10  # residual of the law at which Newton's method stops, relative to the forces
 LOOSE: Reductions = (0.5, 0.4)  # for a start whose status is wrong at many nodes
@@ -48,7 +58,7 @@ NEWTON: dict[str, OptionValue] = {
 }
 
 
-class MultigridContact(ContactFinder):
+class MultigridContact(ContactSolver):
     """Newton's method by SNES, FGMRES and one algebraic multigrid hierarchy, for seams that may meet. Collective.
 
     The hierarchy is built for the bodies with symmetric, clipped springs on S, in the first solve, and kept until `close`;
@@ -65,12 +75,12 @@ class MultigridContact(ContactFinder):
         super().__init__(equations, like)
         library(SOURCE, self.comm)
         self.nodes = nodes = ContactNodes.joined([part.nodes for part in self.parts])
-        self.pairs = Pairs(self.parts, self.held, self.x.getOwnershipRange()[0] // nodes.dim, nodes.shared())
-        self._tangent: Tangent | None = None
+        self.pairs = ContactPairs(self.parts, self.held, self.x.getOwnershipRange()[0] // nodes.dim, nodes.shared())
+        self._tangent: ContactTangent | None = None
         self._forces = equations.vector()
 
     def solve(self, known: bool) -> tuple[int, float]:
-        """As in `ContactFinder`. SolveError: no convergence, for instance without an equilibrium."""
+        """As in `ContactSolver`. SolveError: no convergence, for instance without an equilibrium."""
         history: list[float] = []
         nodes, old = self.nodes, self.equations.interval.old.u.x.petsc_vec
         start = nodes.apart(self.x) if known else None
@@ -81,14 +91,14 @@ class MultigridContact(ContactFinder):
             self.equations.K.mult(u, self._forces)
             self._largest = max(self._largest, float(self._forces.norm()))
         closed.destroy()
-        with defaults({**HIERARCHY, **NEWTON}):
+        with default_options({**HIERARCHY, **NEWTON}):
             if self._tangent is None:
-                self._tangent = Tangent(self.A, nodes, self.pairs, self.equations, start)
+                self._tangent = ContactTangent(self.A, nodes, self.pairs, self.equations, start)
             else:
-                _count_as_read(("pc_", "mg_"))
+                _mark_as_read(("pc_", "mg_"))
             attempts = [(None, LOOSE), (None, STRICT)] if start is None else [(start, STRICT), (None, LOOSE)]
             for guess, reductions in attempts:
-                newton = _Newton(self, self._tangent, reductions)
+                newton = _NewtonRun(self, self._tangent, reductions)
                 if guess is None:
                     self.x.set(0.0)
                 reason = newton.run(self.x, guess)
@@ -128,21 +138,21 @@ class MultigridContact(ContactFinder):
             self._tangent.close()
 
 
-class _Newton:
+class _NewtonRun:
     """One run of SNES.
 
     Attributes:
         residuals: relative to the forces, before the first and after each step.
     """
 
-    def __init__(self, finder: MultigridContact, tangent: Tangent, reductions: Reductions) -> None:
+    def __init__(self, finder: MultigridContact, tangent: ContactTangent, reductions: Reductions) -> None:
         self.finder, self.tangent, self.reductions = finder, tangent, reductions
         self.nodes, self.pairs = finder.nodes, finder.pairs
         self.held = finder.equations.held
         self.residuals: list[float] = []
         self._target = reductions[0]
         self._known = False  # whether the next call of `_residual` repeats the last one
-        self._at: Sliding | None = None  # sliding state at the last tangents
+        self._at: SlidingState | None = None  # sliding state at the last tangents
         self._set_rtol = not is_set("ksp_rtol", {})
 
     def run(self, u: PETSc.Vec, start: Array | None) -> int:
@@ -194,7 +204,7 @@ class _Newton:
         self._swept = False
         if step:
             w = self.nodes.apart(snes.getSolution())
-            self._turn = turned(self.pairs, w, self._at)
+            self._turn = turned_jumps(self.pairs, w, self._at)
             self._swept = self._is_new(w, self._turn) or self._h > EXPECTED * self._target
             ksp = snes.getKSP()
             self._left = ksp.getResidualNorm() / snes.getFunctionNorm()
@@ -225,7 +235,7 @@ class _Newton:
         else:
             tangents = pairs.tangents(s)
             t = pairs.tractions(s) + np.einsum("nij,nj->ni", tangents, w - s)
-            self._at = sliding(pairs, s)
+            self._at = sliding_state(pairs, s)
         self.nodes.add_forces(t - pairs.tractions(w), f)
         f.array[self.held] = 0.0
         return tangents
@@ -240,7 +250,7 @@ class _Newton:
             self._target = min(self.reductions[1] * self._h, nonlinear)
         self._target = max(self._target, FINISH * TOLERANCE)
         w = self.nodes.apart(u)
-        self._at = sliding(self.pairs, w)
+        self._at = sliding_state(self.pairs, w)
         return self.pairs.tangents(w)
 
     def _is_new(self, w: Array, turn: Array) -> bool:
@@ -250,12 +260,12 @@ class _Newton:
 
 
 # ---------------------------------------------------------------- nodes whose slip has reversed
-def sliding(pairs: Pairs, w: Array) -> Sliding:
-    """Sliding state at jumps (n, d), for a later `turned`."""
+def sliding_state(pairs: ContactPairs, w: Array) -> SlidingState:
+    """Sliding state at jumps (n, d), for a later `turned_jumps`."""
     return pairs.status(w), pairs.offsets(w)[:, :-1]
 
 
-def turned(pairs: Pairs, w: Array, at: Sliding | None) -> Array:
+def turned_jumps(pairs: ContactPairs, w: Array, at: SlidingState | None) -> Array:
     """Changes (n, d) of the jumps that make nodes stick whose slip direction has reversed since the last tangents.
 
     A sliding node has no stiffness of its own along its slip. If it should stick, Newton's method can move it to and fro
@@ -264,7 +274,7 @@ def turned(pairs: Pairs, w: Array, at: Sliding | None) -> Array:
     out = np.zeros_like(w)
     if at is None:
         return out
-    (status, old), (new_status, now) = at, sliding(pairs, w)
+    (status, old), (new_status, now) = at, sliding_state(pairs, w)
     back = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old * now).sum(axis=1) < 0)
     way = old[back] - now[back]
     part = -(now[back] * way).sum(axis=1) / (way**2).sum(axis=1)
@@ -272,7 +282,7 @@ def turned(pairs: Pairs, w: Array, at: Sliding | None) -> Array:
     return out
 
 
-def _count_as_read(beginnings: tuple[str, ...]) -> None:
+def _mark_as_read(beginnings: tuple[str, ...]) -> None:
     """Mark options as read that only the first solve reads, so that later solves do not refuse them."""
     for name in options_set():
         if name.startswith(beginnings):

@@ -12,16 +12,16 @@ import numpy.typing as npt
 import scipy.sparse
 
 from forms.base import Array
-from forms.contact import ContactLaw, EasedContact
+from forms.contact import ContactHomotopy, ContactLaw
 from geometry.topology import BoolArray, IntArray
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.system.compilation import own_library, pointers
 
 SOURCE = Path(__file__).with_name("sweeps.c")
-Law = ContactLaw | EasedContact
+NodalLaw = ContactLaw | ContactHomotopy
 
 
-class Pairs:
+class ContactPairs:
     """Pairs of nodes in contact. A node may be in several, as their upper or lower one.
 
     Args:
@@ -53,7 +53,7 @@ class Pairs:
         self._of_part = np.concatenate([np.arange(n) for n in sizes])
         self._join(pairs, ~held.reshape(-1, self.d))
 
-    def some(self, chosen: IntArray, weights: Array) -> Pairs:
+    def some(self, chosen: IntArray, weights: Array) -> ContactPairs:
         """Those pairs (k,), with areas (k,), and their nodes."""
         few = copy(self)
         few.frames, few.gaps, few.weights = self.frames[chosen], self.gaps[chosen], weights
@@ -88,7 +88,7 @@ class Pairs:
         columns = pair, self.ends[pair, 1 - side], np.where(side, -1, 1)
         return begins.astype(np.int32), *(column[order].astype(np.int32) for column in columns)
 
-    def _gathered(self, of_part: Callable[[Law, Array, Array], npt.NDArray[Any]], w: Array) -> npt.NDArray[Any]:
+    def _gathered(self, of_part: Callable[[NodalLaw, Array, Array], npt.NDArray[Any]], w: Array) -> npt.NDArray[Any]:
         """(pairs, ...) values of each part's law at the jumps (pairs, d)."""
         parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
         return np.concatenate([of_part(part.now, w[own], part.slip[self._of_part[own]]) for part, own in parts])
@@ -172,7 +172,7 @@ class Pairs:
             How often a node was not solved; it keeps the best u that was found.
         """
         rest = self.gaps if rest is None else rest
-        laws = self._gathered(lambda law, w, _: np.tile(numbers_of(law), (len(w), 1)), rest)
+        laws = self._gathered(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), rest)
         arrays = (
             stiffness.indptr, stiffness.indices, stiffness.data, g, u, *self._by_node, self.frames, self.weights, laws,
             self.offsets(rest), self.free if moves is None else self.free & moves[:, None],
@@ -181,8 +181,8 @@ class Pairs:
         return int(c.lib.sweep_pairs(len(self.nodes), self.d, *pointers(c, *arrays), sweeps))
 
 
-def numbers_of(law: Law) -> tuple[float, ...]:
+def sweep_parameters(law: NodalLaw) -> tuple[float, ...]:
     """Parameters of a law for the sweeps: K_N, K_T, friction, cohesion, and the share of bonded springs."""
-    law, share = (law.law, law.share) if isinstance(law, EasedContact) else (law, 0.0)
+    law, share = (law.law, law.share) if isinstance(law, ContactHomotopy) else (law, 0.0)
     assert law.numbers is not None
     return *law.numbers, share

@@ -12,12 +12,12 @@ from petsc4py import PETSc
 from forms.base import Array, InputError
 from forms.contact import ContactLaw
 from geometry.topology import BoolArray, Indices
-from thinlayer.discretisation.constraints import csr_of
+from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.balance import ALLOWED, EPSILON
-from thinlayer.solving.contact.finder import ContactFinder
-from thinlayer.solving.contact.pairs import SOURCE, numbers_of
+from thinlayer.solving.contact.finder import ContactSolver
+from thinlayer.solving.contact.pairs import SOURCE, sweep_parameters
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX
 from thinlayer.system.compilation import own_library, pointers
@@ -105,9 +105,9 @@ def relax(
         The last iterate, also without convergence: if increments are not finite, grow or stagnate, or at `max_sweeps`.
     """
     c, A, count, d = own_library(SOURCE), system.A, len(system.b), system.contact.shape[1]
-    now, steps = np.zeros(count) if u is None else u.copy(), _steps(system.contact, order, count)
+    now, steps = np.zeros(count) if u is None else u.copy(), _coded_steps(system.contact, order, count)
     rows = pointers(c, A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, now)
-    law, factors = np.array(numbers_of(system.law)), np.array([omega, omega_contact])
+    law, factors = np.array(sweep_parameters(system.law)), np.array([omega, omega_contact])
     nodes = pointers(c, system.contact.astype(np.int32), system.weights, law, system.slip, factors)
     changes: Array = np.empty(0)
     increments: Array = np.empty(0)
@@ -130,7 +130,7 @@ def relax(
     return Relaxation(now, converged, increments)
 
 
-def _steps(contact: Indices, order: Indices | None, count: int) -> Indices:
+def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices:
     """The steps of a sweep, coded as sweeps.c reads them."""
     place = np.arange(count) if order is None else np.argsort(order)
     normal, tangential = place[contact[:, -1]].astype(float), place[contact[:, :-1]].min(axis=1).astype(float)
@@ -142,7 +142,7 @@ def _steps(contact: Indices, order: Indices | None, count: int) -> Indices:
     return codes[np.argsort(np.concatenate([place[others], normal, tangential]), kind="stable")]
 
 
-class ContactRelaxation(ContactFinder):
+class ContactRelaxation(ContactSolver):
     """The paper's relaxation over all displacements, for one seam; it begins at rest.
 
     At contact nodes the unknowns are the jumps in the axes of S, gaps included, instead of the upper side's displacements.
@@ -163,7 +163,7 @@ class ContactRelaxation(ContactFinder):
         self._held = self.held.copy()
         self._held[nodes.dofs] = self._held_jumps
         self._T = self._change()
-        self._K = csr_of(equations.K)
+        self._K = local_csr(equations.K)
         self._A = self._T.T @ self._K @ self._T
 
     def _order(self) -> Indices:
@@ -188,7 +188,7 @@ class ContactRelaxation(ContactFinder):
         return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
 
     def solve(self, known: bool) -> tuple[int, float]:
-        """As in `ContactFinder`; the steps are sweeps until increments meet their tolerance, and more may follow.
+        """As in `ContactSolver`; the steps are sweeps until increments meet their tolerance, and more may follow.
 
         Raises:
             SolveError: no convergence; its residuals are the increments of the sweeps.
