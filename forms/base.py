@@ -16,7 +16,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 PACKAGES = ("forms", "geometry", "thinlayer")
 # of modules that thinlayer works without, the extra of pyproject.toml that installs them
-EXTRAS = {"matplotlib": "pictures", "pyvista": "pictures", "gmsh": "meshes", "meshio": "meshes"}
+OPTIONAL_DEPENDENCIES = {"matplotlib": "pictures", "pyvista": "pictures", "gmsh": "meshes", "meshio": "meshes"}
 
 
 class ThinlayerError(Exception):
@@ -40,7 +40,7 @@ def require(good: object, what: str, value: object, wanted: str) -> None:
 
 
 def import_optional(name: str) -> ModuleType:
-    """Import a module of `EXTRAS`, or a module of ours that imports them.
+    """Import a module of `OPTIONAL_DEPENDENCIES`, or a module of ours that imports them.
 
     Raises:
         InputError: such a module is not installed. The message names the extra that installs it.
@@ -49,9 +49,11 @@ def import_optional(name: str) -> ModuleType:
         return import_module(name)
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
-        if missing not in EXTRAS:
+        if missing not in OPTIONAL_DEPENDENCIES:
             raise
-        raise InputError(f"{missing} is not installed: pip install 'thinlayer[{EXTRAS[missing]}]'") from error
+        raise InputError(
+            f"{missing} is not installed: pip install 'thinlayer[{OPTIONAL_DEPENDENCIES[missing]}]'"
+        ) from error
 
 
 def unknown_name_message(kind: str, name: object, known: Iterable[str]) -> str:

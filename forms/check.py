@@ -18,14 +18,14 @@ from forms.law import BulkLaw, Law, Step, explained_errors, require_shape
 from forms.parameter_fields import is_field
 from forms.trace import evaluate, law_identity, symbolic
 
-STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
-TOLERANCE = 1e-8  # relative difference that counts as rounding
-SMALLEST = 1e-290  # number, below which products of others have lost digits
-NOT_SYMMETRIC = (
+SAMPLE_STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
+RELATIVE_TOLERANCE = 1e-8  # relative difference that counts as rounding
+MIN_NORMAL_NUMBER = 1e-290  # number, below which products of others have lost digits
+ASYMMETRY_MESSAGE = (
     "{}: the tangent is not symmetric, it differs from its transpose by {:.1e} of its size; "
     "write symmetric = False in the class, or correct it"
 )
-_PASSED: set[tuple[Any, ...]] = set()  # laws with their numbers
+_CHECKED_LAWS: set[tuple[Any, ...]] = set()  # laws with their numbers
 
 
 def check(law: Law, d: int | None = 3) -> None:
@@ -53,9 +53,9 @@ def check(law: Law, d: int | None = 3) -> None:
         one: Any = sublayer.in_space
         values = [np.asarray(_number(value)).tobytes() for value in one.parameters().values()]
         key = type(one), d, repr(one.choices()), *values
-        if law_identity(one) is None and key not in _PASSED:
+        if law_identity(one) is None and key not in _CHECKED_LAWS:
             require_computed(one, d)
-            _PASSED.add(key)
+            _CHECKED_LAWS.add(key)
 
 
 def require_computed(law: BulkLaw, d: int | None = 3) -> None:
@@ -78,7 +78,7 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
     def values(key: str, sample: Array) -> Array | None:
         return _evaluated(asked[key], {point.numbers: sample})
 
-    for size in STRAINS:
+    for size in SAMPLE_STRAINS:
         e, sample = _sample(given, size, d or 3)
         _require_no_decisions(law, d, sample, values)
         for key in found:
@@ -95,9 +95,9 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
                 raise InputError(f"{name} declares linear = True, but its stress is not affine in the strain; {remedy}")
             if law.traits.symmetric and (skew := _relative_difference(C, C.T)):
                 fed = f". The memory was random numbers: {', '.join(law.internal)}" * bool(law.internal)
-                raise InputError(NOT_SYMMETRIC.format(name, skew) + fed)
+                raise InputError(ASYMMETRY_MESSAGE.format(name, skew) + fed)
         slope, stress = (values(key, sample) if "slope" in asked else None for key in ("slope", method))
-        if slope is not None and stress is not None and np.abs(slope).max() > TOLERANCE * np.abs(stress).max():
+        if slope is not None and stress is not None and np.abs(slope).max() > RELATIVE_TOLERANCE * np.abs(stress).max():
             away = f"it is {np.abs(slope).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away"
             remedy = "correct one of them, or write symmetric = False in the class if the stress has no energy"
             raise InputError(f"{name}: the derivative of the energy by the strain is not the stress, {away}; {remedy}")
@@ -158,8 +158,8 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
 
 def _relative_difference(a: Array, b: Array, least: float = 0.0) -> float:
     """Largest difference of two arrays over their largest number, or over `least`; 0 if it is rounding."""
-    apart, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least, SMALLEST)
-    return float(apart / largest) if apart > TOLERANCE * largest else 0.0
+    apart, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least, MIN_NORMAL_NUMBER)
+    return float(apart / largest) if apart > RELATIVE_TOLERANCE * largest else 0.0
 
 
 def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Array | None:

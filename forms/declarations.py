@@ -15,13 +15,13 @@ import numpy as np
 from forms.base import PACKAGES, InputError, is_finite, require
 
 # modules of base classes
-DEFAULTS = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))
-RESPONSES = ("stress", "traction", "source")  # attributes that give the stress or traction of a law
-UPDATES = ("advance", "evolve")  # methods that give new internal variables
-OF_NEXT_ORDER = ("stations", "stations_at_ends", "end_strips", "elastic_moduli")
-OF_ONE_STRESS = (*OF_NEXT_ORDER, "stiffness", "plane_stress", "energetic")  # attributes valid for one stress only
-ENERGIES = ("energy", "dissipation", "dissipated")
-SIZES = {(): 1, (3,): 3, (3, 3): 6}  # shape of an internal variable -> its number of components
+DEFAULT_MODULES = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))
+RESPONSE_ATTRIBUTES = ("stress", "traction", "source")  # attributes that give the stress or traction of a law
+UPDATE_METHODS = ("advance", "evolve")  # methods that give new internal variables
+ORDER_1_METHODS = ("stations", "stations_at_ends", "end_strips", "elastic_moduli")
+STRESS_ATTRIBUTES = (*ORDER_1_METHODS, "stiffness", "plane_stress", "energetic")  # attributes valid for one stress only
+ENERGY_METHODS = ("energy", "dissipation", "dissipated")
+VARIABLE_SIZES = {(): 1, (3,): 3, (3, 3): 6}  # shape of an internal variable -> its number of components
 
 
 class RangeWarning(UserWarning):
@@ -62,14 +62,14 @@ def reset_inherited(kind: Any) -> None:
 
     Attributes that the class writes itself stay, also `plane_stress = Parent.plane_stress`. Traits that are checked or
     that only select solvers (`linear`, `symmetric`, ...) stay, and so does what depends on parameters only (`powers`,
-    `at`). An energy stays if it is checked against the stress, or if the class itself writes one of `ENERGIES`.
+    `at`). An energy stays if it is checked against the stress, or if the class itself writes one of `ENERGY_METHODS`.
     """
-    for name in OF_ONE_STRESS:
-        if _is_for_another_stress(kind, name, RESPONSES + UPDATES):
+    for name in STRESS_ATTRIBUTES:
+        if _is_for_another_stress(kind, name, RESPONSE_ATTRIBUTES + UPDATE_METHODS):
             _reset(kind, name)
-    written = [name for name in ENERGIES if _own(kind, name)]
+    written = [name for name in ENERGY_METHODS if _own(kind, name)]
     unchecked = getattr(kind, "rate", False) or kind.internal or not getattr(kind, "symmetric", True)
-    if unchecked and all(_is_for_another_stress(kind, name, RESPONSES) for name in written):
+    if unchecked and all(_is_for_another_stress(kind, name, RESPONSE_ATTRIBUTES) for name in written):
         for name in written:
             _reset(kind, name)
     if _own(kind, "quadratic") and _place(kind, "energy") < _place(kind, "quadratic"):
@@ -86,7 +86,7 @@ def _is_for_another_stress(kind: Any, name: str, responses: tuple[str, ...]) -> 
     above = reversed(kind.__mro__[: _place(kind, name) + 1])
     now = _responses(kind, responses)
     before = next((found for one in above if (found := _responses(one, responses))), now)
-    return any(before.get(one) is not now.get(one) for one in responses if one in before or one not in UPDATES)
+    return any(before.get(one) is not now.get(one) for one in responses if one in before or one not in UPDATE_METHODS)
 
 
 def _responses(kind: Any, names: tuple[str, ...]) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def _place(kind: Any, name: str) -> int:
 
 def _reset(kind: Any, name: str) -> None:
     """Reset an attribute of a class to the default of all laws."""
-    defaults = (vars(one)[name] for one in kind.__mro__ if one.__module__ in DEFAULTS and name in vars(one))
+    defaults = (vars(one)[name] for one in kind.__mro__ if one.__module__ in DEFAULT_MODULES and name in vars(one))
     setattr(kind, name, next(defaults, None))
 
 
@@ -116,8 +116,8 @@ def require_declarations(law: Any) -> None:
             raise InputError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(known) or 'none'}")
         require(is_finite(power), f"{kind.__name__}: the power of {name}", power, "allowed: a finite number")
     for name, shape in law.internal.items():
-        if shape not in SIZES:
-            allowed = ", ".join(map(str, SIZES))
+        if shape not in VARIABLE_SIZES:
+            allowed = ", ".join(map(str, VARIABLE_SIZES))
             raise InputError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
     _require_used(law)
 
@@ -143,9 +143,9 @@ def _require_used(law: Any) -> None:
 def _own(kind: Any, name: str) -> bool:
     """Whether an attribute of a class is not the default of all laws."""
     defining = next((one for one in kind.__mro__ if name in vars(one)), None)
-    if defining is None or defining.__module__ in DEFAULTS:
+    if defining is None or defining.__module__ in DEFAULT_MODULES:
         return False
-    return getattr(vars(defining)[name], "__module__", None) not in DEFAULTS  # as restored by `_reset`
+    return getattr(vars(defining)[name], "__module__", None) not in DEFAULT_MODULES  # as restored by `_reset`
 
 
 def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> Any:

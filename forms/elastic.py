@@ -14,17 +14,17 @@ from scipy.spatial.transform import Rotation
 from forms.base import Array, InputError, is_finite, require
 from forms.ends.constants import free_end
 from forms.ends.weights import EndStrips, EndWeights
-from forms.kinematics import MANDEL, ROOT2, Expr, condensed_tangent, isotropic_tensor, layer_frame
+from forms.kinematics import MANDEL_PAIRS, SQRT2, Expr, condensed_tangent, isotropic_tensor, layer_frame
 from forms.law import BulkLaw, Step, choice
 from forms.parameter_fields import Parameter, ParameterField, ParameterRangeError, as_parameter_field, is_field
 from forms.stations import Faces, Station, gauss_stations
 
-VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-VOIGT_PLACES = ((0, 5, 4), (5, 1, 3), (4, 3, 2))  # of the components of a tensor
-LARGEST_NU = 0.45  # of layers whose free ends are known without a pressure on S
-ROUNDING = 1e-9  # of ratios of moduli
-OUT_OF_PLANE = [2, 3, 4]
-IN_PLANE = [0, 1, 5]
+VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+VOIGT_INDEX = ((0, 5, 4), (5, 1, 3), (4, 3, 2))  # of the components of a tensor
+MAX_FREE_END_NU = 0.45  # of layers whose free ends are known without a pressure on S
+MODULUS_RATIO_TOLERANCE = 1e-9  # of ratios of moduli
+OUT_OF_PLANE_VOIGT = [2, 3, 4]
+IN_PLANE_VOIGT = [0, 1, 5]
 
 
 def lame_stress(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
@@ -131,14 +131,14 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         return self.lmbda / (self.lmbda + 2 * self.mu)
 
     def end_strips(self) -> EndStrips | None:
-        """Known for Poisson's ratios from 0 to `LARGEST_NU`, beyond which the pressure falls over more than the strip.
+        """Known for Poisson's ratios from 0 to `MAX_FREE_END_NU`, beyond which the pressure falls over more than the strip.
 
         In plane stress, where the law's moduli are those of `plane_stress`, its ratio is nu/(1 + nu).
         """
         if self.fields:
             return None
         nu = poisson_ratio(self)
-        return EndStrips.of(free_end(nu)) if 0 <= nu <= LARGEST_NU * (1 + ROUNDING) else None
+        return EndStrips.of(free_end(nu)) if 0 <= nu <= MAX_FREE_END_NU * (1 + MODULUS_RATIO_TOLERANCE) else None
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
         """Two strains give the energy of the mean strain (`forms.ends.weights`), a third one that of its change."""
@@ -217,22 +217,22 @@ class Anisotropic(LinearLaw):
             raise InputError("Anisotropic: frame='layer' needs a layer; in a body use frame='global'")
         turn = layer_frame(step.n) if self.frame == "layer" else ufl.Identity(3)
         e = turn.T * step.mid * turn
-        voigt = ufl.as_vector([e[i, j] if i == j else 2 * e[i, j] for i, j in VOIGT])
+        voigt = ufl.as_vector([e[i, j] if i == j else 2 * e[i, j] for i, j in VOIGT_PAIRS])
         s = ufl.dot(ufl.as_tensor(self.C) if isinstance(self.C, np.ndarray) else self.C, voigt)
-        return turn * ufl.as_tensor([[s[k] for k in row] for row in VOIGT_PLACES]) * turn.T
+        return turn * ufl.as_tensor([[s[k] for k in row] for row in VOIGT_INDEX]) * turn.T
 
     def stiffness(self, n: Array) -> Array:
-        rows = np.array(VOIGT_PLACES)
+        rows = np.array(VOIGT_INDEX)
         C = np.asarray(self.C, float)[rows[:, :, None, None], rows[None, None]]
         if self.frame == "layer":
             turn = Rotation.align_vectors([np.pad(n, (0, 3 - len(n)))], [[0.0, 1.0, 0.0]])[0].as_matrix()
             C = np.einsum("ia,jb,kc,ld,abcd->ijkl", turn, turn, turn, turn, C, optimize=True)
-        first, second = np.array(MANDEL).T
-        weight = np.where(first == second, 1.0, ROOT2)
+        first, second = np.array(MANDEL_PAIRS).T
+        weight = np.where(first == second, 1.0, SQRT2)
         return np.asarray(C[first[:, None], second[:, None], first, second] * np.outer(weight, weight))
 
     def plane_stress(self) -> Anisotropic:
         C = np.zeros((6, 6))
-        C[np.ix_(IN_PLANE, IN_PLANE)] = condensed_tangent(self.C, IN_PLANE, OUT_OF_PLANE)
+        C[np.ix_(IN_PLANE_VOIGT, IN_PLANE_VOIGT)] = condensed_tangent(self.C, IN_PLANE_VOIGT, OUT_OF_PLANE_VOIGT)
         C[3:5, 3:5] = self.C[3:5, 3:5]  # these shear strains are zero, but sublayers in series need a stiffness
         return self.with_parameters({"C": C})

@@ -15,7 +15,7 @@ from scipy.special import ive
 
 from forms.base import Array, InputError
 
-ROUNDING = 1e-12  # relative tolerance for parameters that equal a bound exactly
+BOUND_TOLERANCE = 1e-12  # relative tolerance for parameters that equal a bound exactly
 
 
 # ---------------------------------------------------------------- friction; moduli per thickness, w is the jump [u]
@@ -235,7 +235,7 @@ class Bar:
     eps: float
 
     def __post_init__(self) -> None:
-        bound = self.alpha**2 / (2 * self.kbar) * (1 - ROUNDING)
+        bound = self.alpha**2 / (2 * self.kbar) * (1 - BOUND_TOLERANCE)
         if not (all(0 < one < math.inf for one in astuple(self)[:5]) and self.cbar >= bound and 0 <= self.eps < 1):
             raise InputError(f"{self}; allowed: all > 0, cbar >= alpha^2/(2 kbar) = {bound:g}, 0 <= eps < 1")
 

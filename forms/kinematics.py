@@ -32,30 +32,34 @@ def jump_strain(w: Expr, n: Expr) -> Expr:
     return ufl.sym(ufl.outer(three_dimensional(w), three_dimensional(n)))
 
 
-MANDEL = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-ROOT2 = 2.0**0.5
-UNITS = np.array([np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL])  # (6, 3, 3) symmetric tensors of norm 1
-UNITS = (UNITS + UNITS.swapaxes(1, 2)) / np.linalg.norm(UNITS + UNITS.swapaxes(1, 2), axis=(1, 2), keepdims=True)
+MANDEL_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+SQRT2 = 2.0**0.5
+MANDEL_BASIS = np.array(
+    [np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL_PAIRS]
+)  # (6, 3, 3) symmetric tensors of norm 1
+MANDEL_BASIS = (MANDEL_BASIS + MANDEL_BASIS.swapaxes(1, 2)) / np.linalg.norm(
+    MANDEL_BASIS + MANDEL_BASIS.swapaxes(1, 2), axis=(1, 2), keepdims=True
+)
 
 
 def mandel_vectors(tensors: Array) -> Array:
     """Mandel vectors (..., 6) of the symmetric parts of tensors of numbers (..., 3, 3)."""
-    return np.asarray(np.einsum("...ij,kij->...k", tensors, UNITS))
+    return np.asarray(np.einsum("...ij,kij->...k", tensors, MANDEL_BASIS))
 
 
 def mandel_tensors(vectors: Array) -> Array:
     """Symmetric tensors (..., 3, 3) of Mandel vectors of numbers (..., 6)."""
-    return np.asarray(np.einsum("...k,kij->...ij", vectors, UNITS))
+    return np.asarray(np.einsum("...k,kij->...ij", vectors, MANDEL_BASIS))
 
 
 def mandel_vector(a: Expr, slots: Sequence[int] = range(6)) -> Expr:
     """A symmetric (3, 3) tensor as a vector (6,) in Mandel's order 11, 22, 33, 12, 13, 23, with a.b = A:B; or slots."""
-    return ufl.as_vector([a[i, j] if i == j else ROOT2 * a[i, j] for i, j in (MANDEL[k] for k in slots)])
+    return ufl.as_vector([a[i, j] if i == j else SQRT2 * a[i, j] for i, j in (MANDEL_PAIRS[k] for k in slots)])
 
 
 def mandel_tensor(a: Expr) -> Expr:
     """The symmetric (3, 3) tensor of a Mandel vector (6,)."""
-    entries = {pair: a[k] if pair[0] == pair[1] else a[k] / ROOT2 for k, pair in enumerate(MANDEL)}
+    entries = {pair: a[k] if pair[0] == pair[1] else a[k] / SQRT2 for k, pair in enumerate(MANDEL_PAIRS)}
     return ufl.as_tensor([[entries[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
 
 

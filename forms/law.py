@@ -16,10 +16,10 @@ import numpy as np
 import ufl
 
 from forms.base import Array, InputError
-from forms.declarations import SIZES, Traits, require_declarations, reset_inherited
+from forms.declarations import VARIABLE_SIZES, Traits, require_declarations, reset_inherited
 from forms.kinematics import Expr, average_lame, condensed_tangent, isotropic_tensor
 from forms.parameter_fields import (
-    MANY,
+    MAX_CHECKED_PLACES,
     ParameterField,
     ParameterRangeError,
     as_parameter_field,
@@ -34,8 +34,11 @@ if TYPE_CHECKING:
     from forms.ends.weights import EndStrips, EndWeights
 
 
-UNKNOWN = object()
-OF_NUMBER, OF_MANY = re.compile(r"\b(float|int)\b"), re.compile("array|list|tuple|sequence|callable", re.IGNORECASE)
+MISSING_VALUE = object()
+NUMBER_ANNOTATION, ARRAY_ANNOTATION = (
+    re.compile(r"\b(float|int)\b"),
+    re.compile("array|list|tuple|sequence|callable", re.IGNORECASE),
+)
 
 
 class Step(NamedTuple):
@@ -144,10 +147,10 @@ class Law:
     def check(self) -> None:
         """Raise InputError if a parameter is out of its range."""
 
-    def require(self, condition: bool, name: str, allowed: str, value: object = UNKNOWN) -> None:
+    def require(self, condition: bool, name: str, allowed: str, value: object = MISSING_VALUE) -> None:
         """Raise InputError "Law: name is value; allowed: ..." unless the condition holds; by default of a parameter."""
         if not condition:
-            value = getattr(self, name) if value is UNKNOWN else value
+            value = getattr(self, name) if value is MISSING_VALUE else value
             raise InputError(f"{type(self).__name__}: {name} is {value}; allowed: {allowed}")
 
     def check_dimension(self, d: int) -> None:
@@ -268,7 +271,7 @@ class Law:
         if not self.fields:
             return
         values, n = list(self.fields_at(x).values()), x.shape[1]
-        at = sorted({*extreme_places(values, differences=True), *range(0, n, max(n // MANY, 1))})
+        at = sorted({*extreme_places(values, differences=True), *range(0, n, max(n // MAX_CHECKED_PLACES, 1))})
         for k, one in zip(at, self.at_places(x[:, at]), strict=True):
             try:
                 one.check()
@@ -394,7 +397,7 @@ class BulkLaw(Law):
     @property
     def memory(self) -> int:
         """Number of internal values at a point."""
-        return sum(SIZES[shape] for shape in self.internal.values())
+        return sum(VARIABLE_SIZES[shape] for shape in self.internal.values())
 
     def stiffness(self, n: Array) -> Array | None:
         """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not define it.
@@ -474,8 +477,8 @@ class WrappedLaw(BulkLaw):
         return self
 
 
-OUT_OF_PLANE_STRAINS = "out_of_plane"  # internal variable: strains 33, 13 and 23 in Mandel's components
-IN_PLANE, OUT_OF_PLANE = [0, 1, 3], [2, 4, 5]  # Mandel's components
+OUT_OF_PLANE_VARIABLE = "out_of_plane"  # internal variable: strains 33, 13 and 23 in Mandel's components
+IN_PLANE_MANDEL, OUT_OF_PLANE_MANDEL = [0, 1, 3], [2, 4, 5]  # Mandel's components
 
 
 class PlaneStressLaw(WrappedLaw):
@@ -498,7 +501,7 @@ class PlaneStressLaw(WrappedLaw):
 
     @property
     def internal(self) -> Mapping[str, tuple[int, ...]]:  # type: ignore[override]
-        return {**self.law.internal, OUT_OF_PLANE_STRAINS: (3,)}
+        return {**self.law.internal, OUT_OF_PLANE_VARIABLE: (3,)}
 
     @property
     def memory(self) -> int:
@@ -516,7 +519,7 @@ class PlaneStressLaw(WrappedLaw):
         lmbda, mu = average_lame(C)
         lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0
         out = isotropic_tensor(lmbda, mu)
-        out[np.ix_(IN_PLANE, IN_PLANE)] = condensed_tangent(C, IN_PLANE, OUT_OF_PLANE)
+        out[np.ix_(IN_PLANE_MANDEL, IN_PLANE_MANDEL)] = condensed_tangent(C, IN_PLANE_MANDEL, OUT_OF_PLANE_MANDEL)
         return out
 
 
@@ -527,7 +530,9 @@ def scalar_fields(kind: Any) -> frozenset[str]:
     It is the text of an annotation that counts.
     """
     texts = {f.name: str(f.type) for f in fields(kind)}
-    return frozenset(name for name, text in texts.items() if OF_NUMBER.search(text) and not OF_MANY.search(text))
+    return frozenset(
+        name for name, text in texts.items() if NUMBER_ANNOTATION.search(text) and not ARRAY_ANNOTATION.search(text)
+    )
 
 
 @contextmanager

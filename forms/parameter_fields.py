@@ -12,7 +12,7 @@ import numpy as np
 
 from forms.base import Array, InputError, is_number
 
-MANY = 1000  # number of places at which parameters are checked beside those where they are extreme
+MAX_CHECKED_PLACES = 1000  # number of places at which parameters are checked beside those where they are extreme
 Parameter = float | Callable[[Array], Any]  # a number, or a numpy function of places (d, n) that gives n values
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import ufl
 
 from forms.base import Array
-from forms.kinematics import MANDEL, Expr, strain, three_dimensional
+from forms.kinematics import MANDEL_PAIRS, Expr, strain, three_dimensional
 from forms.law import BulkLaw
 
 
@@ -41,7 +41,7 @@ class Kinematics:
 
     def slots(self, d: int) -> tuple[int, ...]:
         """Mandel components that the strains of displacements (d,) have; the others are zero."""
-        return tuple(k for k, (_, j) in enumerate(MANDEL) if j < d)
+        return tuple(k for k, (_, j) in enumerate(MANDEL_PAIRS) if j < d)
 
     def translations(self, d: int) -> tuple[int, ...]:
         """Axes along which translations are rigid motions."""
@@ -53,7 +53,7 @@ class Kinematics:
 
     def stressed(self, d: int) -> tuple[int, ...]:
         """Mandel components that stresses may have; the others are zero, whatever the law of `law` gives for them."""
-        return tuple(range(len(MANDEL)))
+        return tuple(range(len(MANDEL_PAIRS)))
 
     @property
     def factor(self) -> Any:
@@ -89,7 +89,7 @@ class Kinematics:
         return law
 
 
-LIFTED = Kinematics()  # plane strain in 2D, all strains in 3D
+PLANE_STRAIN = Kinematics()  # plane strain in 2D, all strains in 3D
 
 
 class PlaneStress(Kinematics):
@@ -150,4 +150,4 @@ class Axisymmetric(Kinematics):
         return ufl.as_tensor([[0, 0, 0], [0, 0, 0], [0, 0, u[0] / self._r]])
 
 
-PLANES: dict[str, Kinematics] = {one.name: one for one in (LIFTED, PlaneStress(), Axisymmetric())}
+KINEMATICS_BY_NAME: dict[str, Kinematics] = {one.name: one for one in (PLANE_STRAIN, PlaneStress(), Axisymmetric())}

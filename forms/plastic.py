@@ -17,8 +17,8 @@ from forms.law import BulkLaw, Step, choice, require_positive
 from forms.parameter_fields import Parameter
 from forms.viscous import isotropic_energy
 
-LIKELY_RADIANS = 1.6  # degrees; smaller friction angles were probably meant in radians (pi/2 = 1.57)
-LEAST_FRACTION = 1e-6  # of the stiffness that stays elastic, from which continuation starts
+MIN_FRICTION_ANGLE_DEGREES = 1.6  # degrees; smaller friction angles were probably meant in radians (pi/2 = 1.57)
+MIN_ELASTIC_FRACTION = 1e-6  # of the stiffness that stays elastic, from which continuation starts
 
 
 def require_hardening(law: BulkLaw, *names: str) -> None:
@@ -73,7 +73,7 @@ class Plastic(IsotropicLaw):
         super().check()
         self.require(math.isfinite(self.cohesion) and self.cohesion >= 0, "cohesion", ">= 0, finite")
         self.require(0 <= self.friction_angle < 90, "friction_angle", "0 <= friction_angle < 90 degrees")
-        if 0 < self.friction_angle < LIKELY_RADIANS:
+        if 0 < self.friction_angle < MIN_FRICTION_ANGLE_DEGREES:
             angle = self.friction_angle
             hint = f"angles are in degrees: {angle:g} radians would be friction_angle = {math.degrees(angle):.4g}"
             what = f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction"
@@ -85,7 +85,7 @@ class Plastic(IsotropicLaw):
 
     def eased(self, ease: float) -> Plastic:
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
-        h, share = self.elastic_fraction, LEAST_FRACTION ** (1 - ease) if ease else 0.0
+        h, share = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - ease) if ease else 0.0
         return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
 
 
@@ -226,7 +226,7 @@ class MohrCoulombMonodirectional(Plastic):
         return (1 - self.elastic_fraction) * ufl.inner(stress, flow) / step.theta
 
 
-MOST_FRACTION = 1 - 1e-9  # of the stiffness that hardening leaves, in continuation
+MAX_HARDENING_FRACTION = 1 - 1e-9  # of the stiffness that hardening leaves, in continuation
 
 
 @dataclass(frozen=True)
@@ -285,5 +285,5 @@ class VonMises(KernelLaw, IsotropicLaw):
         """The law with kinematic hardening between its own (ease = 0) and that of an almost elastic material (1)."""
         if not ease:
             return self
-        share = min(LEAST_FRACTION ** (1 - ease), MOST_FRACTION)
+        share = min(MIN_ELASTIC_FRACTION ** (1 - ease), MAX_HARDENING_FRACTION)
         return self.with_parameters({"kinematic": self.kinematic + 3 * self.mu * share / (1 - share)})

@@ -11,9 +11,11 @@ import ufl
 
 from forms.kinematics import Expr, jump_strain, three_dimensional
 
-L = TypeVar("L")  # a law of strains, `forms.law.BulkLaw`
-GAUSS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
-LOCKING = 12.0  # lmbda/mu at which linear displacements through the layer raise the jump's error of order 1 by a third
+LawType = TypeVar("LawType")  # a law of strains, `forms.law.BulkLaw`
+GAUSS_HEIGHTS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
+LOCKING_RATIO = (
+    12.0  # lmbda/mu at which linear displacements through the layer raise the jump's error of order 1 by a third
+)
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class Faces:
 
 
 @dataclass(frozen=True)
-class Station(Generic[L]):
+class Station(Generic[LawType]):
     """A place through the thickness at which a law acts, in the interface law of order 1.
 
     Attributes:
@@ -90,29 +92,29 @@ class Station(Generic[L]):
         largest_ratio: lmbda/mu at rest beyond which the strain locks.
     """
 
-    law: L
+    law: LawType
     share: Any
-    strain: Callable[[L, Faces], Expr]
-    flow: Callable[[L], Expr] = lambda law: 0
+    strain: Callable[[LawType, Faces], Expr]
+    flow: Callable[[LawType], Expr] = lambda law: 0
     largest_ratio: float = math.inf
 
 
-def gauss_stations(law: L, difference: Callable[[L, Faces], Expr] | None = None) -> list[Station[L]]:
+def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | None = None) -> list[Station[LawType]]:
     """Two stations, at the Gauss points through the thickness: the strain changes linearly from face to face.
 
     Args:
         law: the law.
         difference: the law and the displaced faces, as in `Station` -> strain (3, 3) at the upper face less that at the
             lower one; by default displacements are linear through the layer, `Faces.change`, which locks for
-            lmbda/mu > `LOCKING`.
+            lmbda/mu > `LOCKING_RATIO`.
     """
     change = difference or (lambda law, faces: faces.change)
-    largest_ratio = math.inf if difference else LOCKING
+    largest_ratio = math.inf if difference else LOCKING_RATIO
 
-    def at(z: float) -> Callable[[L, Faces], Expr]:
+    def at(z: float) -> Callable[[LawType, Faces], Expr]:
         return lambda law, faces: faces.across() + faces.mean + z * change(law, faces)
 
-    return [Station(law, 1 / 2, at(z), largest_ratio=largest_ratio) for z in GAUSS]
+    return [Station(law, 1 / 2, at(z), largest_ratio=largest_ratio) for z in GAUSS_HEIGHTS]
 
 
 def pressure_stations(law: Any) -> list[Station[Any]]:

@@ -49,7 +49,7 @@ from forms.kinematics import Expr, average_lame, isotropic_tensor, mandel_tensor
 from forms.kinematics import mandel_vector as in_mandel
 from forms.law import BulkLaw, Step
 
-_DOMAIN = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
+_SYMBOL_MESH = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def variable(e: Expr) -> Expr:
 
 @cache
 def _symbols(length: int) -> Expr:
-    return ufl.Constant(_DOMAIN, shape=(length,))
+    return ufl.Constant(_SYMBOL_MESH, shape=(length,))
 
 
 def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> SymbolicLaw:
@@ -112,7 +112,7 @@ def law_identity(law: BulkLaw) -> tuple[Any, ...] | None:
 def reads_input(law: BulkLaw, name: str) -> bool:
     """Whether the stress of a law in UFL, or its new internal variables, depend on `n` or `dt` of the step."""
     point = symbolic(law)
-    symbol = ufl.Constant(_DOMAIN, shape=getattr(point.step, name).ufl_shape)
+    symbol = ufl.Constant(_SYMBOL_MESH, shape=getattr(point.step, name).ufl_shape)
     step = point.step._replace(**{name: symbol})
     found = [point.law.stress(point.law.own_step(step)), *point.law.advance(step).values()]
     return any(symbol is part for one in found for part in traverse_unique_terminals(ufl.as_ufl(one)))
@@ -127,7 +127,7 @@ def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Exp
 
 
 Values = npt.NDArray[Any]
-FUNCTIONS: dict[type, Any] = {
+NUMPY_FUNCTIONS: dict[type, Any] = {
     Sum: np.add,
     Product: np.multiply,
     Division: np.divide,
@@ -184,7 +184,7 @@ def _evaluate_node(part: Any, operands: list[Any]) -> Any:
     if not isinstance(part, Sum):  # whose operands have the same indices
         pairs = zip(operands, part.ufl_operands, strict=True)
         operands = [_broadcast(values, of, len(part.ufl_shape), free) for values, of in pairs]
-    function = FUNCTIONS.get(type(part)) or np.vectorize(lambda *values: _scalar_function(part, values))
+    function = NUMPY_FUNCTIONS.get(type(part)) or np.vectorize(lambda *values: _scalar_function(part, values))
     return function(*operands)
 
 
@@ -215,10 +215,12 @@ def _real(value: Any) -> float:
     return math.nan if isinstance(value, complex) else float(value)
 
 
-SMALL_STRAIN = 1e-6 * np.array([1.0, -0.7, 0.4, 0.5, -0.3, 0.6])  # too small for yielding; at none a norm has no slope
-UNCOUPLED = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
-NEGATIVE = 1e-6  # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
-LONG = 1e30  # length of a time step in which rates become zero
+PROBE_STRAIN = 1e-6 * np.array([1.0, -0.7, 0.4, 0.5, -0.3, 0.6])  # too small for yielding; at none a norm has no slope
+COUPLING_TOLERANCE = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
+EIGENVALUE_TOLERANCE = (
+    1e-6  # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
+)
+LONG_TIME_STEP = 1e30  # length of a time step in which rates become zero
 
 
 def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
@@ -234,7 +236,7 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     """
     C = law.in_space.stiffness(n)
     if C is None:
-        C = _rest_tangent(law.in_space, n, LONG if law.traits.rate else 0.0)
+        C = _rest_tangent(law.in_space, n, LONG_TIME_STEP if law.traits.rate else 0.0)
     return None if C is None else law.condensed(C)
 
 
@@ -265,7 +267,7 @@ def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
         tangent: Any = expand_derivatives(ufl.diff(stress, point.strain))
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
             known = (np.zeros(6 + law.memory), n3, [dt, 1.0], given.parameter_values())
-            inputs = [np.concatenate([e, *known]) for e in (SMALL_STRAIN, -SMALL_STRAIN)]
+            inputs = [np.concatenate([e, *known]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
             C = np.mean([evaluate(tangent, {point.numbers: one}) for one in inputs], axis=0)
     except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None
@@ -322,7 +324,7 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
         (C[np.ix_(slots, slots)], "(of C)") if n is None else (acoustic_tensor(C, n), "across the layer (of n.C.n)")
     )
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
-    if lowest < -NEGATIVE * size:
+    if lowest < -EIGENVALUE_TOLERANCE * size:
         known = f"the smallest eigenvalue {what} is {lowest:.4g}, the largest entry of C {size:.4g}; allowed: >= 0"
         remedy = "Check the signs of the stress and of the parameters (real ones)"
         raise InputError(f"{type(law).__name__}: the stiffness at rest is negative, {known}. {remedy}")
@@ -335,7 +337,7 @@ def symmetric_mandel(a: Array) -> Array:
 
 def is_isotropic(C: Array) -> bool:
     """Whether a tangent (6, 6) is that of an isotropic material."""
-    return bool(np.abs(C - isotropic_tensor(*average_lame(C))).max() <= UNCOUPLED * np.abs(C).max())
+    return bool(np.abs(C - isotropic_tensor(*average_lame(C))).max() <= COUPLING_TOLERANCE * np.abs(C).max())
 
 
 def in_plane_modulus(C: Array, n: Array) -> float:

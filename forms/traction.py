@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import ufl
 
 from forms.base import InputError
-from forms.declarations import OF_ONE_STRESS, Traits
+from forms.declarations import STRESS_ATTRIBUTES, Traits
 from forms.kinematics import Expr
 from forms.law import BulkLaw, Law, Step, WrappedLaw, require_shape
 
@@ -43,7 +43,7 @@ class TractionLaw(Law):
     Optional: `energy(step)`, and `dissipation(step)` with it. If the tangent is not symmetric, write `symmetric = False`.
     """
 
-    ignored: ClassVar = (*OF_ONE_STRESS, "stress", "advance", "dissipated", "eased")
+    ignored: ClassVar = (*STRESS_ATTRIBUTES, "stress", "advance", "dissipated", "eased")
 
     def __post_init__(self) -> None:
         if self.powers:

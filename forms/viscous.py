@@ -14,9 +14,9 @@ from forms.kinematics import Expr
 from forms.law import Step, require_positive
 
 # Largest tangent of a power-law dashpot in a step, relative to its spring's modulus; a stiffer dashpot is taken as linear.
-MOST_STIFFNESS = 1e6
-NEWTON_STEPS = 6  # for the stress at the end of a step of creep; the rest is 1e-14 of it for n = 20, 1e-10 for 50
-NO_RATE = 1e-12  # rate of relaxation of the mean stress, over that of the deviator, that is rounding
+MAX_DASHPOT_STIFFNESS = 1e6
+CREEP_NEWTON_STEPS = 6  # for the stress at the end of a step of creep; the rest is 1e-14 of it for n = 20, 1e-10 for 50
+RELATIVE_RATE_TOLERANCE = 1e-12  # rate of relaxation of the mean stress, over that of the deviator, that is rounding
 REST_STRAIN = 1e-12  # largest strain of a step below which the dashpot may be linear
 
 
@@ -170,7 +170,7 @@ class Maxwell(SeriesDashpot):
     def own_times(self) -> tuple[float, ...]:
         """Relaxation times of the deviator and, where it relaxes, of the mean stress."""
         rate = self._volumetric_rate
-        return self.t1, *((1 / rate,) if rate > NO_RATE / self.t1 else ())
+        return self.t1, *((1 / rate,) if rate > RELATIVE_RATE_TOLERANCE / self.t1 else ())
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:
         return 1 / self.t1, self._volumetric_rate
@@ -218,7 +218,7 @@ class Norton(ParallelDashpot):
     def _viscous(self, step: Step) -> Expr:
         dt: Expr = step.dt
         # for p < 2 the rate at which the dashpot has this stiffness
-        stiffest = (self.eta / (MOST_STIFFNESS * self.mu * dt)) ** (1 / (2 - self.p))
+        stiffest = (self.eta / (MAX_DASHPOT_STIFFNESS * self.mu * dt)) ** (1 / (2 - self.p))
         least = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest, REST_STRAIN / dt), 0)
         q = ufl.inner(step.rate, step.rate) + self.rest**2 + least**2 + 1e-300  # powers have no derivative at 0
         return self.eta * q ** (self.p / 2 - 1) * step.rate
@@ -259,6 +259,6 @@ class NortonCreep(SeriesDashpot):
         rate = 3 * self.mu * self.A * q ** (n - 1)
         c = step.theta * step.dt * rate
         x: Expr = (1 + c) ** (-1 / n)  # not less than the root, so that Newton's method falls to it
-        for _ in range(NEWTON_STEPS):
+        for _ in range(CREEP_NEWTON_STEPS):
             x = (1 + (n - 1) * c * x**n) / (1 + n * c * x ** (n - 1))
         return rate * x ** (n - 1), 0

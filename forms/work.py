@@ -14,7 +14,7 @@ from forms.base import InputError
 from forms.ends.weights import EndWeights
 from forms.kinematics import Expr, jump_strain, three_dimensional
 from forms.law import BulkLaw, Step, explained_errors, require_shape
-from forms.planes import LIFTED, Kinematics
+from forms.planes import PLANE_STRAIN, Kinematics
 from forms.stations import Faces, Station
 
 
@@ -77,12 +77,14 @@ class Interface:
     fibre: Expr
     upper: InterfaceSide
     lower: InterfaceSide
-    kinematics: Kinematics = LIFTED
+    kinematics: Kinematics = PLANE_STRAIN
     area: Expr = 1
     known: Callable[[BulkLaw], BulkLaw] = constant_law
 
     @classmethod
-    def between_bodies(cls, dS: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None) -> Interface:
+    def between_bodies(
+        cls, dS: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None
+    ) -> Interface:
         """S inside the mesh; the measure's "+" is the upper body.
 
         Args:
@@ -97,7 +99,9 @@ class Interface:
         return cls._apart(dS, kinematics, to_s, upper, InterfaceSide(lower.restrict, _inverse_gradient(to_s)("-")))
 
     @classmethod
-    def on_rigid_base(cls, ds: ufl.Measure, kinematics: Kinematics = LIFTED, to_s: Expr | None = None) -> Interface:
+    def on_rigid_base(
+        cls, ds: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None
+    ) -> Interface:
         """S on the boundary of the upper body; the base below does not move; arguments as in `between_bodies`."""
         mesh, upper, lower = ds.ufl_domain(), InterfaceSide(lambda v: v), InterfaceSide(lambda v: 0 * v)
         if to_s is None:
@@ -166,7 +170,7 @@ class Term:
     n: Expr | None = None
     given: Expr | None = None
     key: str = ""
-    kinematics: Kinematics = LIFTED
+    kinematics: Kinematics = PLANE_STRAIN
     volume: int | None = None
     flow: Any = 0
     traction: Callable[[Expr], Expr] | None = None
@@ -192,12 +196,12 @@ class Term:
             return require_shape(law, "stress", law.stress(Step(ufl.zero(3, 3), n)), (3, 3))
 
 
-def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = LIFTED, volume: int | None = None) -> Term:
+def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, volume: int | None = None) -> Term:
     """A law in the volume of a body; the law is that of these kinematics (`Kinematics.law`), `volume` as in `Term`."""
     return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics, volume=volume)
 
 
-def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = LIFTED) -> Term:
+def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = PLANE_STRAIN) -> Term:
     """A layer's law in the meshed layer, or in the cells of one sublayer."""
     return Term(law, kinematics.strain, kinematics.factor, measure, n, kinematics=kinematics)
 

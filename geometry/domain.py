@@ -28,9 +28,13 @@ from geometry.seam import BASE, LAYER, S
 from geometry.sheet import continued_ridges
 from geometry.topology import FloatArray, Indices, IntArray, geometry_degree, local_facets
 
-FEW = 100  # number of meshes after which Python's collector frees those that cycles of references keep
-_MADE = count(1)
-NAMES = 30  # number after which combinations of names are numbered anew: int64 holds so many, and numbers of facets
+MESHES_PER_COLLECTION = (
+    100  # number of meshes after which Python's collector frees those that cycles of references keep
+)
+_MESH_COUNT = count(1)
+NAMES_PER_CODE = (
+    30  # number after which combinations of names are numbered anew: int64 holds so many, and numbers of facets
+)
 
 
 def first_accepted(*calls: Callable[[], Any]) -> Any:
@@ -162,7 +166,7 @@ class Domain:
     def of(cls, joint: Joint, comm: MPI.Intracomm | None = None) -> Domain:
         """Distribute a joint. Collective."""
         comm = comm or default_comm()
-        if comm.size > 1 or not next(_MADE) % FEW:
+        if comm.size > 1 or not next(_MESH_COUNT) % MESHES_PER_COLLECTION:
             gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
         points, cells = (rows_of_rank(one, comm.rank, comm.size) for one in (joint.points, joint.cells))
         mesh = create_mesh(comm, points, cells, joint.cell_type, partitioner(joint, comm))
@@ -287,7 +291,7 @@ def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple
     for k, place in enumerate(places.values(), 1):
         combination *= 2
         combination[place] += 1
-        if k % NAMES == 0 or k == len(sets):
+        if k % NAMES_PER_CODE == 0 or k == len(sets):
             combination = np.unique(combination, return_inverse=True)[1]
     values = {name: tuple(map(int, np.unique(combination[place]) + 1)) for name, place in places.items()}
     return tagged, (combination + 1).astype(np.int32), values

@@ -10,8 +10,8 @@ import numpy as np
 from geometry.refusals import refuse
 from geometry.topology import BoolArray, FloatArray, IntArray, connected, ridge_keys
 
-SAME_PLACE = 1e-6  # distance of two places that are the same, at most, over the size of the joint
-CUT = "the cells on its two sides are no neighbours in the mesh; cut the periodic cell through bodies instead"
+DISTANCE_TOLERANCE = 1e-6  # distance of two places that are the same, at most, over the size of the joint
+CUT_ADVICE = "the cells on its two sides are no neighbours in the mesh; cut the periodic cell through bodies instead"
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,14 @@ class Periods:
         for (first, second), pair, vector in zip(self.sides, self.pairs, self.vectors(points), strict=True):
             apart = np.abs(points[pair[:, 1]] - points[pair[:, 0]] - vector).max(axis=1)
             message = f"the sides {first!r} and {second!r} do not match any more at {{at}}"
-            refuse(apart > SAME_PLACE * size, points[pair[:, 0]], message)
+            refuse(apart > DISTANCE_TOLERANCE * size, points[pair[:, 0]], message)
         master = self.masters(len(points))
         identified = np.bincount(master, minlength=len(master))[master] > 1
-        refuse(identified[seams].all(axis=1), points[seams], f"a seam lies on the periodic boundary, at {{at}}: {CUT}")
+        refuse(
+            identified[seams].all(axis=1),
+            points[seams],
+            f"a seam lies on the periodic boundary, at {{at}}: {CUT_ADVICE}",
+        )
         nodes = corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])].reshape(-1, 2)
         names = " and ".join(f"{first!r} and {second!r}" for first, second in self.sides)
         narrow = f"a periodic cell needs three cells or more between its sides ({names}); use a finer mesh near {{at}}"
@@ -78,4 +82,4 @@ def _folded_edges(points: FloatArray, nodes: IntArray, master: IntArray) -> Bool
     along = (points[nodes[:, 1]] - points[nodes[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]
     _, first, number = np.unique(ridge_keys(ends), return_index=True, return_inverse=True)
     apart = np.abs(along - along[first[number.ravel()]]).max(axis=1)
-    return np.asarray((ends[:, 0] == ends[:, 1]) | (apart > SAME_PLACE * np.ptp(points, axis=0).max()))
+    return np.asarray((ends[:, 0] == ends[:, 1]) | (apart > DISTANCE_TOLERANCE * np.ptp(points, axis=0).max()))

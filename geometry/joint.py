@@ -14,7 +14,7 @@ from forms.base import InputError, is_finite, require
 from forms.temperature import finite_values
 from geometry.identified_sides import Periods
 from geometry.refusals import place_text, refuse, require_known
-from geometry.seam import JUNCTIONS, LAYER, RESERVED, S, Seam
+from geometry.seam import JUNCTIONS, LAYER, RESERVED_NAMES, S, Seam
 from geometry.topology import (
     CELL_TYPES,
     FACET_TYPES,
@@ -33,7 +33,9 @@ from geometry.topology import (
 
 Profile = Callable[[FloatArray], FloatArray]
 
-FLAT = 1e-5  # largest difference of unit normals of a planar S: coordinates in files may have only seven digits
+PLANAR_TOLERANCE = (
+    1e-5  # largest difference of unit normals of a planar S: coordinates in files may have only seven digits
+)
 
 
 def _digest(*arrays: IntArray) -> str:
@@ -139,7 +141,7 @@ class Joint:
 
     def _check_seams(self) -> None:
         for name in (*self.regions, *self.facets):
-            taken = (LAYER, JUNCTIONS) if name in self.regions else RESERVED
+            taken = (LAYER, JUNCTIONS) if name in self.regions else RESERVED_NAMES
             if not isinstance(name, str) or name in taken or "/" in name:
                 raise InputError(f"{name!r} cannot be a name; not allowed: {', '.join(taken)} and names with '/'")
         for number, name in enumerate(self.regions):
@@ -379,7 +381,7 @@ class Joint:
     @property
     def planar(self) -> bool:
         """Whether S lies in planes of one direction."""
-        return bool(np.ptp(self.node_normals.reshape(-1, self.dim), axis=0).max() <= FLAT)
+        return bool(np.ptp(self.node_normals.reshape(-1, self.dim), axis=0).max() <= PLANAR_TOLERANCE)
 
     def relative_thickness(self, profile: Profile | None, name: str = S) -> FloatArray:
         """(n_points,) a profile at the vertices of a seam, or of S, linear between them; 1 elsewhere.

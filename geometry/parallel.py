@@ -15,29 +15,29 @@ from mpi4py import MPI
 
 from forms.base import require
 
-T = TypeVar("T")
-LARGE = 100_000  # bytes from which on an array of a result stands once in the memory of a machine
-PIECE = 2**30  # bytes that are sent at once: MPI may count no further than 2**31
-LINE = 64  # bytes at whose multiples arrays begin
-_WORLD: ContextVar[MPI.Intracomm] = ContextVar("_WORLD", default=MPI.COMM_WORLD)
+ResultType = TypeVar("ResultType")
+SHARED_MEMORY_BYTES = 100_000  # bytes from which on an array of a result stands once in the memory of a machine
+MAX_MESSAGE_BYTES = 2**30  # bytes that are sent at once: MPI may count no further than 2**31
+ALIGNMENT_BYTES = 64  # bytes at whose multiples arrays begin
+_DEFAULT_COMM: ContextVar[MPI.Intracomm] = ContextVar("_DEFAULT_COMM", default=MPI.COMM_WORLD)
 
 
 def default_comm() -> MPI.Intracomm:
     """The communicator of calls that are given none: MPI.COMM_WORLD, or that of `use_comm`."""
-    return _WORLD.get()
+    return _DEFAULT_COMM.get()
 
 
 @contextmanager
 def use_comm(comm: MPI.Intracomm) -> Iterator[None]:
     """In this block calls that are given no communicator use this one, so that groups of ranks work side by side."""
-    token = _WORLD.set(comm)
+    token = _DEFAULT_COMM.set(comm)
     try:
         yield
     finally:
-        _WORLD.reset(token)
+        _DEFAULT_COMM.reset(token)
 
 
-def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
+def on_root(comm: MPI.Intracomm | None, build: Callable[[], ResultType]) -> ResultType:
     """Run a function on rank 0 only; return its result, or raise its exception, on every rank. Collective.
 
     The ranks of one machine share the large arrays of the result, which nobody may write.
@@ -45,7 +45,7 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
     """
     comm = default_comm() if comm is None else comm
     require(isinstance(comm, MPI.Comm), "comm", comm, "it must be an MPI communicator")
-    result: T | Exception | None = None
+    result: ResultType | Exception | None = None
     if comm.rank == 0:
         try:
             result = build()
@@ -57,7 +57,7 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], T]) -> T:
         received = _broadcast(comm, _sendable(result) if isinstance(result, Exception) else result)
     if isinstance(received, Exception):
         raise result if isinstance(result, Exception) else received
-    return cast(T, received)
+    return cast(ResultType, received)
 
 
 def _broadcast(comm: MPI.Intracomm, result: Any) -> Any:
@@ -66,9 +66,9 @@ def _broadcast(comm: MPI.Intracomm, result: Any) -> Any:
 
     def is_small(buffer: pickle.PickleBuffer) -> bool:
         raw = buffer.raw()
-        if raw.nbytes >= LARGE:
+        if raw.nbytes >= SHARED_MEMORY_BYTES:
             large.append(raw)
-        return raw.nbytes < LARGE
+        return raw.nbytes < SHARED_MEMORY_BYTES
 
     content = pickle.dumps(result, 5, buffer_callback=is_small) if comm.rank == 0 else b""
     content, sizes = comm.bcast((content, [raw.nbytes for raw in large]))
@@ -83,7 +83,7 @@ def _shared_copies(comm: MPI.Intracomm, given: list[memoryview], sizes: list[int
         given: the buffers, on rank 0.
         sizes: their sizes, bytes.
     """
-    *starts, total = accumulate((size + -size % LINE for size in sizes), initial=0)
+    *starts, total = accumulate((size + -size % ALIGNMENT_BYTES for size in sizes), initial=0)
     node, file = comm.Split_type(MPI.COMM_TYPE_SHARED), os.memfd_create("thinlayer")
     path, number = node.bcast((f"/proc/{os.getpid()}/fd/{file}", os.fstat(file).st_ino))
     reached = os.access(path, os.R_OK) and os.stat(path).st_ino == number
@@ -98,8 +98,8 @@ def _shared_copies(comm: MPI.Intracomm, given: list[memoryview], sizes: list[int
     for k, buffer in enumerate(buffers if owner else ()):
         if comm.rank == 0:
             buffer[:] = given[k]
-        for begin in range(0, len(buffer), PIECE):
-            owners.Bcast(buffer[begin : begin + PIECE])
+        for begin in range(0, len(buffer), MAX_MESSAGE_BYTES):
+            owners.Bcast(buffer[begin : begin + MAX_MESSAGE_BYTES])
     node.Barrier()
     for each in {file, opened}:
         os.close(each)

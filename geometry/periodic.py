@@ -8,7 +8,7 @@ import numpy as np
 import scipy.spatial
 
 from forms.base import InputError, require
-from geometry.identified_sides import CUT, SAME_PLACE, Periods
+from geometry.identified_sides import CUT_ADVICE, DISTANCE_TOLERANCE, Periods
 from geometry.joint import Joint
 from geometry.refusals import place_text, refuse, unknown_name_message
 from geometry.topology import IntArray
@@ -58,7 +58,7 @@ def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
     for places, others, move, name, other in ways:
         apart, at = scipy.spatial.cKDTree(others).query(places + move)
         partners.append(at)
-        if apart.max() > SAME_PLACE * size:
+        if apart.max() > DISTANCE_TOLERANCE * size:
             lost = places[apart.argmax()]
             both = f"{name!r} has a node at {place_text(lost)}, and {other!r} has none at {place_text(lost + move)}"
             raise InputError(f"{unlike}: {both}; {remedy}")
@@ -75,7 +75,7 @@ def _outer_rows(joint: Joint, name: str) -> IntArray:
     if name not in joint.facets:
         raise InputError(unknown_name_message("side", name, joint.facets.keys() - joint.seams.keys()))
     if name in joint.seams:
-        raise InputError(f"the seam {name!r} cannot be a periodic side: {CUT}")
+        raise InputError(f"the seam {name!r} cannot be a periodic side: {CUT_ADVICE}")
     rows = np.unique(joint.table.index(joint.facets[name]))
     inner, x = joint.table.cells[rows, 1] >= 0, joint.points[joint.table.vertices[rows]]
     refuse(inner, x, f"{name!r} is no side of the joint: {{bad}} of its facets lie inside, as at {{at}}")

@@ -15,8 +15,8 @@ S = "S"
 LAYER = "LAYER"
 JUNCTIONS = "JUNCTIONS"  # where three or more layers or bodies meet, the part of the layer
 LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
-RESERVED = (LAYER, LOWER_FACE, UPPER_FACE, BASE, JUNCTIONS)
-LEAST_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
+RESERVED_NAMES = (LAYER, LOWER_FACE, UPPER_FACE, BASE, JUNCTIONS)
+MIN_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Seam:
         way = np.asarray(self.direction, float)
         cosine = normals @ way / np.linalg.norm(normals, axis=1) / np.linalg.norm(way)
         what = f"direction {self.direction} does not tell the upper side of {name!r}: it lies in the facet near {{at}}"
-        refuse(np.abs(cosine) < LEAST_COSINE, x, what)
+        refuse(np.abs(cosine) < MIN_COSINE, x, what)
         return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
 
     def between_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> BoolArray:

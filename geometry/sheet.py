@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geometry.joint import FLAT, Joint
+from geometry.joint import PLANAR_TOLERANCE, Joint
 from geometry.refusals import refuse
 from geometry.seam import S
 from geometry.topology import (
@@ -21,9 +21,11 @@ from geometry.topology import (
     ridges,
 )
 
-TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
-CLOSED = 0.1  # length of the mean unit normal below which S counts as closed
-CORNER = 0.7  # cosine of the least angle between straight ends that meet: at smaller ones the end counts as curved
+QUADRILATERAL_TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
+CLOSED_NORMAL_LENGTH = 0.1  # length of the mean unit normal below which S counts as closed
+CORNER_COSINE = (
+    0.7  # cosine of the least angle between straight ends that meet: at smaller ones the end counts as curved
+)
 
 
 def vectors_from_segments(x: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
@@ -97,7 +99,7 @@ class Sheet:
     @cached_property
     def parts(self) -> tuple[IntArray, IntArray]:
         """For each simplex its facet of S, (n,), and the corners of this facet, (n, d)."""
-        corners = TRIANGLES if self.joint.cell_type == "hexahedron" else (tuple(range(self.joint.dim)),)
+        corners = QUADRILATERAL_TRIANGLES if self.joint.cell_type == "hexahedron" else (tuple(range(self.joint.dim)),)
         return np.tile(self.facets, len(corners)), np.repeat(np.array(corners), len(self.facets), axis=0)
 
     @cached_property
@@ -112,12 +114,14 @@ class Sheet:
         normals = self.joint.interface_normals[self.facets]
         mean = normals.mean(axis=0)
         length = np.linalg.norm(mean)
-        return np.asarray(mean / length if length > CLOSED else normals[0])
+        return np.asarray(mean / length if length > CLOSED_NORMAL_LENGTH else normals[0])
 
     @property
     def planar(self) -> bool:
         """Whether it lies in planes of one direction."""
-        return bool(np.ptp(self.joint.node_normals[self.facets].reshape(-1, self.joint.dim), axis=0).max() <= FLAT)
+        return bool(
+            np.ptp(self.joint.node_normals[self.facets].reshape(-1, self.joint.dim), axis=0).max() <= PLANAR_TOLERANCE
+        )
 
     @cached_property
     def _edges(self) -> FloatArray:
@@ -200,7 +204,7 @@ def volume_of(joint: Joint, inside: BoolArray) -> float:
     nodes = joint.table.nodes(rows[kept], joint.corners, joint.cell_type)
     middle = joint.points[joint.corners[cells[kept]]].mean(axis=1)[:, None]
     volume = 0.0
-    for corners in TRIANGLES if joint.cell_type == "hexahedron" else (tuple(range(joint.dim)),):
+    for corners in QUADRILATERAL_TRIANGLES if joint.cell_type == "hexahedron" else (tuple(range(joint.dim)),):
         x = joint.points[nodes[:, corners]]
         cones, own = (np.linalg.det(x - tip) for tip in (x[0, 0], middle))  # from one place, and from that in the cell
         volume += float((cones * np.sign(own)).sum()) / math.factorial(joint.dim)
@@ -270,12 +274,12 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
     while len(left):
         m, offset = rim.outward[left[0]], offsets[left[0]]
         cosine = rim.outward @ m
-        on_line = (cosine > 1 - FLAT) & (np.abs(offsets - offset) <= FLAT * size)
+        on_line = (cosine > 1 - PLANAR_TOLERANCE) & (np.abs(offsets - offset) <= PLANAR_TOLERANCE * size)
         at, n_rim = np.flatnonzero(on_line), len(x)  # those that are connected, by their vertices
         links = at.repeat(rim.vertices.shape[1]), n_rim + rim.vertices[at].ravel()
         label = connected(*links, n_rim + int(rim.vertices.max()) + 1)[:n_rim]
         same = on_line & (label == label[left[0]])
-        on_it, others = rim[same], rim[(cosine > CORNER) & (cosine <= 1 - FLAT)]
+        on_it, others = rim[same], rim[(cosine > CORNER_COSINE) & (cosine <= 1 - PLANAR_TOLERANCE)]
         touching = np.isin(others.vertices, on_it.vertices).any(axis=1)
         curved = "ends of S must be straight, or meet at angles of 45 degrees or more: one is curved at {at}"
         refuse(touching, joint.points[others.vertices[:, 0]], curved)
@@ -283,7 +287,7 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         length = np.linalg.norm(along)
         along = along / length if length else along
         at = x[same].reshape(-1, x.shape[2]) @ along
-        height, allowed = float(x[left[0], 0] @ n), FLAT * size
+        height, allowed = float(x[left[0], 0] @ n), PLANAR_TOLERANCE * size
         reach, whole = (float(at.min()), float(at.max())), float(rim.length[same].sum())
         ends.append(StraightEnd(n, (height - allowed, height + allowed), m, float(offset), along, reach, whole))
         left = left[~same[left]]

@@ -24,7 +24,7 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.int32]  # of entities and degrees of freedom on a rank, as in dolfinx
 
-BITS = 31  # bits for a vertex number in a key
+KEY_BITS = 31  # bits for a vertex number in a key
 CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 FACET_TYPES = dict(zip(CELL_TYPES, ("interval", "interval", "triangle", "quadrilateral"), strict=True))
 
@@ -166,7 +166,7 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
 def ridge_keys(rows: IntArray) -> IntArray:
     """(n,) a number for each ridge, given by one vertex or two, (n, k)."""
     ordered = np.sort(rows, axis=1)
-    return np.asarray((ordered[:, 0] << BITS) + ordered[:, -1])
+    return np.asarray((ordered[:, 0] << KEY_BITS) + ordered[:, -1])
 
 
 def keys_of_ridges(facets: IntArray, k: int) -> IntArray:
@@ -324,12 +324,12 @@ def connected(first: IntArray | Indices, second: IntArray | Indices, n: int) -> 
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
-CLOSE = 1e-9  # distance, over the size of the whole, below which two places are the same
+DISTANCE_TOLERANCE = 1e-9  # distance, over the size of the whole, below which two places are the same
 
 
 def by_place(x: FloatArray, size: float) -> IntArray:
     """Order of places (n, d) by the first coordinate, then by the next ones; `size`: length of the whole."""
-    return np.lexsort(np.rint(x[:, ::-1] / (CLOSE * size)).T)
+    return np.lexsort(np.rint(x[:, ::-1] / (DISTANCE_TOLERANCE * size)).T)
 
 
 def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
@@ -344,7 +344,7 @@ def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
     for a, b in np.concatenate([pairs, pairs[:, ::-1]]):
         neighbours[int(a)].append(int(b))
     left, way = set(range(len(x))), list[int]()
-    places = [*map(tuple, np.rint(x / (CLOSE * size)).astype(np.int64).tolist())]
+    places = [*map(tuple, np.rint(x / (DISTANCE_TOLERANCE * size)).astype(np.int64).tolist())]
     ends: dict[tuple[int, ...], list[int]] = {}
     for k, place in enumerate(places):
         if len(neighbours[k]) < 2:

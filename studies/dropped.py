@@ -30,7 +30,7 @@ from forms import (
     Stack,
     VonMises,
 )
-from forms.elastic import VOIGT, lame_stress
+from forms.elastic import VOIGT_PAIRS, lame_stress
 from forms.kinematics import Expr
 from forms.law import Step
 from geometry import block, faults, ring, sandwich
@@ -343,7 +343,7 @@ def _random_ply(rng: np.random.Generator) -> LinearElastic | Anisotropic:
     ply, d, stiff = young(10 ** rng.uniform(-1.0, 2.0), rng.uniform(0.0, 0.45)), rng.normal(size=3), rng.uniform(0.0, 2.0)
     if rng.random() < 0.5:
         return ply
-    along = np.array([d[i] * d[j] for i, j in VOIGT]) / (d @ d)  # strain along fibres, of that in Voigt's order
+    along = np.array([d[i] * d[j] for i, j in VOIGT_PAIRS]) / (d @ d)  # strain along fibres, of that in Voigt's order
     lmbda, mu = ply.elastic_moduli()
     C = np.diag([2.0 * mu] * 3 + [mu] * 3) + 10**stiff * np.outer(along, along)
     C[:3, :3] += lmbda

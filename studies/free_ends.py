@@ -16,7 +16,7 @@ import ufl
 from forms import BulkLaw, Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from forms.ends import FreeEnd, free_end
-from forms.ends.constants import COLUMNS, chebyshev_ratios, shipped_table
+from forms.ends.constants import TABLE_COLUMNS, chebyshev_ratios, shipped_table
 from forms.kinematics import Expr
 from geometry import block
 from geometry.joint import Joint
@@ -25,7 +25,7 @@ from studies.problems import FOURIER_BODY, free_blocks
 from studies.sweeping import by_reaction, last_order
 from thinlayer import Structure, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation import reduction
-from thinlayer.discretisation.reduction import LEAST_CONTRAST
+from thinlayer.discretisation.reduction import MIN_STIFFNESS_CONTRAST
 from thinlayer.discretisation.state import State
 from thinlayer.errors import RangeWarning
 from thinlayer.running.record import Record
@@ -42,7 +42,7 @@ KINDS = {KNOWN: "free", IGNORED: "plain"}
 WHAT = ("traction", "jump", "work")
 DRAWN = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
 H, H_S = 1 / 8, 1 / 32  # cell sizes
-CONTRASTS = (10.0, 20.0, LEAST_CONTRAST, 80.0, 400.0)  # Young's modulus of the bodies over mu of the layer
+CONTRASTS = (10.0, 20.0, MIN_STIFFNESS_CONTRAST, 80.0, 400.0)  # Young's modulus of the bodies over mu of the layer
 SOFT_RATIOS, SOFT_EPS = (0.0, 0.3, 0.45), (1 / 16, 1 / 64)  # Poisson's ratios of elastic layers, thicknesses
 
 
@@ -163,7 +163,7 @@ def _row(end: FreeEnd) -> dict[str, float]:
 def _difference(found: FreeEnd) -> float:
     """Largest relative difference of the constants from those of the package's table."""
     table = free_end(found.nu)
-    pairs = [(getattr(found, name), getattr(table, name)) for name in (*COLUMNS[1:], "kappa")]
+    pairs = [(getattr(found, name), getattr(table, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
     return max(abs(a / b - 1) for a, b in pairs if 0 < b < math.inf)
 
 
@@ -172,9 +172,9 @@ def _nodes(record: Record) -> None:
     table = record.table("nodes.csv")
     for ratio in track(list(chebyshev_ratios(ROWS)), "free_ends", "row of the table, nu = {:g}"):
         found = half_strip(float(ratio))
-        table.append({name: getattr(found, name) for name in COLUMNS})
+        table.append({name: getattr(found, name) for name in TABLE_COLUMNS})
     known = shipped_table()
-    error = max(float(np.abs(table[name] / known[name] - 1).max()) for name in COLUMNS[1:])
+    error = max(float(np.abs(table[name] / known[name] - 1).max()) for name in TABLE_COLUMNS[1:])
     record.check("largest difference of a row from the package's table", error, high=1e-9)
 
 
@@ -222,7 +222,7 @@ def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cel
 def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[float]) -> None:
     """Write how many times as large errors are if the law knows its ends, for bodies that are not much stiffer.
 
-    Such bodies are refused below `LEAST_CONTRAST`; here the limit itself is measured.
+    Such bodies are refused below `MIN_STIFFNESS_CONTRAST`; here the limit itself is measured.
     """
     cases = [(nu, eps, contrast) for nu in ratios for eps in thicknesses for contrast in CONTRASTS]
 
@@ -233,10 +233,10 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
         factors = {f"{what}_factor": known[what] / ignored[what] for what in WHAT}
         return {"nu": nu, "eps": eps, "E_over_mu": contrast, **known, **factors}
 
-    with patch.object(reduction, "LEAST_CONTRAST", 0.0):
+    with patch.object(reduction, "MIN_STIFFNESS_CONTRAST", 0.0):
         table = record.rows("contrasts.csv", cases, row, "nu, eps, E/mu = {}")
     factors = np.max([table[f"{what}_factor"] for what in WHAT], axis=0)
-    allowed = table["E_over_mu"] >= LEAST_CONTRAST
+    allowed = table["E_over_mu"] >= MIN_STIFFNESS_CONTRAST
     record.check("largest factor of an error by known ends, where allowed", factors[allowed].max(), high=1.0)
     record.check("largest factor of an error by known ends, elsewhere", factors[~allowed].max(), low=2.0)
 

@@ -26,8 +26,7 @@ from thinlayer import Probe, Surface, estimate, march, plotting, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.estimating.result import Estimate
-from thinlayer.estimating.thickness import FIELDS
+from thinlayer.estimating.result import ESTIMATED_FIELDS, Estimate
 from thinlayer.output.plotting.curves import fraction
 from thinlayer.pointwise.integrals import assemble_values
 from thinlayer.running.record import Record
@@ -73,7 +72,7 @@ def _effectivities(record: Record, *, quick: bool) -> None:
 
 def _check(record: Record, table: Table, goals: Table) -> None:
     """Fields on S, and goals."""
-    for name in FIELDS:
+    for name in ESTIMATED_FIELDS:
         off = np.abs(table[name] - 1).max()
         record.check(f"largest distance of the {name}'s effectivity from 1", off, high=CLOSE)
     told = np.abs(goals["effectivity"] - 1)[goals["told"] > 0]
@@ -137,7 +136,7 @@ class Dropped:
     @property
     def estimated(self) -> dict[str, float]:
         """The same changes, estimated."""
-        on_s = {name: float(getattr(self.found, name)) for name in FIELDS}
+        on_s = {name: float(getattr(self.found, name)) for name in ESTIMATED_FIELDS}
         return on_s | {name: goal.change for name, goal in self.found.goals.items()}
 
     def inner(self, state: State) -> dict[str, float]:
@@ -158,7 +157,7 @@ class Dropped:
             for row, field in zip(squares, (traction, Surface.jump), strict=True):
                 before = field(surface, self.found.state)
                 row += surface.norm(field(surface, state) - before, part) ** 2, surface.norm(before, part) ** 2
-        return {name: math.sqrt(change / size) for name, (change, size) in zip(FIELDS, squares, strict=True)}
+        return {name: math.sqrt(change / size) for name, (change, size) in zip(ESTIMATED_FIELDS, squares, strict=True)}
 
 
 def solved(case: Case, model: Model) -> State | History:
@@ -170,8 +169,8 @@ def solved(case: Case, model: Model) -> State | History:
 def effectivities(one: Dropped) -> tuple[dict[str, float], list[dict[str, float | str]]]:
     """True changes and estimated over true ones: of traction and jump, and a row for each goal."""
     truth, estimated = one.truth, one.estimated
-    row = {f"true_{name}": truth[name] for name in FIELDS}
-    row |= {name: estimated[name] / truth[name] for name in FIELDS}
+    row = {f"true_{name}": truth[name] for name in ESTIMATED_FIELDS}
+    row |= {name: estimated[name] / truth[name] for name in ESTIMATED_FIELDS}
     asked: list[dict[str, float | str]] = []
     for name, goal in one.found.goals.items():
         changes = {"true": truth[name] / goal.value, "effectivity": estimated[name] / truth[name]}
@@ -198,7 +197,7 @@ def along(one: Dropped) -> Table:
     """
     found, surface = one.found, Surface(one.found.better.model)
     columns = {}
-    for name, field in zip(FIELDS, (surface.traction, surface.jump), strict=True):
+    for name, field in zip(ESTIMATED_FIELDS, (surface.traction, surface.jump), strict=True):
         before = field(found.state)
         for which, state in (("true", one.full), ("estimated", found.inside if name == "traction" else found.better)):
             x, values = surface.profile(field(state) - before)
@@ -243,7 +242,7 @@ def draw(record: Record) -> None:
     for case, rows in record.load("effectivities.csv").split("case").items():
         group, _, name = case.partition(": ")
         names.setdefault(group, []).append(name)
-        for field in FIELDS:
+        for field in ESTIMATED_FIELDS:
             for eps, value in zip(rows["eps"], rows[field], strict=True):
                 label = f"{field}, eps = {fraction(eps)}"
                 x, y = parts.setdefault(group, {}).get(label, ((), ()))

@@ -37,7 +37,7 @@ from studies.sweeping import (
     table_of,
 )
 from thinlayer import Surface, plotting
-from thinlayer.output.plotting.curves import COLOURS, ERRORS
+from thinlayer.output.plotting.curves import COLOURS, ERROR_COLUMNS
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History, Solution
 
@@ -88,7 +88,7 @@ def less_fraction(record: Record, tables: Tables) -> None:
     along n: its strains along S are not small against those along n, as the interface law has them, unless eps is small
     against sqrt(h) times the length of S (an estimate).
     """
-    for name in ERRORS:
+    for name in ERROR_COLUMNS:
         less, more = (tables[f"monodirectional {case}"][f"error_{name}"][-1] for case in ("pulled_less", "pulled"))
         what = f"pulled, h = {LESS:g} against h = {FRACTION:g}: last error of the {name}, ratio"
         record.check(what, less / more, low=2.5)
@@ -275,13 +275,13 @@ ROWS: dict[str, Row] = {
     "bar monodirectional": in_bar(of(PLANES), "monodirectional, h = 0.01", long=True),
 }
 LAWS = tuple(dict.fromkeys(name.split()[0] for name in ROWS))
-ORDERS = {f"{name}, order {k}": f"{one}{'' if k else '_order0'}" for k in (0, 1) for name, one in ERRORS.items()}
+ORDERS = {f"{name}, order {k}": f"{one}{'' if k else '_order0'}" for k in (0, 1) for name, one in ERROR_COLUMNS.items()}
 DRAWN: dict[str, dict[str, Any]] = {
     "order1": {"errors": ORDERS, "reference": 2.0},
     "order1_stack": {"errors": ORDERS | {"jump, mirrored": "error_jump_mirrored"}, "reference": 2.0},
     "hard_layer": {"errors": {"traction": "error_reaction"}, "reference": 3.0},
     "rubber": {"errors": {"jump": "error_jump"}, "reference": 2.0},
-    "incompressible": {"errors": ERRORS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}},
+    "incompressible": {"errors": ERROR_COLUMNS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}},
 }
 APART = ("monodirectional", "friction", "non_monotone")  # whose tractions and jumps have a picture each
 

@@ -19,7 +19,7 @@ from thinlayer.discretisation.layer import SurfaceLaw
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.comparison import Where
-from thinlayer.output.plotting.curves import ERRORS, fraction
+from thinlayer.output.plotting.curves import ERROR_COLUMNS, fraction
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 
@@ -120,7 +120,7 @@ class Row:
             row = compare(full, limit, where=self.where) | elastic_fraction(layer.law)
             for end, further in self.beside.items():
                 errors = compare(full, by_law(further(e), f"interface{end}_{e:g}"), where=self.where)
-                row |= {f"{column}{end}": errors[column] for column in ERRORS.values()}
+                row |= {f"{column}{end}": errors[column] for column in ERROR_COLUMNS.values()}
             return row | (self.more(full, limit) if self.more else {})
 
         record.say(f"meshed layer {law}, on S {self.instead}" if self.instead else law)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from thinlayer.output.plotting.structures import NAMED
+from thinlayer.output.plotting.structures import STATUS_COLOURS
 
 
 def assert_drawn(*paths: Path) -> None:
@@ -25,5 +25,5 @@ def assert_coloured(picture: Figure | None, names: set[str]) -> None:
     assert picture is not None
     pixels = np.concatenate([np.asarray(image.get_array())[..., :3].reshape(-1, 3) for image in picture.axes[0].images])
     found = {*map(tuple, np.unique(pixels, axis=0).tolist())}
-    assert {tuple(round(255 * c) for c in to_rgb(NAMED[name])) for name in names} <= found
+    assert {tuple(round(255 * c) for c in to_rgb(STATUS_COLOURS[name])) for name in names} <= found
     assert {text.get_text() for text in picture.legends[0].get_texts()} == names

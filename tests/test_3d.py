@@ -98,7 +98,7 @@ def test_multigrid_is_the_default_of_large_models(monkeypatch):
     joint, setup = fourier_box(3, "hexahedron")
     model = Structure(joint, **setup).interface(ThinLayer(LinearElastic(*reference.LAYER), 0.1, at=1.0))
     direct = solve(model)
-    monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 1000)
+    monkeypatch.setitem(linear_solvers.MIN_MULTIGRID_UNKNOWNS, 3, 1000)
     iterative = solve(model)
     assert direct.report.iterations == 1
     assert 10 < iterative.report.iterations < 80
@@ -109,7 +109,7 @@ def test_stiff_layers_fall_back_on_factorising(monkeypatch):
     """A layer so stiff that multigrid stalls is factorised; who chose multigrid hears of it instead."""
     joint, setup = fourier_box(3, "hexahedron")
     model = Structure(joint, **setup).full(ThinLayer(LinearElastic(lmbda=1.5e9, mu=1e9), 0.1, at=1.0))
-    monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 1000)
-    monkeypatch.setitem(linear_solvers.MULTIGRID, "ksp_max_it", 30)
+    monkeypatch.setitem(linear_solvers.MIN_MULTIGRID_UNKNOWNS, 3, 1000)
+    monkeypatch.setitem(linear_solvers.MULTIGRID_OPTIONS, "ksp_max_it", 30)
     assert solve(model).report.iterations == 1
     refused(SolveError, "DIVERGED", lambda: solve(model, options={"pc_type": "gamg", "ksp_type": "cg"}))

@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from tests.documents import CLONE
 from thinlayer.running import cli
-from thinlayer.running.catalogue import GROUPS, duration
+from thinlayer.running.catalogue import STUDY_GROUPS, duration
 from thinlayer.system.words import VERSION
 
 ELASTIC = ("run", "rates", "--law", "elastic")
@@ -72,7 +72,7 @@ def test_list_is_light():
 
 def test_every_study_is_in_a_group_once():
     """With its times; and in words these are short."""
-    listed = [name for members in GROUPS.values() for name in members]
+    listed = [name for members in STUDY_GROUPS.values() for name in members]
     scripts = [
         path.stem
         for path in [*(CLONE / "studies").glob("*.py"), *(CLONE / ".ci/benchmarks").glob("*.py")]
@@ -97,7 +97,7 @@ def test_version_help_and_name(monkeypatch):
 def test_answers_as_json():
     listed = json.loads(thinlayer("list", "--json").stdout)
     assert (listed["fig4_bar"]["group"], listed["law_speed"]["drawn"]) == ("The paper", False)
-    assert [listed["wall"][of] for of in ("quick", "full")] == [*GROUPS["Structures"]["wall"]]
+    assert [listed["wall"][of] for of in ("quick", "full")] == [*STUDY_GROUPS["Structures"]["wall"]]
     assert json.loads(thinlayer("info", "--json").stdout)["fenics-dolfinx"] == dolfinx.__version__
 
 

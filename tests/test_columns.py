@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from forms import LinearElastic, MohrCoulombMonodirectional
-from forms.elastic import VOIGT
+from forms.elastic import VOIGT_PAIRS
 from geometry import block, sandwich
 from tests import closed_forms
 from thinlayer import Structure, Surface, ThinLayer, solve
@@ -47,8 +47,8 @@ def isotropic_voigt(law: LinearElastic) -> np.ndarray:
 def tensor_of(C: np.ndarray) -> np.ndarray:
     """Stiffness (3, 3, 3, 3) of Voigt's (6, 6)."""
     tensor = np.empty((3, 3, 3, 3))
-    for p, (i, j) in enumerate(VOIGT):
-        for q, (k, m) in enumerate(VOIGT):
+    for p, (i, j) in enumerate(VOIGT_PAIRS):
+        for q, (k, m) in enumerate(VOIGT_PAIRS):
             tensor[i, j, k, m] = tensor[j, i, k, m] = tensor[i, j, m, k] = tensor[j, i, m, k] = C[p, q]
     return tensor
 

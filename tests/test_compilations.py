@@ -101,7 +101,7 @@ def test_steps_ask_for_nothing(build, law, modules):
 def test_what_was_made_before_does_not_matter(modules, monkeypatch):
     """UFL counts variables in a process; a law has the same name in the cache under any count."""
     for _ in range(2):
-        monkeypatch.setattr(kernels, "_COMPILED", {})
+        monkeypatch.setattr(kernels, "_COMPILED_LAWS", {})
         drive(NORTON, [{"w_T": 0.01, "w_N": 0.02}], dt=0.1)
         ufl.variable(ufl.as_ufl(1.0))
     assert len(modules) == 2
@@ -174,7 +174,7 @@ def test_a_long_compilation_is_told_and_waited_for_by_another_process(tmp_path, 
         assert form.code == (None, None)  # nothing was compiled here
         assert other.stderr.read() == "compiling a form, kept for later runs, 0:00:00 so far\n"
         assert other.wait(240) == 0
-    monkeypatch.setitem(progress.AFTER, True, 0.0)
+    monkeypatch.setitem(progress.FIRST_REPORT_SECONDS, True, 0.0)
     capfd.readouterr()
     assert compiled(tmp_path).module
     assert capfd.readouterr().err == ""

@@ -97,12 +97,12 @@ def of_rank_0() -> dict[str, Any]:
         return (in_memory() - before) / made["large"].nbytes
 
     reachable: Callable[..., bool] = os.access
-    shared, piece = copies(), parallel.PIECE
-    os.access, parallel.PIECE = lambda *_: False, 1_000_003
+    shared, piece = copies(), parallel.MAX_MESSAGE_BYTES
+    os.access, parallel.MAX_MESSAGE_BYTES = lambda *_: False, 1_000_003
     try:
         return {"shared": shared, "apart": copies(), "left": in_memory() / made["large"].nbytes}
     finally:
-        os.access, parallel.PIECE = reachable, piece
+        os.access, parallel.MAX_MESSAGE_BYTES = reachable, piece
 
 
 @on_ranks(of_rank_0, 2)

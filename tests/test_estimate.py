@@ -231,7 +231,7 @@ def test_the_search_goes_on_where_an_error_stays():
     """As that of a nearly incompressible layer does, over a hundredth of the first thickness: 14 %, then in proportion."""
     eps, found = _search(lambda eps: 0.14 * min(eps / 0.05, 1), 5.0, 0.05, {})
     assert found
-    assert eps == pytest.approx(0.05 * 0.05 / 0.14, rel=thickness.ACCURACY)
+    assert eps == pytest.approx(0.05 * 0.05 / 0.14, rel=thickness.THICKNESS_TOLERANCE)
 
 
 def test_thin_enough_is_where_the_estimate_is_the_tolerance():

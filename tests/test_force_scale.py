@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from thinlayer.solving.balance import AIM, ALLOWED, EPSILON, ForceScale
+from thinlayer.solving.balance import MACHINE_EPSILON, SOLVER_TOLERANCE, STATE_TOLERANCE, ForceScale
 
 STIFF = 1e6  # N/mm
 
@@ -20,7 +20,7 @@ def test_the_largest_forces_count():
     """Loads, stresses, and what was out of balance at the start."""
     scale = begun(loads=3.0, stresses=(5.0, 2.0))
     assert scale.forces == 5.0
-    assert scale.aim(0.0) == pytest.approx(5.0 * AIM)
+    assert scale.aim(0.0) == pytest.approx(5.0 * SOLVER_TOLERANCE)
     scale.see(1.0)
     assert scale.forces == 3.0
     scale.start(40.0)
@@ -36,10 +36,10 @@ def test_the_largest_forces_count():
 
 def test_rigid_far_motion():
     """Supports that carry stiff bodies far leave stresses of rounding; these pass for forces, a real one does not."""
-    scale = begun(prescribed=1e4, stresses=(EPSILON * STIFF * 1e4,))
-    assert scale.allowed >= EPSILON * STIFF * 1e4
-    assert scale.relative(EPSILON * STIFF * 1e4) < ALLOWED
-    assert scale.relative(1e-6 * STIFF * 1e4) > ALLOWED
+    scale = begun(prescribed=1e4, stresses=(MACHINE_EPSILON * STIFF * 1e4,))
+    assert scale.allowed >= MACHINE_EPSILON * STIFF * 1e4
+    assert scale.relative(MACHINE_EPSILON * STIFF * 1e4) < STATE_TOLERANCE
+    assert scale.relative(1e-6 * STIFF * 1e4) > STATE_TOLERANCE
 
 
 def test_loads_that_end_at_zero():
@@ -52,8 +52,8 @@ def test_loads_that_end_at_zero():
 def test_bodies_far_away_on_soft_springs():
     """Solvers may stop at rounding of stiffness times displacement, but never above the share of the loads for a state."""
     scale = begun(loads=1.0)
-    assert (scale.aim(0.1), scale.aim(1e2)) == pytest.approx((AIM, EPSILON * STIFF * 1e2))
-    assert (scale.aim(1e12), scale.allowed) == pytest.approx((ALLOWED, ALLOWED))
+    assert (scale.aim(0.1), scale.aim(1e2)) == pytest.approx((SOLVER_TOLERANCE, MACHINE_EPSILON * STIFF * 1e2))
+    assert (scale.aim(1e12), scale.allowed) == pytest.approx((STATE_TOLERANCE, STATE_TOLERANCE))
 
 
 def test_springs_between_bodies_round_more():

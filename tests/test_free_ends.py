@@ -11,7 +11,7 @@ from scipy.linalg import solveh_banded
 
 from forms.base import InputError
 from forms.ends import free_end
-from forms.ends.constants import COLUMNS, flow_factor
+from forms.ends.constants import TABLE_COLUMNS, flow_factor
 from forms.ends.corner import CornerField
 from studies.half_strip import half_strip
 from tests.refused import refused
@@ -39,7 +39,7 @@ INDEPENDENT = {
 def test_the_table_is_what_the_half_strip_gives(nu):
     """Where volumes stay the same the constants of openings are infinite, in both."""
     found, table = half_strip(nu, DEGREE, LEVELS), free_end(nu)
-    for name in (*COLUMNS, "kappa"):
+    for name in (*TABLE_COLUMNS, "kappa"):
         assert getattr(found, name) == pytest.approx(getattr(table, name), rel=ROUGH), name
     assert math.isinf(table.c_N) == (nu == 0.5)
 

@@ -215,7 +215,7 @@ def test_what_no_other_process_knows_is_not_resumed(tmp_path, monkeypatch):
         return Structure(JOINT, tractions={"TOP": lambda x, t: (0.0, t * len([numbers]))}, **SETUP).interface(LAYER)
 
     march(model(), [0.1], out=tmp_path)
-    monkeypatch.setattr(identity, "ALONE", ", known to process 2 alone")
+    monkeypatch.setattr(identity, "PROCESS_LABEL", ", known to process 2 alone")
     words = r"is of another march \(loads.*builtins\.generator, known to process \w+ alone"
     refused(InputError, words, march, model(), [0.1, 0.3], out=tmp_path, resume=True)
 

@@ -7,7 +7,7 @@ import pytest
 
 from forms import NonMonotone, NonMonotoneUnrelaxed, Tabulated
 from forms.base import InputError
-from forms.planes import LIFTED
+from forms.planes import PLANE_STRAIN
 from tests.at_points import E2, jump_strain, material, traction
 from tests.closed_forms import NonMonotoneLimit
 from tests.non_monotone_points import ALPHA, CHI2, EPS, LMBDA, MU, TABLE, C
@@ -58,7 +58,7 @@ def test_a_field_of_temperatures():
     assert values["T"] == pytest.approx([3.0, 13.0, 23.0])
     assert values["transformation_energy"] == pytest.approx([0.013, 0.023, 0.033])
     assert values["alpha"] == pytest.approx(3 * [ALPHA])
-    real = law_with_numbers(ThinLayer(law, EPS, at=1.0), LIFTED)
+    real = law_with_numbers(ThinLayer(law, EPS, at=1.0), PLANE_STRAIN)
     assert real.at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"] / EPS)
     assert real.scaled(1 / EPS).at(x, 3.0)["transformation_energy"] == pytest.approx(values["transformation_energy"])
     w = np.array([[0.0, 0.02, 0.0]] * 3)

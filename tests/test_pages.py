@@ -19,7 +19,7 @@ from tests.documents import CLONE, PAGES, Block, anchors, sections
 from thinlayer import RangeWarning, compare, solve
 from thinlayer.running.case import DescribedCase
 from thinlayer.running.cli import main, studies
-from thinlayer.running.description import READERS, Description
+from thinlayer.running.description import ENTRY_READERS, Description
 
 SHOWN = ("tests/own_scripts/own_kernel.py", "tests/own_scripts/own_support.py")  # by pages, which do not repeat them
 SECTIONS = sections() | {name: [Block("python", 1, (CLONE / name).read_text(), "")] for name in SHOWN}
@@ -113,7 +113,7 @@ def test_errors_of_the_first_example_are_those_of_a_meshed_layer():
 def test_keys_of_descriptions_are_those_of_the_guide():
     table = PAGES[f"{DOCS}reference/description.md"].partition("| Key |")[2].partition("\n\n")[0]
     keys = re.findall(r"`(\w+)`", " ".join(line.split("|")[1] for line in table.splitlines()[2:]))
-    assert sorted(keys) == sorted(READERS)
+    assert sorted(keys) == sorted(ENTRY_READERS)
 
 
 def test_links_lead_somewhere():

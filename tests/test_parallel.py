@@ -207,7 +207,7 @@ def test_what_is_dropped_is_freed_with_its_communicators(there):
 
 
 def test_models_in_cycles_of_users_are_freed_later(monkeypatch):
-    monkeypatch.setattr("geometry.domain.FEW", 2)
+    monkeypatch.setattr("geometry.domain.MESHES_PER_COLLECTION", 2)
     kept = model()
     kept.itself, gone = kept, weakref.ref(kept)
     del kept

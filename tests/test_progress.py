@@ -58,7 +58,7 @@ def test_short_and_silenced_work_tells_nothing(terminal, caplog):
 
 def test_all_long_work_tells(monkeypatch, capsys, tmp_path):
     """Each function tells of itself and of the work within it, here at once."""
-    for wait in (progress.AFTER, progress.AGAIN):
+    for wait in (progress.FIRST_REPORT_SECONDS, progress.REPORT_SECONDS):
         monkeypatch.setitem(wait, False, 0.0)
     layer, load = ThinLayer(LinearElastic(6.0, 4.0), 0.1, at=1.0), {"TOP": lambda x, t: (0.0, t)}
     structure = Structure(JOINT, tractions=load, **SETUP)

@@ -12,7 +12,7 @@ import pytest
 
 import geometry
 import thinlayer
-from forms.base import EXTRAS, InputError
+from forms.base import OPTIONAL_DEPENDENCIES, InputError
 from tests.documents import CLONE
 from tests.refused import refused
 from thinlayer.errors import deprecated
@@ -39,10 +39,10 @@ def test_dependencies_are_the_same_for_conda(file):
 
 
 def test_a_missing_extra_is_named_before_anything_is_computed(tmp_path, monkeypatch, capsys):
-    assert all(any(one.startswith(name) for one in EXTRA[extra]) for name, extra in EXTRAS.items())
+    assert all(any(one.startswith(name) for one in EXTRA[extra]) for name, extra in OPTIONAL_DEPENDENCIES.items())
     for name in [one for one in sys.modules if one.startswith(("thinlayer.output.plotting", "studies."))]:
         monkeypatch.delitem(sys.modules, name)
-    for name in EXTRAS:
+    for name in OPTIONAL_DEPENDENCIES:
         monkeypatch.setitem(sys.modules, name, None)
     assert main(["run", "fig6_stratified", "--out", str(tmp_path / "out")]) == 2
     assert "matplotlib is not installed: pip install 'thinlayer[pictures]'" in capsys.readouterr().err

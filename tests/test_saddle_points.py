@@ -109,10 +109,10 @@ def test_large_models_are_solved_iteratively(monkeypatch):
     """And by factorising where that fails, or where unknowns are others than displacements and pressures on S."""
     model = bearing(0.45)
     assert solve(model).report.iterations == 1
-    monkeypatch.setitem(linear_solvers.MULTIGRID_FROM, 3, 100)
+    monkeypatch.setitem(linear_solvers.MIN_MULTIGRID_UNKNOWNS, 3, 100)
     iterative = solve(model)
     assert 10 < iterative.report.iterations < 100
-    monkeypatch.setitem(linear_solvers.BLOCKS, "ksp_max_it", 2)
+    monkeypatch.setitem(linear_solvers.FIELD_SPLIT_OPTIONS, "ksp_max_it", 2)
     factored = solve(model)
     assert factored.report.iterations == 1
     assert measured(iterative) == pytest.approx(measured(factored), rel=SOLVED)

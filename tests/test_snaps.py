@@ -15,7 +15,7 @@ from studies.problems import phases_on_s
 from tests.own_laws import Stiffening
 from tests.refused import refused
 from thinlayer import Adaptive, SolveError, Structure, ThinLayer, march
-from thinlayer.pointwise.columns import TIE
+from thinlayer.pointwise.columns import EXCESS_TOLERANCE
 from thinlayer.solving.history import phase_shares
 
 pytestmark = pytest.mark.few(5)
@@ -59,7 +59,7 @@ def reference():
     """Times and losses of the snaps of one march of one step."""
     history = march(blocks(), [1.0])
     assert len(history.snaps) == 4
-    assert max(excesses(history)) < 3 * TIE
+    assert max(excesses(history)) < 3 * EXCESS_TOLERANCE
     for snap in history.snaps:
         assert history.at(snap.t) is history.states[snap.row]  # not the one just before it
         energy = history.table["energy"]
@@ -75,7 +75,7 @@ def test_a_step_that_ends_at_a_snap(near):
 
 
 def test_times_that_are_coarse():
-    """Seconds of a clock: times are found to 2e-6, excesses to more than `TIE`."""
+    """Seconds of a clock: times are found to 2e-6, excesses to more than `EXCESS_TOLERANCE`."""
     (t, lost), start, near = reference(), 1e9, 1e-5
     history = march(blocks(lambda t: t - start), [start + 0.5, start + 1], start=start)
     check(history)

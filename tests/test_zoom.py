@@ -185,7 +185,7 @@ def test_a_rigid_rotation_does_not_strain_corners(monkeypatch):
         assert one.exponent == Zoom(state(ThinLayer(outer[one.side], EPS))).corners[0].exponent
     thin, H = state(ThinLayer(Stack((0.2, outer["lower"]), (0.8, outer["upper"])), EPS)), []
     for radius in (0.3, 0.2):  # those of thin sublayers are in them
-        monkeypatch.setattr(zooming, "RADIUS", radius)
+        monkeypatch.setattr(zooming, "CORNER_ARC_RADIUS", radius)
         H.append(Zoom(thin).corners[0].H)
     assert H[0] == pytest.approx(H[1], rel=1e-9)
 

@@ -8,9 +8,9 @@ Scientific Python, `__init__.pyi` says where they are.
 import sys
 from os.path import dirname, join, realpath
 
-_HOME = dirname(dirname(realpath(__file__)))  # the folder of our packages
+_PACKAGE_FOLDER = dirname(dirname(realpath(__file__)))  # the folder of our packages
 _is_command = sys.argv[:1] == ["-m"] and "thinlayer" in sys.orig_argv and not sys.flags.safe_path
-if _is_command and realpath(sys.path[0]) != _HOME:
+if _is_command and realpath(sys.path[0]) != _PACKAGE_FOLDER:
     del sys.path[0]  # `python3 -m thinlayer` imports nothing from the working folder, in which Python would look first
 
 import ast
@@ -22,11 +22,11 @@ from typing import Any
 
 from thinlayer.system.words import VERSION as __version__
 
-_STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-_IMPORTS = [line for line in ast.parse(_STUB).body if isinstance(line, ast.ImportFrom)]
-_MODULE_OF = {one.name: str(line.module) for line in _IMPORTS for one in line.names}
-_MODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}
-__all__ = sorted(_MODULE_OF)
+_STUB_TEXT = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+_STUB_IMPORTS = [line for line in ast.parse(_STUB_TEXT).body if isinstance(line, ast.ImportFrom)]
+_MODULE_OF_NAME = {one.name: str(line.module) for line in _STUB_IMPORTS for one in line.names}
+_SUBMODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}
+__all__ = sorted(_MODULE_OF_NAME)
 
 
 logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by default
@@ -35,7 +35,7 @@ logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by def
 def _refuse_others() -> None:
     """Raise ImportError where a file or package of a user has the name of one of ours, and Python would import it."""
     for name in ("forms", "geometry"):
-        spec, own = find_spec(name), join(_HOME, name)
+        spec, own = find_spec(name), join(_PACKAGE_FOLDER, name)
         if spec and spec.origin and dirname(realpath(spec.origin)) != own:
             raise ImportError(f"{spec.origin} hides thinlayer's own package {name!r}, {own}; rename the former")
 
@@ -48,10 +48,10 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULES:
+    if name in _SUBMODULES:
         from forms.base import import_optional
 
-        return import_optional(f"thinlayer.{_MODULES[name]}")
-    if name not in _MODULE_OF:
+        return import_optional(f"thinlayer.{_SUBMODULES[name]}")
+    if name not in _MODULE_OF_NAME:
         raise AttributeError(f"module 'thinlayer' has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
+    return getattr(import_module(_MODULE_OF_NAME[name]), name)

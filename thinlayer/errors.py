@@ -14,7 +14,7 @@ from forms.base import ThinlayerError as ThinlayerError
 from forms.declarations import RangeWarning as RangeWarning
 from forms.declarations import show_warnings, warn_of_range, warn_outside
 
-LEAST_SHARE = 0.005  # of a seam's squares of jumps, to be named in a message
+MIN_NAMED_SHARE = 0.005  # of a seam's squares of jumps, to be named in a message
 
 
 def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
@@ -144,7 +144,7 @@ class LimitLoad(SolveError):
     ) -> None:
         growth, shares = run_away.growth, run_away.shares
         loads = ", ".join(f"{force:.6g}" for force in resultant)
-        most = ", ".join(f"{name!r} {share:.0%}" for name, share in shares.items() if share >= LEAST_SHARE)
+        most = ", ".join(f"{name!r} {share:.0%}" for name, share in shares.items() if share >= MIN_NAMED_SHARE)
         seams = f", with jumps at the seams {most}" if most else ""  # which part or slide most, where there are several
         found = f"the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to ({loads})"
         none = f"at t = {failed_at:.10g} none was found (last attempt: {reason})"

@@ -18,10 +18,10 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.part import TimeStep
 from thinlayer.solving.contact.finder import ContactSolver
-from thinlayer.solving.contact.methods import FINDERS, default_method
+from thinlayer.solving.contact.methods import SOLVER_OF_METHOD, default_method
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import StepSolution
-from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID, ORDERINGS
+from thinlayer.solving.linear_solvers import DIRECT_OPTIONS, MULTIGRID_OPTIONS, ORDERING_OPTIONS
 from thinlayer.solving.petsc import faster_products, require_all_read
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.table import Row
@@ -101,7 +101,7 @@ class Bench:
         """Processor time and displacements of our solver."""
 
         def work() -> tuple[ContactSolver, StepSolution]:
-            finder = FINDERS[default_method(self.model)](self.equations, None)
+            finder = SOLVER_OF_METHOD[default_method(self.model)](self.equations, None)
             with faster_products(serial=True):
                 return finder, finder.find(start)
 
@@ -112,8 +112,8 @@ class Bench:
 
     def linear(self, kind: str) -> float:
         """Processor time of one linear solve; infinite where it does not converge."""
-        factorising = DIRECT | ORDERINGS[self.dim] | {"pc_type": "cholesky"}
-        options = factorising if kind == "cholesky" else MULTIGRID | {"ksp_type": "cg"}
+        factorising = DIRECT_OPTIONS | ORDERING_OPTIONS[self.dim] | {"pc_type": "cholesky"}
+        options = factorising if kind == "cholesky" else MULTIGRID_OPTIONS | {"ksp_type": "cg"}
         options |= {"ksp_rtol": TOLERANCE, "pc_gamg_aggressive_coarsening": self.dim - 1}
         if kind == "multigrid":
             options |= {"ksp_norm_type": "unpreconditioned"}

@@ -13,7 +13,7 @@ from typing import Any
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from geometry.parallel import T
+from geometry.parallel import ResultType
 from thinlayer.solving.petsc import PREFIX, OptionValue, default_options
 from thinlayer.system.ranks import destroy
 
@@ -49,7 +49,7 @@ def compared(work: str, ours: Measured, reference: str, other: Measured, limit: 
     return row | {"ratio": ours["seconds"] / other["seconds"]}
 
 
-def timed(work: Callable[[], T]) -> tuple[float, T]:
+def timed(work: Callable[[], ResultType]) -> tuple[float, ResultType]:
     """Processor time of some work, s, and what it returns."""
     gc.collect()
     begin = time.process_time()
@@ -57,12 +57,14 @@ def timed(work: Callable[[], T]) -> tuple[float, T]:
     return time.process_time() - begin, result
 
 
-def in_turn(works: Mapping[Any, Callable[[], T]], repeats: int, key: Callable[[T], Any] | None = None) -> dict[Any, T]:
+def in_turn(
+    works: Mapping[Any, Callable[[], ResultType]], repeats: int, key: Callable[[ResultType], Any] | None = None
+) -> dict[Any, ResultType]:
     """The least of several results of each work, by a key; done in turn, so that a busy machine slows all of them down.
 
     Short works are done more often, for `ENOUGH`, unless one repeat is asked for.
     """
-    begin, runs = time.perf_counter(), list[list[T]]()
+    begin, runs = time.perf_counter(), list[list[ResultType]]()
     while len(runs) < repeats or (repeats > 1 and time.perf_counter() - begin < ENOUGH):
         runs.append([work() for work in works.values()])
     return {name: min(results, key=key) for name, results in zip(works, zip(*runs, strict=True), strict=True)}

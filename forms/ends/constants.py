@@ -12,8 +12,8 @@ from numpy.polynomial import chebyshev
 
 from forms.base import Array, require
 
-COLUMNS = ("nu", "c_N", "m_N", "rho_N", "c_T", "m_T")
-TABLE = Path(__file__).parent / "table.csv"
+TABLE_COLUMNS = ("nu", "c_N", "m_N", "rho_N", "c_T", "m_T")
+TABLE_FILE = Path(__file__).parent / "table.csv"
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def chebyshev_ratios(n: int) -> Array:
 @cache
 def shipped_table() -> dict[str, Array]:
     """The table that comes with the package: name of a column -> values, in the order of `chebyshev_ratios`."""
-    return dict(zip(COLUMNS, np.loadtxt(TABLE, delimiter=",", skiprows=1).T, strict=True))
+    return dict(zip(TABLE_COLUMNS, np.loadtxt(TABLE_FILE, delimiter=",", skiprows=1).T, strict=True))
 
 
 @cache

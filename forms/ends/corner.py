@@ -20,7 +20,7 @@ from numpy.polynomial import legendre
 from forms.base import Array
 from forms.ends.constants import lame_over_mu
 
-ANGLES = 24  # Gauss points of an arc around the corner
+ARC_GAUSS_POINTS = 24  # Gauss points of an arc around the corner
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class CornerField:
 
     @cached_property
     def _arc(self) -> tuple[Array, Array]:
-        points, weights = legendre.leggauss(ANGLES)
+        points, weights = legendre.leggauss(ARC_GAUSS_POINTS)
         return (points + 1) * np.pi / 4, weights * np.pi / 4
 
     def arc(self, r: float) -> Array:

@@ -36,8 +36,8 @@ from forms.ends.constants import FreeEnd
 from forms.kinematics import Expr, three_dimensional
 from forms.stations import Faces, Station, pressure_stations
 
-LONGEST = 3.0  # length over the thickness of the strip where openings are weaker
-WIDE = 10.0  # length over the thickness from which on a pressure grows as a straight line near an end
+OPENING_STRIP_LENGTH = 3.0  # length over the thickness of the strip where openings are weaker
+LINEAR_PRESSURE_LENGTH = 10.0  # length over the thickness from which on a pressure grows as a straight line near an end
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class EndStrips:
     @classmethod
     def of(cls, end: FreeEnd) -> EndStrips:
         """The strips with the first moments of an end."""
-        l_N = min(2 * end.m_N / end.c_N, LONGEST) if end.c_N else LONGEST
+        l_N = min(2 * end.m_N / end.c_N, OPENING_STRIP_LENGTH) if end.c_N else OPENING_STRIP_LENGTH
         return cls(EndStrip(end.c_N, l_N), _of_shear(end), EndStrip(), 2 * end.rho_N, 2 * end.c_T)
 
     @classmethod
@@ -92,7 +92,9 @@ class EndStrips:
         straight line over many thicknesses. Where narrow S or soft bodies prevent that it has not: within 5 thicknesses
         the flow is nearer to that of an infinite layer.
         """
-        return self if self.resistance.c >= 0 or length >= WIDE else replace(self, resistance=EndStrip())
+        return (
+            self if self.resistance.c >= 0 or length >= LINEAR_PRESSURE_LENGTH else replace(self, resistance=EndStrip())
+        )
 
 
 def _of_shear(end: FreeEnd) -> EndStrip:

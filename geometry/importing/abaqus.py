@@ -14,13 +14,13 @@ from forms.base import InputError, import_optional
 if TYPE_CHECKING:
     import meshio
 
-SHAPES = {  # start of an element's type -> number of its nodes -> meshio's name
+CELL_NAMES = {  # start of an element's type -> number of its nodes -> meshio's name
     r"[AD]?C3D\d": {4: "tetra", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15", 20: "hexahedron20"},
     r"CP[SE]|CG?AX|D?C2D|STRI|S\d|S?F?M3D|R3D": {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9"},
     r"[TB][23]|[SMR]AX|R2D": {2: "line", 3: "line3"},
 }
 # with data: what makes or moves nodes or elements
-UNREAD = "SYSTEM", "INSTANCE", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY"
+UNSUPPORTED_KEYWORDS = "SYSTEM", "INSTANCE", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY"
 
 
 def load(path: Path) -> meshio.Mesh:
@@ -40,13 +40,13 @@ def load(path: Path) -> meshio.Mesh:
         kind, name, members = options.get("TYPE", "").upper(), options.get("ELSET", ""), set[int]()
         assembled |= keyword == "ASSEMBLY"
         try:
-            if (rows and keyword in UNREAD) or (keyword == "NODE" and "SYSTEM" in options):
+            if (rows and keyword in UNSUPPORTED_KEYWORDS) or (keyword == "NODE" and "SYSTEM" in options):
                 raise ValueError("it is not read; write all nodes, at their places, and all elements")
             if keyword == "NODE":
                 nodes |= {int(number): k for k, (number, *_) in enumerate(rows, len(points))}
                 points += [[float(c or 0) for c in (*x, "", "")][:3] for _, *x in rows]
             elif keyword == "ELEMENT":
-                shapes = next((known for start, known in SHAPES.items() if re.match(start, kind)), {})
+                shapes = next((known for start, known in CELL_NAMES.items() if re.match(start, kind)), {})
                 if {len(row) - 1 for row in rows} - {*shapes}:
                     raise ValueError(f"elements {kind} of {len(rows[0]) - 1} nodes are not read")
                 elements |= {int(k): (shapes[len(ends)], [nodes[int(n)] for n in ends]) for k, *ends in rows}

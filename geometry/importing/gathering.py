@@ -18,7 +18,7 @@ from geometry.joint import Joint
 from geometry.parallel import default_comm, on_root
 from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
 
-WHOLE = "BODY"  # region of all cells if there are no cell tags
+DEFAULT_REGION = "BODY"  # region of all cells if there are no cell tags
 TagNames = Mapping[str, Sequence[int]]  # name -> dimension of what is tagged, and numbers of its tags
 
 
@@ -35,7 +35,8 @@ def gather_joint(
         mine = error  # the other ranks must not wait
     parts = comm.gather(mine) or []
     return on_root(
-        comm, partial(_joint_of_parts, parts, names, None if cell_tags is not None else {WHOLE: [0]}, scale, sides)
+        comm,
+        partial(_joint_of_parts, parts, names, None if cell_tags is not None else {DEFAULT_REGION: [0]}, scale, sides),
     )
 
 

@@ -25,9 +25,9 @@ from geometry.topology import (
     node_jacobians,
 )
 
-CLOSE = 1e-9  # distance of nodes at the same place, at most, over the size of the mesh
-FLAT_CELL = 1e-12  # Jacobian of a cell without volume, at most, over size^d
-FOLDED = 1e-10  # ratio of the smallest to the largest Jacobian in a folded cell, at most
+NODE_TOLERANCE = 1e-9  # distance of nodes at the same place, at most, over the size of the mesh
+MIN_RELATIVE_JACOBIAN = 1e-12  # Jacobian of a cell without volume, at most, over size^d
+MIN_JACOBIAN_RATIO = 1e-10  # ratio of the smallest to the largest Jacobian in a folded cell, at most
 
 Groups = dict[str, BoolArray]  # name -> which cells are in the group
 Names = tuple[str, ...]
@@ -77,7 +77,7 @@ class FileCells:
         dim = lagrange(cell_type, 1).points.shape[1]
         own = points[used]
         height = own[:, dim:]
-        if height.size and np.ptp(height) > CLOSE * np.ptp(own, axis=0).max():
+        if height.size and np.ptp(height) > NODE_TOLERANCE * np.ptp(own, axis=0).max():
             where = f"at z = {height.min():g} to {height.max():g}, not in a plane z = const"
             remedy = "for a solid save the cells of the volume too (gmsh: name them with Physical Volume)"
             raise InputError(f"2D mesh in 3D: {what} {where}; {remedy}")
@@ -98,16 +98,20 @@ class FileCells:
         size = np.ptp(self.points[self.nodes], axis=1).max(axis=1)
         jacobian = node_jacobians(self.points, self.nodes, self.type)
         largest = np.abs(jacobian).max(axis=1)
-        self.refuse(largest <= FLAT_CELL * size ** self.points.shape[1], "are degenerate (no volume)")
+        self.refuse(largest <= MIN_RELATIVE_JACOBIAN * size ** self.points.shape[1], "are degenerate (no volume)")
         smallest = (jacobian * np.sign(jacobian.sum(axis=1))[:, None]).min(axis=1)
         folded = "are folded (their Jacobian vanishes or changes sign within the cell)"
-        self.refuse(smallest <= FOLDED * largest, folded)
-        pairs = cKDTree(self.points).query_pairs(CLOSE * np.ptp(self.points, axis=0).max(), output_type="ndarray")
+        self.refuse(smallest <= MIN_JACOBIAN_RATIO * largest, folded)
+        pairs = cKDTree(self.points).query_pairs(
+            NODE_TOLERANCE * np.ptp(self.points, axis=0).max(), output_type="ndarray"
+        )
         if len(pairs):
             x = self.points[pairs[pairs[:, 0].argmin(), 0]]
             where = f"pairs of nodes at the same place, the first at {place_text(x)}: the cells there are not connected"
             ways = "gmsh: BooleanFragments or Coherence before meshing, removeDuplicateNodes after it"
-            remedy = f"let bodies share their nodes ({ways}), or draw gaps that stay unbonded wider than {CLOSE:g}"
+            remedy = (
+                f"let bodies share their nodes ({ways}), or draw gaps that stay unbonded wider than {NODE_TOLERANCE:g}"
+            )
             raise InputError(f"{len(pairs)} {where}; {remedy} of the mesh")
 
     def facets_among(self, vertices: IntArray) -> FacetTable:
@@ -306,6 +310,6 @@ def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:
         edges, way = np.stack(others, axis=1) - first[:, None], points[vertex] - first
         shares = np.einsum("nj,njk->nk", way, np.linalg.pinv(edges))
         off = np.linalg.norm(way - np.einsum("nk,nkj->nj", shares, edges), axis=1)
-        inside = (shares >= -CLOSE).all(axis=1) & (shares.sum(axis=1) <= 1 + CLOSE)
-        on |= inside & (off <= CLOSE * np.ptp(points, axis=0).max())
+        inside = (shares >= -NODE_TOLERANCE).all(axis=1) & (shares.sum(axis=1) <= 1 + NODE_TOLERANCE)
+        on |= inside & (off <= NODE_TOLERANCE * np.ptp(points, axis=0).max())
     return np.unique(vertex[on])

@@ -23,18 +23,18 @@ from geometry.importing import abaqus
 from geometry.importing.gathering import TagNames, gather_joint
 from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArguments
 from geometry.joint import Joint
-from geometry.parallel import T, on_root
+from geometry.parallel import ResultType, on_root
 from geometry.refusals import refuse
 from geometry.topology import CELL_TYPES, FACET_TYPES, IntArray, corner_count
 
 if TYPE_CHECKING:
     import meshio
 
-FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # start of meshio's names
-PHYSICAL = "gmsh:physical"
-NAMES = ("triangle triangle6", "quad quad9", "tetra tetra10", "hexahedron hexahedron27")  # of meshio
-CELLS = {name: kind for kind, names in zip(CELL_TYPES, NAMES, strict=True) for name in names.split()}
-REMEDIES = {
+MESHIO_FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # start of meshio's names
+GMSH_PHYSICAL = "gmsh:physical"
+MESHIO_NAMES = ("triangle triangle6", "quad quad9", "tetra tetra10", "hexahedron hexahedron27")  # of meshio
+MESHIO_CELLS = {name: kind for kind, names in zip(CELL_TYPES, MESHIO_NAMES, strict=True) for name in names.split()}
+ELEMENT_REMEDIES = {
     "quad8|hexahedron20": "save complete cells (gmsh: Mesh.SecondOrderIncomplete = 0)",
     "wedge|pyramid": "mesh with tetrahedra or with hexahedra alone",
     "vertex|line": "save the bodies' cells too (gmsh: name them with Physical Surface or Physical Volume)",
@@ -89,7 +89,9 @@ def read(
     return on_root(comm, partial(read_groups, Path(mesh), NamedGroups.joint, SeamSides.of(**sides), scale))
 
 
-def read_groups(path: Path, use: Callable[[NamedGroups], T], sides: SeamSides | None = None, scale: float = 1.0) -> T:
+def read_groups(
+    path: Path, use: Callable[[NamedGroups], ResultType], sides: SeamSides | None = None, scale: float = 1.0
+) -> ResultType:
     """What a function makes of the named groups of a mesh file; errors of input name the file. Not collective."""
     try:
         mesh = _load(path, scale)
@@ -159,18 +161,18 @@ def _cells_of(mesh: meshio.Mesh) -> FileCells:
     if len(kinds) > 1:
         raise InputError(f"mixed cell types: {types}; a joint needs cells of one type")
     kind = kinds[0]
-    if kind not in CELLS:
-        remedy = next(text for pattern, text in REMEDIES.items() if re.match(pattern, kind))
-        raise InputError(f"cells of a type that is not allowed: {types}; allowed: {', '.join(CELLS)}; {remedy}")
+    if kind not in MESHIO_CELLS:
+        remedy = next(text for pattern, text in ELEMENT_REMEDIES.items() if re.match(pattern, kind))
+        raise InputError(f"cells of a type that is not allowed: {types}; allowed: {', '.join(MESHIO_CELLS)}; {remedy}")
     cells = np.concatenate([block.data for block in blocks]).astype(np.int64)
-    order = dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(CELLS[kind]), cells.shape[1])
-    return FileCells.of(mesh.points, cells[:, order], CELLS[kind], types)
+    order = dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(MESHIO_CELLS[kind]), cells.shape[1])
+    return FileCells.of(mesh.points, cells[:, order], MESHIO_CELLS[kind], types)
 
 
 def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
     """Origin of the names, for messages, and the cell data that number the groups."""
-    if PHYSICAL in mesh.cell_data:
-        return "physical names" if mesh.field_data else f"numbers in the cell data {PHYSICAL!r}", PHYSICAL
+    if GMSH_PHYSICAL in mesh.cell_data:
+        return "physical names" if mesh.field_data else f"numbers in the cell data {GMSH_PHYSICAL!r}", GMSH_PHYSICAL
     if getattr(mesh, "cell_tags", None):
         return "families", "cell_tags"
     if any(not name.startswith("gmsh:") for name in mesh.cell_sets):
@@ -202,7 +204,7 @@ def _names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str
     """Names of the group with a number."""
     if families := getattr(mesh, "cell_tags", None):
         return tuple(families.get(number, ()))
-    if array == PHYSICAL:
+    if array == GMSH_PHYSICAL:
         number = abs(number) or -1  # negative where gmsh turned the cells round; zero: no group
         known = [name for name, value in mesh.field_data.items() if tuple(np.ravel(value)) == (number, dim)]
         return known or ([str(number)] if number > 0 else ())
@@ -215,9 +217,11 @@ def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, 
         return {}
     kind = FACET_TYPES[cells.type]
     blocks = [block for block in mesh.cells if block.dim == cells.points.shape[1] - 1]
-    alien = [block.type for block in blocks if not block.type.startswith(FACETS[kind])]
+    alien = [block.type for block in blocks if not block.type.startswith(MESHIO_FACETS[kind])]
     if alien:
-        raise InputError(f"the file has {alien[0]} facets, but its {cells.type} cells have {FACETS[kind]} facets")
+        raise InputError(
+            f"the file has {alien[0]} facets, but its {cells.type} cells have {MESHIO_FACETS[kind]} facets"
+        )
     number = np.full(len(mesh.points), -1, np.int64)
     number[cells.used] = np.arange(len(cells.used))
     rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)

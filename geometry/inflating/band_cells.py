@@ -14,7 +14,7 @@ from geometry.joint import Joint
 from geometry.refusals import place_text, refuse
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, is_tensor, lagrange
 
-SAME_HEIGHT = 1e-12  # difference of heights, relative to the thickness, that counts as none
+HEIGHT_TOLERANCE = 1e-12  # difference of heights, relative to the thickness, that counts as none
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
     names, places = list(joint.seams), joint.points[joint.surface.ravel()[example]]
     for (one, other, way), x in zip(cases, places, strict=True):
         own, beside = heights[one], 1 - heights[other][::-1] if way else heights[other]
-        if len(own) != len(beside) or np.abs(own - beside).max() > SAME_HEIGHT:
+        if len(own) != len(beside) or np.abs(own - beside).max() > HEIGHT_TOLERANCE:
             continued = f"{names[one]!r} and {names[other]!r} continue one another"
             what = continued if one != other else "the upper side changes"
             remedy = "give them the same ones, and an upper side on the same body"

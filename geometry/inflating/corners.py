@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geometry.inflating.band_cells import FacetLines, NodeLines
-from geometry.joint import FLAT, Joint
+from geometry.joint import PLANAR_TOLERANCE, Joint
 from geometry.refusals import refuse
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange, sum_by_number
 
@@ -133,5 +133,5 @@ def common_normals(joint: Joint, footing: FacetLines, corners: JunctionCorners, 
     total = sum_by_number(corners.of, normals[corners.sides].sum(axis=(1, 2)), int(corners.of.max()) + 1)
     count = np.bincount(corners.of, (~gap[corners.sides]).sum(axis=(1, 2)))
     length = np.linalg.norm(total, axis=1)
-    same = length >= (1 - FLAT**2) * np.maximum(count, 1)
+    same = length >= (1 - PLANAR_TOLERANCE**2) * np.maximum(count, 1)
     return np.where(same, 1 / np.maximum(length, np.finfo(float).tiny), 0.0)[corners.of, None] * total[corners.of]

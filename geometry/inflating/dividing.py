@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from geometry.joint import Joint
 from geometry.topology import BoolArray, FloatArray, IntArray, connected, is_tensor, lagrange, local_facets
 
-SAME = 1e-10  # distance of nodes that are one, over the size of the joint
-ROUNDING = 1e-9  # of lengths and of reference coordinates
+NODE_TOLERANCE = 1e-10  # distance of nodes that are one, over the size of the joint
+LENGTH_TOLERANCE = 1e-9  # of lengths and of reference coordinates
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> Re
         pairs, edges = np.unique(np.sort(cells[:, local], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
         edges, (a, b) = edges.reshape(len(cells), -1), pairs.T
         near, far = np.sort([distance[a], distance[b]], axis=0)
-        halved = _conforming_edges(kind, edges, far, (near == 0) & (far > size * (1 + ROUNDING)))
+        halved = _conforming_edges(kind, edges, far, (near == 0) & (far > size * (1 + LENGTH_TOLERANCE)))
         if not halved.any():
             return _refined_joint(layers, parent, X)
         middle = np.where(halved, len(distance) - 1 + np.cumsum(halved), -1)
@@ -111,7 +111,7 @@ def _refined_joint(layers: Joint, parent: IntArray, corners: FloatArray) -> Refi
     old = layers.cells[parent]
     places = (layers.points[old], band.reference[old])
     x, reference = (np.einsum("nqk,nkd->nqd", shapes, some).reshape(-1, layers.dim) for some in places)
-    same = cKDTree(x).query_pairs(SAME * layers.size, output_type="ndarray")
+    same = cKDTree(x).query_pairs(NODE_TOLERANCE * layers.size, output_type="ndarray")
     _, chosen, number = np.unique(connected(same[:, 0], same[:, 1], len(x)), return_index=True, return_inverse=True)
     cells = number.reshape(nodes.shape[:2])
     linear = _shapes(kind, 1, corners)
@@ -121,7 +121,7 @@ def _refined_joint(layers: Joint, parent: IntArray, corners: FloatArray) -> Refi
     own = local_facets(kind)
     off = np.array([np.isin(np.arange(linear.shape[2]), facet, invert=True) for facet in own])
     beyond = np.einsum("nqk,fk->nqf", linear, off)[:, own]  # (n, its facets, their vertices, the parent's facets)
-    on = (beyond < ROUNDING).all(axis=2)
+    on = (beyond < LENGTH_TOLERANCE).all(axis=2)
     vertices = cells[:, : own.max() + 1][:, own]
     facets = {}
     for name, given in layers.facets.items():

@@ -8,17 +8,17 @@ import scipy.sparse.linalg
 
 from forms.base import InputError
 from geometry.inflating.band_cells import NodeCopies
-from geometry.inflating.kept_bodies import UNIFORM
+from geometry.inflating.kept_bodies import THICKNESS_TOLERANCE
 from geometry.joint import Joint
 from geometry.refusals import place_text, refuse
 from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, sum_by_number, weights_between
 
-SMOOTH = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
-EXACT = 1e-10  # the same for the bodies' other vertices, which must stay on their outer faces
-LEAST_COSINE = 0.1  # smallest cosine of the angle between S's normal and the direction in which its vertices can move
-LEAST_ANGLE = 1e-3  # the same, in radians, between facets of S whose layers have different thicknesses
-NO_CORNER = 0.02  # error of a thickness, relative to it, from which on a body has no corner between two layers
-TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic motion
+SMOOTH_SQUARED_SINE = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
+EXACT_SQUARED_SINE = 1e-10  # the same for the bodies' other vertices, which must stay on their outer faces
+MIN_COSINE = 0.1  # smallest cosine of the angle between S's normal and the direction in which its vertices can move
+MIN_FACET_ANGLE = 1e-3  # the same, in radians, between facets of S whose layers have different thicknesses
+CORNER_ERROR = 0.02  # error of a thickness, relative to it, from which on a body has no corner between two layers
+CG_TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic motion
 
 
 def face_motion(
@@ -49,16 +49,16 @@ def face_motion(
     total, along_n = sum_by_number(index, g[..., None] * normals, n), sum_by_number(index, normals, n)
     moment = sum_by_number(index, normals[..., :, None] * normals[..., None, :], n)
     overlap = "S is folded at {at}: a layer there would overlap itself"
-    refuse(np.linalg.norm(along_n, axis=1) < LEAST_COSINE * count, x, overlap)
+    refuse(np.linalg.norm(along_n, axis=1) < MIN_COSINE * count, x, overlap)
 
     thick, thin = np.zeros(n), np.full(n, np.inf)
     np.maximum.at(thick, index, g)
     np.minimum.at(thin, index, g)
-    uniform = thick - thin <= UNIFORM * thick
-    least = np.where(uniform, LEAST_COSINE, LEAST_ANGLE)[:, None] ** 2
+    uniform = thick - thin <= THICKNESS_TOLERANCE * thick
+    least = np.where(uniform, MIN_COSINE, MIN_FACET_ANGLE)[:, None] ** 2
     outer, faces = _outer_moments(joint, copies.cells)
     values, vectors = np.linalg.eigh(outer[known] / np.maximum(faces[known], 1)[:, None, None])
-    slip = (vectors * (values < SMOOTH)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    slip = (vectors * (values < SMOOTH_SQUARED_SINE)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     values, vectors = np.linalg.eigh(slip @ moment @ slip / count[:, None, None])
     inverse = np.where(values > least, 1 / np.maximum(values, least), 0.0)
     motion = np.einsum("nik,nk,njk,nj->ni", vectors, inverse, vectors, np.einsum("nij,nj->ni", slip, total))
@@ -67,9 +67,9 @@ def face_motion(
     lowest = np.full(n, np.inf)
     np.minimum.at(lowest, index, gap)
     parallel = "an outer face touches S at {at} and is nearly parallel to it, so the body cannot give way there"
-    refuse((lowest < LEAST_COSINE) & uniform, x, f"bodies='extended': {parallel}; use bodies='kept' if S is planar")
+    refuse((lowest < MIN_COSINE) & uniform, x, f"bodies='extended': {parallel}; use bodies='kept' if S is planar")
     error = np.where(uniform[index].all(axis=1, keepdims=True), 0.0, np.abs(gap - 1))
-    if error.max() > NO_CORNER:
+    if error.max() > CORNER_ERROR:
         at = index.flat[error.argmax()]
         sizes = f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side"
         why = "the body between them has no corner there; give them one thickness"
@@ -113,7 +113,7 @@ def extended_motion(
 
     moments, count = _outer_moments(joint, body_cells)
     eigenvalues, vectors = np.linalg.eigh(moments[free] / np.maximum(count[free], 1)[:, None, None])
-    node, way = np.nonzero(eigenvalues < EXACT)
+    node, way = np.nonzero(eigenvalues < EXACT_SQUARED_SINE)
     rows, columns = (node[:, None] * d + np.arange(d)).ravel(), np.repeat(np.arange(len(node)), d)
     entries, shape = vectors[node, :, way].ravel(), (len(free) * d, len(node))
     directions = scipy.sparse.csr_matrix((entries, (rows, columns)), shape=shape)
@@ -144,7 +144,7 @@ def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scip
 def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
     """Conjugate gradients; the same on every rank, each for itself."""
     scaled = scipy.sparse.diags(1 / matrix.diagonal())
-    solution, failed = scipy.sparse.linalg.cg(matrix, b, rtol=TOLERANCE, atol=0.0, maxiter=50_000, M=scaled)
+    solution, failed = scipy.sparse.linalg.cg(matrix, b, rtol=CG_TOLERANCE, atol=0.0, maxiter=50_000, M=scaled)
     if failed:
         raise InputError("the harmonic motion of the bodies' nodes was not found: the mesh has nearly flat cells")
     return np.asarray(solution)

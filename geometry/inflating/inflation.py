@@ -13,7 +13,7 @@ from geometry.inflating.band_cells import FacetLines, NodeCopies, NodeLines, ban
 from geometry.inflating.corners import JunctionCorners, common_normals, junction_corners
 from geometry.inflating.extended_bodies import extended_motion, face_motion
 from geometry.inflating.filling import JunctionCells, junction_cells
-from geometry.inflating.kept_bodies import NOT_KEPT, UNIFORM, kept_motion, require_room
+from geometry.inflating.kept_bodies import NOT_KEPT_MESSAGE, THICKNESS_TOLERANCE, kept_motion, require_room
 from geometry.inflating.layering import Layering, check_junctions, check_layering, moved_facets
 from geometry.joint import InflatedBand, Joint, Profile
 from geometry.periodic import with_periods_of
@@ -235,8 +235,8 @@ def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str
         return extended_motion(joint, copies.cells, n_nodes, known, values, fixed)
     for number, name in enumerate(joint.seams):
         own = thickness[joint.seam_numbers == number]
-        if np.ptp(own) > UNIFORM * own.max():
-            raise InputError(f"the thickness varies along {name}: {NOT_KEPT}")
+        if np.ptp(own) > THICKNESS_TOLERANCE * own.max():
+            raise InputError(f"the thickness varies along {name}: {NOT_KEPT_MESSAGE}")
     translation, motion = kept_motion(joint, thickness[:, 0]), np.zeros((n_nodes, joint.dim))
     require_room(joint, translation)
     motion[copies.cells] = translation[joint.splitting.pieces][:, None]

@@ -8,20 +8,20 @@ import scipy.sparse.linalg
 
 from forms.base import InputError
 from forms.declarations import warn_of_range
-from geometry.joint import FLAT, Joint
+from geometry.joint import PLANAR_TOLERANCE, Joint
 from geometry.refusals import place_text, refuse
 from geometry.sheet import Sheet
 from geometry.topology import FloatArray, IntArray, connected, is_tensor, sum_by_number
 
-UNIFORM = 1e-12  # relative difference of thicknesses that counts as none
-SAME_GAP = 1e-9  # relative error of the thickness between bodies that are kept
-SHALLOW = 0.05  # the same between bodies on a curved S: its normals are within 18 degrees
-UNEVEN = 1e-3  # of which users are warned
-STIFF = 1e3  # stiffness across the layers relative to that along them, in the least squares for kept bodies
-STEPS = 200  # of its multiplier, at most
-NOT_KEPT = "the bodies cannot be moved apart in one piece; use bodies='extended'"
+THICKNESS_TOLERANCE = 1e-12  # relative difference of thicknesses that counts as none
+FLAT_GAP_TOLERANCE = 1e-9  # relative error of the thickness between bodies that are kept
+CURVED_GAP_TOLERANCE = 0.05  # the same between bodies on a curved S: its normals are within 18 degrees
+GAP_WARNING_ERROR = 1e-3  # of which users are warned
+NORMAL_PENALTY = 1e3  # stiffness across the layers relative to that along them, in the least squares for kept bodies
+MAX_MULTIPLIER_STEPS = 200  # of its multiplier, at most
+NOT_KEPT_MESSAGE = "the bodies cannot be moved apart in one piece; use bodies='extended'"
 # weights of a facet's vertices: their mean lies above no edge of an aligned grid
-ASKEW = np.array([1.0, 1.3, 1.7, 2.3])
+RAY_OFFSETS = np.array([1.0, 1.3, 1.7, 2.3])
 
 
 def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
@@ -42,7 +42,7 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     count = int(pieces.max()) + 1
     ends = np.where(cells >= 0, pieces[cells], count)
     count += bool((cells < 0).any())
-    around = f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT}"
+    around = f"one body, as at {{at}}, lies below S and above it: {NOT_KEPT_MESSAGE}"
     refuse(ends[:, 0] == ends[:, 1], joint.points[joint.corners[cells[:, 1]]], around)
     sheet = Sheet(joint)
     area = np.bincount(sheet.parts[0], sheet.areas)
@@ -52,7 +52,7 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     moment = sum_by_number(at, area[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))
     opened = sum_by_number(at, (area * eps)[:, None] * n, len(pairs))
     values, vectors = np.linalg.eigh(moment / weight[:, None, None])
-    across = values > 10 * FLAT**2
+    across = values > 10 * PLANAR_TOLERANCE**2
     inverse = np.where(across, 1 / np.where(across, values, 1.0), 0.0)
     wanted = np.einsum("pik,pk,pjk,pj->pi", vectors, inverse, vectors, opened / weight[:, None])
     part = connected(pairs[:, 0], pairs[:, 1], count)
@@ -60,17 +60,19 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
 
     contradictory = "the layers around the bodies at {at} ask for motions that contradict one another"
     due, mean = (wanted[at] * n).sum(axis=1), (np.bincount(at, eps) / np.bincount(at))[at]
-    shallow = np.where(np.abs(eps - mean) > SAME_GAP * mean, SAME_GAP, SHALLOW)  # not for layers of several thicknesses
+    shallow = np.where(
+        np.abs(eps - mean) > FLAT_GAP_TOLERANCE * mean, FLAT_GAP_TOLERANCE, CURVED_GAP_TOLERANCE
+    )  # not for layers of several thicknesses
     for jump, least, allowed, reason in (
         (wanted[at], eps, shallow, "S is not planar, as at {at}"),
-        (T[ends[:, 1]] - T[ends[:, 0]], due, SAME_GAP, contradictory),
+        (T[ends[:, 1]] - T[ends[:, 0]], due, FLAT_GAP_TOLERANCE, contradictory),
     ):
         gap = (jump * n).sum(axis=1)
         lean = np.linalg.norm(jump - gap[:, None] * n, axis=1)
-        wrong = np.abs(gap - least) > allowed * eps + FLAT * lean
-        refuse(wrong, joint.points[joint.surface], f"{reason}: {NOT_KEPT}")
+        wrong = np.abs(gap - least) > allowed * eps + PLANAR_TOLERANCE * lean
+        refuse(wrong, joint.points[joint.surface], f"{reason}: {NOT_KEPT_MESSAGE}")
     opening = np.einsum("nd,nkd->nk", wanted[at], joint.node_normals) / eps[:, None]
-    if np.abs(opening - 1).max() > UNEVEN:
+    if np.abs(opening - 1).max() > GAP_WARNING_ERROR:
         moved = f"its thickness is {opening.min():.3f} to {opening.max():.3f} of eps"
         why = "S is curved, and bodies='kept' moves the bodies apart in one piece"
         warn_of_range("curved", f"the meshed layer: {moved}, as {why}; use bodies='extended' for a uniform one")
@@ -99,19 +101,19 @@ def _translations(pair: IntArray, part: IntArray, jump: FloatArray, across: Floa
     (n, d), count = jump.shape, len(part)
     low, up = (scipy.sparse.csr_matrix((np.ones(n), (np.arange(n), end)), shape=(n, count)) for end in pair.T)
     jumps = scipy.sparse.kron(up - low, np.eye(d), format="csr")
-    stiffness = STIFF * across + (area / area.mean())[:, None, None] * (np.eye(d) - across)
+    stiffness = NORMAL_PENALTY * across + (area / area.mean())[:, None, None] * (np.eye(d) - across)
     blocks = scipy.sparse.bsr_matrix((stiffness, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
     ground = np.zeros(count)
-    ground[np.unique(part, return_index=True)[1]] = STIFF
+    ground[np.unique(part, return_index=True)[1]] = NORMAL_PENALTY
     matrix = jumps.T @ blocks @ jumps + scipy.sparse.kron(scipy.sparse.diags(ground), np.eye(d))
     factors = scipy.sparse.linalg.splu(matrix.tocsc())
     T, multiplier = np.zeros((count, d)), np.zeros((n, d))
-    for _ in range(STEPS):
+    for _ in range(MAX_MULTIPLIER_STEPS):
         missing = jump - np.einsum("nij,nj->ni", across, T[pair[:, 1]] - T[pair[:, 0]])
         if np.abs(missing).max() <= 10 * np.finfo(float).eps * np.abs(jump).max():
             break
         multiplier += missing
-        T = factors.solve(jumps.T @ (STIFF * multiplier).ravel()).reshape(count, d)
+        T = factors.solve(jumps.T @ (NORMAL_PENALTY * multiplier).ravel()).reshape(count, d)
     return T
 
 
@@ -131,7 +133,7 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
     low, high = np.full_like(translation, np.inf), np.full_like(translation, -np.inf)
     np.minimum.at(low, piece, x.min(axis=1))
     np.maximum.at(high, piece, x.max(axis=1))
-    least = SAME_GAP * np.abs(translation).max()  # motion of bodies that move together, at most
+    least = FLAT_GAP_TOLERANCE * np.abs(translation).max()  # motion of bodies that move together, at most
     for one in range(len(translation) - 1):
         lengths = np.linalg.norm(translation[one] - translation[one + 1 :], axis=1)
         apart = np.maximum(low[one + 1 :] - high[one], low[one] - high[one + 1 :]).max(axis=1)  # of their boxes
@@ -139,7 +141,7 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
             way, eps = translation[one] - translation[other], float(lengths[other - one - 1])
             for moving, fixed, sign in ((one, other, 1.0), (other, one, -1.0)):
                 corners = table.vertices[outer[piece == moving]]
-                weights = ASKEW[: corners.shape[1]] / ASKEW[: corners.shape[1]].sum()
+                weights = RAY_OFFSETS[: corners.shape[1]] / RAY_OFFSETS[: corners.shape[1]].sum()
                 probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
                 hit = _first_hit(joint, probes, outer[piece == fixed], sign * way / eps, eps)
                 if hit is not None:

@@ -16,8 +16,8 @@ from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE
 from geometry.sheet import continued_ridges
 from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, keys_of_ridges
 
-WAYS = ("kept", "extended")
-THINNEST = 1e-11  # thickness of a meshed layer over the size of its joint
+BODY_CHOICES = ("kept", "extended")
+MIN_THICKNESS = 1e-11  # thickness of a meshed layer over the size of its joint
 ValueType = TypeVar("ValueType")
 
 
@@ -41,7 +41,7 @@ def value_by_seam(
 
 def check_layering(cells_through: int, bodies: str) -> None:
     """Raise InputError unless cells_through >= 1 and `bodies` is "kept" or "extended"."""
-    require_known("way to make room for the layer (bodies=...)", bodies, WAYS)
+    require_known("way to make room for the layer (bodies=...)", bodies, BODY_CHOICES)
     require(
         is_integer(cells_through, 1), "cells_through", cells_through, "the layer needs a whole number >= 1 of cells"
     )
@@ -85,7 +85,7 @@ class Layering:
         for name, size in sizes.items():
             which, some = "" if len(joint.seams) == 1 else f" of {name!r}", shares[name]
             require(is_finite(size) and size > 0, f"the layer's thickness eps{which}", size, "it must be > 0")
-            if size < THINNEST * whole:
+            if size < MIN_THICKNESS * whole:
                 tiny = f"which coordinates do not resolve beside bodies of {whole:.3g}; use the interface model"
                 raise InputError(f"the layer's thickness eps{which} is {size:.3g}, {tiny}")
             if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):

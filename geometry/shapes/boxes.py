@@ -14,13 +14,13 @@ from forms.base import InputError, is_finite, is_integer, require
 from geometry.joint import Joint
 from geometry.seam import S, Seam
 from geometry.shapes.drawing import Drawing, Prism, SizeLengths, plane_surface
-from geometry.shapes.sizing import DIGITS, Grading, MeshOptions, gmsh
+from geometry.shapes.sizing import COUNT_DECIMALS, Grading, MeshOptions, gmsh
 from geometry.topology import FacetTable, FloatArray, IntArray, is_tensor
 
 BED, HEAD = "BED", "HEAD"
 Pair = tuple[int, int]
 # name of a side -> the axis that it is normal to, and its place along this axis
-SIDES = {"LEFT": (0, 0), "RIGHT": (0, -1), "BOTTOM": (1, 0), "TOP": (1, -1), "BACK": (2, 0), "FRONT": (2, -1)}
+SIDE_PLANES = {"LEFT": (0, 0), "RIGHT": (0, -1), "BOTTOM": (1, 0), "TOP": (1, -1), "BACK": (2, 0), "FRONT": (2, -1)}
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class BoxGrid:
 
     def sides(self) -> dict[str, IntArray]:
         """Name of a side -> points of its facets."""
-        return {name: self.plane(axis, end) for name, (axis, end) in SIDES.items() if axis < len(self.axes)}
+        return {name: self.plane(axis, end) for name, (axis, end) in SIDE_PLANES.items() if axis < len(self.axes)}
 
     def _plane(self, numbers: IntArray) -> IntArray:
         """Rectangles of points (n_x, n_y), or the triangles that halve them, with increasing numbers."""
@@ -192,7 +192,7 @@ def _counts(cells: MeshOptions, size: Sequence[float], least: int) -> list[int]:
     names = ("width", "height", "depth")
     cells.check({f"{name} of a brick": a for name, a in zip(names, size, strict=False)}, len(size))
     h = cells.h or min(size) / 4
-    half, height, *depth = (max(1, ceil(round(length / h, DIGITS))) for length in (size[0] / 2, *size[1:]))
+    half, height, *depth = (max(1, ceil(round(length / h, COUNT_DECIMALS))) for length in (size[0] / 2, *size[1:]))
     return [max(least, half), max(least, height), *depth]
 
 

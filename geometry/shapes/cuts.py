@@ -11,20 +11,20 @@ from scipy.spatial import Voronoi, cKDTree
 
 from forms.base import InputError, is_integer, require
 from forms.temperature import finite_values
-from geometry.identified_sides import SAME_PLACE
+from geometry.identified_sides import DISTANCE_TOLERANCE
 from geometry.refusals import refuse
-from geometry.seam import LEAST_COSINE, Seam
+from geometry.seam import MIN_COSINE, Seam
 from geometry.shapes.drawing import Drawing, Shape, SizeLengths
 from geometry.shapes.sizing import MeshOptions, gmsh
 from geometry.sheet import vectors_from_segments
 from geometry.topology import BoolArray, FloatArray, IntArray, sum_by_number
 
-SIDES = ("BOTTOM", "RIGHT", "TOP", "LEFT")
-NEAR = 0.5  # least distance between lines that do not meet, over the cell size there
-SHORT = 0.12  # least side of relaxed grains, over the root of their mean area
-EVEN = 3  # steps of points to the centres of their cells
-STEPS = 100  # of the relaxation, at most
-DECIMALS = 10  # of coordinates that gmsh gets, which are between 1 and 1000
+SIDE_NAMES = ("BOTTOM", "RIGHT", "TOP", "LEFT")
+MIN_LINE_DISTANCE = 0.5  # least distance between lines that do not meet, over the cell size there
+MIN_GRAIN_SIDE = 0.12  # least side of relaxed grains, over the root of their mean area
+LLOYD_STEPS = 3  # steps of points to the centres of their cells
+MAX_RELAXATION_STEPS = 100  # of the relaxation, at most
+COORDINATE_DECIMALS = 10  # of coordinates that gmsh gets, which are between 1 and 1000
 
 
 @dataclass(frozen=True)
@@ -72,24 +72,24 @@ class CutRectangle(Shape):
 
     def draw(self) -> Drawing:
         """The rectangle in fragments, with the lines that end in one of them."""
-        kernel, near = gmsh.model.occ, SAME_PLACE * self.extent.span
+        kernel, near = gmsh.model.occ, DISTANCE_TOLERANCE * self.extent.span
         gmsh.option.setNumber("Geometry.ToleranceBoolean", near)
-        ends = [kernel.addPoint(x, y, 0.0) for x, y in np.round(self.lines, DECIMALS).reshape(-1, 2)]
+        ends = [kernel.addPoint(x, y, 0.0) for x, y in np.round(self.lines, COORDINATE_DECIMALS).reshape(-1, 2)]
         curves = [(1, kernel.addLine(*both)) for both in zip(ends[::2], ends[1::2], strict=True)]
         whole = kernel.addRectangle(0.0, 0.0, 0.0, self.width, self.height)
         _, (parts, *drawn) = kernel.fragment([(2, whole)], curves)
         kernel.synchronize()
         facets: dict[str, list[int]] = {}
-        for name, pieces in zip((*SIDES, *self.names), drawn, strict=True):
+        for name, pieces in zip((*SIDE_NAMES, *self.names), drawn, strict=True):
             tags = np.array([tag for _, tag in pieces])
             kept = self.inside(np.array([kernel.getCenterOfMass(1, tag)[:2] for tag in tags]), near)
-            facets.setdefault(name, []).extend(map(int, tags if name in SIDES else tags[kept]))
+            facets.setdefault(name, []).extend(map(int, tags if name in SIDE_NAMES else tags[kept]))
         for name in self.seams:
             if not facets[name]:
                 raise InputError(f"the fault {name!r} lies outside the block")
         tags = np.array([tag for _, tag in parts])
         middles = np.array([kernel.getCenterOfMass(2, tag)[:2] for tag in tags])
-        order = np.lexsort(np.round(middles / self.extent.span, DECIMALS).T[::-1])
+        order = np.lexsort(np.round(middles / self.extent.span, COORDINATE_DECIMALS).T[::-1])
         if self.centres is not None:
             order = np.argsort(cKDTree(self.centres).query(middles)[1])
         bodies = {f"{self.part} {k + 1}": [int(tag)] for k, tag in enumerate(tags[order])}
@@ -97,7 +97,7 @@ class CutRectangle(Shape):
 
     def require_apart(self, what: str, remedy: str) -> Self:
         """The shape; raises InputError for lines that end near another one or a side, but not on it."""
-        size, lines, near = self.sizes[2], self.lines, SAME_PLACE * self.extent.span
+        size, lines, near = self.sizes[2], self.lines, DISTANCE_TOLERANCE * self.extent.span
         ends = lines.reshape(-1, 2)
         points = ends[self.inside(ends, -near)]
         apart = vectors_from_segments(points, lines[:, 0], lines[:, 1])
@@ -105,8 +105,10 @@ class CutRectangle(Shape):
         distance[distance <= 2 * near] = np.inf
         point, line = np.unravel_index(distance.argmin(), distance.shape)
         at, least = points[point] - apart[point, line] / 2, distance[point, line]
-        touch = f"{what} nearly touch each other or a side at {{at}}: {least:.3g}, less than {NEAR:g} cells"
-        refuse(least < NEAR * size, at[None], f"{touch} of size {size:g}; {remedy}")
+        touch = (
+            f"{what} nearly touch each other or a side at {{at}}: {least:.3g}, less than {MIN_LINE_DISTANCE:g} cells"
+        )
+        refuse(least < MIN_LINE_DISTANCE * size, at[None], f"{touch} of size {size:g}; {remedy}")
         return self
 
 
@@ -135,7 +137,7 @@ def _path(name: str, points: Any) -> FloatArray:
     """(n, 2) points of a fault that does not turn back; raises InputError."""
     x = _points(points, f"the fault {name!r}")
     way, whole = np.diff(x, axis=0), x[-1] - x[0]
-    back = way @ whole <= LEAST_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
+    back = way @ whole <= MIN_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
     reason = "so that its left side cannot be told by one vector; give its parts names of their own"
     refuse(back, x[:-1], f"the fault {name!r} turns back at {{at}}, {reason}")
     return x
@@ -167,7 +169,7 @@ def _grain_points(given: Any, width: float, height: float) -> FloatArray:
     x = _points(given, "grains")
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"
     refuse(~((x > 0) & (x < (width, height))).all(axis=1), x, f"the point {{at}} of a grain is not inside {box}")
-    same = cKDTree(x).query_pairs(SAME_PLACE * max(width, height), output_type="ndarray")
+    same = cKDTree(x).query_pairs(DISTANCE_TOLERANCE * max(width, height), output_type="ndarray")
     refuse(np.ones(len(same), bool), x[same[:, 0]], "two points of grains are the same, {at}")
     return x
 
@@ -178,7 +180,7 @@ def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
     pairs = np.sort(cells.ridge_points, axis=1)
     inner = pairs[:, 1] < len(points)
     x = cells.vertices[np.array([cells.ridge_vertices[k] for k in np.flatnonzero(inner)])]
-    long = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) > SAME_PLACE
+    long = np.linalg.norm(x[:, 1] - x[:, 0], axis=1) > DISTANCE_TOLERANCE
     order = np.lexsort(pairs[inner][long].T[::-1])
     return x[long][order], pairs[inner][long][order]
 
@@ -200,17 +202,17 @@ def _relaxed_points(points: FloatArray, box: FloatArray) -> FloatArray:
     This makes such a side longer.
     """
     n, size = len(points), float(np.sqrt(box.prod() / len(points)))
-    for _ in range(EVEN):
+    for _ in range(LLOYD_STEPS):
         points = _centres(points, box)
-    for _ in range(STEPS):
+    for _ in range(MAX_RELAXATION_STEPS):
         cells = _voronoi(points, box)
         pairs, x = cells.ridge_points, cells.vertices[np.array(cells.ridge_vertices)]
-        short = (pairs.min(axis=1) < n) & (np.linalg.norm(x[:, 1] - x[:, 0], axis=1) < SHORT * size)
+        short = (pairs.min(axis=1) < n) & (np.linalg.norm(x[:, 1] - x[:, 0], axis=1) < MIN_GRAIN_SIDE * size)
         if not short.any():
             break
         one, other = pairs[short].T
         way = cells.points[other] - cells.points[one]
-        way *= SHORT * size / 2 / np.linalg.norm(way, axis=1)[:, None]
+        way *= MIN_GRAIN_SIDE * size / 2 / np.linalg.norm(way, axis=1)[:, None]
         count = len(cells.points)
         points = points + (sum_by_number(one, way, count) - sum_by_number(other, way, count))[:n]
     return points

@@ -16,12 +16,21 @@ import numpy as np
 from forms.base import InputError, is_number
 from geometry.joint import Joint
 from geometry.seam import S, Seam
-from geometry.shapes.sizing import CELLS, PARTS, RANGE, Grading, MeshOptions, gmsh, require_width, scaled_length
+from geometry.shapes.sizing import (
+    CELL_TYPES_OF_DIM,
+    DEFAULT_CELLS_ACROSS,
+    MIN_CELL_SIZE_RATIO,
+    Grading,
+    MeshOptions,
+    gmsh,
+    require_width,
+    scaled_length,
+)
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor, weights_between
 
-FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from ours
-GROWTH = 0.3  # growth of the cell size per unit of distance from a refined place
-UNITS = 3  # powers of ten between units of length such as mm and m
+GMSH_FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from ours
+SIZE_GROWTH = 0.3  # growth of the cell size per unit of distance from a refined place
+UNIT_DECADES = 3  # powers of ten between units of length such as mm and m
 
 
 @dataclass(frozen=True)
@@ -98,7 +107,7 @@ class Shape(ABC):
     @property
     def kind(self) -> str:
         """Type of the cells."""
-        return self.cells.cell or CELLS[self.dim][0]
+        return self.cells.cell or CELL_TYPES_OF_DIM[self.dim][0]
 
     @property
     def gridded(self) -> bool:
@@ -108,7 +117,7 @@ class Shape(ABC):
     @property
     def sizes(self) -> tuple[float, float, float]:
         """(h, h_S, h_ends) with their defaults."""
-        h = float(self.cells.h or self.extent.thinnest / PARTS[self.dim])
+        h = float(self.cells.h or self.extent.thinnest / DEFAULT_CELLS_ACROSS[self.dim])
         h_S = float(self.cells.h_S or h)
         return h, h_S, float(self.cells.h_ends or h_S)
 
@@ -120,9 +129,11 @@ class Shape(ABC):
         """
         largest = max(self.lengths.values())
         require_width("the thinnest part", self.extent.thinnest, largest)
-        if self.cells.h is None and self.sizes[0] < RANGE * largest:
-            raise InputError(f"the default cell size h is {self.sizes[0]:g}; give h, from {RANGE * largest:g} on")
-        digits = UNITS * floor(log10(largest) / UNITS)
+        if self.cells.h is None and self.sizes[0] < MIN_CELL_SIZE_RATIO * largest:
+            raise InputError(
+                f"the default cell size h is {self.sizes[0]:g}; give h, from {MIN_CELL_SIZE_RATIO * largest:g} on"
+            )
+        digits = UNIT_DECADES * floor(log10(largest) / UNIT_DECADES)
         return self.scaled(10.0**-digits)._build(10.0**digits)
 
     def _build(self, unit: float) -> Joint:
@@ -179,7 +190,7 @@ class Shape(ABC):
                 field.setNumber(nearest, "Sampling", min(20000, int(4 * self.extent.span / size)))
                 distance = f"F{nearest}"
             if where:
-                formulas.append(f"{size!r} + {GROWTH!r} * {distance}")
+                formulas.append(f"{size!r} + {SIZE_GROWTH!r} * {distance}")
         bounds = []
         for formula in [*formulas, *filter(None, [self.extent.limit])]:
             bounds.append(field.add("MathEval"))
@@ -213,7 +224,7 @@ class Shape(ABC):
     def _elements(self, kind: str, tags: Sequence[int]) -> IntArray:
         """Nodes (n, k) of the elements of one type on the entities with these tags, in gmsh's order."""
         mesh = gmsh.model.mesh
-        number = mesh.getElementType(FAMILIES.get(kind, kind), self.cells.degree)
+        number = mesh.getElementType(GMSH_FAMILIES.get(kind, kind), self.cells.degree)
         rows = np.concatenate([mesh.getElementsByType(number, tag)[1] for tag in tags])
         return rows.reshape(-1, mesh.getElementProperties(number)[3])
 

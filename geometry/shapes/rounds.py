@@ -13,8 +13,8 @@ from geometry.seam import S
 from geometry.shapes.drawing import Drawing, Prism, Shape, SizeLengths, plane_surface, swept_surfaces
 from geometry.shapes.sizing import Grading, gmsh, require_width
 
-TURN = 0.3  # largest angle of a cell about the axis, in radians
-CORE = 0.65  # half the diagonal of the square grid in the middle of a disc, over the radius
+MAX_CELL_ANGLE = 0.3  # largest angle of a cell about the axis, in radians
+CORE_RADIUS_RATIO = 0.65  # half the diagonal of the square grid in the middle of a disc, over the radius
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Rings(Prism):
         radius = "sqrt(x*x + y*y)"
         distance = f"abs({radius} - {float(self.interface)!r})"
         return SizeLengths(
-            thinnest, max(self.angle * self.interface, self.depth or 0.0), distance, f"{TURN!r} * {radius}"
+            thinnest, max(self.angle * self.interface, self.depth or 0.0), distance, f"{MAX_CELL_ANGLE!r} * {radius}"
         )
 
     def draw_plane(self) -> Drawing:
@@ -117,7 +117,7 @@ class Rings(Prism):
         inner, outer = web.spokes
         gradings = dict.fromkeys(inner, Grading.of(self.interface - self.inner, h_S, h, backwards=True))
         gradings |= dict.fromkeys(outer, Grading.of(self.outer - self.interface, h_S, h))
-        along = min(h_S, TURN * self.interface)
+        along = min(h_S, MAX_CELL_ANGLE * self.interface)
         last = len(web.arcs[0]) - 1
         length = self.angle * self.interface / (last + 1)
         for k, arcs in enumerate(zip(*web.arcs, strict=True)):
@@ -164,7 +164,7 @@ class Discs(Shape):
         """Cells are small enough to follow a circle, at every radius if there is a hole."""
         radius = "sqrt(x*x + z*z)" if self.hole else repr(float(self.radius))
         thinnest = min(self.radius - self.hole, self.lower, self.upper)
-        return SizeLengths(thinnest, tau * self.radius, "abs(y)", f"{TURN!r} * {radius}")
+        return SizeLengths(thinnest, tau * self.radius, "abs(y)", f"{MAX_CELL_ANGLE!r} * {radius}")
 
     def draw(self) -> Drawing:
         """A disc in the plane of S, swept to both sides.
@@ -172,7 +172,7 @@ class Discs(Shape):
         A grid is polar, around a square one if there is no hole, with cells from h_ends at circles to h_S between them.
         """
         h, h_S, h_ends = self.sizes
-        core = CORE * self.radius if self.gridded and not self.hole else 0.0
+        core = CORE_RADIUS_RATIO * self.radius if self.gridded and not self.hole else 0.0
         start = self.hole or core
         web = PolarLines.drawn((start, self.radius) if start else (self.radius,), tau, "xz", chords=core > 0)
         disc = list(chain.from_iterable(web.patches)) + ([] if self.hole else [plane_surface(web.arcs[0])])
@@ -183,7 +183,7 @@ class Discs(Shape):
         facets = {S: disc, "SIDE": swept_surfaces(web.arcs[-1], disc)} | hole
         facets |= {name: [far for _, far in swept.values()] for name, swept in (("BOTTOM", low), ("TOP", high))}
         bodies = {name: [volume for volume, _ in swept.values()] for name, swept in (("LOWER", low), ("UPPER", high))}
-        along = min(h_S, TURN * self.radius)
+        along = min(h_S, MAX_CELL_ANGLE * self.radius)
         gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, along, along))
         both = bool(self.hole)  # circles at both ends of the spokes
         radial = Grading.of(self.radius - start, h_ends, h_S, symmetric=both, backwards=not both)
@@ -233,13 +233,13 @@ class Fibre(Shape):
     def extent(self) -> SizeLengths:
         """Cells are small enough to follow a circle at every radius from that of S on."""
         radius = repr(float(self.radius))
-        limit = f"{TURN!r} * ({radius} + abs(sqrt(x*x + y*y) - {radius}))"
+        limit = f"{MAX_CELL_ANGLE!r} * ({radius} + abs(sqrt(x*x + y*y) - {radius}))"
         return SizeLengths(min(self.radius, self.gap), tau * self.radius, limit=limit)
 
     def draw(self) -> Drawing:
         """A disc in a ring or in a rectangle with a hole; a polar grid around a square one, from h_S at S to h."""
         h, h_S, _ = self.sizes
-        core = CORE * self.radius
+        core = CORE_RADIUS_RATIO * self.radius
         radii = (*([core] if self.gridded else []), self.radius, *(self.around if self.round else ()))
         web = PolarLines.drawn(radii, tau, "xy", chords=self.gridded)
         fibre = [*(web.patches[0] if self.gridded else ()), plane_surface(web.arcs[0])]
@@ -248,7 +248,7 @@ class Fibre(Shape):
         gmsh.model.geo.synchronize()
         gradings: dict[int, Grading] = {}
         if self.gridded:
-            along = min(h_S, TURN * self.radius)
+            along = min(h_S, MAX_CELL_ANGLE * self.radius)
             gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, along, along))
             gradings |= dict.fromkeys(web.spokes[0], Grading.of(self.radius - core, h_S, h_S))
             gradings |= dict.fromkeys(web.spokes[1], Grading.of(self.gap, h_S, h))

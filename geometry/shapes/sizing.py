@@ -12,12 +12,12 @@ from forms.base import InputError, import_optional, is_finite, require
 from geometry.refusals import require_known, unknown_name_message
 from geometry.topology import FloatArray
 
-CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
-PARTS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
+CELL_TYPES_OF_DIM = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
+DEFAULT_CELLS_ACROSS = {2: 10, 3: 5}  # default number of cells across the thinnest part, by dimension
 ARRANGEMENTS = ("Left", "Right", "AlternateLeft", "AlternateRight")
-DIGITS = 9  # decimals to which numbers of cells are rounded, so that they do not depend on the unit of length
-THIN = 1e-6  # least length of a shape over its largest: gmsh merges points closer than 1e-8
-RANGE = 1e-5  # smallest cell size allowed, over the size of the shape
+COUNT_DECIMALS = 9  # decimals to which numbers of cells are rounded, so that they do not depend on the unit of length
+MIN_LENGTH_RATIO = 1e-6  # least length of a shape over its largest: gmsh merges points closer than 1e-8
+MIN_CELL_SIZE_RATIO = 1e-5  # smallest cell size allowed, over the size of the shape
 
 
 class _Gmsh:
@@ -59,8 +59,8 @@ def scaled_length(length: float, factor: float) -> float:
 
 def require_width(what: str, length: float, largest: float) -> None:
     """Raise InputError for a part of a shape that is too thin for gmsh."""
-    if length < THIN * largest:
-        least = f"{THIN * largest:g} ({THIN:g} of the largest length)"
+    if length < MIN_LENGTH_RATIO * largest:
+        least = f"{MIN_LENGTH_RATIO * largest:g} ({MIN_LENGTH_RATIO:g} of the largest length)"
         raise InputError(f"{what} is {length:g}; allowed: at least {least}")
 
 
@@ -98,12 +98,12 @@ class MeshOptions:
         largest = max(lengths.values())
         for what, value in lengths.items():
             require_width(what, value, largest)
-        smallest = RANGE * largest
+        smallest = MIN_CELL_SIZE_RATIO * largest
         for what, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
             allowed = size is None or (is_finite(size) and smallest <= size <= largest)
             require(allowed, f"cell size {what}", size, f"allowed: {smallest:g} to {largest:g}")
         if self.cell is not None:
-            require_known(f"cell in {dim}D", self.cell, CELLS[dim])
+            require_known(f"cell in {dim}D", self.cell, CELL_TYPES_OF_DIM[dim])
         good = is_finite(self.degree) and self.degree in (1, 2)
         require(good, "degree", self.degree, "allowed: 1 (straight cells), 2 (curved cells)")
         require_known("arrangement", self.arrangement, ARRANGEMENTS)
@@ -135,7 +135,7 @@ class Grading:
     def of(cls, length: float, first: float, last: float, *, symmetric: bool = False, backwards: bool = False) -> Self:
         """The grading of a line of a length that comes nearest to these sizes."""
         if first == last:
-            return cls(max(1, round(round(length / first, DIGITS))), first, last, symmetric, backwards)
+            return cls(max(1, round(round(length / first, COUNT_DECIMALS))), first, last, symmetric, backwards)
         graded = length / 2 if symmetric else length
         if max(first, last) >= graded:
             first, last = min(first, graded / 2), min(last, graded / 2)

@@ -14,14 +14,14 @@ from dolfinx import fem
 from forms.base import Array, InputError, require
 from forms.kinematics import Expr
 from geometry.topology import Indices
-from thinlayer.discretisation.boundary import AXES
+from thinlayer.discretisation.boundary import AXIS_NAMES
 from thinlayer.discretisation.constraints import MultiPointConstraint
-from thinlayer.discretisation.layer import BODIES, BODY, CONTACT, LAYER
+from thinlayer.discretisation.layer import BODIES, BODY_KIND, CONTACT_KIND, LAYER_KIND
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.supports import Place
 from thinlayer.system.ranks import destroy
 
-TAKEN = ("forms", LAYER, "pressure", CONTACT, BODIES, "loads")  # keys that every model may have
+RESERVED_KEYS = ("forms", LAYER_KIND, "pressure", CONTACT_KIND, BODIES, "loads")  # keys that every model may have
 
 
 HostModel = Any  # a `Model`, which imports this module
@@ -115,7 +115,7 @@ class PartDefinition:
         if not self.ties_nodes:
             return np.empty(0, np.int32)
         facets, d = model.domain.facets(self.place, layer_sides=True), model.joint.dim
-        axes = [k for k in range(d) if self.components is None or AXES[k] in self.components]
+        axes = [k for k in range(d) if self.components is None or AXIS_NAMES[k] in self.components]
         blocks = fem.locate_dofs_topological(V, d - 1, facets)
         return np.unique(blocks[:, None] * d + np.array(axes, int)).astype(np.int32)
 
@@ -141,13 +141,13 @@ class PartDefinition:
 
 def check_part_definitions(parts: Sequence[Any], model: HostModel) -> None:
     """Raise InputError unless a model's parts are additions that fit it, with keys of their own. Collective."""
-    of_seams = {f"{kind} {name}" for kind in (LAYER, CONTACT, "pressure") for name in model.joint.seams}
-    keys = {*TAKEN, *of_seams, *(f"{BODY} {name}" for name in model.joint.bodies)}
+    of_seams = {f"{kind} {name}" for kind in (LAYER_KIND, CONTACT_KIND, "pressure") for name in model.joint.seams}
+    keys = {*RESERVED_KEYS, *of_seams, *(f"{BODY_KIND} {name}" for name in model.joint.bodies)}
     for part in parts:
         require(isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, or an Addition")
         if not part.ties_nodes and type(part).part is PartDefinition.part:
             raise InputError(f"the addition {part.key!r} does nothing: it has neither part(model) nor tied(model)")
-        sublayer = re.fullmatch(rf"{LAYER} \d+", part.key) or part.key.split("/")[0] in {LAYER, *of_seams}
+        sublayer = re.fullmatch(rf"{LAYER_KIND} \d+", part.key) or part.key.split("/")[0] in {LAYER_KIND, *of_seams}
         if sublayer or part.key in keys:
             raise InputError(f"two parts are called {part.key!r}; give one of them another name")
         keys.add(part.key)

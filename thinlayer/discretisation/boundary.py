@@ -20,16 +20,16 @@ from geometry.topology import BoolArray, Indices, IntArray, connected, facet_nor
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.ranks import send
 
-AXES = "xyz"  # names of components and of motions
-ON_AXIS = 1e-10  # distance from the axis, over the size of the joint, that is rounding
-ACROSS = 1e-9  # largest component of a normal along which bodies cannot move
-CORNER = 30.0  # degrees; facets whose normals differ by less at a node are one smooth surface there
-ALONG_AXES = 1e-12  # a component of a unit normal that counts as rounding
+AXIS_NAMES = "xyz"  # names of components and of motions
+AXIS_TOLERANCE = 1e-10  # distance from the axis, over the size of the joint, that is rounding
+RIGID_NORMAL_TOLERANCE = 1e-9  # largest component of a normal along which bodies cannot move
+CORNER_ANGLE_DEGREES = 30.0  # degrees; facets whose normals differ by less at a node are one smooth surface there
+NORMAL_COMPONENT_TOLERANCE = 1e-12  # a component of a unit normal that counts as rounding
 
 
 def nodes_on_axis(kinematics: Kinematics, joint: Joint) -> BoolArray:
     """(n,) which points of a joint lie on the axis."""
-    return np.asarray(np.abs(kinematics.radius(joint.points)) <= ON_AXIS * joint.size)
+    return np.asarray(np.abs(kinematics.radius(joint.points)) <= AXIS_TOLERANCE * joint.size)
 
 
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
@@ -42,14 +42,14 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
             raise InputError(f"plane={kinematics.name!r}: the seam {name!r} lies on the axis, where it has no area")
     if joint.periods:
         held = np.delete(joint.periods.vectors(joint.points), kinematics.translations(joint.dim), axis=1)
-        if np.abs(held).max(initial=0.0) > ON_AXIS * joint.size:
+        if np.abs(held).max(initial=0.0) > AXIS_TOLERANCE * joint.size:
             raise InputError(f"plane={kinematics.name!r}: a structure repeats along the axis (y) alone")
 
 
 def lies_across_axis(kinematics: Kinematics, normals: Array) -> bool:
     """Whether S, with these normals (n, d), lies across the axis: translations along them are rigid motions."""
     held = np.delete(normals, kinematics.translations(normals.shape[1]), axis=1)
-    return bool(np.abs(held).max(initial=0.0) <= ACROSS)
+    return bool(np.abs(held).max(initial=0.0) <= RIGID_NORMAL_TOLERANCE)
 
 
 def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
@@ -196,9 +196,9 @@ def smooth_surfaces(normals: Array) -> tuple[IntArray, Array]:
     Facets whose normals differ by less than CORNER are one surface with their mean normal; others meet in a corner.
     """
     unit = normals / np.linalg.norm(normals, axis=1)[:, None]
-    one, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER)))
+    one, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER_ANGLE_DEGREES)))
     _, surface = np.unique(connected(one, other, len(unit)), return_inverse=True)
     mean = sum_by_number(surface.ravel(), normals, surface.max() + 1)
     mean /= np.linalg.norm(mean, axis=1)[:, None]
-    mean[np.abs(mean) < ALONG_AXES] = 0.0
+    mean[np.abs(mean) < NORMAL_COMPONENT_TOLERANCE] = 0.0
     return surface.ravel().astype(np.int64), mean / np.linalg.norm(mean, axis=1)[:, None]

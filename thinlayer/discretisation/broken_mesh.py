@@ -17,13 +17,13 @@ from mpi4py import MPI
 
 from forms.base import Array, InputError, require
 from forms.law import BulkLaw
-from forms.planes import PLANES, Kinematics
+from forms.planes import KINEMATICS_BY_NAME, Kinematics
 from forms.traction import TractionLaw
 from forms.work import Interface, Term, surface
 from geometry.domain import cells_of_facets, create_connectivity
 from geometry.refusals import unknown_name_message
 from geometry.topology import BoolArray, Indices
-from thinlayer.discretisation.boundary import ON_AXIS
+from thinlayer.discretisation.boundary import AXIS_TOLERANCE
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.layer import InitialTangents, ThinLayer, law_of_terms, law_with_numbers
 from thinlayer.discretisation.measures import law_with_expressions
@@ -32,7 +32,7 @@ from thinlayer.system.compat import interior_facet_entities, interpolate
 from thinlayer.system.ranks import communicator, errors_on_all
 
 Upper = int | set[int] | frozenset[int] | Sequence[float] | None
-ALONG = 0.02  # least cosine between a facet's normal and a direction that chooses its upper side
+MIN_COSINE = 0.02  # least cosine between a facet's normal and a direction that chooses its upper side
 
 
 class BrokenMesh:
@@ -99,11 +99,13 @@ class BrokenMesh:
 
     @staticmethod
     def _kinematics(mesh: Mesh, plane: str) -> Kinematics:
-        if plane not in PLANES or (mesh.geometry.dim == 3 and plane != "strain"):
-            raise InputError(f"{unknown_name_message('plane', plane, PLANES)}; in three dimensions there is none")
-        kinematics, x = PLANES[plane], mesh.geometry.x
+        if plane not in KINEMATICS_BY_NAME or (mesh.geometry.dim == 3 and plane != "strain"):
+            raise InputError(
+                f"{unknown_name_message('plane', plane, KINEMATICS_BY_NAME)}; in three dimensions there is none"
+            )
+        kinematics, x = KINEMATICS_BY_NAME[plane], mesh.geometry.x
         behind = communicator(mesh).allreduce(float(kinematics.radius(x).min(initial=0.0)), MPI.MIN)
-        if behind < -ON_AXIS * communicator(mesh).allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX):
+        if behind < -AXIS_TOLERANCE * communicator(mesh).allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX):
             raise InputError(f"plane={plane!r}: x is the distance from the axis, and the mesh has x = {behind:g} < 0")
         return kinematics.on(mesh)
 
@@ -287,7 +289,7 @@ class BrokenMesh:
         normals = cpp.mesh.cell_normals(self.mesh._cpp_object, self._dim - 1, facets)[:, : self._dim]
         cosines = normals @ direction / np.linalg.norm(direction)
         what = f"with tag {tag} are parallel to {tuple(map(float, direction))}, which does not tell their upper side"
-        self._refuse(facets[np.abs(cosines) < ALONG], what)
+        self._refuse(facets[np.abs(cosines) < MIN_COSINE], what)
         middle = dolfinx.mesh.compute_midpoints
         towards = middle(self.mesh, self._dim, cells) - middle(self.mesh, self._dim - 1, facets)
         return np.asarray(np.einsum("fk,fk->f", towards[:, : self._dim], normals) * cosines > 0)

@@ -16,13 +16,15 @@ from scipy.sparse.csgraph import connected_components
 from forms.base import Array, InputError
 from geometry.refusals import place_text as at_place
 from geometry.topology import IntArray, sum_by_number
-from thinlayer.discretisation.supports import ROUNDING, Prescribed
+from thinlayer.discretisation.supports import LENGTH_TOLERANCE, Prescribed
 from thinlayer.system.ranks import destroy
 
 Sparse = Any  # scipy.sparse.csr_matrix, which has no types
-INDEPENDENT = 1e-6  # least singular value of conditions that are independent of each other
-AGREE = 1e-9  # difference of two values of one displacement, at most, over the largest prescribed displacement
-ZERO = 1e-13  # coefficient of a condition that counts as rounding; coefficients are of order 1
+INDEPENDENCE_TOLERANCE = 1e-6  # least singular value of conditions that are independent of each other
+AGREEMENT_TOLERANCE = (
+    1e-9  # difference of two values of one displacement, at most, over the largest prescribed displacement
+)
+COEFFICIENT_TOLERANCE = 1e-13  # coefficient of a condition that counts as rounding; coefficients are of order 1
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class _ConditionGroup:
 
     @cached_property
     def _inverse(self) -> Array:
-        return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENT))
+        return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENCE_TOLERANCE))
 
     def held(self, c: Array) -> Array:
         """Values of the held unknowns."""
@@ -81,7 +83,7 @@ class _ConditionGroup:
     @cached_property
     def shares(self) -> Array:
         """Forces on the unknowns -> the least forces of the conditions that balance them."""
-        return np.asarray(np.linalg.pinv(self.N.T, rcond=INDEPENDENT))
+        return np.asarray(np.linalg.pinv(self.N.T, rcond=INDEPENDENCE_TOLERANCE))
 
 
 class Constraints:
@@ -173,7 +175,7 @@ class Constraints:
         k = len(columns)
         more = scipy.sparse.csr_matrix((np.ones(k), (np.arange(k), columns)), (k, total))
         found = scipy.sparse.vstack([found, more], format="csr")
-        found.data[np.abs(found.data) < ZERO] = 0.0
+        found.data[np.abs(found.data) < COEFFICIENT_TOLERANCE] = 0.0
         found.eliminate_zeros()
         return found
 
@@ -264,7 +266,7 @@ class Constraints:
         """Raise InputError if values (r,) of conditions contradict each other."""
         apart = self._by_rows([one.apart(values) for one, values in self._with_values(c)])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
-        limit, message = max(AGREE * largest, ROUNDING * self.prescribed.extent), ""
+        limit, message = max(AGREEMENT_TOLERANCE * largest, LENGTH_TOLERANCE * self.prescribed.extent), ""
         if apart.max(initial=0.0) > limit:
             message = self._contradiction(int(apart.argmax()), c) + when
         if messages := [one for one in self.comm.allgather(message) if one]:
@@ -443,7 +445,7 @@ def _connected_rows(A: Sparse) -> list[_ConditionGroup]:
     for r, c in zip(_rows_by_label(of_rows), _rows_by_label(of_columns), strict=True):
         N = B[r][:, c].toarray()
         _, sizes, right = np.linalg.svd(N)
-        rank = int((sizes > INDEPENDENT * max(1.0, sizes[0])).sum())
+        rank = int((sizes > INDEPENDENCE_TOLERANCE * max(1.0, sizes[0])).sum())
         frame = np.eye(len(c)) if rank == len(c) else right.T
         found.append(_ConditionGroup(r, columns[c].astype(np.int64), N, frame, rank))
     return found

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from forms.planes import LIFTED, Kinematics
+from forms.planes import PLANE_STRAIN, Kinematics
 from geometry.domain import cells_of_facets
 from geometry.joint import Joint
 from geometry.topology import Indices, IntArray, sum_by_number
@@ -24,7 +24,7 @@ from thinlayer.discretisation.layer import seam_entities
 from thinlayer.discretisation.model import Model
 from thinlayer.system.ranks import destroy, errors_on_all, send
 
-NONE = np.empty(0, np.int32)
+NO_NODES = np.empty(0, np.int32)
 
 
 def body_pairs(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArray, IntArray]:
@@ -59,7 +59,7 @@ class ContactSurface:
     upper: Indices
     lower: Indices | None
     rows: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    kinematics: Kinematics = LIFTED
+    kinematics: Kinematics = PLANE_STRAIN
 
     @classmethod
     def of(cls, model: Model, name: str) -> ContactSurface:
@@ -92,7 +92,7 @@ class ContactNodes:
         gap: (n,) initial gap between the sides; < 0: interference.
     """
 
-    def __init__(self, surface: ContactSurface, held: Indices = NONE, *, gap: Callable[[Array], Array]) -> None:
+    def __init__(self, surface: ContactSurface, held: Indices = NO_NODES, *, gap: Callable[[Array], Array]) -> None:
         """Make the nodes of a surface.
 
         Args:

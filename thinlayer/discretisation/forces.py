@@ -26,7 +26,7 @@ from thinlayer.errors import warn
 
 BodyForce = Load | Mapping[str, Load]
 
-WEIGHT = "body force in the layer {!r}"  # the words for it, by the name of the seam
+LAYER_FORCE_LABEL = "body force in the layer {!r}"  # the words for it, by the name of the seam
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Forces:
             place: where the layer is: its weight, and how the work of displacements there is told, see `LoadRegion`.
             at: coordinates there, with the time of the other loads.
         """
-        what = WEIGHT.format(name)
+        what = LAYER_FORCE_LABEL.format(name)
         self.given[what] = load
         self.add_weighted(name, what, at.given(load, what, (self.domain.joint.dim,)).expression, place)
 

@@ -33,7 +33,7 @@ from thinlayer.discretisation.supports import Place
 from thinlayer.errors import Violation
 from thinlayer.pointwise.integrals import quadrature_degree
 
-LARGEST_EPS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
+MAX_THICKNESS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
 
 class FullModel(Model):
@@ -65,7 +65,7 @@ class FullModel(Model):
             require_known("seam", name, self.layers, "junctions")
         thin = {name: one.thin for name, one in self.layers.items()}
         eps = {name: layer.eps for name, layer in (thin | gaps).items()}
-        if (thickest := max(eps.values(), default=0.0)) > LARGEST_EPS * self.joint.size:
+        if (thickest := max(eps.values(), default=0.0)) > MAX_THICKNESS * self.joint.size:
             sizes = f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}"
             raise InputError(f"{sizes}: their shape is lost in rounding; is eps in the unit of the mesh?")
         profile, fractions = ({name: getattr(one, of) for name, one in thin.items()} for of in ("profile", "fractions"))

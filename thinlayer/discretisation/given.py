@@ -36,10 +36,10 @@ Value = float | Callable[[Expr, Expr], Expr]
 Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
 Shape = tuple[int, ...]
 
-SAME = 1e-9  # difference of a function of symbols from the same of numbers, at most, over its size
-DEGREE = 2  # of functions in numpy
-TIMES = (0.37, 0.0, 1.0, 2.0)  # at which the two are compared
-HINT = (
+FUNCTION_TOLERANCE = 1e-9  # difference of a function of symbols from the same of numbers, at most, over its size
+NUMPY_DEGREE = 2  # of functions in numpy
+COMPARISON_TIMES = (0.37, 0.0, 1.0, 2.0)  # at which the two are compared
+NUMPY_HINT = (
     "x and t stand for all places and times, they are no numbers: use ufl.sin(t), ufl.conditional(ufl.gt(t, 1), a, b), "
     "..., and piecewise({time: value, ...}) for a table"
 )
@@ -164,7 +164,7 @@ class Coefficient:
 
     def _interpolated(self) -> fem.Function:
         """A numpy function of places (d, n), interpolated. Collective."""
-        f = fem.Function(fem.functionspace(self.at.mesh, ("DG", DEGREE)))
+        f = fem.Function(fem.functionspace(self.at.mesh, ("DG", NUMPY_DEGREE)))
         x = places_in_cells(f.function_space, self.at.x).reshape(-1, self.at.mesh.geometry.dim)
         try:
             values = np.asarray(self.value(x.T), float)
@@ -176,7 +176,7 @@ class Coefficient:
         return f
 
     def _no_function(self, why: str) -> InputError:
-        return InputError(f"{self.what} is no function (x, t) of UFL coordinates: {why}; {HINT}")
+        return InputError(f"{self.what} is no function (x, t) of UFL coordinates: {why}; {NUMPY_HINT}")
 
     def _refusal(self, content: Any, more: str = "") -> InputError:
         shapes = [" x ".join(map(str, shape)) for shape in self._shapes]
@@ -206,7 +206,7 @@ class Coefficient:
             return float(component)
         scalar = isinstance(component, ufl.core.expr.Expr) and component.ufl_shape == ()
         if not scalar or isinstance(component, Condition) or not has_finite_numbers(component):
-            raise self._refusal(component, f", of finite real numbers; {HINT}")
+            raise self._refusal(component, f", of finite real numbers; {NUMPY_HINT}")
         return component
 
     def _on_mesh(self, components: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -223,13 +223,20 @@ class Coefficient:
         """Raise InputError if the function says another thing of plain numbers than of symbols."""
         if any(map(_fields, components.flat)):
             return
-        for place, t in [*product(self.at.places, TIMES[:1]), *product(self.at.places[:1], TIMES[1:])]:
+        for place, t in [
+            *product(self.at.places, COMPARISON_TIMES[:1]),
+            *product(self.at.places[:1], COMPARISON_TIMES[1:]),
+        ]:
             try:
                 plain = self._read(self._called(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
             except Exception:  # a function of symbols alone, such as ufl.grad
                 continue
             a, b = (np.array([evaluate_component(c, t, place) for c in some.flat]) for some in (components, plain))
-            if a.shape == b.shape and np.isfinite([a, b]).all() and np.abs(a - b).max() > SAME * np.abs([a, b]).max():
+            if (
+                a.shape == b.shape
+                and np.isfinite([a, b]).all()
+                and np.abs(a - b).max() > FUNCTION_TOLERANCE * np.abs([a, b]).max()
+            ):
                 both = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
                 raise self._no_function(f"at {at_place(place)}, t = {t:g} it gives {both}")
 

@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array, InputError, is_finite, is_number, require
-from forms.kinematics import MANDEL, ROOT2, Expr, three_dimensional
+from forms.kinematics import MANDEL_PAIRS, SQRT2, Expr, three_dimensional
 from forms.law import BulkLaw
 from forms.planes import Kinematics
 from forms.temperature import finite_values
@@ -26,11 +26,13 @@ from thinlayer.system.compat import compiled
 
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
 Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Sequence[Sequence[Any]]]
-PAIRS = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
+VOIGT_PAIRS_OF_DIM = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
 Rows = list[list[Any]]  # numbers, or UFL scalars of place and time
 Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Any]
-SYMMETRY = 1e-12  # difference of a table from its transpose, at most, over its size
-SINGULAR = 1e-12  # smallest singular value of a stiffness, over its largest, below which no strain causes some stresses
+SYMMETRY_TOLERANCE = 1e-12  # difference of a table from its transpose, at most, over its size
+SINGULARITY_TOLERANCE = (
+    1e-12  # smallest singular value of a stiffness, over its largest, below which no strain causes some stresses
+)
 
 
 class MeanStrain:
@@ -95,13 +97,13 @@ class MeanStress(MeanStrain):
 
     def components(self, t: float) -> Array:
         """The stress at a time, (k,) in the order of `voigt_strain`."""
-        return self.at(t)[tuple(np.array(PAIRS[self._dim]).T)]
+        return self.at(t)[tuple(np.array(VOIGT_PAIRS_OF_DIM[self._dim]).T)]
 
 
 def voigt_strain(e: Expr) -> Expr:
     """The strain (d, d) of a UFL vector in Voigt's order, shears twice."""
     d = {3: 2, 6: 3}[e.ufl_shape[0]]
-    place = {pair: k for k, pair in enumerate(PAIRS[d])}
+    place = {pair: k for k, pair in enumerate(VOIGT_PAIRS_OF_DIM[d])}
     return ufl.as_tensor([[e[place[min(i, j), max(i, j)]] / (1 if i == j else 2) for j in range(d)] for i in range(d)])
 
 
@@ -148,7 +150,7 @@ def require_symmetric(rows: Rows, what: str) -> None:
     for i, j in combinations(range(len(rows)), 2):
         a, b = rows[j][i], rows[i][j]
         both = isinstance(a, float) and isinstance(b, float)
-        if not (abs(a - b) <= SYMMETRY * max(numbers) if both else ufl.as_ufl(a) == ufl.as_ufl(b)):
+        if not (abs(a - b) <= SYMMETRY_TOLERANCE * max(numbers) if both else ufl.as_ufl(a) == ufl.as_ufl(b)):
             raise InputError(f"{what} is not symmetric: components {j + 1}{i + 1} and {i + 1}{j + 1} are {a}, {b}")
 
 
@@ -234,8 +236,8 @@ class Prestress(Eigenstrain):
             sigma = [row[:2] for row in sigma[:2]]
         if len(sigma) == 2 and 2 in matter.kinematics.slots(2):
             raise InputError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
-        slots = [slot for slot, (_, j) in enumerate(MANDEL) if j < len(sigma)]
-        pairs = [(*MANDEL[slot], 1.0 if slot < 3 else ROOT2) for slot in slots]
+        slots = [slot for slot, (_, j) in enumerate(MANDEL_PAIRS) if j < len(sigma)]
+        pairs = [(*MANDEL_PAIRS[slot], 1.0 if slot < 3 else SQRT2) for slot in slots]
         found: Rows = [[0.0] * 3 for _ in range(3)]
         for row, (i, j, scale) in zip(self._compliance(matter, slots), pairs, strict=True):
             summands = [-float(c) * s / scale * sigma[k][m] for c, (k, m, s) in zip(row, pairs, strict=True) if c]
@@ -261,7 +263,7 @@ class Prestress(Eigenstrain):
             raise refused(f"the stiffness of {type(law).__name__} is not known at rest")
         C = C[np.ix_(slots, slots)]
         sizes = np.linalg.svd(C, compute_uv=False)
-        if sizes[-1] <= SINGULAR * sizes[0]:
+        if sizes[-1] <= SINGULARITY_TOLERANCE * sizes[0]:
             raise refused(f"no strain of {type(law).__name__} causes some stresses")
         found = np.asarray(np.linalg.inv(C))
         if law.traits.constrained and not law.volume_compliance:

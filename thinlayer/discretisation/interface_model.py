@@ -37,7 +37,7 @@ from thinlayer.errors import Violation
 from thinlayer.pointwise.integrals import quadrature_degree
 from thinlayer.system.ranks import errors_on_all
 
-AT_ENDS = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
+END_DEGREE_INCREASE = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
 
 
 class InterfaceModel(Model):
@@ -192,7 +192,7 @@ class InterfaceModel(Model):
             weights = self.reductions[one.name].weights
             ends = weights.expressions(self.domain, sides) if weights else None
             if ends is not None:
-                finer = {"quadrature_degree": quadrature_degree(self.V, measure) + AT_ENDS}
+                finer = {"quadrature_degree": quadrature_degree(self.V, measure) + END_DEGREE_INCREASE}
                 sides = replace(sides, measure=measure.reconstruct(metadata=finer))
             terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope, ends)
         return [replace(term, key=one.key, law=law_of_terms(term.law, mesh)) for term in terms]

@@ -30,9 +30,9 @@ from thinlayer.system.compat import exterior_facet_entities, interior_facet_enti
 from thinlayer.system.identity import describe
 
 # keys of what laws remember and store, in states and in files
-LAYER, CONTACT, BODY, PRESSURE = "layer", "contact", "body", "pressure"
+LAYER_KIND, CONTACT_KIND, BODY_KIND, PRESSURE_KIND = "layer", "contact", "body", "pressure"
 BODIES = "bodies"  # name of all bodies together, beside the names of seams
-EDGES = (None, "free", "plain")
+EDGE_CHOICES = (None, "free", "plain")
 SurfaceLaw = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes
 
 
@@ -91,7 +91,7 @@ class ThinLayer:
             self.law.stations()  # raises errors of laws without one of order 1
         callable_ = self.profile is None or callable(self.profile)
         require(callable_, "the profile", self.profile, "it must be a function of x")
-        require(self.edges in EDGES, "edges", self.edges, f"allowed: {', '.join(map(repr, EDGES))}")
+        require(self.edges in EDGE_CHOICES, "edges", self.edges, f"allowed: {', '.join(map(repr, EDGE_CHOICES))}")
 
     @property
     def material(self) -> BulkLaw:
@@ -223,13 +223,13 @@ class SeamLayer:
 
         Several terms of one layer have the keys "layer NAME/1", "layer NAME/2", ...; names of seams have no slash.
         """
-        kind = CONTACT if self.contact else LAYER
+        kind = CONTACT_KIND if self.contact else LAYER_KIND
         return f"{kind} {self.name}" if len(self.structure.joint.seams) > 1 else kind
 
     @property
     def pressure_key(self) -> str:
         """Key of the layer's pressure, if its law has one."""
-        return PRESSURE + self.key.removeprefix(LAYER)
+        return PRESSURE_KIND + self.key.removeprefix(LAYER_KIND)
 
     def owns(self, key: str) -> bool:
         """Whether a key of a layer is that of one of its terms, or of its pressure."""

@@ -26,16 +26,16 @@ from geometry.domain import Domain
 from geometry.inflating.inflation import offset_to_middle, points_on_middle
 from geometry.partition import column_numbers
 from thinlayer.discretisation.given import Coordinates, has_finite_numbers
-from thinlayer.discretisation.layer import BODY, LAYER, law_with_constants
+from thinlayer.discretisation.layer import BODY_KIND, LAYER_KIND, law_with_constants
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.time_functions import time_constants
-from thinlayer.pointwise.integrals import KINDS, MeshOrigin, Quadrature, assemble_matrix
+from thinlayer.pointwise.integrals import MEASURE_OF_INTEGRAL, MeshOrigin, Quadrature, assemble_matrix
 from thinlayer.system.compat import by_domain, compiled, without_cycles
 from thinlayer.system.ranks import errors_on_all
 
 show_warnings()  # those of users too
 
-TAGS = {
+TAGS_OF_INTEGRAL = {
     "dx": "model.domain.cell_values(name)",
     "ds": "model.domain.values(name)",
     "dS": "dS(k + 1) is the k-th of joint.seams",
@@ -58,7 +58,7 @@ def whole_structure_form(form: Any, model: Any, what: str = "a form") -> ufl.For
         raise InputError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
     for integral in form.integrals():
         kind = integral.integral_type()
-        name, asked = KINDS.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
+        name, asked = MEASURE_OF_INTEGRAL.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
         if any(isinstance(tag, bool) for tag in asked):
             raise InputError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
         data = form.subdomain_data()[integral.ufl_domain()][kind]
@@ -66,7 +66,7 @@ def whole_structure_form(form: Any, model: Any, what: str = "a form") -> ufl.For
         missing = [str(tag) for tag in asked if tag not in set[Any]().union(*present)]
         if missing:
             where = f"{name}({', '.join(missing)})"
-            known = TAGS.get(name, TAGS["ds"])
+            known = TAGS_OF_INTEGRAL.get(name, TAGS_OF_INTEGRAL["ds"])
             raise InputError(f"{what} integrates over {where}, which is nothing here; tags: {known}")
     factor = model.kinematics.factor
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])
@@ -186,9 +186,9 @@ def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
     found: dict[str, list[Term]] = {}
     for p in terms:
         if p.law.traits.compiled:
-            found.setdefault(p.key or (BODY if p.n is None else LAYER), []).append(p)
+            found.setdefault(p.key or (BODY_KIND if p.n is None else LAYER_KIND), []).append(p)
     keys: dict[str, Term] = {}
     for name, some in found.items():
-        start = f"{name} " if name in (BODY, LAYER) else f"{name}/"
+        start = f"{name} " if name in (BODY_KIND, LAYER_KIND) else f"{name}/"
         keys |= {f"{start}{k}" if len(some) > 1 else name: p for k, p in enumerate(some, 1)}
     return keys

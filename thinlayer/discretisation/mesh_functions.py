@@ -26,7 +26,7 @@ from thinlayer.system.compat import interpolation_points, space_with_dofmap
 from thinlayer.system.ranks import ask, communicator
 
 EntityKeys = Sequence[IntArray | Indices]
-INWARDS = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
+INWARD_SHARE = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
 
 
 def cellwise_function(domain: Domain, element: tuple[Any, ...], values: Array) -> fem.Function:
@@ -95,7 +95,7 @@ def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Fun
     degree = min(2, f.function_space.element.basix_element.degree)
     own = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
     places = places_in_cells(own.function_space, x)
-    places = (places + INWARDS * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
+    places = (places + INWARD_SHARE * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
     values = _values(f, places)
     missing = communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1])
     if any(map(len, missing)):

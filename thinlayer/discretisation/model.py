@@ -31,7 +31,7 @@ from thinlayer.discretisation.given import Coordinates, Load, Pressure
 from thinlayer.discretisation.given_strains import EigenstrainContext, MeanStrain, MeanStress, prescribed_strain
 from thinlayer.discretisation.layer import (
     BODIES,
-    BODY,
+    BODY_KIND,
     Bond,
     Gap,
     Layers,
@@ -210,7 +210,7 @@ class Model(ABC):
         if not law.traits.compiled:
             law, some = law_with_constants(law, self.domain.mesh), {"": names}
         else:
-            some = {f"{BODY} {name}": (name,) for name in names}
+            some = {f"{BODY_KIND} {name}": (name,) for name in names}
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         volume = self.volume_degree(law)
         each = {key: forms.body(law, one, self.kinematics, volume) for key, one in cells.items()}

@@ -22,7 +22,7 @@ from thinlayer.discretisation.boundary import refuse_periodic
 from thinlayer.discretisation.given import Coordinates, Load
 from thinlayer.discretisation.mesh_functions import cellwise_function
 
-EDGE_POINTS = 4  # Gauss points on an edge: exact for degree 7
+EDGE_GAUSS_POINTS = 4  # Gauss points on an edge: exact for degree 7
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class LineLoad:
             k = here[_in_one_body(joint, every[here], components[every[here], columns[here]], self.body, self.what)]
             chosen.append((every[k], columns[k]))
         cells, columns = np.array(chosen).T
-        s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_POINTS - 1)
+        s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_GAUSS_POINTS - 1)
         X = np.asarray(basix.geometry(kind))[np.array(edges)[columns]][:, :, None]  # (n, 2, 1, d)
         return LoadNodes(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.base import InputError
-from forms.elastic import LARGEST_NU, ROUNDING, LinearElastic, poisson_ratio
+from forms.elastic import MAX_FREE_END_NU, MODULUS_RATIO_TOLERANCE, LinearElastic, poisson_ratio
 from forms.kinematics import average_lame
 from forms.law import BulkLaw
 from forms.rubber import Rubber
@@ -20,15 +20,19 @@ from geometry.refusals import place_text
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray
 from thinlayer.discretisation.boundary import lies_across_axis
-from thinlayer.discretisation.given_strains import SINGULAR
+from thinlayer.discretisation.given_strains import SINGULARITY_TOLERANCE
 from thinlayer.discretisation.layer import SeamLayer, SurfaceLaw, ThinLayer, law_with_numbers
-from thinlayer.discretisation.sides import SLIGHT, FacetWeights, constrained_directions, side_kinds
+from thinlayer.discretisation.sides import FLAT_DIRECTION_SHARE, FacetWeights, constrained_directions, side_kinds
 from thinlayer.errors import Violation
 
-LEAST_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
-LEAST_RADIUS = 4.0  # of curved ends, over the thickness; what constants leave out there is of the order of its inverse
-MESH = "use order=0, or mesh the layer (structure.full)"
-BENDING = 44.0  # 48 (1 - nu^2): (eps k)^3 E/mu where half-spaces yield to a pressure of wave number k as the layer does
+MIN_STIFFNESS_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
+MIN_RADIUS_RATIO = (
+    4.0  # of curved ends, over the thickness; what constants leave out there is of the order of its inverse
+)
+MESH_REMEDY = "use order=0, or mesh the layer (structure.full)"
+BENDING_FACTOR = (
+    44.0  # 48 (1 - nu^2): (eps k)^3 E/mu where half-spaces yield to a pressure of wave number k as the layer does
+)
 
 
 class Applicability:
@@ -121,7 +125,7 @@ class Applicability:
         law, loose = self.one.thin.law, len(self.loose.vertices) > 0
         in_sheet = self.one.structure.plane == "stress"  # no pressure builds up there
         if isinstance(law, LinearElastic) and not (in_sheet or law.fields) and law.lmbda > 0:
-            known_ends = loose and poisson_ratio(law) <= LARGEST_NU + ROUNDING
+            known_ends = loose and poisson_ratio(law) <= MAX_FREE_END_NU + MODULUS_RATIO_TOLERANCE
             law = law if known_ends else Rubber(law.lmbda, law.mu)
         return replace(self.one.thin, law=law, order=1)
 
@@ -150,7 +154,7 @@ class Applicability:
     @cached_property
     def all_weights(self) -> FacetWeights:
         """Weights of the free ends on the facets, if conditions before `overlap` hold."""
-        strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING) ** (1 / 3)))
+        strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING_FACTOR) ** (1 / 3)))
         sheet, eps = self.one.sheet, float(self.one.thin.eps)
         return FacetWeights.of(straight_ends(self.free, sheet), sheet, eps, strips)
 
@@ -213,14 +217,14 @@ def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
         remedy = "use bodies='extended', for the interface and the full model alike"
         yield Violation("bent", f"order=1 {r.bent} needs bodies at their true places", remedy)
     if r.bent and len(thin.law.sublayers) > 1:
-        yield Violation("bent stack", f"order=1 of a Stack {r.bent}: shares of the jump turn along S", MESH)
+        yield Violation("bent stack", f"order=1 of a Stack {r.bent}: shares of the jump turn along S", MESH_REMEDY)
     yield from filter(None, (sample.at_rest.locks() for sample in r.one.samples))
     if sheet.tip is not None:
         reason = f"order=1 has gradients at the tip, and {r.one} ends at {place_text(sheet.tip)}, inside the bodies"
         yield Violation("tip", reason, "use order=0")
     if sheet.junction is not None:
         reason = f"order=1 leaves out what junctions add, and {r.one} meets another one, or branches, at "
-        yield Violation("junction", reason + place_text(sheet.junction), MESH)
+        yield Violation("junction", reason + place_text(sheet.junction), MESH_REMEDY)
 
 
 def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
@@ -245,7 +249,7 @@ def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
 def _support_conditions(r: Applicability) -> Iterator[Violation]:
     """Of supports that hold the layer's own side, NAME/LAYER: they hold the bodies beside it, too."""
     rim, alone = r.one.sheet.rim, constrained_directions(r.one) - constrained_directions(r.one, of_layer=False)
-    if len(at := rim.vertices[np.abs(alone).max(axis=(1, 2)) > SLIGHT]):
+    if len(at := rim.vertices[np.abs(alone).max(axis=(1, 2)) > FLAT_DIRECTION_SHARE]):
         reason = f"a support holds the side of {r.one} alone, at {place_text(r.one.sheet.joint.points[at[0, 0]])}"
         yield Violation("held alone", reason, "support the bodies too, or mesh the layer")
 
@@ -272,8 +276,10 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
         )
     if one.structure.plane == "axisymmetric":
         radius = float(one.structure.joint.points[r.free.vertices, 0].min()) / float(thin.eps)
-        if radius < LEAST_RADIUS * (1 - ROUNDING):
-            yield Violation("radius", f"free ends have a radius of {radius:.3g} thicknesses; allowed: {LEAST_RADIUS:g}")
+        if radius < MIN_RADIUS_RATIO * (1 - MODULUS_RATIO_TOLERANCE):
+            yield Violation(
+                "radius", f"free ends have a radius of {radius:.3g} thicknesses; allowed: {MIN_RADIUS_RATIO:g}"
+            )
     yield from _free_end_conditions(r)
     if r.width < r.strips.longest:
         reason = f"its area over the length of free ends is {r.width:.3g} thicknesses"
@@ -286,7 +292,7 @@ def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
     """Of fields and constants of free ends, which are those of straight ones between rigid faces."""
     one, sheet = r.one, r.one.sheet
     if r.strips is None:
-        known = f"LinearElastic with nu from 0 to {LARGEST_NU:g}, Rubber and Incompressible, by numbers"
+        known = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
         yield Violation("no constants", f"free ends are not known of this {one.kind}: they are of {known}")
     yield from _straight_end_conditions(r, r.contrast)
     if one.flows and r.coarse.any():
@@ -303,8 +309,8 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
     for oblique in r.rim("oblique").vertices[:1]:
         at = place_text(sheet.joint.points[oblique[0]])
         yield Violation("oblique", f"something holds the layer's side at {at} neither along S nor across it")
-    if contrast < LEAST_CONTRAST * (1 - ROUNDING):
-        reason = f"E of a body is {contrast:.4g} times mu of the layer; allowed: at least {LEAST_CONTRAST:g}"
+    if contrast < MIN_STIFFNESS_CONTRAST * (1 - MODULUS_RATIO_TOLERANCE):
+        reason = f"E of a body is {contrast:.4g} times mu of the layer; allowed: at least {MIN_STIFFNESS_CONTRAST:g}"
         yield Violation("contrast", f"faces must be rigid beside free ends: {reason}")
     try:
         straight_ends(r.free, sheet)
@@ -350,7 +356,7 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
     slots = r.one.structure.kinematics.slots(r.one.structure.joint.dim)
     for C in (C[np.ix_(slots, slots)] for s in r.one.samples for _, _, C in s.at_rest.sublayers if C is not None):
         sizes = np.linalg.svd(C, compute_uv=False)
-        if sizes[-1] <= SINGULAR * sizes[0]:
+        if sizes[-1] <= SINGULARITY_TOLERANCE * sizes[0]:
             reason = f"{r.one.kind} has strains without stresses, as springs have along S, and moves in itself"
             yield Violation(
                 "no stress", reason, "solve structure.full(layer), and compare goals: goal.value(state, model)"

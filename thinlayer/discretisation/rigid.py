@@ -20,28 +20,36 @@ from forms.temperature import finite_values
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place_text as at_place
-from thinlayer.discretisation.boundary import AXES
+from thinlayer.discretisation.boundary import AXIS_NAMES
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.supports import Place
 from thinlayer.discretisation.time_functions import TimeLevel
 
 Resistance = Callable[[Sequence[fem.Function]], Array]
-AXIAL = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}  # planes (i, j) that rotations turn, and sense
+ROTATION_PLANES = {
+    2: ((0, 1, 1.0),),
+    3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0)),
+}  # planes (i, j) that rotations turn, and sense
 # (k, d, d) velocities of unit rotations over the place: W x, as e_k x x
-TURNS = {2: np.array([[[0.0, -1.0], [1.0, 0.0]]]), 3: np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)}
-SMALLEST = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
-ROUNDING = 1e-12  # coordinates over the size of the structure, components over a force, that are told as zero
+ROTATION_GENERATORS = {
+    2: np.array([[[0.0, -1.0], [1.0, 0.0]]]),
+    3: np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2),
+}
+MIN_RELATIVE_EIGENVALUE = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
+COMPONENT_TOLERANCE = (
+    1e-12  # coordinates over the size of the structure, components over a force, that are told as zero
+)
 
 
 def motion_count(dim: int) -> int:
     """Number of rigid motions."""
-    return dim + len(AXIAL[dim])
+    return dim + len(ROTATION_PLANES[dim])
 
 
 def motion_fields(x: npt.NDArray[Any], about: Array) -> Array:
     """Unit translations and rotations about a point, at places x (n, d): (n, d, k)."""
     n, d = x.shape
-    shifts, turns = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", TURNS[d], x - about)
+    shifts, turns = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", ROTATION_GENERATORS[d], x - about)
     return np.concatenate([shifts, turns], axis=2)
 
 
@@ -65,7 +73,7 @@ def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
     """A constant (k,), and the sum of the motions of `motion_fields` with these factors as a UFL vector (d,)."""
     x, d = ufl.SpatialCoordinate(mesh), len(about)
     motion = fem.Constant(mesh, np.zeros(motion_count(d)))
-    arm, turns = x - ufl.as_vector(about.tolist()), enumerate(TURNS[d].tolist())
+    arm, turns = x - ufl.as_vector(about.tolist()), enumerate(ROTATION_GENERATORS[d].tolist())
     turned = (motion[d + k] * ufl.dot(ufl.as_matrix(turn), arm) for k, turn in turns)
     return motion, sum(turned, ufl.as_vector([motion[i] for i in range(d)]))
 
@@ -82,15 +90,15 @@ def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
     about the one period in 3D.
     """
     d, size, one = joint.dim, joint.size, np.eye(motion_count(joint.dim))
-    shares = {f"translation {AXES[i]}": one[i] for i in kinematics.translations(d)}
+    shares = {f"translation {AXIS_NAMES[i]}": one[i] for i in kinematics.translations(d)}
     if joint.periods:
         vectors = joint.periods.vectors(joint.points)
         if d == 3 and np.linalg.matrix_rank(vectors) == 1:
             axis = vectors[0] / np.linalg.norm(vectors[0])
             shares[f"rotation about ({', '.join(f'{c:.3g}' for c in axis)})"] = axis @ one[d:] / size
     elif kinematics.turns:
-        for k, (i, j, sense) in reversed([*enumerate(AXIAL[d])]):
-            shares[f"rotation {AXES[i]}{AXES[j]}"] = one[d + k] * sense / size
+        for k, (i, j, sense) in reversed([*enumerate(ROTATION_PLANES[d])]):
+            shares[f"rotation {AXIS_NAMES[i]}{AXIS_NAMES[j]}"] = one[d + k] * sense / size
     return shares
 
 
@@ -132,13 +140,13 @@ def resistance_matrices(model: Any, resistances: Sequence[Resistance]) -> Array:
 def free_translations(names: Sequence[str], resistance: Array) -> tuple[str, ...]:
     """The axes along which nothing prevents a translation; arguments as in `require_support`."""
     much = {name.split()[1]: r for name, r in zip(names, np.diag(resistance), strict=True) if "translation" in name}
-    return tuple(axis for axis, r in much.items() if r <= SMALLEST * max(*much.values(), 1.0))
+    return tuple(axis for axis, r in much.items() if r <= MIN_RELATIVE_EIGENVALUE * max(*much.values(), 1.0))
 
 
 def require_support(names: Sequence[str], resistance: Array) -> None:
     """Raise InputError if nothing resists a motion of `scaled_motions`; resistance (m, m) of `resistance_matrices`."""
     values, vectors = np.linalg.eigh(resistance)
-    if values[0] <= SMALLEST * max(values[-1], 1.0):
+    if values[0] <= MIN_RELATIVE_EIGENVALUE * max(values[-1], 1.0):
         free = names[int(np.argmax(np.abs(vectors[:, 0])))]
         raise InputError(f"no support against rigid motion of the structure ({free}); add supports")
 
@@ -160,7 +168,7 @@ class Resultant:
     def at(self, about: Sequence[float] | Array) -> Resultant:
         """The same forces, with their moment about another point (d,)."""
         point = require_point(about, len(self.force))
-        moment = self.force @ TURNS[len(point)] @ (self.about - point)
+        moment = self.force @ ROTATION_GENERATORS[len(point)] @ (self.about - point)
         return Resultant(self.force, self.moment + (moment if len(moment) > 1 else moment[0]), point)
 
     def __add__(self, other: Resultant) -> Resultant:
@@ -178,7 +186,7 @@ class Resultant:
         return cls(values[:d].copy(), moment[0] if d == 2 else moment.copy(), about)
 
     def __repr__(self) -> str:
-        force = at_place(np.where(np.abs(self.force) > ROUNDING * np.abs(self.force).max(), self.force, 0.0))
+        force = at_place(np.where(np.abs(self.force) > COMPONENT_TOLERANCE * np.abs(self.force).max(), self.force, 0.0))
         moment = f"{self.moment:.6g}" if np.ndim(self.moment) == 0 else at_place(self.moment)
         return f"force {force}, moment {moment} about {at_place(self.about)}"
 
@@ -197,7 +205,7 @@ def centroid(domain: Domain, name: str) -> Array:
     chosen = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
     sums = per_unit(domain.comm, ufl.dot(chosen, ufl.as_vector([*ufl.SpatialCoordinate(mesh), 1.0])) * ds, chosen)
     found = sums[:-1] / sums[-1]
-    return np.asarray(np.where(np.abs(found) > ROUNDING * domain.joint.size, found, 0.0))
+    return np.asarray(np.where(np.abs(found) > COMPONENT_TOLERANCE * domain.joint.size, found, 0.0))
 
 
 def resultants_of_loads(model: Any, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from forms.base import Array, InputError, require
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Law, explained_errors
-from forms.planes import PLANES, Kinematics
+from forms.planes import KINEMATICS_BY_NAME, Kinematics
 from forms.trace import declared_or_computed_tangent, needs_director, require_stable
 from geometry.joint import Joint
 from geometry.refusals import require_known
@@ -29,7 +29,7 @@ from thinlayer.discretisation.supports import ByPlace
 from thinlayer.system.identity import digest
 from thinlayer.system.ranks import errors_on_all, require_same
 
-ELEMENTS = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
+ELEMENT_NAMES = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}
 Eigenstrains = Eigenstrain | Mapping[str, Eigenstrain | None]
 
 
@@ -106,7 +106,7 @@ class Setup:
     @cached_property
     def kinematics(self) -> Kinematics:
         """Strains of displacements, without a mesh."""
-        return PLANES[self.plane]
+        return KINEMATICS_BY_NAME[self.plane]
 
     @cached_property
     def sheet(self) -> Sheet:
@@ -129,8 +129,8 @@ class Setup:
         return found
 
     def _check_choices(self) -> None:
-        joint, elements = self.joint, ELEMENTS[is_tensor(self.joint.cell_type)]
-        require_known("plane", self.plane, PLANES)
+        joint, elements = self.joint, ELEMENT_NAMES[is_tensor(self.joint.cell_type)]
+        require_known("plane", self.plane, KINEMATICS_BY_NAME)
         if joint.dim == 3 and self.plane != "strain":
             raise InputError(f"plane={self.plane!r} needs a two-dimensional joint")
         require_revolution(self.kinematics, joint)

@@ -40,7 +40,7 @@ from thinlayer.discretisation.sides import mean_on_facets, shares_within
 from thinlayer.errors import Violation
 
 # 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
-ANTIPLANE = 0.2713773
+ANTIPLANE_MOMENT = 0.2713773
 LoadPiece = tuple[Expr, LoadRegion]  # of a load, and where it acts
 
 
@@ -115,7 +115,7 @@ def _shares(
     ends = points[rim.vertices].mean(axis=1)
     at_end = kinematics.factor_at(ends[end.has(ends)]).mean()
     l_N, l_T = strips.opening.length, strips.shear.length
-    handed = [within(eps * reach) for reach in (strips.r_N, strips.r_T, 2 * ANTIPLANE)]
+    handed = [within(eps * reach) for reach in (strips.r_N, strips.r_T, 2 * ANTIPLANE_MOMENT)]
     forces = [eps * end.length * at_end * share / (share @ factor) for share in handed]
     drawn = constants.drawn_in / l_N * within(eps * l_N), constants.c_T / l_T * within(eps * l_T)
     return np.stack([*forces, *drawn], axis=1)

@@ -18,14 +18,14 @@ from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet, StraightEnd, continued_ridges, share_within
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.addition import PartDefinition
-from thinlayer.discretisation.boundary import AXES, nodes_on_axis, side_normals
+from thinlayer.discretisation.boundary import AXIS_NAMES, nodes_on_axis, side_normals
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import cellwise_function
 
-ROUNDING = 1e-6  # of squares of cosines between directions
-SLIGHT = 1e-3  # share of a direction, cos^2, that counts as none: 2 degrees
-BENT = 0.03  # the same where S is curved: straight facets are 10 degrees off it
-FAR = 1e3  # distance, over the size of the joint, of ends that there are not
+COSINE_TOLERANCE = 1e-6  # of squares of cosines between directions
+FLAT_DIRECTION_SHARE = 1e-3  # share of a direction, cos^2, that counts as none: 2 degrees
+CURVED_DIRECTION_SHARE = 0.03  # the same where S is curved: straight facets are 10 degrees off it
+NO_END = 1e3  # distance, over the size of the joint, of ends that there are not
 
 
 def side_kinds(one: SeamLayer) -> npt.NDArray[np.str_]:
@@ -38,7 +38,7 @@ def side_kinds(one: SeamLayer) -> npt.NDArray[np.str_]:
     sheet, held = one.sheet, constrained_directions(one)
     normals = sheet.joint.interface_normals[sheet.parts[0][sheet.rim.simplex]]
     shares = np.stack([np.einsum("ni,nij,nj->n", way, held, way) for way in (sheet.rim.outward, normals)], axis=1)
-    slight = SLIGHT if sheet.planar else BENT
+    slight = FLAT_DIRECTION_SHARE if sheet.planar else CURVED_DIRECTION_SHARE
     along, across = (shares > slight).T
     found = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[along.astype(int), across.astype(int)]
     return np.where(((shares <= slight) | (shares >= 1 - slight)).all(axis=1), found, "oblique")
@@ -47,7 +47,7 @@ def side_kinds(one: SeamLayer) -> npt.NDArray[np.str_]:
 def constrained_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:
     """(n, d, d) projections onto what holds the layer's side at the rim; `of_layer`: places NAME/LAYER as well."""
     setup, rim, joint = one.structure, one.sheet.rim, one.sheet.joint
-    d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXES[: joint.dim]
+    d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]
     held = np.zeros((len(keys), d, d))
     held[nodes_on_axis(setup.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
     entries = [(place, tuple(given) if isinstance(given, Mapping) else axes) for place, given in setup.supports.items()]
@@ -62,7 +62,9 @@ def constrained_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:
         for axis in components:
             way = np.eye(d)[axes.index(axis)] if axis in axes else _normals(joint, rim, name)
             held += np.where(on[:, None], way, 0.0)[:, :, None] * way[..., None, :]
-    return np.asarray(held @ np.linalg.pinv(held, rcond=ROUNDING, hermitian=True))  # onto all directions that are held
+    return np.asarray(
+        held @ np.linalg.pinv(held, rcond=COSINE_TOLERANCE, hermitian=True)
+    )  # onto all directions that are held
 
 
 def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
@@ -109,7 +111,7 @@ class FacetWeights:
         """The weights of these ends, for a layer of this thickness."""
         joint, count = sheet.joint, len(sheet.facets)
         weights = np.zeros((3, count))
-        nearest, m, offset = np.full(count, np.inf), np.zeros((count, joint.dim)), np.full(count, FAR * joint.size)
+        nearest, m, offset = np.full(count, np.inf), np.zeros((count, joint.dim)), np.full(count, NO_END * joint.size)
         centre = np.stack([mean_on_facets(sheet, c) for c in joint.points[sheet.vertices].mean(axis=1).T], axis=1)
         for end in ends:
             for k, strip in enumerate((strips.opening, strips.shear, strips.resistance)):

@@ -14,12 +14,12 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array, InputError
-from forms.kinematics import MANDEL, Expr, mandel_tensor, mandel_vector, three_dimensional
+from forms.kinematics import MANDEL_PAIRS, Expr, mandel_tensor, mandel_vector, three_dimensional
 from forms.work import Term, energy, stress, with_added_strain
 from geometry.seam import BASE, S
 from geometry.topology import IntArray
-from thinlayer.discretisation.given_strains import MEAN_STRAIN, PAIRS, voigt_strain
-from thinlayer.discretisation.layer import BODIES, BODY, LAYER, PRESSURE
+from thinlayer.discretisation.given_strains import MEAN_STRAIN, VOIGT_PAIRS_OF_DIM, voigt_strain
+from thinlayer.discretisation.layer import BODIES, BODY_KIND, LAYER_KIND, PRESSURE_KIND
 from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole_structure_form
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import (
@@ -142,7 +142,7 @@ class State(Configuration):
         In a joint with several seams its name is "pressure NAME", by the seam's. If several of them have one, take
         `fields["pressure NAME"]`; asking for `p` is a InputError.
         """
-        found = [key for key in self.fields if key.split(" ")[0] == PRESSURE]
+        found = [key for key in self.fields if key.split(" ")[0] == PRESSURE_KIND]
         if len(found) > 1:
             raise InputError(f"the layers have several pressures; take state.fields[...] of {', '.join(found)}")
         return self.fields[found[0]] if found else None
@@ -185,8 +185,8 @@ class State(Configuration):
             of_layers[key] = of_layers.get(key, 0.0) + self._stored(in_forms)
         return {
             BODIES: self._stored([p for p in self.bodies if not p.law.traits.compiled]) + sum(of_bodies.values()),
-            LAYER: sum(of_layers.values()),
-            **{f"{LAYER} {name}": energy for name, energy in model.by_seam(of_layers).items()},
+            LAYER_KIND: sum(of_layers.values()),
+            **{f"{LAYER_KIND} {name}": energy for name, energy in model.by_seam(of_layers).items()},
             **added,
             "loads": self.load_work(),
         }
@@ -257,7 +257,7 @@ class State(Configuration):
         if E is not None:
             dofmap = E.function_space.dofmap
             owned = E.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
-            for (i, j), value in zip(PAIRS[d], np.concatenate(model.comm.allgather(owned)), strict=True):
+            for (i, j), value in zip(VOIGT_PAIRS_OF_DIM[d], np.concatenate(model.comm.allgather(owned)), strict=True):
                 out[i, j] = out[j, i] = value if i == j else value / 2
         return out
 
@@ -288,7 +288,7 @@ class State(Configuration):
                 springs = values["lmbda"] * e[:, :3].sum(axis=1) ** 2 + 2 * values["mu"] * (e**2).sum(axis=1)
                 springs *= values["elastic_fraction"]
                 rest = abs((self.stresses[key] * e).sum(axis=1) - springs)
-                work[int(key.startswith(BODY))] += points.weights @ springs, points.weights @ rest
+                work[int(key.startswith(BODY_KIND))] += points.weights @ springs, points.weights @ rest
         work = self.model.comm.allreduce(work)
         return float((work[:, 0] / np.maximum(work.sum(axis=1), np.finfo(float).tiny)).max())
 
@@ -324,7 +324,7 @@ class State(Configuration):
                 )
             rules = self.model.quadratures.items()
             key, points = next((key, one) for key, one in rules if one.term.measure is p.measure)
-            values = self.stresses.get(key, np.zeros((points.count, len(MANDEL))))
+            values = self.stresses.get(key, np.zeros((points.count, len(MANDEL_PAIRS))))
             yield p, mandel_tensor(points.function(values)), points.measure
 
     def mean_stress(self) -> Array:
@@ -333,12 +333,12 @@ class State(Configuration):
         In a periodic cell it is the stress of the cell as a whole, a layer on S included, see `Model.volume`.
         """
         model, d = self.model, self.model.joint.dim
-        chosen = fem.Constant(model.domain.mesh, np.zeros(len(PAIRS[d])))
+        chosen = fem.Constant(model.domain.mesh, np.zeros(len(VOIGT_PAIRS_OF_DIM[d])))
         terms = self.bodies if model.broken else [*self.bodies, *self.layers]
         unit = three_dimensional(voigt_strain(chosen))
         works = sum(ufl.inner(s, unit) * p.weight * measure for p, s, measure in self._stressed(terms))
         out = np.zeros((d, d))
-        for (i, j), value in zip(PAIRS[d], per_unit(model.comm, works, chosen), strict=True):
+        for (i, j), value in zip(VOIGT_PAIRS_OF_DIM[d], per_unit(model.comm, works, chosen), strict=True):
             out[i, j] = out[j, i] = value / model.volume
         return out
 

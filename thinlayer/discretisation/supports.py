@@ -17,13 +17,13 @@ from forms.planes import Kinematics
 from geometry.domain import Domain
 from geometry.refusals import require_known
 from geometry.topology import BoolArray, Indices
-from thinlayer.discretisation.boundary import AXES, boundary_values, node_normals, nodes_on_axis, smooth_surfaces
+from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_values, node_normals, nodes_on_axis, smooth_surfaces
 from thinlayer.discretisation.given import Coefficient, Coordinates, Value
 from thinlayer.system.compat import interpolate, interpolation_points
 
-BALANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
-ROUNDING = 1e-13  # a difference that counts as rounding, over the size of the structure
-NORMAL = "n"  # the component along the normal of the boundary
+LOAD_SUM_TOLERANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
+LENGTH_TOLERANCE = 1e-13  # a difference that counts as rounding, over the size of the structure
+NORMAL_COMPONENT = "n"  # the component along the normal of the boundary
 Place = str | tuple[float, ...]
 Support = float | Mapping[str, Value]
 ByPlace = Mapping[str, Support] | Mapping[tuple[float, ...], Support] | Mapping[Place, Support]
@@ -66,7 +66,7 @@ class Supports:
     ) -> None:
         require(isinstance(given, Mapping), "supports", given, "it must be {place: {component: value}}")
         self.domain, self.at, self.clamped = domain, at, tuple(clamped)
-        self.axes = AXES[: domain.joint.dim]
+        self.axes = AXIS_NAMES[: domain.joint.dim]
         entries: list[tuple[Place, Components]] = []
         for place, support in given.items():
             if isinstance(place, str):
@@ -93,7 +93,9 @@ class Supports:
         require(not callable(support) and support is not None, f"support on {place!r}", support, "give {axis: value}")
         components: Components = dict(support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support))
         for axis in components:  # a vertex has no normal
-            require_known("component", axis, (*self.axes, *[NORMAL] * isinstance(place, str)), f"support on {place!r}")
+            require_known(
+                "component", axis, (*self.axes, *[NORMAL_COMPONENT] * isinstance(place, str)), f"support on {place!r}"
+            )
         return components
 
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> Indices:
@@ -101,7 +103,7 @@ class Supports:
 
         Of the normal component all that it may hold: all components.
         """
-        if axis == NORMAL:
+        if axis == NORMAL_COMPONENT:
             return np.concatenate([self.dofs(V, place, one) for one in self.axes])
         if isinstance(place, str):
             facets = self.domain.facets(place, layer_sides=True)
@@ -140,7 +142,7 @@ class Supports:
             return
         total = self.domain.comm.allreduce(b.array_r.reshape(-1, len(self.axes)).sum(axis=0))
         for axis in self.anchored:
-            if abs(force := float(total[self.axes.index(axis)])) > BALANCE * size:
+            if abs(force := float(total[self.axes.index(axis)])) > LOAD_SUM_TOLERANCE * size:
                 what = f"the loads of the periodic joint add up to {force:g} along {axis} at t = {t:g}"
                 raise InputError(f"{what}, and nothing balances them; add supports, or loads whose sum is zero")
 
@@ -207,7 +209,7 @@ class Prescribed:
         self.extent = supports.domain.joint.size
         entries = ((k, place, axis) for k, (place, components) in enumerate(supports.entries) for axis in components)
         self._sources = [self._source(*entry) for entry in entries]
-        if any(one.axis == NORMAL for one in self._sources) and not self._nodal:
+        if any(one.axis == NORMAL_COMPONENT for one in self._sources) and not self._nodal:
             raise InputError("supports along normals need nodal displacements, not elements S2; use Q2 or P2")
         self._find_conditions()
 
@@ -225,7 +227,7 @@ class Prescribed:
     def _find_conditions(self) -> None:
         """Find the conditions on this rank: source, the degree of freedom that has the value, and direction."""
         supports, V, d = self.supports, self.V, self.d
-        along_axes = [(k, one) for k, one in enumerate(self._sources) if one.axis != NORMAL]
+        along_axes = [(k, one) for k, one in enumerate(self._sources) if one.axis != NORMAL_COMPONENT]
         held = [(k, supports.dofs(V, one.place, one.axis)) for k, one in along_axes]
         found: list[tuple[np.ndarray, np.ndarray, Array]] = []
         for number, dofs in (*held, (-1, supports.anchors(V)), (-1, supports.axis(V))):
@@ -251,7 +253,7 @@ class Prescribed:
         d, domain = self.d, self.supports.domain
         columns: list[Array] = [np.empty((0, d + 2))]  # source, block, normal
         for number, one in enumerate(self._sources):
-            if one.axis == NORMAL:
+            if one.axis == NORMAL_COMPONENT:
                 nodes, n = node_normals(domain, self.V, str(one.place))
                 columns.append(np.column_stack([np.full(len(nodes), number), nodes, n]))
         table, rows = np.concatenate(columns), [np.empty((0, d + 2))]
@@ -292,7 +294,7 @@ class Prescribed:
         if not self._nodal:
             return None
         x = self.V.tabulate_dof_coordinates()[self.blocks[row], : self.d]
-        return np.where(np.abs(x) > ROUNDING * self.extent, x, 0.0)
+        return np.where(np.abs(x) > LENGTH_TOLERANCE * self.extent, x, 0.0)
 
     @property
     def _nodal(self) -> bool:

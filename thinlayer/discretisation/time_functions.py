@@ -27,8 +27,10 @@ from forms.temperature import real_values
 from forms.work import Term
 from thinlayer.system.compat import ufl_replace
 
-ROUNDING = 1e-12  # relative tolerance for equal times (a sum of steps against the end of a table) and equal slopes
-RATIONAL = (Sum, Product, Division)
+TIME_TOLERANCE = (
+    1e-12  # relative tolerance for equal times (a sum of steps against the end of a table) and equal slopes
+)
+RATIONAL_OPERATORS = (Sum, Product, Division)
 SAMPLE_TIMES = (-2.5, 0.0, 1.0, 7.0)  # where a rational argument of a table is tested for being linear in the time
 
 
@@ -101,12 +103,12 @@ class TimeConstant(fem.Constant):
             return set()
         if self._argument is self._time:
             return {*self._table.breaks}
-        if not all(isinstance(node, (Terminal, *RATIONAL)) for node in unique_pre_traversal(self._argument)):
+        if not all(isinstance(node, (Terminal, *RATIONAL_OPERATORS)) for node in unique_pre_traversal(self._argument)):
             return set()
         times = np.array(SAMPLE_TIMES)
         y = np.array([self._argument_at(t) for t in SAMPLE_TIMES])
         rate, start = float(y[2] - y[1]), float(y[1])
-        straight = np.abs(start + rate * times - y).max() <= ROUNDING * np.abs(y).max()  # False for NaN
+        straight = np.abs(start + rate * times - y).max() <= TIME_TOLERANCE * np.abs(y).max()  # False for NaN
         return {(t - start) / rate for t in self._table.breaks} if straight and rate else set()
 
 
@@ -202,7 +204,7 @@ class PiecewiseLinear:
     def __init__(self, times: Array, values: Array) -> None:
         self.times, self.columns, self.scalar = times, values.reshape(len(times), -1), values.ndim == 1
         slopes = np.diff(self.columns, axis=0) / np.diff(times)[:, None]
-        changes = np.abs(np.diff(slopes, axis=0)) > ROUNDING * np.abs(slopes).max(axis=0)
+        changes = np.abs(np.diff(slopes, axis=0)) > TIME_TOLERANCE * np.abs(slopes).max(axis=0)
         self.breaks = tuple(map(float, times[[True, *changes.any(axis=1), True]]))
 
     def __call__(self, t: Any) -> Any:
@@ -220,7 +222,7 @@ class PiecewiseLinear:
     def at(self, t: float) -> Array:
         """Values (columns,) at a time."""
         first, last = self.times[[0, -1]]
-        near = ROUNDING * max(abs(first), abs(last))
+        near = TIME_TOLERANCE * max(abs(first), abs(last))
         if not first - near <= t <= last + near:
             return np.full(self.columns.shape[1], np.nan)
         return np.array([np.interp(t, self.times, column) for column in self.columns.T])

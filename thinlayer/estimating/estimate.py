@@ -21,22 +21,22 @@ from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, nodes_o
 from thinlayer.discretisation.reduction import Applicability
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.estimating.global_local import NARROW, GlobalLocal, GoalBounds
+from thinlayer.estimating.global_local import DEFAULT_WIDTH, GlobalLocal, GoalBounds
 from thinlayer.estimating.goals import Compliance, Goal
 from thinlayer.estimating.on_surface import relative_errors, squared_norms
-from thinlayer.estimating.result import FIELDS, FIXED, Estimate, GoalError, LayerError
+from thinlayer.estimating.result import ESTIMATED_FIELDS, FIXED_GOAL_SHARE, Estimate, GoalError, LayerError
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.balance import PartSum
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import History
-from thinlayer.solving.layer_alone import REMEDY, LayerSubproblem
+from thinlayer.solving.layer_alone import MESH_REMEDY, LayerSubproblem
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solvers import solve
 from thinlayer.system.progress import report
 from thinlayer.system.ranks import errors_on_all
 from thinlayer.time.marching import march
 
-ROUNDING = 3e-8  # of goals, relative: found between steel and rubber 1e6 times as soft; bounds are as much wider
+GOAL_TOLERANCE = 3e-8  # of goals, relative: found between steel and rubber 1e6 times as soft; bounds are as much wider
 
 
 @report("estimate")
@@ -46,7 +46,7 @@ def estimate(
     goals: Sequence[Goal] = (Compliance(),),
     *,
     seam: str = S,
-    width: float = NARROW,
+    width: float = DEFAULT_WIDTH,
     options: Options | None = None,
 ) -> Estimate:
     """By how much the answer changes if a layer's mesh is dropped, without meshing it between its bodies. Collective.
@@ -131,13 +131,15 @@ def estimate(
         at = known.get(name, GoalBounds(goal.value(last, model), math.nan, math.nan))
         scale = goal.scale(last, model)
         has_bounds = bounded and at.upper - at.lower < math.inf
-        slack = ROUNDING * max(abs(values[name]), abs(at.told)) + at.rounding if has_bounds else math.nan
+        slack = GOAL_TOLERANCE * max(abs(values[name]), abs(at.told)) + at.rounding if has_bounds else math.nan
         found[name] = GoalError(values[name], at.told, scale, at.lower - slack, at.upper + slack)
         if not math.isfinite(at.told):
-            raise SolveError(f"estimate: {name} is not finite where a law fails", advice=REMEDY)
-        if at.lower - at.upper > slack + FIXED * scale:
+            raise SolveError(f"estimate: {name} is not finite where a law fails", advice=MESH_REMEDY)
+        if at.lower - at.upper > slack + FIXED_GOAL_SHARE * scale:
             contradiction = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
-            raise SolveError(f"estimate: the bounds of {name} contradict each other: {contradiction}", advice=REMEDY)
+            raise SolveError(
+                f"estimate: the bounds of {name} contradict each other: {contradiction}", advice=MESH_REMEDY
+            )
     traction, jump = relative_errors(total)
     seconds, by = time.perf_counter() - start, (first, theirs, weights)
     return Estimate(given, last, errors, found, traction, jump, seconds, inside, energy, layers, *by, checked, options)
@@ -214,8 +216,8 @@ def _checked_goals(goals: Any) -> dict[str, Goal]:
         require(isinstance(goal, Goal), "estimate: a goal", goal, "give those of thinlayer.goals")
     names = [goal.name for goal in given]
     for name in names:
-        good = isinstance(name, str) and name not in FIELDS
-        require(good, "estimate: the name of a goal", name, f"allowed: words other than {', '.join(FIELDS)}")
+        good = isinstance(name, str) and name not in ESTIMATED_FIELDS
+        require(good, "estimate: the name of a goal", name, f"allowed: words other than {', '.join(ESTIMATED_FIELDS)}")
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"estimate: two goals have the name {twice[0]!r}")
     return dict(zip(names, given, strict=True))

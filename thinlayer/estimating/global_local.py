@@ -38,21 +38,21 @@ from thinlayer.estimating.goals import Goal
 from thinlayer.pointwise.integrals import set_owned_values
 from thinlayer.solving.adjoint import Adjoint
 from thinlayer.solving.balance import ROUNDING_SHARE, PartSum
-from thinlayer.solving.layer_alone import REMEDY, LayerSubproblem, line_search_share
+from thinlayer.solving.layer_alone import MESH_REMEDY, LayerSubproblem, line_search_share
 
-STEPS = 5
-SAME = 1e-10  # difference of two iterates, relative, that counts as rounding
-UNBALANCED = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
-CLOSER = 0.01  # part of that which couples leave
-NEW_AXIS = 0.1  # part of a resultant that is along no axis yet, over all of it
-NEWTON_STEPS, CONJUGATE = 20, 30  # at most; the latter in each of the former
-LOST = 1e-20  # gain of a step, over the work of the forces on the layers, that counts as rounding
-BALANCED = 1e-3  # residual that may be left, over that of the interface law
-LEFT = 1e-4  # forces on the faces, relative to all, that may be missing
-SAME_GOAL = 1e3  # width of bounds, over their rounding, at which a goal does not change
-LITTLE = 1e-3  # part of what a step of Newton's has gained, at which conjugate ones end
-SETTLED = 1e-6  # part of what steps have lowered the energy by that may be left
-NARROW = 0.05  # width of bounds over the change, at which steps end if no other is asked for
+MAX_STEPS = 5
+ITERATE_TOLERANCE = 1e-10  # difference of two iterates, relative, that counts as rounding
+RESULTANT_TOLERANCE = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
+COUPLE_REDUCTION = 0.01  # part of that which couples leave
+NEW_AXIS_SHARE = 0.1  # part of a resultant that is along no axis yet, over all of it
+MAX_NEWTON_STEPS, MAX_CONJUGATE_STEPS = 20, 30  # at most; the latter in each of the former
+GAIN_TOLERANCE = 1e-20  # gain of a step, over the work of the forces on the layers, that counts as rounding
+RELATIVE_RESIDUAL = 1e-3  # residual that may be left, over that of the interface law
+MISSING_FORCE_SHARE = 1e-4  # forces on the faces, relative to all, that may be missing
+MAX_WIDTH_OVER_ROUNDING = 1e3  # width of bounds, over their rounding, at which a goal does not change
+MIN_CONJUGATE_GAIN = 1e-3  # part of what a step of Newton's has gained, at which conjugate ones end
+ENERGY_TOLERANCE = 1e-6  # part of what steps have lowered the energy by that may be left
+DEFAULT_WIDTH = 0.05  # width of bounds over the change, at which steps end if no other is asked for
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class BodyEquilibrium:
     def is_near(self, other: BodyEquilibrium) -> bool:
         """Whether two are the same, but for rounding, and so are their steps: faces are whole on all ranks."""
         pairs = ((self.v, other.v), (self.F, other.F), (self.load, other.load), (self.values, other.values))
-        return all(np.abs(a - b).max(initial=0.0) <= SAME * np.abs(a).max(initial=0.0) for a, b in pairs)
+        return all(np.abs(a - b).max(initial=0.0) <= ITERATE_TOLERANCE * np.abs(a).max(initial=0.0) for a, b in pairs)
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class GoalBounds:
 
     def narrow(self, value: float, share: float) -> bool:
         """Whether they are apart by less than a share of the change from a value, or by little more than rounding."""
-        return self.upper - self.lower <= max(share * abs(self.told - value), SAME_GOAL * self.rounding)
+        return self.upper - self.lower <= max(share * abs(self.told - value), MAX_WIDTH_OVER_ROUNDING * self.rounding)
 
 
 class GlobalLocal:
@@ -172,7 +172,7 @@ class GlobalLocal:
         one = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
         for _ in range(len(self._axes) + 1):  # a couple may leave a resultant along other axes
             left, least = self._resultant(one)
-            if left <= CLOSER * least:  # steps add their resultants up
+            if left <= COUPLE_REDUCTION * least:  # steps add their resultants up
                 break
             along = self._R.T @ (one.F + load)
             self._add_couple(along)
@@ -185,7 +185,7 @@ class GlobalLocal:
     def _add_couple(self, along: Array) -> None:
         """Solve for the couple along a new axis of motions, if a resultant has one."""
         new = along - self._axes @ (self._axes.T @ along)
-        if norm(new) > NEW_AXIS * norm(along):  # less is left to the next turn, or rounding
+        if norm(new) > NEW_AXIS_SHARE * norm(along):  # less is left to the next turn, or rounding
             axis = new / norm(new)
             couple = self._shares[:, 0] * (self._R @ axis)
             d, pulled = self._under(couple)
@@ -196,7 +196,9 @@ class GlobalLocal:
         """The largest resultant of the forces on the layers, and what counts as rounding."""
         forces, layers = one.F + one.load, self.layers
         rounding = ROUNDING_SHARE * float(np.abs(layers.K.diagonal()).sum() * np.abs(one.v).max())
-        return np.abs(layers.R.T @ forces).max(initial=0.0), UNBALANCED * float(np.abs(forces).sum()) + rounding
+        return np.abs(layers.R.T @ forces).max(initial=0.0), RESULTANT_TOLERANCE * float(
+            np.abs(forces).sum()
+        ) + rounding
 
     # ---------------------------------------------------------------- iterates
     def first(self) -> BodyEquilibrium:
@@ -279,13 +281,15 @@ class GlobalLocal:
     def newton_step(self, one: BodyEquilibrium) -> BodyEquilibrium:
         """Toward meshed layers whose laws are not linear: conjugate steps with their tangent, while the energy falls."""
         aim = self._with_bodies(one)
-        for _ in range(CONJUGATE):
+        for _ in range(MAX_CONJUGATE_STEPS):
             before, aim = aim.gained, self.step(aim)
-            if aim.gained - before <= LITTLE * (aim.gained - one.gained):
+            if aim.gained - before <= MIN_CONJUGATE_GAIN * (aim.gained - one.gained):
                 break
         else:
-            too_far = f"estimate: the interface law is too far from its layer: {CONJUGATE} steps hardly lead to it"
-            raise SolveError(too_far, advice=REMEDY)
+            too_far = (
+                f"estimate: the interface law is too far from its layer: {MAX_CONJUGATE_STEPS} steps hardly lead to it"
+            )
+            raise SolveError(too_far, advice=MESH_REMEDY)
         du, dv, new = aim.u - one.u, aim.v - one.v, one
 
         def slope(share: float) -> float:
@@ -295,7 +299,7 @@ class GlobalLocal:
             new = self._settled(replace(aim, u=u, v=one.v + share * dv, F=self._pulled(lack)))
             return self._work(lack, du) - float(self.layers.held(new.v, new.load, new.values) @ dv)
 
-        if (start := aim.gained - one.gained) > LOST * abs(one.F @ one.v):
+        if (start := aim.gained - one.gained) > GAIN_TOLERANCE * abs(one.F @ one.v):
             line_search_share(slope, start)
         return new
 
@@ -310,14 +314,14 @@ class GlobalLocal:
         rounding = ROUNDING_SHARE * self.equations.scale.stiffness[0] * moved
         if norm(one.F) <= rounding:  # supports have moved what bears nothing
             return one
-        least = BALANCED * norm(self.residual(one)) + UNBALANCED * norm(one.F)
-        for _ in range(NEWTON_STEPS):
+        least = RELATIVE_RESIDUAL * norm(self.residual(one)) + RESULTANT_TOLERANCE * norm(one.F)
+        for _ in range(MAX_NEWTON_STEPS):
             old, one = one, self.newton_step(one)
-            gained, lost = one.gained - old.gained, LOST * abs(float(one.F @ one.v))
-            if gained <= max(SETTLED * one.gained, lost) and norm(self.residual(one)) <= least:
+            gained, lost = one.gained - old.gained, GAIN_TOLERANCE * abs(float(one.F @ one.v))
+            if gained <= max(ENERGY_TOLERANCE * one.gained, lost) and norm(self.residual(one)) <= least:
                 return one
-        not_found = f"estimate: the structure with its layers is not found in {NEWTON_STEPS} of Newton's steps"
-        raise SolveError(f"{not_found}, at t = {self.state.t:g}", advice=REMEDY)
+        not_found = f"estimate: the structure with its layers is not found in {MAX_NEWTON_STEPS} of Newton's steps"
+        raise SolveError(f"{not_found}, at t = {self.state.t:g}", advice=MESH_REMEDY)
 
     def _product(self, a: Array, b: Array) -> float:
         """Of vectors (m,), over all ranks."""
@@ -360,11 +364,14 @@ class GlobalLocal:
         """Whether bounds are narrow, and energies and forces that are missing little beside those of steps; as of `run`."""
         if width is None:
             return True
-        narrow, share = all(bounds.narrow(values[name], width) for name, bounds in known.items()), min(width, NARROW)
+        narrow, share = (
+            all(bounds.narrow(values[name], width) for name, bounds in known.items()),
+            min(width, DEFAULT_WIDTH),
+        )
         if not narrow or self.gap(one) > share**2 * one.gained:
             return False
         # an energy may hide forces, as in incompressible layers
-        return norm(self.residual(one)) <= share * norm(one.F - self._start) + LEFT * norm(one.F)
+        return norm(self.residual(one)) <= share * norm(one.F - self._start) + MISSING_FORCE_SHARE * norm(one.F)
 
     # ---------------------------------------------------------------- goals
     def bounds(self, at_rest: float, q: Array, one: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
@@ -409,7 +416,7 @@ class GlobalLocal:
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], known: dict[str, GoalBounds], width: float | None
     ) -> tuple[BodyEquilibrium, dict[str, BodyEquilibrium]]:
-        """The state and the weights of goals, after steps until bounds are narrow, or `STEPS`. Collective.
+        """The state and the weights of goals, after steps until bounds are narrow, or `MAX_STEPS`. Collective.
 
         Args:
             goals: by name.
@@ -422,14 +429,14 @@ class GlobalLocal:
         same = [name for name, (_, z) in weights.items() if one.is_near(z)]  # the compliance is its own weight
         linear = {name: goal for name, goal in goals.items() if goal.is_linear(self.model)}
         at_rest = {name: goal.at_rest(self.state, self.model) for name, goal in linear.items()}
-        for step in range(STEPS + 1):
+        for step in range(MAX_STEPS + 1):
             for name, rest in at_rest.items():
                 q, z = weights[name]
                 if width is None:
                     known[name] = GoalBounds(self.told(rest, q, one, z), math.nan, math.nan)
                 else:
                     known[name] = self.bounds(rest, q, one, z).within(known.get(name, GoalBounds()))
-            if step == STEPS or self.is_near(one, values, known, width):
+            if step == MAX_STEPS or self.is_near(one, values, known, width):
                 break
             one = self.step(one)
             weights = {name: (q, one if name in same else self.step(z)) for name, (q, z) in weights.items()}

@@ -18,7 +18,10 @@ from thinlayer.output.surface import Surface
 from thinlayer.surface.excess import jump_stiffness
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
-NOTHING = (1e-11, 1e-9)  # traction over the layer's stiffness times displacements, jump over these: rounding up to here
+ROUNDING_SHARES = (
+    1e-11,
+    1e-9,
+)  # traction over the layer's stiffness times displacements, jump over these: rounding up to here
 
 
 def squared_norms(before: State, better: State, one: SeamLayer, layers: State) -> Array:
@@ -32,7 +35,7 @@ def squared_norms(before: State, better: State, one: SeamLayer, layers: State) -
     fields = [surface.traction(layers) - t, t] + ([surface.jump(better) - w, w] if has_law else [])
     found = np.array([surface.norm(f) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
     moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(1.0)
-    least = np.square(NOTHING) * moved * (max(jump_stiffness(one.samples[0])) ** 2, 1.0)
+    least = np.square(ROUNDING_SHARES) * moved * (max(jump_stiffness(one.samples[0])) ** 2, 1.0)
     found[1::2] *= found[1::2] > least  # rounding of bodies that bear nothing there
     return np.asarray(found)
 
@@ -41,7 +44,7 @@ def relative_errors(squares: Array) -> tuple[float, float]:
     """Relative errors of traction and jump, from `squared_norms`; nan: not known."""
     of_t, t, of_w, w = (float(root) for root in np.sqrt(squares))
     found = of_t / t if t else math.nan, of_w / w if w else math.nan
-    return found[0] * (found[0] > NOTHING[1]), found[1] * (found[1] > NOTHING[1])
+    return found[0] * (found[0] > ROUNDING_SHARES[1]), found[1] * (found[1] > ROUNDING_SHARES[1])
 
 
 def change_density(iteration: GlobalLocal, given: State, better: State, z: BodyEquilibrium) -> Array:

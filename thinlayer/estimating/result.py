@@ -16,7 +16,7 @@ from thinlayer.discretisation.full_model import LayerModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
-from thinlayer.estimating.global_local import NARROW, BodyEquilibrium, GlobalLocal, GoalBounds
+from thinlayer.estimating.global_local import DEFAULT_WIDTH, BodyEquilibrium, GlobalLocal, GoalBounds
 from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.on_surface import change_density
 from thinlayer.output.surface import Surface
@@ -25,10 +25,12 @@ from thinlayer.solving.layer_alone import DirichletLayers, LayerSubproblem
 from thinlayer.solving.petsc import Options
 from thinlayer.system.table import Table
 
-FIELDS = ("traction", "jump")  # quantities that every estimate has, besides goals
-ROUNDING = 1e-6  # of a goal that is zero but for rounding, over its scale
-FAR_OFF = 0.2  # difference of the integral of a density from its change, relative, from which on there is a warning
-FIXED = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium gives the goal
+ESTIMATED_FIELDS = ("traction", "jump")  # quantities that every estimate has, besides goals
+ZERO_GOAL_SHARE = 1e-6  # of a goal that is zero but for rounding, over its scale
+DENSITY_ERROR = (
+    0.2  # difference of the integral of a density from its change, relative, from which on there is a warning
+)
+FIXED_GOAL_SHARE = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium gives the goal
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class GoalError:
     @property
     def zero(self) -> bool:
         """Whether the goal is zero, but for rounding."""
-        return max(abs(self.value), abs(self.better)) <= ROUNDING * self.scale
+        return max(abs(self.value), abs(self.better)) <= ZERO_GOAL_SHARE * self.scale
 
     @property
     def at_most(self) -> float:
@@ -85,7 +87,7 @@ class GoalError:
     @property
     def fixed(self) -> bool:
         """Whether the goal does not change, as equilibrium gives it."""
-        return abs(self.change) <= FIXED * self.scale
+        return abs(self.change) <= FIXED_GOAL_SHARE * self.scale
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,7 @@ class Estimate:
             found = change_density(iteration, self.state, self.better, self._weights[goal])
             linear = iteration.model.linear and self._goals[goal].is_linear(iteration.model)
         total, error = Surface(self.better.model).integral(found), self.goals[goal]
-        if abs(total - error.change) > FAR_OFF * abs(error.change) + ROUNDING * error.scale:
+        if abs(total - error.change) > DENSITY_ERROR * abs(error.change) + ZERO_GOAL_SHARE * error.scale:
             reason = f"the density of the change of {goal} adds up to {total:.3g}, not to {error.change:.3g}"
             why = "a support holds one side of a bond's end" if linear else "laws or the goal are not linear"
             remedy = "take it for a picture of where the change comes from"
@@ -271,7 +273,7 @@ def _fields_sentence(traction: float, jump: float) -> list[str]:
 def _goal_sentence(name: str, goal: GoalError) -> str:
     if goal.zero or goal.fixed:
         return f"{name} is zero" if goal.zero else f"no change in {name}"
-    if goal.bounded and goal.upper - goal.lower > NARROW * abs(goal.change):
+    if goal.bounded and goal.upper - goal.lower > DEFAULT_WIDTH * abs(goal.change):
         return f"between {' and '.join(map(_percent, goal.between))} in {name}"
     return f"{_percent(goal.relative)} in {name}"
 

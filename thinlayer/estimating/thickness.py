@@ -20,7 +20,7 @@ from thinlayer.discretisation.structure import Structure
 from thinlayer.errors import RangeWarning
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goals import Goal
-from thinlayer.estimating.result import FIELDS, Estimate
+from thinlayer.estimating.result import ESTIMATED_FIELDS, Estimate
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import Options
 from thinlayer.solving.solvers import solve
@@ -29,12 +29,12 @@ from thinlayer.system.ranks import errors_on_all
 from thinlayer.system.table import Table
 from thinlayer.time.marching import march
 
-ACCURACY = 0.01  # of the thickness, relative
-STEP = math.sqrt(2)  # ratio of thicknesses that are tried in turn, from the largest one
-SURE = 5  # of them in turn at which the error is allowed
-FEW = 16  # steps over which an error should fall: nearly incompressible layers keep theirs over seven of them
-STALLED = 0.92  # error over that before so many steps from which on it hardly falls
-STEPS = 40  # at most, in search of a thickness that is thin enough
+THICKNESS_TOLERANCE = 0.01  # of the thickness, relative
+THICKNESS_RATIO = math.sqrt(2)  # ratio of thicknesses that are tried in turn, from the largest one
+ALLOWED_IN_TURN = 5  # of them in turn at which the error is allowed
+FALLING_STEPS = 16  # steps over which an error should fall: nearly incompressible layers keep theirs over seven of them
+STALLED_ERROR_RATIO = 0.92  # error over that before so many steps from which on it hardly falls
+MAX_STEPS = 40  # at most, in search of a thickness that is thin enough
 
 
 @dataclass(frozen=True)
@@ -150,11 +150,13 @@ def _checked(
         given = value_by_seam(structure.joint, layer, "layer")
         if not (seam == S and isinstance(layer, ThinLayer)):
             require_known("seam", seam, given, "thin_enough: seam=... names the layer that becomes thinner")
-        sought, known = given.get(seam, layer), isinstance(goal, Goal) or goal in FIELDS
+        sought, known = given.get(seam, layer), isinstance(goal, Goal) or goal in ESTIMATED_FIELDS
         require(isinstance(sought, ThinLayer), "thin_enough: the layer", sought, "give a ThinLayer")
         in_range = is_number(tolerance) and 0 < tolerance < 1
         require(in_range, "thin_enough: the tolerance", tolerance, "allowed: between 0 and 1")
-        require(known, "thin_enough: the goal", goal, f"allowed: {', '.join(FIELDS)}, or one of thinlayer.goals")
+        require(
+            known, "thin_enough: the goal", goal, f"allowed: {', '.join(ESTIMATED_FIELDS)}, or one of thinlayer.goals"
+        )
         if bonded and goal == "jump":
             raise InputError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
     return given
@@ -162,7 +164,7 @@ def _checked(
 
 def _error(found: Estimate, quantity: str) -> float:
     """The largest error of a quantity that the estimate allows; infinite where the layer bears nothing."""
-    if quantity in FIELDS:
+    if quantity in ESTIMATED_FIELDS:
         error = found.traction if quantity == "traction" else found.jump
         return error if math.isfinite(error) else math.inf
     goal = found.goals[quantity]
@@ -177,7 +179,7 @@ def _search(
     """The thickness below which errors are at most `tolerance`, and whether there is one above; fills rows.
 
     Errors may change their sign, and so be small at a thickness and large at smaller ones: the search goes down from the
-    thickest until they are allowed at `SURE` of them in turn.
+    thickest until they are allowed at `ALLOWED_IN_TURN` of them in turn.
     """
 
     def excess(eps: float) -> float:
@@ -187,16 +189,16 @@ def _search(
         return math.log(max(rows[eps], 1e-300) / tolerance)
 
     low, passed, tried = thickest, 0, []
-    while passed < SURE:
+    while passed < ALLOWED_IN_TURN:
         passed = passed + 1 if excess(low) <= 0 else 0
         tried.append(low)
         _require_falling([rows[one] for one in tried], low, passed)
-        low /= STEP
-    low = tried[-SURE]
+        low /= THICKNESS_RATIO
+    low = tried[-ALLOWED_IN_TURN]
     if low == thickest:
         return low, False
-    high = tried[-SURE - 1]
-    while high > (1 + ACCURACY) * low:
+    high = tried[-ALLOWED_IN_TURN - 1]
+    while high > (1 + THICKNESS_TOLERANCE) * low:
         above, below = excess(high), excess(low)
         share = -below / (above - below) if math.isfinite(above) else 0.5
         middle = low * (high / low) ** min(max(share, 0.1), 0.9)
@@ -206,9 +208,9 @@ def _search(
 
 def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
     """Raise InputError if errors do not fall with the thickness any more, and are not allowed."""
-    if passed or len(errors) <= FEW:
+    if passed or len(errors) <= FALLING_STEPS:
         return
     at = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there"
-    if errors[-1] > STALLED * max(errors[-1 - FEW : -1]) or len(errors) > STEPS:
+    if errors[-1] > STALLED_ERROR_RATIO * max(errors[-1 - FALLING_STEPS : -1]) or len(errors) > MAX_STEPS:
         advice = "is the layer much softer than the bodies, and are there loads at this time?"
         raise InputError(f"thin_enough: {at}, and hardly falls with it; {advice}")

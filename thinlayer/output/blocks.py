@@ -15,18 +15,27 @@ from geometry.joint import Joint
 from geometry.topology import BoolArray, IntArray, lagrange
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
-from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT, contact_values
+from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT_STATUS, contact_values
 from thinlayer.output.grid import VtkGrid, gather_grid, vtk_order, vtk_type
 from thinlayer.output.surface import STATUSES, Surface
 from thinlayer.output.tractions import LawPoints, law_points
 
-BODIES, LAYER, ON_S = "bodies", "layer", "S"
-VTK_TENSOR = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # XX, YY, ZZ, XY, YZ, XZ: the order in which VTK names six
+BODIES_BLOCK, LAYER_BLOCK, SURFACE_BLOCK = "bodies", "layer", "S"
+VTK_TENSOR_ORDER = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # XX, YY, ZZ, XY, YZ, XZ: the order in which VTK names six
 STRESS, VON_MISES = "stress", "von Mises"
-POLY_LINE = 4  # of VTK: straight between its nodes; ParaView does not integrate over curved lines
-CONTACT_CODES = {NO_CONTACT: -1} | {name: code for code, name in enumerate(CONTACT_STATUSES)}
+VTK_POLY_LINE = 4  # of VTK: straight between its nodes; ParaView does not integrate over curved lines
+CONTACT_CODES = {NO_CONTACT_STATUS: -1} | {name: code for code, name in enumerate(CONTACT_STATUSES)}
 STATUS_CODES = {name: code for code, name in enumerate(STATUSES)}
-TAKEN = ("u", STRESS, VON_MISES, "region", "seam", "status", "traction", "jump")  # no names of internal variables
+RESERVED_FIELDS = (
+    "u",
+    STRESS,
+    VON_MISES,
+    "region",
+    "seam",
+    "status",
+    "traction",
+    "jump",
+)  # no names of internal variables
 
 
 def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | None:
@@ -43,11 +52,11 @@ def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | N
         return None
     whole = _volume(state.model.domain.joint, grid, of_cells)
     out = pyvista.MultiBlock()
-    out[BODIES] = _part(whole, grid.region >= 0)
+    out[BODIES_BLOCK] = _part(whole, grid.region >= 0)
     if (grid.region < 0).any():
-        out[LAYER] = _part(whole, grid.region < 0)
+        out[LAYER_BLOCK] = _part(whole, grid.region < 0)
     if on_s is not None:
-        out[ON_S] = on_s
+        out[SURFACE_BLOCK] = on_s
     return out
 
 
@@ -77,7 +86,7 @@ def _named_variables(sublayers: list[dict[str, Array]], before: int, *, several:
     """Names and values of internal variables; where a facet has several points of one name they are numbered from below."""
     for number, variables in enumerate(sublayers, before + 1):
         for name, values in variables.items():
-            own = f"internal {name}" if name in TAKEN else name
+            own = f"internal {name}" if name in RESERVED_FIELDS else name
             yield f"{own} {number}" if several or len(sublayers) > 1 else own, values
 
 
@@ -98,7 +107,7 @@ class _Means:
 
     def add(self, points: LawPoints, name: str, values: Array) -> None:
         """Add values (points, ...) to what is known of this name. Collective."""
-        means = points.quadrature.means(values[:, *VTK_TENSOR] if values.ndim == 3 else values)
+        means = points.quadrature.means(values[:, *VTK_TENSOR_ORDER] if values.ndim == 3 else values)
         pieces = self._comm.gather((points.entities, means), root=0)
         if pieces is None:
             return
@@ -173,7 +182,9 @@ def _surface_block(
     to_nodes = np.linalg.pinv(lagrange(surface.kind, degree).tabulate(0, surface.points)[0, :, :, 0])
     at = {name: np.einsum("nq,dfq->fnd", to_nodes, f) for name, f in fields.items()}
     n, k = at["x"].shape[:2]
-    kind, in_vtk = (vtk_type(surface.kind, k), vtk_order(surface.kind, k)) if d == 3 else (POLY_LINE, np.r_[0, 2:k, 1])
+    kind, in_vtk = (
+        (vtk_type(surface.kind, k), vtk_order(surface.kind, k)) if d == 3 else (VTK_POLY_LINE, np.r_[0, 2:k, 1])
+    )
     cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, in_vtk]]).ravel()
     block = pyvista.UnstructuredGrid(cells, np.full(n, kind), _three_components(at.pop("x")))
     block.point_data.update(_nodal_data(at, d))

@@ -15,14 +15,14 @@ from thinlayer.discretisation.full_model import FullModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.surface import Surface
-from thinlayer.solving.history import SAME_TIME, History, Solution
+from thinlayer.solving.history import TIME_TOLERANCE, History, Solution
 from thinlayer.surface.excess import times_too_stiff
 from thinlayer.system.identity import differences, differences_text
 from thinlayer.system.ranks import errors_on_all, require_same
 
 Where = Callable[[Array], Any]
-ROUNDING = 1e-12  # a jump up to this share of the displacements is their rounding
-SAME_PROFILE = 1e-9  # relative difference of equal thickness profiles
+JUMP_ROUNDING_SHARE = 1e-12  # a jump up to this share of the displacements is their rounding
+PROFILE_TOLERANCE = 1e-9  # relative difference of equal thickness profiles
 
 
 def compare(
@@ -62,7 +62,7 @@ def compare(
         raise InputError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
     if meshed.joint is not limit.joint or meshed.element != limit.element:
         raise InputError(f"compare needs two models of the same joint and element, not {meshed} and {limit}")
-    if abs(full.t - interface.t) > SAME_TIME * max(abs(full.t), abs(interface.t)):
+    if abs(full.t - interface.t) > TIME_TOLERANCE * max(abs(full.t), abs(interface.t)):
         raise InputError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
     opened = ([name for name in one.joint.seams if name not in one.layers] for one in (meshed, limit))
     is_open = [", ".join(names) or "none" for names in opened]
@@ -83,7 +83,7 @@ def compare(
     for name, field in (("traction", surface.traction), ("jump", surface.jump)):
         by_law = field(interface)
         sizes[name] = surface.norm(by_law, part)
-        known = sizes[name] > (ROUNDING * moved if name == "jump" else 0.0)
+        known = sizes[name] > (JUMP_ROUNDING_SHARE * moved if name == "jump" else 0.0)
         row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if known else math.nan
     return row | sizes | (_too_stiff(interface, seam) if interface.model is limit else {})
 
@@ -98,7 +98,7 @@ def _too_stiff(state: State, seam: str) -> dict[str, float]:
 
 def _state_at(one: Solution, at: float | None) -> State:
     if isinstance(one, State):
-        if at is not None and not abs(one.t - at) <= SAME_TIME * max(abs(one.t), abs(at)):
+        if at is not None and not abs(one.t - at) <= TIME_TOLERANCE * max(abs(one.t), abs(at)):
             raise InputError(f"compare: a state is of t = {one.t:g}, not of at = {at:g}; give its history, or no at")
         return one
     return one.last if at is None else one.at(at)
@@ -128,7 +128,7 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
     for name, layer in interface.layers.items():
         both = [one.thin.profile for one in (full.layers[name], layer) if one.thin]
         shapes = [full.joint.relative_thickness(profile, name) for profile in both]  # a law on S has no thickness
-        if not np.allclose(shapes[0], shapes[-1], rtol=SAME_PROFILE, atol=0.0):
+        if not np.allclose(shapes[0], shapes[-1], rtol=PROFILE_TOLERANCE, atol=0.0):
             raise InputError("compare needs the same profile of the thickness in both models")
 
 

@@ -21,11 +21,11 @@ from thinlayer.output.nodal_forces import contact_forces, nodal_forces
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
 
-PINNED, NO_CONTACT = "pinned", "no contact law"
-NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}
-CONTACT_STATUSES = (*NAMES.values(), PINNED)
-ROUNDING = 1e-10  # pressure, over the largest one, that counts as zero
-AT_LIMIT = 1e-9  # relative distance from the threshold at which a node of a law with memory counts as sliding
+PINNED_STATUS, NO_CONTACT_STATUS = "pinned", "no contact law"
+STATUS_NAMES = {Status.SEPARATED: "separated", Status.SLIDING: "sliding", Status.STICK: "stick"}
+CONTACT_STATUSES = (*STATUS_NAMES.values(), PINNED_STATUS)
+ZERO_PRESSURE_SHARE = 1e-10  # pressure, over the largest one, that counts as zero
+SLIDING_TOLERANCE = 1e-9  # relative distance from the threshold at which a node of a law with memory counts as sliding
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Contact:
         first, second = np.append(a[same], np.arange(m)), np.append(b[same], m + shared.ravel())
         zone = connected(first, second, 2 * m)[:m]
         zones = [np.flatnonzero(zone == label) for label in dict.fromkeys(map(int, zone))]
-        return [self._zone(at) for at in zones if self.status[at[0]] != NO_CONTACT]
+        return [self._zone(at) for at in zones if self.status[at[0]] != NO_CONTACT_STATUS]
 
     def _zone(self, at: IntArray) -> Zone:
         start, end = self.x[at].min(axis=0), self.x[at].max(axis=0)
@@ -174,7 +174,7 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, Any]:
         if name in ("p", "t_T", "threshold"):  # vertices have the forces of nodes between them
             values[name] = (sum_by_number(at, (array.T * areas).T, m).T / np.where(around > 0, around, 1.0)).T
             continue
-        values[name] = np.zeros((m, *array.shape[1:])) if name != "status" else np.full(m, NO_CONTACT)
+        values[name] = np.zeros((m, *array.shape[1:])) if name != "status" else np.full(m, NO_CONTACT_STATUS)
         values[name][at] = array  # of a neighbour, where a vertex has no area: on the axis of a solid of revolution
         values[name][at[own]] = array[own]
     return values
@@ -188,12 +188,12 @@ def _rank_values(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
     t, p, kind = law.traction(w, slip), law.pressure(w), law.status(w, slip)
     threshold = law.threshold(p)
     if law.memory:
-        at_limit = np.linalg.norm(t[:, :-1], axis=1) >= (1 - AT_LIMIT) * threshold
+        at_limit = np.linalg.norm(t[:, :-1], axis=1) >= (1 - SLIDING_TOLERANCE) * threshold
         kind = np.where((kind == Status.STICK) & at_limit, Status.SLIDING, kind)
     largest = model.comm.allreduce(float(p.max(initial=0.0)), max)
-    kind = np.where(p <= ROUNDING * largest, Status.SEPARATED, kind)
-    status = np.array([NAMES[Status(int(one))] for one in kind], dtype="<U9")
-    status[nodes.held.all(axis=1)] = PINNED
+    kind = np.where(p <= ZERO_PRESSURE_SHARE * largest, Status.SEPARATED, kind)
+    status = np.array([STATUS_NAMES[Status(int(one))] for one in kind], dtype="<U9")
+    status[nodes.held.all(axis=1)] = PINNED_STATUS
     node, number = body_pairs(model.joint, seam, nodes.file_numbers)
     beside = np.bincount(node, minlength=len(w))
     found: dict[str, npt.NDArray[Any]] = {

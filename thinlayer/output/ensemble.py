@@ -11,14 +11,14 @@ from mpi4py import MPI
 from forms.base import InputError, require
 from geometry.parallel import default_comm, on_root, use_comm
 from thinlayer.errors import SolveError
-from thinlayer.output.row_file import GENERATOR, RowFile, checked_row, make_room, require_csv
-from thinlayer.system.folder import LOCK, lock_folder, own_folder, read_sealed
+from thinlayer.output.row_file import GENERATOR_MESSAGE, RowFile, checked_row, make_room, require_csv
+from thinlayer.system.folder import LOCK_FILE, lock_folder, own_folder, read_sealed
 from thinlayer.system.identity import Resume, random_states
 from thinlayer.system.progress import track
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table
 
-RUN, FAILURE = "run", "failure"  # columns that an ensemble adds
+RUN_COLUMN, FAILURE_COLUMN = "run", "failure"  # columns that an ensemble adds
 
 CaseValues = Mapping[str, float | str]
 RunFunction = Callable[[CaseValues], Mapping[str, Any]]
@@ -82,7 +82,7 @@ def ensemble(
     path = None if out is None else Path(out)
     own: Any = comm.Split(group)
     try:
-        with own_folder(path and path.parent, name=f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK}"):
+        with own_folder(path and path.parent, name=f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK_FILE}"):
             there = {} if path is None else on_root(None, lambda: _existing_rows(path, make, known, resume))
             left = [k for k in range(first, len(known), step) if k not in there]
             file = _file(path, f"{first}-of-{step}", make) if path and own.rank == 0 else None
@@ -121,15 +121,15 @@ def _compute(
         try:
             with errors_on_all(comm):
                 given: Any = {**case}
-                found = checked_row(run(given), f"the row of run {k}", (RUN, FAILURE, *case))
+                found = checked_row(run(given), f"the row of run {k}", (RUN_COLUMN, FAILURE_COLUMN, *case))
         except SolveError as error:
             if not keep_failures:
                 raise
             failure = str(error)
-        rows[k] = {RUN: float(k), **case, **found} | ({FAILURE: failure} if keep_failures else {})
+        rows[k] = {RUN_COLUMN: float(k), **case, **found} | ({FAILURE_COLUMN: failure} if keep_failures else {})
         with errors_on_all(comm):
             if not alone and random_states((make, run)) != states:
-                raise InputError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR}")
+                raise InputError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR_MESSAGE}")
         if file:
             file.add(rows[k])
 
@@ -161,7 +161,7 @@ def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row]
 
 def _merged(path: Path, cases: list[Row]) -> dict[int, Row]:
     """Write all rows of all files into one table, one job after the other; returns them."""
-    with lock_folder(_parts(path), f".merge{LOCK}", wait=True):
+    with lock_folder(_parts(path), f".merge{LOCK_FILE}", wait=True):
         rows = _by_run([row for one in _parts(path).glob("*-of-*.json") for row in read_sealed(one)["rows"]])
         if rows:
             _table(cases, rows).put(path)
@@ -169,15 +169,17 @@ def _merged(path: Path, cases: list[Row]) -> dict[int, Row]:
 
 
 def _by_run(rows: Sequence[Row]) -> dict[int, Row]:
-    return {int(row[RUN]): row for row in rows}  # type: ignore[arg-type]
+    return {int(row[RUN_COLUMN]): row for row in rows}  # type: ignore[arg-type]
 
 
 def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
     """The table of rows in the order of their runs, all with the same columns."""
     ordered = [rows[k] for k in sorted(rows)]
-    results = dict.fromkeys(name for row in ordered for name in row if name not in (RUN, FAILURE, *cases[0]))
-    failed = [FAILURE] if any(FAILURE in row for row in ordered) else []
-    names = [RUN, *cases[0], *results, *failed]
+    results = dict.fromkeys(
+        name for row in ordered for name in row if name not in (RUN_COLUMN, FAILURE_COLUMN, *cases[0])
+    )
+    failed = [FAILURE_COLUMN] if any(FAILURE_COLUMN in row for row in ordered) else []
+    names = [RUN_COLUMN, *cases[0], *results, *failed]
     return Table({name: row.get(name) for name in names} for row in ordered)
 
 
@@ -185,7 +187,7 @@ def _checked_cases(cases: Any) -> list[Row]:
     """The cases as rows; raises InputError."""
     if not isinstance(cases, Iterable) or not (known := [*cases]):
         raise InputError(f"cases is {cases!r:.80}; an ensemble needs one case or more")
-    rows = [checked_row(case, f"case {k}", (RUN, FAILURE)) for k, case in enumerate(known)]
+    rows = [checked_row(case, f"case {k}", (RUN_COLUMN, FAILURE_COLUMN)) for k, case in enumerate(known)]
     for k, row in enumerate(rows):
         if [*row] != [*rows[0]] or None in row.values():
             raise InputError(f"case {k} has {', '.join(row)}, the first one {', '.join(rows[0])}; all need the same")

@@ -22,7 +22,7 @@ from thinlayer.solving.history import History, Solution
 from thinlayer.system.folder import replace_file
 from thinlayer.system.ranks import errors_on_all, require_same
 
-VTK = ".pvd"
+COLLECTION_SUFFIX = ".pvd"
 
 
 def write(solution: Solution, path: str | Path, *, surface: Surface | None = None) -> None:
@@ -60,7 +60,7 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     with errors_on_all(comm):
         states = _states(solution)
         wanted = "it must be the name of a file that ends in .pvd"
-        require(isinstance(path, (str, Path)) and Path(path).suffix == VTK, "path", path, wanted)
+        require(isinstance(path, (str, Path)) and Path(path).suffix == COLLECTION_SUFFIX, "path", path, wanted)
         model = surface.model if isinstance(surface, Surface) else states[0].model
         if surface is not None and not (isinstance(surface, Surface) and isinstance(model, InterfaceModel)):
             raise InputError(f"surface is {surface!r:.80}; give Surface(limit.model), of an interface model")

@@ -16,15 +16,32 @@ from geometry.topology import FACET_TYPES, IntArray, geometry_degree
 from thinlayer.discretisation.state import State
 from thinlayer.system.compat import interpolate
 
-MIRRORED = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
+TET_ORDER = (
+    1,
+    0,
+    2,
+    3,
+    4,
+    6,
+    5,
+    8,
+    7,
+    9,
+)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
 
-STRAIGHT = {"interval": 3, "triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
-LAGRANGE = {"interval": 68, "triangle": 69, "quadrilateral": 70, "tetrahedron": 71, "hexahedron": 72}  # of any degree
+LINEAR_TYPES = {"interval": 3, "triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
+LAGRANGE_TYPES = {
+    "interval": 68,
+    "triangle": 69,
+    "quadrilateral": 70,
+    "tetrahedron": 71,
+    "hexahedron": 72,
+}  # of any degree
 
 
 def vtk_type(cell_type: str, n_nodes: int) -> int:
     """VTK's number of a type of cells with that many nodes."""
-    return (STRAIGHT if geometry_degree(cell_type, n_nodes) == 1 else LAGRANGE)[cell_type]
+    return (LINEAR_TYPES if geometry_degree(cell_type, n_nodes) == 1 else LAGRANGE_TYPES)[cell_type]
 
 
 def vtk_order(cell_type: str, n_nodes: int) -> IntArray:
@@ -106,7 +123,7 @@ def gather_grid(state: State) -> VtkGrid | None:
     if joint.cell_type == "tetrahedron":  # right-handed: VTK takes inner faces of others for outer ones
         corners = points[rows[:, :4]]
         left = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
-        rows[left] = rows[left][:, MIRRORED[: rows.shape[1]]]
+        rows[left] = rows[left][:, TET_ORDER[: rows.shape[1]]]
     cells = np.column_stack([np.full(len(rows), rows.shape[1]), rows]).ravel()
     first_layer = len(joint.regions) - len(joint.band.regions if joint.band else ())
     region = np.where(joint.region >= first_layer, first_layer - joint.region - 1, joint.region)
@@ -119,7 +136,7 @@ def _base(joint: Joint) -> tuple[Array, int]:
     kind = FACET_TYPES[joint.cell_type]
     names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
     if not names:
-        return np.empty((0, joint.dim, 3)), STRAIGHT[kind]
+        return np.empty((0, joint.dim, 3)), LINEAR_TYPES[kind]
     rows = np.unique(joint.table.index(np.concatenate([joint.facets[name] for name in names])))
     nodes = joint.table.nodes(rows, joint.cells, joint.cell_type)
     facets = joint.points[nodes[:, vtk_order(kind, nodes.shape[1])]]

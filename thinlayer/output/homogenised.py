@@ -12,7 +12,7 @@ from forms.work import with_added_strain
 from geometry.parallel import default_comm
 from thinlayer.discretisation.forces import Forces
 from thinlayer.discretisation.given import Coordinates
-from thinlayer.discretisation.given_strains import PAIRS, MeanStrain, Strain
+from thinlayer.discretisation.given_strains import VOIGT_PAIRS_OF_DIM, MeanStrain, Strain
 from thinlayer.discretisation.model import Model, ModelFamily
 from thinlayer.discretisation.point_loads import ConcentratedForms
 from thinlayer.discretisation.time_functions import piecewise
@@ -20,8 +20,10 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.ranks import errors_on_all
 
-ASYMMETRY = 1e-8  # difference of the stiffness from its transpose, over its size, that shows a wrong law or solve
-ROUNDING = 1e-12  # the same over the stiffness of the bodies, whose strains are differences
+ASYMMETRY_TOLERANCE = (
+    1e-8  # difference of the stiffness from its transpose, over its size, that shows a wrong law or solve
+)
+BODY_STIFFNESS_TOLERANCE = 1e-12  # the same over the stiffness of the bodies, whose strains are differences
 
 
 def homogenised_stiffness(model: Model) -> Array:
@@ -56,12 +58,12 @@ def homogenised_stiffness(model: Model) -> Array:
     unloaded = model.structure.with_loads({"tractions": None, "body_force": None, "loads": ()})
     strained.forces = Forces(model.domain, model.kinematics, points, unloaded)
     with Solver(strained) as solver:
-        times = map(float, range(len(PAIRS[model.joint.dim])))
+        times = map(float, range(len(VOIGT_PAIRS_OF_DIM[model.joint.dim])))
         stresses = [solver.step(solver.rest(t), t).mean_stress() for t in times]
-    found = np.column_stack([[stress[pair] for pair in PAIRS[len(stress)]] for stress in stresses])
+    found = np.column_stack([[stress[pair] for pair in VOIGT_PAIRS_OF_DIM[len(stress)]] for stress in stresses])
     apart, size = float(np.abs(found - found.T).max()), float(np.abs(found).max())
     stiffest = max(np.abs(C).max() for C in model.structure.bodies_at_rest if C is not None)
-    if model.symmetric and apart > ASYMMETRY * size + ROUNDING * stiffest:
+    if model.symmetric and apart > ASYMMETRY_TOLERANCE * size + BODY_STIFFNESS_TOLERANCE * stiffest:
         raise SolveError(f"the homogenised stiffness is not symmetric: entries of {size:.1e} differ by {apart:.1e}")
     return found
 
@@ -84,8 +86,8 @@ def _check(model: Model) -> None:
 
 def _unit_strains(d: int) -> Strain:
     """The mean strain number t of those that are a basis of all, at t = 0, 1, 2, ..."""
-    basis = np.zeros((len(PAIRS[d]), d, d))
-    for strain, (i, j) in zip(basis, PAIRS[d], strict=True):
+    basis = np.zeros((len(VOIGT_PAIRS_OF_DIM[d]), d, d))
+    for strain, (i, j) in zip(basis, VOIGT_PAIRS_OF_DIM[d], strict=True):
         strain[i, j] = strain[j, i] = 1.0 if i == j else 0.5
     table = piecewise({float(k): strain.ravel().tolist() for k, strain in enumerate(basis)})
     return lambda x, t: np.reshape(table(x, t), (d, d)).tolist()

@@ -15,7 +15,7 @@ from geometry.refusals import place_text, refuse
 from geometry.seam import S
 from geometry.topology import IntArray, by_place, is_tensor
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import BODY, LAYER
+from thinlayer.discretisation.layer import BODY_KIND, LAYER_KIND
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.output.tractions import LawPoints, law_points
@@ -23,7 +23,9 @@ from thinlayer.surface.locating import LocatedPoints
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.ranks import errors_on_all, require_same
 
-SAME = 1e-9  # difference of displacements at one place, over the largest displacement, that counts as none
+DISPLACEMENT_TOLERANCE = (
+    1e-9  # difference of displacements at one place, over the largest displacement, that counts as none
+)
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class Probe:
         u = np.einsum("kn,knd->kd", basis, cell_values(self.state.u, self.state.model, located.entity))
         largest = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
         first = np.searchsorted(located.point, np.arange(len(located.x)))
-        apart = np.abs(u - u[first[located.point]]).max(axis=1) > SAME * largest
+        apart = np.abs(u - u[first[located.point]]).max(axis=1) > DISPLACEMENT_TOLERANCE * largest
         hint = "several bodies meet there; give side= and seam=" if side else "give side="
         refuse(apart, located.x[located.point], f"displacements jump at {{at}}: {hint}")
         return u[first] if np.ndim(x) > 1 else u[first][0]
@@ -130,7 +132,7 @@ class Probe:
         for points in law_points(self.state):
             sublayers = points.internal()
             for k, variables in enumerate(sublayers, 1):
-                start = f"{points.key} " if points.key in (BODY, LAYER) else f"{points.key}/"
+                start = f"{points.key} " if points.key in (BODY_KIND, LAYER_KIND) else f"{points.key}/"
                 key = f"{start}{k}" if len(sublayers) > 1 else points.key
                 if variables:
                     found[key] = {name: (points, values) for name, values in variables.items()}

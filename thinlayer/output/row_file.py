@@ -10,10 +10,10 @@ from typing import Any
 from forms.base import InputError, require
 from thinlayer.system.folder import move_away, read_sealed, write_sealed
 from thinlayer.system.identity import (
-    CODE,
-    FILE,
-    MISSING,
-    SAME,
+    CODE_KEY,
+    FILE_KEY,
+    MISSING_VALUE,
+    SAME_KEY,
     Resume,
     describe,
     differences,
@@ -23,12 +23,12 @@ from thinlayer.system.identity import (
 )
 from thinlayer.system.table import Row
 
-GENERATOR = (
+GENERATOR_MESSAGE = (
     "an iterator or generator of random numbers that goes on from row to row; make one in each run, from a number of the "
     "case, np.random.default_rng(int(case['seed']))"
 )
-FORMAT = 1  # of the file
-ADVICE = "give another name, remove it, or resume='anyway'"
+FILE_FORMAT = 1  # of the file
+RESUME_ADVICE = "give another name, remove it, or resume='anyway'"
 
 
 class RowFile:
@@ -67,9 +67,13 @@ class RowFile:
         found = differences(content["made from"], self._made_from)
         other = [one for one in found if _changed_path(*one) not in self._changing]
         if self._drawn and resume != "anyway":
-            raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR}; {ADVICE}")
+            raise InputError(
+                f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR_MESSAGE}; {RESUME_ADVICE}"
+            )
         if other and resume != "anyway":
-            raise InputError(f"{name!r} is the table of another {self._kind} ({differences_text(other)}); {ADVICE}")
+            raise InputError(
+                f"{name!r} is the table of another {self._kind} ({differences_text(other)}); {RESUME_ADVICE}"
+            )
         self._rows = content["rows"]
         return [*self._rows]
 
@@ -80,7 +84,7 @@ class RowFile:
         self._changing |= {path for path in changed if path}
         self._drawn |= random_states(self._watched, shared=True) != self._states
         about = {"made from": self._made_from, "changing": sorted(self._changing), "drawn": self._drawn}
-        write_sealed(self.path, {"format": FORMAT, **about, "rows": self._rows})
+        write_sealed(self.path, {"format": FILE_FORMAT, **about, "rows": self._rows})
 
 
 def require_csv(out: Any, resume: Any) -> None:
@@ -121,6 +125,6 @@ def checked_row(row: Any, what: str, taken: Collection[str]) -> Row:
 
 def _changed_path(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
     """Path of a changed value, with "*" for values that only one description has; None for code."""
-    if {CODE, FILE, SAME} & {*path}:
+    if {CODE_KEY, FILE_KEY, SAME_KEY} & {*path}:
         return None
-    return (*path[:-1], "*") if one is MISSING else path
+    return (*path[:-1], "*") if one is MISSING_VALUE else path

@@ -22,9 +22,11 @@ from thinlayer.system.table import Table
 
 NO_LAYER, BONDED, ELASTIC, OPEN = "no layer", "bonded", "elastic", "open"
 SLIDING, CRUSHED, TORN = "sliding", "crushed", "torn"
-YIELDS = (ELASTIC, SLIDING, CRUSHED, TORN, OPEN)
-STATUSES = tuple(dict.fromkeys((*YIELDS, NO_LAYER, BONDED, *CONTACT_STATUSES)))
-ROUNDING = 1e-6  # traction or plastic strain, over the largest traction or strain of a layer, that counts as none
+YIELD_STATUSES = (ELASTIC, SLIDING, CRUSHED, TORN, OPEN)
+STATUSES = tuple(dict.fromkeys((*YIELD_STATUSES, NO_LAYER, BONDED, *CONTACT_STATUSES)))
+ZERO_TRACTION_SHARE = (
+    1e-6  # traction or plastic strain, over the largest traction or strain of a layer, that counts as none
+)
 
 
 class Surface(SurfaceMesh):
@@ -98,7 +100,7 @@ class Surface(SurfaceMesh):
         for points, rows in layer_points(self, state):
             if _has_plastic_strain(points.term.law):
                 found, weights = _at_points(self, points, rows), self.rule(points.quadrature.degree).weights
-                for name in YIELDS:
+                for name in YIELD_STATUSES:
                     np.add.at(areas[name], rows[rows >= 0], (weights[rows[rows >= 0]] * (found == name)).sum(axis=1))
         if of_contact := contact_values(self, state):
             at_corners = of_contact["status"][self.nodes]
@@ -178,7 +180,7 @@ def statuses(model: Model, seam: str) -> tuple[str, ...]:
         return CONTACT_STATUSES
     if seam not in model.layers:
         return (BONDED if seam in model.bonds else NO_LAYER,)
-    return YIELDS if _has_plastic_strain(model.layers[seam].law) else (ELASTIC,)
+    return YIELD_STATUSES if _has_plastic_strain(model.layers[seam].law) else (ELASTIC,)
 
 
 def _has_plastic_strain(law: Law) -> bool:
@@ -203,7 +205,7 @@ def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.N
     largest = model.comm.allreduce(float(np.abs(t).max(initial=0.0)), max)
     order = points_of_rule(rule, rows, points)
     slip, closed, t_N = slip[order], closed[order], t_N[order]
-    free = (opening[rows[rows >= 0]] > 0) & (np.abs(t_N) <= ROUNDING * largest)
-    still = np.maximum(slip, np.abs(closed)) <= ROUNDING * strain
+    free = (opening[rows[rows >= 0]] > 0) & (np.abs(t_N) <= ZERO_TRACTION_SHARE * largest)
+    still = np.maximum(slip, np.abs(closed)) <= ZERO_TRACTION_SHARE * strain
     kinds = {OPEN: free, ELASTIC: still, SLIDING: slip >= np.abs(closed), CRUSHED: closed > 0}
     return np.select([*kinds.values()], [*kinds], TORN)

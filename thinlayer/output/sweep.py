@@ -12,15 +12,15 @@ import numpy as np
 from forms.base import InputError, is_finite, require
 from geometry.parallel import default_comm, on_root
 from thinlayer.output.row_file import RowFile, checked_row, make_room, require_csv
-from thinlayer.system.folder import LOCK, own_folder
+from thinlayer.system.folder import LOCK_FILE, own_folder
 from thinlayer.system.identity import Resume
 from thinlayer.system.progress import track
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table
 
-ERRORS = ("eps", "error_traction", "error_jump")
-ORDERS = ("order_traction", "order_jump")  # columns that a sweep adds
-SAME_EPS = 1e-9  # relative difference of equal thicknesses
+ERROR_COLUMNS = ("eps", "error_traction", "error_jump")
+ORDER_COLUMNS = ("order_traction", "order_jump")  # columns that a sweep adds
+THICKNESS_TOLERANCE = 1e-9  # relative difference of equal thicknesses
 
 
 def sweep(
@@ -49,7 +49,7 @@ def sweep(
         require(0 < len(given) == len(values), "eps", eps, "a sweep needs different thicknesses > 0")
     require_same(default_comm(), eps=values, out=out and str(out), resume=resume)
     path, rows, file = None if out is None else Path(out), dict[float, Row](), None
-    with own_folder(path and path.parent, name=f".{path and path.name}{LOCK}"):
+    with own_folder(path and path.parent, name=f".{path and path.name}{LOCK_FILE}"):
         if path is not None:
             file = RowFile(path.with_name(f"{path.name}.json"), run, "sweep")
             on_root(None, partial(make_room, path, file.path, resume))
@@ -69,21 +69,23 @@ def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | Non
     """The row of a thickness, as any rank's error is all ranks'."""
     what = f"the row that run({eps:g}) returns"
     with errors_on_all(default_comm()):
-        row = checked_row(run(eps), what, ORDERS)
-        if wrong := [name for name in ERRORS if not isinstance(row.get(name), float)]:
+        row = checked_row(run(eps), what, ORDER_COLUMNS)
+        if wrong := [name for name in ERROR_COLUMNS if not isinstance(row.get(name), float)]:
             raise InputError(f"{what} has no number {', '.join(wrong)}; return what compare returns")
-        if not abs(row["eps"] - eps) <= SAME_EPS * eps:  # type: ignore[operator]
+        if not abs(row["eps"] - eps) <= THICKNESS_TOLERANCE * eps:  # type: ignore[operator]
             raise InputError(f"{what} is of another thickness, eps = {row['eps']:g}")
         if first is not None and row.keys() != first.keys():
             raise InputError(f"{what} has the columns {', '.join(row)}, where the first row has {', '.join(first)}")
-    order = first or (*ERRORS, *(name for name in row if name not in ERRORS))
+    order = first or (*ERROR_COLUMNS, *(name for name in row if name not in ERROR_COLUMNS))
     return {name: row[name] for name in order} | {"eps": eps}
 
 
 def _with_orders(rows: Mapping[float, Row]) -> Table:
     """The table of rows by thickness, descending, with the observed orders between each row and the one before."""
     table = Table(rows[e] for e in sorted(rows, reverse=True))
-    orders = {order: table.orders(error) for order, error in zip(ORDERS, ERRORS[1:], strict=True)}
+    orders = {order: table.orders(error) for order, error in zip(ORDER_COLUMNS, ERROR_COLUMNS[1:], strict=True)}
     for k, row in enumerate(table.rows):
-        table.rows[k] = {name: row[name] for name in ERRORS} | {name: orders[name][k] for name in ORDERS} | row
+        table.rows[k] = (
+            {name: row[name] for name in ERROR_COLUMNS} | {name: orders[name][k] for name in ORDER_COLUMNS} | row
+        )
     return table

@@ -17,13 +17,13 @@ from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
 from forms.base import Array, InputError
-from forms.declarations import SIZES
-from forms.kinematics import MANDEL, Expr, mandel_tensor, mandel_tensors, mandel_vector, mandel_vectors
+from forms.declarations import VARIABLE_SIZES
+from forms.kinematics import MANDEL_PAIRS, Expr, mandel_tensor, mandel_tensors, mandel_vector, mandel_vectors
 from forms.law import BulkLaw
 from forms.work import Term, stress
 from geometry.domain import cell_nodes
 from geometry.topology import BoolArray, IntArray, lagrange
-from thinlayer.discretisation.layer import LAYER, PRESSURE, SeamLayer, law_with_numbers
+from thinlayer.discretisation.layer import LAYER_KIND, PRESSURE_KIND, SeamLayer, law_with_numbers
 from thinlayer.discretisation.measures import column_numbers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
@@ -32,8 +32,8 @@ from thinlayer.output.nodal_forces import layer_forces
 from thinlayer.pointwise.integrals import Quadrature
 from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
 
-MEMORY = "memory"  # name of the internal values of a law that does not name them
-_FOUND: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
+UNNAMED_MEMORY = "memory"  # name of the internal values of a law that does not name them
+_MODEL_QUADRATURES: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class LawPoints:
         """Stresses (points, 3, 3), with the pressure of an incompressible law. Collective."""
         term, points = self.term, self.quadrature
         if term.law.traits.compiled:
-            known = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL))))
+            known = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL_PAIRS))))
         else:
             known = points.values(mandel_vector(stress(term, self.state.u)))
         return mandel_tensors(known) + self._pressure()[:, None, None] * np.eye(3)
@@ -71,7 +71,7 @@ class LawPoints:
         if not self.term.law.traits.constrained:
             return np.zeros(self.quadrature.count)
         region = self.quadrature.region
-        p = self.state.fields[PRESSURE + self.term.key.removeprefix(LAYER)]
+        p = self.state.fields[PRESSURE_KIND + self.term.key.removeprefix(LAYER_KIND)]
         here = fem.Function(fem.functionspace(region.mesh, ("Lagrange", 1)))
         here.x.array[here.function_space.dofmap.list] = p.x.array[p.function_space.dofmap.list]
         return self.quadrature.values(ufl.as_vector([region.side(here)]))[:, 0]
@@ -91,29 +91,31 @@ def law_points(state: State) -> Iterator[LawPoints]:
     """The points of all laws of a state, bodies first, then layers; without contact laws. Collective."""
     model = state.model
     keys = {id(one.term): key for key, one in model.quadratures.items()}
-    if model not in _FOUND:  # made once
+    if model not in _MODEL_QUADRATURES:  # made once
         compiled = {id(one.term): one for one in model.quadratures.values()}
-        _FOUND[model] = [compiled.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms]
-    for own, term, quadrature in zip(model.terms, state.bodies + state.layers, _FOUND[model], strict=True):
+        _MODEL_QUADRATURES[model] = [
+            compiled.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms
+        ]
+    for own, term, quadrature in zip(model.terms, state.bodies + state.layers, _MODEL_QUADRATURES[model], strict=True):
         yield LawPoints(state, term, quadrature, keys.get(id(own), ""))
 
 
 def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
     """The internal variables of a law by name, (points, *shape), from the rows of its memory (points, values)."""
-    if sum(SIZES[shape] for shape in law.internal.values()) != memory.shape[1]:
-        return {MEMORY: memory}
+    if sum(VARIABLE_SIZES[shape] for shape in law.internal.values()) != memory.shape[1]:
+        return {UNNAMED_MEMORY: memory}
     found, start = {}, 0
     for name, shape in law.internal.items():
-        part = memory[:, start : start + SIZES[shape]]
+        part = memory[:, start : start + VARIABLE_SIZES[shape]]
         found[name] = mandel_tensors(part) if shape == (3, 3) else part if shape else part[:, 0]
-        start += SIZES[shape]
+        start += VARIABLE_SIZES[shape]
     return found
 
 
 LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance for the tractions whose forces are the reactions
-_OF_EACH: WeakKeyDictionary[Quadrature, Array] = WeakKeyDictionary()
-NEAR = 1e-9  # distance of the centres of a facet and of its column, over the size of the joint
-MOST_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
+_UNIT_STRESS_TRACTIONS: WeakKeyDictionary[Quadrature, Array] = WeakKeyDictionary()
+CENTRE_DISTANCE = 1e-9  # distance of the centres of a facet and of its column, over the size of the joint
+MAX_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
 
 
 # ---------------------------------------------------------------- of layers
@@ -163,9 +165,9 @@ def _point_tractions(points: LawPoints) -> Array:
     q, stress = points.quadrature, points.stress()
     if points.term.traction is None:
         return np.asarray(np.einsum("pij,pj->pi", stress, q.n)[:, : q.dim])
-    if q not in _OF_EACH:
-        _OF_EACH[q] = _unit_stress_tractions(points.term.traction, q)
-    return np.asarray(np.einsum("pkd,pk->pd", _OF_EACH[q], mandel_vectors(stress)))
+    if q not in _UNIT_STRESS_TRACTIONS:
+        _UNIT_STRESS_TRACTIONS[q] = _unit_stress_tractions(points.term.traction, q)
+    return np.asarray(np.einsum("pkd,pk->pd", _UNIT_STRESS_TRACTIONS[q], mandel_vectors(stress)))
 
 
 def _unit_stress_tractions(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:
@@ -182,7 +184,7 @@ def _facet_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
     joint = surface.joint
     numbers, centres = column_numbers(state.model.domain.joint)
     apart, row = cKDTree(joint.points[surface.corners].mean(axis=1)).query(centres)
-    row = np.where(apart <= NEAR * joint.size, row, -1)
+    row = np.where(apart <= CENTRE_DISTANCE * joint.size, row, -1)
     return np.where(numbers >= 0, row[numbers], -1)
 
 
@@ -258,7 +260,7 @@ def reaction_tractions(surface: SurfaceMesh, state: State, *, joined: bool = Fal
         b = (force[rows, k] - M[rows] @ guess) * around[rows] ** -0.5
         size = np.abs(b).max(initial=0.0) or 1.0
         tolerance = LEAST_SQUARES_TOLERANCE
-        change = scipy.sparse.linalg.lsqr(A, b / size, atol=tolerance, btol=tolerance, iter_lim=MOST_ITERATIONS)[0]
+        change = scipy.sparse.linalg.lsqr(A, b / size, atol=tolerance, btol=tolerance, iter_lim=MAX_ITERATIONS)[0]
         out[:, k] = guess + size * scale * change
     return out
 

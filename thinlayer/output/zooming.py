@@ -26,12 +26,14 @@ from thinlayer.output.surface import Surface
 from thinlayer.solving.layer_alone import DirichletLayers, LayerSubproblem
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
-NEAR = 3.0  # distance of two ends, over the thickness, within which the field of one is not that of an end alone
-AT_ENDS = (1 / 16, 1 / 2)  # how far cells at ends reach, over the thickness, and tetrahedra
-FAR_OFF = 0.3  # difference in traction of the layer and the bodies, in L2, from which on zooms warn
-AT_CORNER = 1 / 16  # distance from a corner, over the thickness, where stresses are not known
-RADIUS = 0.3  # over the thickness, of the arc around a corner from which its strength is taken
-OF_SUBLAYER = 0.6  # the same over the thickness of a thin sublayer
+SINGLE_END_DISTANCE = (
+    3.0  # distance of two ends, over the thickness, within which the field of one is not that of an end alone
+)
+END_CELL_SIZES = (1 / 16, 1 / 2)  # how far cells at ends reach, over the thickness, and tetrahedra
+TRACTION_WARNING_ERROR = 0.3  # difference in traction of the layer and the bodies, in L2, from which on zooms warn
+CORNER_EXCLUSION = 1 / 16  # distance from a corner, over the thickness, where stresses are not known
+CORNER_ARC_RADIUS = 0.3  # over the thickness, of the arc around a corner from which its strength is taken
+SUBLAYER_ARC_RADIUS = 0.6  # the same over the thickness of a thin sublayer
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class Zoom:
         self.state, self._one = state, _layer_of(state, seam)
         self.seam = self._one.name
         if at_ends is None:
-            at_ends = AT_ENDS[state.model.joint.cell_type == "tetrahedron"]
+            at_ends = END_CELL_SIZES[state.model.joint.cell_type == "tetrahedron"]
         self.layer = state if isinstance(state.model, FullModel) else self._by_itself(cells_through, at_ends)
         self._probe, self._surface = Probe(self.layer), SurfaceMesh(self.layer.model, self.seam)
 
@@ -127,7 +129,7 @@ class Zoom:
         surface = Surface(self.state.model, self.seam)
         bodies = surface.reaction(self.state)
         off = surface.norm(surface.traction(layers) - bodies) / (surface.norm(bodies) or 1.0)
-        if off > FAR_OFF:
+        if off > TRACTION_WARNING_ERROR:
             reason = f"it bears tractions that differ by {100 * off:.2g} % from what the bodies do"
             remedy = "take Zoom(estimate(state).better), whose bodies have yielded to it"
             warn("zoom", f"zoom into {self._one}: between these faces {reason}; {remedy}", surface.model.comm)
@@ -147,8 +149,8 @@ class Zoom:
         y = self._heights(height, len(located.x))
         free = self._known.free
         if len(free.vertices):
-            near = free.distance(self.state.model.joint.points, located.x) < AT_CORNER * self.eps
-            near &= np.abs(y) > 0.5 - AT_CORNER
+            near = free.distance(self.state.model.joint.points, located.x) < CORNER_EXCLUSION * self.eps
+            near &= np.abs(y) > 0.5 - CORNER_EXCLUSION
             if near.any():
                 corner = f"the corner at {place_text(located.x[near.argmax()])}, height {y[near.argmax()]:g}"
                 why = "is nearer than cells can tell, and stresses are infinite there"
@@ -179,7 +181,7 @@ class Zoom:
         ends, found = straight_ends(free, self._one.sheet), []
         every = points[np.unique(free.vertices)]
         for end in ends:
-            others = [other.beside(every) & (other.distance(every) <= NEAR * self.eps) for other in ends]
+            others = [other.beside(every) & (other.distance(every) <= SINGLE_END_DISTANCE * self.eps) for other in ends]
             x = every[end.has(every) & (np.sum(others, axis=0) == 1)]
             if len(x):
                 found.append((end, x[np.argsort(x @ end.along)]))
@@ -209,7 +211,7 @@ class Zoom:
         share, law = sublayers[0 if side < 0 else -1]
         lmbda, mu = law.elastic_moduli()
         corner = CornerField(1 / (1 + mu / lmbda) / 2 if lmbda else 0.0)
-        radius = RADIUS if len(sublayers) == 1 else min(RADIUS, OF_SUBLAYER * share)
+        radius = CORNER_ARC_RADIUS if len(sublayers) == 1 else min(CORNER_ARC_RADIUS, SUBLAYER_ARC_RADIUS * share)
         r, axes = radius * self.eps, end.axes * np.array([[1.0], [-side]])  # inward, and into the layer
         at = np.vstack([corner.arc(radius), [[0.0, 0.0], [radius, 0.0]]])
         on_s = (x[:, None] - at[:, :1] * self.eps * end.m).reshape(-1, x.shape[1])

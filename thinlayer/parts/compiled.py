@@ -12,11 +12,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from forms.check import NOT_SYMMETRIC
-from forms.kinematics import MANDEL
+from forms.check import ASYMMETRY_MESSAGE
+from forms.kinematics import MANDEL_PAIRS
 from forms.trace import depends_on_step_length
 from forms.work import Term
-from thinlayer.discretisation.layer import LAYER
+from thinlayer.discretisation.layer import LAYER_KIND
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, StepOutcome, TimeStep
@@ -25,8 +25,8 @@ from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.integrals import MeshOrigin
 from thinlayer.system.ranks import destroy
 
-ASYMMETRY = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
-SAME = 1e-12  # relative difference of parameters at several times that counts as rounding
+ASYMMETRY_TOLERANCE = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
+PARAMETER_TOLERANCE = 1e-12  # relative difference of parameters at several times that counts as rounding
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # of a step, at which it is tested what changes in time
 
 
@@ -36,7 +36,7 @@ def softening_law(
     """Name of a law whose stress falls at strains e or since e_old, and where; None: it does not. Collective."""
     term = points.term
     count = points.comm.allreduce(points.falls(e, e_old, memory, response))
-    return (type(term.law.in_space).__name__, f"at {count} points of the {term.key or LAYER}") if count else None
+    return (type(term.law.in_space).__name__, f"at {count} points of the {term.key or LAYER_KIND}") if count else None
 
 
 class PointStrains:
@@ -86,7 +86,7 @@ class CompiledPart(Part):
         self.law = law = term.law
         self._t, self._in_body = 0.0, term.n is None
         self._tangent: PETSc.Mat | None = None
-        self.stress_width = len(MANDEL)
+        self.stress_width = len(MANDEL_PAIRS)
         self.traits = replace(PartTraits.of(law), inner=self._in_body)
 
     def named(self) -> dict[str, PartTraits]:
@@ -142,8 +142,8 @@ class CompiledPart(Part):
 
     def tangents(self, relative_residual: float) -> list[Block]:
         """As in `Part`. InputError: a law declares a symmetric tangent and has another; half of it would be lost."""
-        if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY:
-            raise InputError(NOT_SYMMETRIC.format(type(self.law.in_space).__name__, skew))
+        if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY_TOLERANCE:
+            raise InputError(ASYMMETRY_MESSAGE.format(type(self.law.in_space).__name__, skew))
         self._tangent = self.points.stiffness(self._response.tangent, relative_residual, self._tangent)
         return [Block(one, kept=True) for one in (self._tangent, *self.points.constant)]
 
@@ -226,7 +226,9 @@ class CompiledPart(Part):
             for share in (*SAMPLE_FRACTIONS, 1.0):
                 points.at_time(a + share * (b - a))
                 now = points.material.of_sublayers
-                change |= [not np.allclose(*both, rtol=SAME, atol=0.0) for both in zip(first, now, strict=True)]
+                change |= [
+                    not np.allclose(*both, rtol=PARAMETER_TOLERANCE, atol=0.0) for both in zip(first, now, strict=True)
+                ]
         return np.asarray(self.comm.allreduce(change) > 0)
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:

@@ -9,11 +9,11 @@ from petsc4py import PETSc
 from forms.base import Array, InputError
 from forms.contact import ContactHomotopy, ContactLaw
 from geometry.topology import Indices
-from thinlayer.discretisation.contact_nodes import NONE, ContactNodes, ContactSurface
-from thinlayer.discretisation.layer import CONTACT
+from thinlayer.discretisation.contact_nodes import NO_NODES, ContactNodes, ContactSurface
+from thinlayer.discretisation.layer import CONTACT_KIND
 from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, StepOutcome, TimeStep
 
-LEAST_SHARE = 1e-8  # share of the springs of an eased law as its ease tends to zero
+MIN_SPRING_SHARE = 1e-8  # share of the springs of an eased law as its ease tends to zero
 
 
 class ContactPart(Part):
@@ -32,7 +32,9 @@ class ContactPart(Part):
         slip: (n, d - 1) slip at the beginning of the step.
     """
 
-    def __init__(self, law: ContactLaw, surface: ContactSurface, held: Indices = NONE, key: str = CONTACT) -> None:
+    def __init__(
+        self, law: ContactLaw, surface: ContactSurface, held: Indices = NO_NODES, key: str = CONTACT_KIND
+    ) -> None:
         if not isinstance(law, ContactLaw):
             raise InputError(f"{law!r} is no contact law")
         law.check_threshold()
@@ -58,7 +60,7 @@ class ContactPart(Part):
         self.slip = interval.old.memory[self.key]
 
     def ease(self, ease: float) -> None:
-        self.now = self.law.eased(LEAST_SHARE ** (1 - ease)) if ease else self.law
+        self.now = self.law.eased(MIN_SPRING_SHARE ** (1 - ease)) if ease else self.law
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self._u, self._w = u, self.nodes.apart(u.x.petsc_vec)

@@ -18,7 +18,7 @@ from forms.work import Term
 from thinlayer.discretisation.given_strains import MEAN_STRAIN, MeanStress, voigt_strain
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.discretisation.time_functions import StepStrains
-from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
+from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.integrals import assemble_matrix, assemble_values
 from thinlayer.system.ranks import destroy
 
@@ -96,8 +96,8 @@ class MeanStressPart(FieldPart):
     def tangents(self, relative_residual: float) -> list[Block]:
         theta = self.interval.theta
         return [
-            Block(self.B, theta, row=DISPLACEMENTS, column=self.key, kept=True),
-            Block(self._turned, theta, row=self.key, column=DISPLACEMENTS, kept=True),
+            Block(self.B, theta, row=DISPLACEMENT_KEY, column=self.key, kept=True),
+            Block(self._turned, theta, row=self.key, column=DISPLACEMENT_KEY, kept=True),
             Block(self.D, theta, row=self.key, column=self.key, kept=True),
         ]
 

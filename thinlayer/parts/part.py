@@ -16,7 +16,7 @@ from geometry.topology import IntArray
 from thinlayer.discretisation.state import Configuration
 
 Memory = Array | Mapping[str, fem.Function]  # (n, values) at entities, or functions by name
-DISPLACEMENTS = "u"  # the key of the unknowns that all parts share
+DISPLACEMENT_KEY = "u"  # the key of the unknowns that all parts share
 
 
 @dataclass(frozen=True)
@@ -87,14 +87,14 @@ class Block:
     Attributes:
         matrix: the matrix.
         factor: the block is `factor` times the matrix.
-        row, column: keys of the equations, and of the unknowns of the derivative: a part's key, or `DISPLACEMENTS`.
+        row, column: keys of the equations, and of the unknowns of the derivative: a part's key, or `DISPLACEMENT_KEY`.
         kept: True: the part keeps the matrix; False: the caller destroys it.
     """
 
     matrix: PETSc.Mat
     factor: float = 1.0
-    row: str = DISPLACEMENTS
-    column: str = DISPLACEMENTS
+    row: str = DISPLACEMENT_KEY
+    column: str = DISPLACEMENT_KEY
     kept: bool = False
 
 
@@ -145,7 +145,7 @@ class FileOrder:
     @classmethod
     def by_place(cls, numbers: IntArray, indices: IntArray, x: Array) -> FileOrder:
         """Order the values of each cell by the projections of their places x (n, d) on DIRECTION."""
-        along = x @ np.array(DIRECTION[: x.shape[1]])
+        along = x @ np.array(SORTING_DIRECTION[: x.shape[1]])
         return cls(numbers, np.take_along_axis(indices, np.argsort(along[indices], axis=1), axis=1))
 
     def ordered(self, values: Array) -> Array:
@@ -158,7 +158,7 @@ class FileOrder:
 
 
 # Irrational direction: the points of a facet have different projections on it, so that it orders them on all distributions.
-DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)
+SORTING_DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)
 
 
 class Part(ABC):

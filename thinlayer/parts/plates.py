@@ -15,7 +15,7 @@ from forms.base import Array, InputError
 from forms.kinematics import Expr
 from geometry.refusals import require_known
 from thinlayer.discretisation.addition import HostModel, PartDefinition
-from thinlayer.discretisation.boundary import AXES, boundary_values
+from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_values
 from thinlayer.discretisation.constraints import MultiPointConstraint
 from thinlayer.discretisation.given import Coefficient
 from thinlayer.discretisation.rigid import (
@@ -30,12 +30,12 @@ from thinlayer.discretisation.state import State
 
 Number = float | Callable[[Expr, Any], Any]
 Vector = Sequence[float] | Callable[[Expr, Any], Sequence[Any]]
-ROTATIONS = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z")}
+ROTATION_NAMES = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z")}
 
 
 def motion_names(d: int) -> list[str]:
     """Names of the motions of a plate."""
-    return [*AXES[:d], *ROTATIONS[d]]
+    return [*AXIS_NAMES[:d], *ROTATION_NAMES[d]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,10 @@ from forms.kinematics import Expr
 from forms.work import Term
 from geometry.domain import cell_nodes
 from geometry.topology import IntArray
-from thinlayer.discretisation.layer import LAYER, PRESSURE
+from thinlayer.discretisation.layer import LAYER_KIND, PRESSURE_KIND
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.discretisation.time_functions import StepStrains
-from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
+from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.integrals import (
     MeasureRegion,
     MeshOrigin,
@@ -32,7 +32,7 @@ from thinlayer.pointwise.integrals import (
 )
 from thinlayer.system.ranks import communicator, destroy
 
-SAME_PLACE = 1e-9  # distance, relative to the size of S, at which two vertices are one
+VERTEX_TOLERANCE = 1e-9  # distance, relative to the size of S, at which two vertices are one
 
 
 class PressurePart(FieldPart):
@@ -69,7 +69,7 @@ class PressurePart(FieldPart):
         self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: MeshOrigin | None = None,
         free: Array | None = None, masters: IntArray | None = None,
     ) -> None:  # fmt: skip
-        self.key, self._origin = PRESSURE + term.key.removeprefix(LAYER), origin
+        self.key, self._origin = PRESSURE_KIND + term.key.removeprefix(LAYER_KIND), origin
         self._term = term
         points = Quadrature(V, term, origin) if term.law.fields else None
         self.region = region = points.region if points else MeasureRegion(V.mesh, term.measure)
@@ -178,8 +178,8 @@ class PressurePart(FieldPart):
 
     def tangents(self, relative_residual: float) -> list[Block]:
         blocks = [
-            Block(self._turned, row=DISPLACEMENTS, column=self.key, kept=True),
-            Block(self.G, row=self.key, column=DISPLACEMENTS, kept=True),
+            Block(self._turned, row=DISPLACEMENT_KEY, column=self.key, kept=True),
+            Block(self.G, row=self.key, column=DISPLACEMENT_KEY, kept=True),
         ]
         if self.C is not None:
             blocks.append(Block(self.C, factor=-1 / self.interval.theta, row=self.key, column=self.key, kept=True))
@@ -238,4 +238,4 @@ def dofs_at_vertices(space: fem.FunctionSpace, places: Array) -> IntArray:
     low, high = (np.array(one) for one in zip(*ends, strict=True))
     size = float((high.max(axis=0) - low.min(axis=0)).max())
     distance, _ = cKDTree(places).query(x)
-    return np.flatnonzero(distance <= SAME_PLACE * size).astype(np.int64)
+    return np.flatnonzero(distance <= VERTEX_TOLERANCE * size).astype(np.int64)

@@ -15,14 +15,14 @@ from forms.kinematics import Expr
 from geometry.refusals import place_text as at_place
 from thinlayer.discretisation.addition import HostModel, PartDefinition
 from thinlayer.discretisation.boundary import boundary_values
-from thinlayer.discretisation.given import DEGREE, Coefficient
+from thinlayer.discretisation.given import NUMPY_DEGREE, Coefficient
 from thinlayer.discretisation.measures import per_unit
 from thinlayer.discretisation.rigid import motion_expression
 from thinlayer.discretisation.supports import Place
 from thinlayer.parts.form_part import FormPart, assemble_plain_matrix
 
 Stiffness = float | Callable[[Any], Any]
-ROUNDING = 1e-9  # a negative stiffness that counts as rounding, over the largest one
+NEGATIVE_STIFFNESS_TOLERANCE = 1e-9  # a negative stiffness that counts as rounding, over the largest one
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,12 @@ class Springs(PartDefinition):
     def check(self, model: HostModel) -> None:
         """Raise InputError unless the facets lie on the outer boundary, and the stiffnesses are finite and >= 0 there."""
         boundary_values(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
-        facets, V = model.domain.facets(self.place), fem.functionspace(model.domain.mesh, ("Lagrange", DEGREE))
+        facets, V = model.domain.facets(self.place), fem.functionspace(model.domain.mesh, ("Lagrange", NUMPY_DEGREE))
         for stiffness in self._stiffnesses(model):
             nodes = fem.locate_dofs_topological(V, model.joint.dim - 1, facets)
             values, x = stiffness.in_space(V).x.array[nodes], V.tabulate_dof_coordinates()[nodes, : model.joint.dim]
             values = np.where(np.isfinite(values), values, -np.inf)
-            if len(values) and values.min() < -ROUNDING * values.max():
+            if len(values) and values.min() < -NEGATIVE_STIFFNESS_TOLERANCE * values.max():
                 k = int(values.argmin())
                 raise InputError(f"{stiffness.what} is {values[k]:.6g} at {at_place(x[k])}; allowed: finite, >= 0")
 

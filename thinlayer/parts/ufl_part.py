@@ -20,7 +20,7 @@ from thinlayer.parts.form_part import FormPart, assemble_plain_matrix
 from thinlayer.parts.part import PartTraits, StepOutcome
 from thinlayer.system.compat import expand_derivatives, ufl_replace, without_cycles
 
-ASYMMETRY = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding
+ASYMMETRY_TOLERANCE = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class _UserFormPart(FormPart):
         K = self.K
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
             raise InputError(f"the part {given.key!r} has a negative stiffness: no equilibrium need be stable with it")
-        self._has_energy = K is None or K.isSymmetric(ASYMMETRY * K.norm())
+        self._has_energy = K is None or K.isSymmetric(ASYMMETRY_TOLERANCE * K.norm())
         self.traits = PartTraits(saddle=True, weakens=not (self._has_energy and linear), nonlinear=not linear)
 
     def commit(self) -> StepOutcome:

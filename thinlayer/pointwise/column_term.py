@@ -14,7 +14,7 @@ from forms.base import Array
 from forms.trace import needs_director, tangent_at_rest
 from forms.work import Term
 from geometry.topology import is_tensor
-from thinlayer.pointwise.compiled_term import INDEPENDENT, CompiledTerm, Projection, Response
+from thinlayer.pointwise.compiled_term import INDEPENDENCE_TOLERANCE, CompiledTerm, Projection, Response
 from thinlayer.pointwise.integrals import MeshOrigin
 from thinlayer.system.ranks import destroy
 
@@ -48,7 +48,7 @@ class ColumnTerm(CompiledTerm):
             groups = self.cells[here[np.argsort(of[here], kind="stable")]].reshape(-1, k * self.cells.shape[1])
             x = places[groups]
             U, size, _ = np.linalg.svd(x - x.mean(axis=1, keepdims=True), full_matrices=False)
-            U *= np.sqrt(x.shape[1]) * (size > INDEPENDENT * np.abs(x).max(axis=(1, 2))[:, None])[:, None]
+            U *= np.sqrt(x.shape[1]) * (size > INDEPENDENCE_TOLERANCE * np.abs(x).max(axis=(1, 2))[:, None])[:, None]
             bases.append((groups, np.stack([np.prod(U[..., : self.dim - 1] ** one, axis=2) for one in powers], axis=2)))
         return Projection(self, bases, np.eye(6))
 

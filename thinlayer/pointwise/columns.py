@@ -10,7 +10,7 @@ from mpi4py import MPI
 from forms.base import Array
 from geometry.topology import IntArray
 
-TIE = 1e-11  # largest excess that counts as rounding: the phase stays
+EXCESS_TOLERANCE = 1e-11  # largest excess that counts as rounding: the phase stays
 
 
 class Columns:
@@ -63,7 +63,7 @@ class Switching:
             old: internal values at the beginning of the step, with these phases.
         """
         before = self._of_columns(memory)
-        after = np.where(self.law.excess(*before) > TIE, self.law.switched(*before), before[0])
+        after = np.where(self.law.excess(*before) > EXCESS_TOLERANCE, self.law.switched(*before), before[0])
         if (after == before[0]).all():
             return None
         new = old.copy()

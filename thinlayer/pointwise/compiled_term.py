@@ -12,20 +12,22 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from forms.kinematics import MANDEL, UNITS, Expr, mandel_vector
-from forms.trace import LONG
+from forms.kinematics import MANDEL_BASIS, MANDEL_PAIRS, Expr, mandel_vector
+from forms.trace import LONG_TIME_STEP
 from forms.work import Term
 from thinlayer.pointwise.columns import Switching
-from thinlayer.pointwise.integrals import DIAGONAL, MeshOrigin, Quadrature, add_distributed, assemble_matrix
+from thinlayer.pointwise.integrals import TRACE_COMPONENTS, MeshOrigin, Quadrature, add_distributed, assemble_matrix
 from thinlayer.pointwise.material import CompiledLaw
 from thinlayer.system.ranks import destroy, errors_on_all
 
 # Size of a tangent below which underflow may have cost digits.
-UNDERFLOW = np.finfo(float).tiny / np.finfo(float).eps ** 2
-FALLING = 1e-3  # stresses fall if an eigenvalue, or the work of changes, is below minus this share of its size
-MOMENT = np.finfo(float).eps  # fraction of a step that is too short for any change
-INDEPENDENT = 1e-8  # least size of a function that is independent of others, over the largest
-LEAST_STIFFNESS, MOST_STIFFNESS = 1e-6, 1e-3  # bounds of the share of the tangent at rest added to a singular one
+UNDERFLOW_LIMIT = np.finfo(float).tiny / np.finfo(float).eps ** 2
+SOFTENING_TOLERANCE = (
+    1e-3  # stresses fall if an eigenvalue, or the work of changes, is below minus this share of its size
+)
+REST_STEP_FRACTION = np.finfo(float).eps  # fraction of a step that is too short for any change
+INDEPENDENCE_TOLERANCE = 1e-8  # least size of a function that is independent of others, over the largest
+MIN_REST_SHARE, MAX_REST_SHARE = 1e-6, 1e-3  # bounds of the share of the tangent at rest added to a singular one
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Response:
         """Largest difference between the tangent at a point of this rank and its transpose, over its size."""
         C = self.tangent
         apart, size = np.abs(C - C.swapaxes(1, 2)).max(axis=(1, 2)), np.abs(C).max(axis=(1, 2))
-        regular = np.isfinite(apart) & (size > UNDERFLOW)
+        regular = np.isfinite(apart) & (size > UNDERFLOW_LIMIT)
         return float((apart[regular] / size[regular]).max(initial=0.0))
 
 
@@ -84,7 +86,7 @@ class CompiledTerm(Quadrature):
             self.B = self._volume.matrix(B)
             destroy(B)
         stressed = term.kinematics.stressed(self.dim)
-        self._none = [k for k in range(len(MANDEL)) if k not in stressed]
+        self._none = [k for k in range(len(MANDEL_PAIRS)) if k not in stressed]
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
         self.material = CompiledLaw(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
@@ -125,7 +127,7 @@ class CompiledTerm(Quadrature):
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
         """Energy of strains e and internal values after a step of length dt, over this rank's points; NaN if undeclared."""
-        energies = self.material.update(self.slots, e, e, memory, self.n, MOMENT * dt, 1.0, fixed=True)[3]
+        energies = self.material.update(self.slots, e, e, memory, self.n, REST_STEP_FRACTION * dt, 1.0, fixed=True)[3]
         return float(self.weights @ energies[:, 0]) if self.term.law.traits.has_energy else np.nan
 
     def failure(self, response: Response) -> str:
@@ -148,17 +150,17 @@ class CompiledTerm(Quadrature):
         where the change of stress does negative work on the change of strain.
         """
         law = self.term.law
-        N = np.einsum("kij,pj->pik", UNITS[self.slots], self.n)[:, : self.dim]  # strains of unit jumps
+        N = np.einsum("kij,pj->pik", MANDEL_BASIS[self.slots], self.n)[:, : self.dim]  # strains of unit jumps
         A = N @ response.tangent @ N.swapaxes(1, 2)
         size = np.abs(A).max(axis=(1, 2), initial=0.0)
-        known = np.isfinite(size) & (size > UNDERFLOW)
+        known = np.isfinite(size) & (size > UNDERFLOW_LIMIT)
         down = np.zeros(self.count, bool)
-        down[known] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[known] / 2)[:, 0] < -FALLING * size[known]
+        down[known] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[known] / 2)[:, 0] < -SOFTENING_TOLERANCE * size[known]
         if not (law.internal or law.traits.varies):
             change = e - e_old
             of_stress = response.stress - self.respond(e_old, e_old, memory, 0.0, 1.0).stress
             sizes = np.linalg.norm(change, axis=1) * np.linalg.norm(of_stress, axis=1)
-            down |= np.sum(change * of_stress, axis=1) < -FALLING * sizes
+            down |= np.sum(change * of_stress, axis=1) < -SOFTENING_TOLERANCE * sizes
         return int(np.count_nonzero(down))
 
     def ease(self, ease: float) -> None:
@@ -180,13 +182,13 @@ class CompiledTerm(Quadrature):
         """Tangents (points, m, m) at rest, where rates are zero; collective where parameters vary."""
         none = np.zeros((self.count, len(self.slots)))
         self.at_time(0.0)
-        return self.respond(none, none, self.rest(), LONG if self.term.law.traits.rate else 0.0, 1.0).tangent
+        return self.respond(none, none, self.rest(), LONG_TIME_STEP if self.term.law.traits.rate else 0.0, 1.0).tangent
 
     def _regular(self, tangent: Array, relative_residual: float) -> Array:
         """The tangents, plus a small share of the tangent at rest where they differ from it."""
         if self._at_rest is None:
             return tangent
-        share = min(max(relative_residual, LEAST_STIFFNESS), MOST_STIFFNESS)
+        share = min(max(relative_residual, MIN_REST_SHARE), MAX_REST_SHARE)
         change, size = (np.abs(a).max(axis=(1, 2), initial=0.0) for a in (tangent - self._at_rest, self._at_rest))
         return tangent + share * self._at_rest * (change > 1e-9 * size)[:, None, None]
 
@@ -252,14 +254,14 @@ class Projection:
     """
 
     def __init__(self, points: Quadrature, bases: Iterable[tuple[Array, Array]], part: Array) -> None:
-        self._part, self._width = np.pad(part, (0, len(MANDEL) - len(part))), len(points.slots)
+        self._part, self._width = np.pad(part, (0, len(MANDEL_PAIRS) - len(part))), len(points.slots)
         self._change = scipy.sparse.csr_matrix((points.count, points.count))
         for groups, basis in bases:
             root = np.sqrt(points.weights[groups])
             U, sizes, _ = np.linalg.svd(basis * root[..., None], full_matrices=False)
-            U *= (sizes > INDEPENDENT * sizes[:, :1])[:, None]
+            U *= (sizes > INDEPENDENCE_TOLERANCE * sizes[:, :1])[:, None]
             change = (U @ U.swapaxes(1, 2)) * root[:, None, :] / root[:, :, None] - np.eye(root.shape[1])
-            kept = np.abs(change) > INDEPENDENT  # under quadrilaterals groups fall apart
+            kept = np.abs(change) > INDEPENDENCE_TOLERANCE  # under quadrilaterals groups fall apart
             at = [np.broadcast_to(one, change.shape)[kept] for one in (groups[:, :, None], groups[:, None])]
             self._change += scipy.sparse.csr_matrix((change[kept], at), self._change.shape)
 
@@ -302,4 +304,6 @@ class MeanVolume(Projection):
             centred = x - x.mean(axis=1, keepdims=True)
             size = np.abs(centred).max(axis=(1, 2), keepdims=True, initial=0)
             basis = np.concatenate([basis, centred / size], axis=2)
-        super().__init__(points, [(points.cells, basis)], np.full((len(DIAGONAL),) * 2, 1 / len(DIAGONAL)))
+        super().__init__(
+            points, [(points.cells, basis)], np.full((len(TRACE_COMPONENTS),) * 2, 1 / len(TRACE_COMPONENTS))
+        )

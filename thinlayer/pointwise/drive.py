@@ -15,7 +15,7 @@ from forms.law import Law
 from forms.temperature import finite_values
 from forms.trace import depends_on_step_length, evaluate
 from thinlayer.errors import SolveError
-from thinlayer.pointwise.material_point import COMPONENTS, MaterialPoint
+from thinlayer.pointwise.material_point import COMPONENT_NAMES, MaterialPoint
 from thinlayer.system.table import Table
 
 
@@ -50,7 +50,7 @@ class PointHistory:
     @property
     def table(self) -> Table:
         """Time, jumps (w_T, w_N; in 3D w_T1, w_T2, w_N), tractions (t_T, ...) and energies."""
-        names = COMPONENTS[len(self.n)]
+        names = COMPONENT_NAMES[len(self.n)]
         columns = ["t", *(f"w_{c}" for c in names), *(f"t_{c}" for c in names), "stored", "dissipated", "remainder"]
         values = np.column_stack([self.t, self.jumps, self.tractions, self.energies])
         return Table.of(dict(zip(columns, values.T, strict=True)))
@@ -151,7 +151,7 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
 
 def _read_step(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
     """(d,) whether each component of a step has a prescribed jump, and (d,) the prescribed values."""
-    names = COMPONENTS[d]
+    names = COMPONENT_NAMES[d]
     allowed = ", ".join(f"w_{c} or t_{c}" for c in names)
     require(isinstance(step, Mapping), f"step {k + 1}", step, f"it must be a dictionary with {allowed}")
     for name, value in step.items():

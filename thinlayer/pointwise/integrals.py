@@ -20,7 +20,7 @@ from petsc4py import PETSc
 from ufl.classes import Zero
 
 from forms.base import Array, InputError
-from forms.kinematics import MANDEL, Expr, three_dimensional
+from forms.kinematics import MANDEL_PAIRS, Expr, three_dimensional
 from forms.work import Term
 from geometry.domain import create_connectivity
 from geometry.topology import Indices, IntArray
@@ -28,8 +28,8 @@ from thinlayer.pointwise.columns import Columns
 from thinlayer.system.compat import compiled, create_submesh
 from thinlayer.system.ranks import communicator
 
-DIAGONAL = (0, 1, 2)  # Mandel components whose sum is the trace
-KINDS = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
+TRACE_COMPONENTS = (0, 1, 2)  # Mandel components whose sum is the trace
+MEASURE_OF_INTEGRAL = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class MeasureRegion:
     """
 
     def __init__(self, mesh: Mesh, measure: ufl.Measure) -> None:
-        if measure.integral_type() not in KINDS:
+        if measure.integral_type() not in MEASURE_OF_INTEGRAL:
             raise InputError(f"laws act on dx, ds or dS, not on integrals of the type {measure.integral_type()!r}")
         self.measure, self.parent_mesh = measure, mesh
         self.dim = mesh.topology.dim - (measure.integral_type() != "cell")
@@ -99,8 +99,8 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     if "everywhere" in ids:
         found = _all_entities(mesh, kind)
     elif data is None:
-        tags = ", ".join(map(str, ids))
-        raise InputError(f"the measure {KINDS[kind]}({tags}) has no tags; give {KINDS[kind]} its subdomain_data")
+        measure_name, tags = MEASURE_OF_INTEGRAL[kind], ", ".join(map(str, ids))
+        raise InputError(f"the measure {measure_name}({tags}) has no tags; give {measure_name} its subdomain_data")
     elif hasattr(data, "indices"):
         found = data.indices[np.isin(data.values, ids.astype(int))]
     else:
@@ -178,8 +178,8 @@ class Quadrature:
         """Mandel components that strains may have here; the others are zero."""
         given, of_strains = self.term.given, self.term.kinematics.slots(self.dim)
         if self.term.volume is not None:
-            of_strains = (*of_strains, *DIAGONAL)
-        of_given = [k for k, pair in enumerate(MANDEL) if given is not None and not isinstance(given[pair], Zero)]
+            of_strains = (*of_strains, *TRACE_COMPONENTS)
+        of_given = [k for k, pair in enumerate(MANDEL_PAIRS) if given is not None and not isinstance(given[pair], Zero)]
         return sorted({*of_strains, *of_given})
 
     def _space(self, shape: tuple[int, ...], mesh: Mesh | None = None) -> fem.FunctionSpace:

@@ -23,14 +23,14 @@ from mpi4py import MPI
 
 from forms.base import Array, InputError
 from forms.check import check
-from forms.declarations import SIZES
+from forms.declarations import VARIABLE_SIZES
 from forms.kernel import KernelLaw
 from forms.kinematics import Expr, mandel_vector
 from forms.law import BulkLaw, Step
 from forms.trace import SymbolicLaw, law_identity, require_numbers_alone, symbolic
 from thinlayer.system.compilation import library
 
-C_KERNEL = "int{}(double *out, const void *, const double *in)"
+C_KERNEL_SIGNATURE = "int{}(double *out, const void *, const double *in)"
 
 
 @dataclass(frozen=True)
@@ -81,19 +81,19 @@ def memory_slots(law: BulkLaw, name: str) -> list[tuple[float, BulkLaw, int]]:
     for fraction, one in law.sublayers:
         if one.internal.get(name) == ():
             before = list(one.internal)[: list(one.internal).index(name)]
-            found.append((fraction, one, start + sum(SIZES[one.internal[n]] for n in before)))
+            found.append((fraction, one, start + sum(VARIABLE_SIZES[one.internal[n]] for n in before)))
         start += one.memory
     return found
 
 
 # ---------------------------------------------------------------- laws written in UFL
-_COMPILED: dict[Any, tuple[int, Any]] = {}  # this package's laws, by name; others may read what has changed
+_COMPILED_LAWS: dict[Any, tuple[int, Any]] = {}  # this package's laws, by name; others may read what has changed
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
     name = law_identity(law)
-    if name is not None and not comm.allreduce(int(name not in _COMPILED)):
-        return _COMPILED[name]
+    if name is not None and not comm.allreduce(int(name not in _COMPILED_LAWS)):
+        return _COMPILED_LAWS[name]
     point = symbolic(law)
     outputs = _outputs(law, point)
     require_numbers_alone(law, point.numbers, outputs)
@@ -103,7 +103,7 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
     expression, module, _ = jit.ffcx_jit(comm, (ufl.as_vector(rows), np.zeros((1, 1))))
     compiled = int(module.ffi.cast("intptr_t", expression.tabulate_tensor_float64)), (expression, module)
     if name is not None:
-        _COMPILED[name] = compiled
+        _COMPILED_LAWS[name] = compiled
     return compiled
 
 
@@ -122,7 +122,7 @@ def _packed_components(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
     if shape == ():
         return [ufl.as_ufl(value)]
     flat = mandel_vector(value) if shape == (3, 3) else value
-    return [flat[i] for i in range(SIZES[shape])]
+    return [flat[i] for i in range(VARIABLE_SIZES[shape])]
 
 
 # ---------------------------------------------------------------- laws written for one point
@@ -132,6 +132,6 @@ def _compiled_from_c(comm: MPI.Intracomm, law: KernelLaw) -> tuple[int, Any]:
         raise InputError(f"{name}.source is {source!r}; it must be the name of a C file")
     module = library(Path(source), comm)
     function, ffi = getattr(module.lib, "kernel", None), module.ffi
-    if function is None or ffi.typeof(function) is not ffi.typeof(C_KERNEL.format("(*)")):
-        raise InputError(f"{name}: {str(source)!r} has no function {C_KERNEL.format(' kernel')}")
+    if function is None or ffi.typeof(function) is not ffi.typeof(C_KERNEL_SIGNATURE.format("(*)")):
+        raise InputError(f"{name}: {str(source)!r} has no function {C_KERNEL_SIGNATURE.format(' kernel')}")
     return int(ffi.cast("intptr_t", ffi.addressof(module.lib, "kernel"))), module

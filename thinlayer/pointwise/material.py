@@ -16,9 +16,9 @@ from forms.trace import law_identity
 from thinlayer.pointwise.kernels import compile_kernels
 from thinlayer.system.compilation import library, pointers
 
-TRIAL_SIZES = tuple(10.0**k for k in range(-15, 7))  # of strains, or jumps in any unit
+TRIAL_STRAINS = tuple(10.0**k for k in range(-15, 7))  # of strains, or jumps in any unit
 TRIAL_STEPS = (1.0, 0.0, 1e12, 1e30)  # lengths of steps in any unit of time
-SOURCE = Path(__file__).with_name("response.c")
+C_SOURCE = Path(__file__).with_name("response.c")
 
 
 class CompiledLaw:
@@ -31,7 +31,7 @@ class CompiledLaw:
 
     def __init__(self, comm: MPI.Intracomm, law: BulkLaw) -> None:
         self.law, self._current, self._kernels = law, law, compile_kernels(comm, law)
-        self._library = library(SOURCE, comm)
+        self._library = library(C_SOURCE, comm)
         self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
         addresses, fractions = (np.array([getattr(k, name) for k in self._kernels]) for name in ("address", "fraction"))
         memory, plane = (np.array([getattr(k, name) for k in self._kernels], np.int32) for name in ("memory", "plane"))
@@ -121,7 +121,7 @@ class CompiledLaw:
         return s, C, q_new, energies, int(failed)
 
 
-_KERNELS: set[tuple[type[BulkLaw], bytes]] = set()  # checked ones, with their numbers
+_CHECKED_KERNELS: set[tuple[type[BulkLaw], bytes]] = set()  # checked ones, with their numbers
 
 
 def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
@@ -130,15 +130,15 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
     Its compiled function is called for strains, or jumps, of all sizes, with steps of several lengths.
     """
     key = type(law), law.parameter_values().tobytes()
-    if not isinstance(law, KernelLaw) or law_identity(law) is not None or law.traits.rate or key in _KERNELS:
+    if not isinstance(law, KernelLaw) or law_identity(law) is not None or law.traits.rate or key in _CHECKED_KERNELS:
         return
-    _KERNELS.add(key)  # also while it is checked, as the law is compiled again
+    _CHECKED_KERNELS.add(key)  # also while it is checked, as the law is compiled again
     material, name = CompiledLaw(comm, law), type(law).__name__
-    e = np.array(TRIAL_SIZES)[:, None] * np.cos(np.arange(6.0 * len(TRIAL_SIZES))).reshape(-1, 6)
+    e = np.array(TRIAL_STRAINS)[:, None] * np.cos(np.arange(6.0 * len(TRIAL_STRAINS))).reshape(-1, 6)
     q, n = np.zeros((len(e), law.memory)), np.tile([0.6, 0.8, 0.0], (len(e), 1))
     usual, *others = (material.update(range(6), e, 0 * e, q, n, dt, 1.0) for dt in TRIAL_STEPS)
     if law.relaxes == all(np.array_equal(one[k], usual[k], equal_nan=True) for one in others for k in (0, 2)):
-        _KERNELS.discard(key)
+        _CHECKED_KERNELS.discard(key)
         does = "does not depend" if law.relaxes else "depends"
         said = f"relaxes = {law.relaxes}, but its answer {does} on dt: write relaxes = {not law.relaxes}"
         raise InputError(f"{name} says {said} in the class")

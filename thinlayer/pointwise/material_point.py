@@ -8,17 +8,20 @@ import numpy as np
 from mpi4py import MPI
 
 from forms.base import Array
-from forms.kinematics import UNITS
+from forms.kinematics import MANDEL_BASIS
 from forms.law import BulkLaw
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.material import CompiledLaw
 
-COMPONENTS = {2: ("T", "N"), 3: ("T1", "T2", "N")}
-ITERATIONS, SHORTENINGS = 60, 25  # limits of the Newton iterations, and of the halvings of each Newton step
-LEAST_PART = 2.0**-10  # smallest fraction of a step that is tried
-FARTHEST = 2.0**25  # longest step along a null vector of a singular tangent, relative to the elastic step
-TOLERANCE, LOOSE_TOLERANCE = 1e-12, 1e-9  # relative error of tractions: wanted; accepted if Newton's method stagnates
+COMPONENT_NAMES = {2: ("T", "N"), 3: ("T1", "T2", "N")}
+MAX_NEWTON_STEPS, MAX_HALVINGS = 60, 25  # limits of the Newton iterations, and of the halvings of each Newton step
+MIN_STEP_FRACTION = 2.0**-10  # smallest fraction of a step that is tried
+MAX_NULL_STEP = 2.0**25  # longest step along a null vector of a singular tangent, relative to the elastic step
+TRACTION_TOLERANCE, STAGNATION_TOLERANCE = (
+    1e-12,
+    1e-9,
+)  # relative error of tractions: wanted; accepted if Newton's method stagnates
 
 
 class MaterialPointState(NamedTuple):
@@ -42,7 +45,7 @@ class MaterialPoint:
         self.switching = Switching(law) if law.traits.switches else None
         self.n3 = np.append(n, np.zeros(3 - len(n)))
         # (6, d), strain of a unit jump in each component: e = E w, t = E^T stress
-        self.E = np.einsum("kij,ia,j->ka", UNITS, axes, self.n3)
+        self.E = np.einsum("kij,ia,j->ka", MANDEL_BASIS, axes, self.n3)
         self.stiffness = 0.0  # largest entry of a tangent so far
 
     def rest(self) -> MaterialPointState:
@@ -78,7 +81,7 @@ class MaterialPoint:
             found = self._settled(state, given, aim, part * dt)
             if found is None:
                 part /= 2
-                if part < LEAST_PART:
+                if part < MIN_STEP_FRACTION:
                     raise SolveError(self._stuck(state, given, done))
                 continue
             state, done, parts = found, done + part, parts + 1
@@ -99,7 +102,7 @@ class MaterialPoint:
             old = old._replace(memory=memory[0])
 
     def _stuck(self, state: MaterialPointState, jumps_given: Array, done: float) -> str:
-        names = [f"{kind}_{c}" for kind in "wt" for c in COMPONENTS[len(self.n)]]
+        names = [f"{kind}_{c}" for kind in "wt" for c in COMPONENT_NAMES[len(self.n)]]
         values = zip(names, (*state.w, *state.traction), strict=True)
         reached = ", ".join(f"{name} = {value:.6g}" for name, value in values)
         where = f"it stopped after {done:.4g} of the step, at {reached}"
@@ -123,25 +126,25 @@ class MaterialPoint:
             """A state between `now` and a step that misses no more traction than this; None if there is none."""
             whole = np.zeros(len(free))
             whole[free] = step
-            tried = (self._respond(old, now.w + 0.5**shortening * whole, dt) for shortening in range(SHORTENINGS))
+            tried = (self._respond(old, now.w + 0.5**shortening * whole, dt) for shortening in range(MAX_HALVINGS))
             return next((state for state in tried if state is not None and missing(state) <= most), None)
 
         self._respond(old, old.w, dt)  # sets self.stiffness
         reached = self._respond(old, np.where(jumps_given, goal, old.w), dt)
-        for _ in range(ITERATIONS):
-            if reached is None or farther > FARTHEST:
+        for _ in range(MAX_NEWTON_STEPS):
+            if reached is None or farther > MAX_NULL_STEP:
                 return None
             now = reached
             left, error = (goal - now.traction)[free], missing(now)
             scale = max(np.abs(one).max() for one in (now.traction, old.traction, goal * free))
-            if error <= TOLERANCE * scale:
+            if error <= TRACTION_TOLERANCE * scale:
                 return now
             slope, found = now.tangent[np.ix_(free, free)], None
             if np.linalg.cond(slope) < 1e13:
                 farther = 1.0
                 step = np.linalg.solve(slope, left)
                 found = along(step, error * (1 - 1e-4))
-            if found is None and error <= LOOSE_TOLERANCE * scale:
+            if found is None and error <= STAGNATION_TOLERANCE * scale:
                 return now
             if found is None:
                 found = along(farther * left / self.stiffness, error)

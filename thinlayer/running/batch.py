@@ -22,9 +22,9 @@ from thinlayer.system.folder import lock_folder
 from thinlayer.system.progress import report
 from thinlayer.system.words import print_safely
 
-WORDS = {OK: "all checks hold", CHECK_FAILED: "a check fails", UNFINISHED: "not finished"}
-LOG = ".log"
-PAUSE = 0.1  # s between looks at the processes
+STATUS_WORDS = {OK: "all checks hold", CHECK_FAILED: "a check fails", UNFINISHED: "not finished"}
+LOG_SUFFIX = ".log"
+POLL_SECONDS = 0.1  # s between looks at the processes
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Job:
         command = [sys.executable, "-m", "thinlayer", "run", *self.words, "--out", str(self.folder)]
         command += ["--resume"] if earlier else []
         environment = {"OMP_NUM_THREADS": "1", **os.environ}  # every core has a run of its own
-        with Path(f"{self.folder}{LOG}").open("wb") as log:
+        with Path(f"{self.folder}{LOG_SUFFIX}").open("wb") as log:
             process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
         ends.enter_context(process)  # which waits for it
         ends.callback(process.terminate)
@@ -127,12 +127,14 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
                 if process is None or process.poll() is not None:
                     del running[job]
                     statuses.append(job.status())
-                    spent = f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG}" if process else "done before"
+                    spent = (
+                        f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG_SUFFIX}" if process else "done before"
+                    )
                     print_safely(
-                        f"{len(statuses) - 1} of {len(jobs)}  {job.folder.name}: {WORDS[statuses[-1]]} ({spent})"
+                        f"{len(statuses) - 1} of {len(jobs)}  {job.folder.name}: {STATUS_WORDS[statuses[-1]]} ({spent})"
                     )
             now = f"{len(statuses) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
             left, whole = (sum(job.seconds for job in some) for some in ([*waiting, *running], jobs))
             tell(1 - left / whole, now)
-            time.sleep(PAUSE)
+            time.sleep(POLL_SECONDS)
     return max(statuses)

@@ -21,7 +21,7 @@ from thinlayer.running.materials import MaterialEntry
 from thinlayer.running.section import TimeSeries
 from thinlayer.system.ranks import errors_on_all
 
-LEAST_EPS = 1e-9  # thickness over the size of the bodies: below, rounding is larger than its effect
+MIN_THICKNESS = 1e-9  # thickness over the size of the bodies: below, rounding is larger than its effect
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ class DescribedCase:
             joint = read(of_file.pop("path"), **of_file)
         size = joint.size
         for name, one in given.layer.items():
-            if not LEAST_EPS * size <= one.eps <= size:
-                what = f"{one.eps:g}; allowed beside bodies of {size:.4g}: {LEAST_EPS * size:.2g} to {size:.4g}"
+            if not MIN_THICKNESS * size <= one.eps <= size:
+                what = f"{one.eps:g}; allowed beside bodies of {size:.4g}: {MIN_THICKNESS * size:.2g} to {size:.4g}"
                 given.section.refuse(what, "layer", *([name] if name else []), "eps")
         layer = _by_name(given.layer, lambda one: ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain))
         goals = tuple(_goal(name, **one) for name, one in given.goals.items()) or (kinds.Compliance(),)

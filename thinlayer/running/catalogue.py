@@ -11,12 +11,16 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-STUDIES = Path(__file__).parents[2] / "studies"
-BENCHMARKS = STUDIES.parent / ".ci/benchmarks"  # of a clone alone
-LISTS = [path for path in (STUDIES / "data/studies.toml", BENCHMARKS / "studies.toml") if path.exists()]
+STUDIES_FOLDER = Path(__file__).parents[2] / "studies"
+BENCHMARKS_FOLDER = STUDIES_FOLDER.parent / ".ci/benchmarks"  # of a clone alone
+STUDY_LISTS = [
+    path for path in (STUDIES_FOLDER / "data/studies.toml", BENCHMARKS_FOLDER / "studies.toml") if path.exists()
+]
 # group -> study -> seconds, see `Study`
-GROUPS: dict[str, dict[str, list[float]]] = tomllib.loads("\n".join(path.read_text(encoding="utf-8") for path in LISTS))
-UNITS = {"h": 3600, "min": 60, "s": 1}
+STUDY_GROUPS: dict[str, dict[str, list[float]]] = tomllib.loads(
+    "\n".join(path.read_text(encoding="utf-8") for path in STUDY_LISTS)
+)
+SECONDS_OF_UNIT = {"h": 3600, "min": 60, "s": 1}
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class Study:
         summary: first line of its docstring.
         options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
         drawn: whether it has pictures, which its `draw` makes of its tables; others have tables alone.
-        group: of `GROUPS`.
+        group: of `STUDY_GROUPS`.
         quick, full: seconds that it takes with --quick, and in full, roughly.
     """
 
@@ -45,9 +49,9 @@ class Study:
 def studies() -> dict[str, Study]:
     """All studies by name, in the order of their groups."""
     found = {}
-    for group, members in GROUPS.items():
+    for group, members in STUDY_GROUPS.items():
         for name, seconds in members.items():
-            folder = BENCHMARKS if group == "Benchmarks" else STUDIES
+            folder = BENCHMARKS_FOLDER if group == "Benchmarks" else STUDIES_FOLDER
             tree = ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))
             functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
             run, summary = functions["run"], (ast.get_docstring(tree) or "").partition("\n")[0]
@@ -87,5 +91,5 @@ def listed() -> str:
 
 def duration(seconds: float) -> str:
     """A time in words, to one digit."""
-    unit = next(unit for unit, size in UNITS.items() if seconds >= 1.5 * size or size == 1)
-    return f"{float(f'{seconds / UNITS[unit]:.1g}'):g} {unit}"
+    unit = next(unit for unit, size in SECONDS_OF_UNIT.items() if seconds >= 1.5 * size or size == 1)
+    return f"{float(f'{seconds / SECONDS_OF_UNIT[unit]:.1g}'):g} {unit}"

@@ -34,14 +34,16 @@ if TYPE_CHECKING:
     from thinlayer.running.description import Description
     from thinlayer.running.record import Record
 
-STATUSES = (
+EXIT_STATUS_HELP = (
     "Exit status: 0 all checks of the study hold; 1 a check failed; 2 wrong input, nothing is written; 3 not finished, "
     "results so far are kept: a solve failed, a file could not be written, an interrupt, or a defect, with its traceback."
 )
-REPRODUCED = (
+REPRODUCE_HELP = (
     "Exit status: 0 all numbers hold; 1 one does not; 2 wrong input; 3 a study is not finished, as the page shows."
 )
-TAKEN_UP = "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
+RESUME_HELP = (
+    "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
+)
 PETSC_PREFIX = "-thinlayer_"
 Petsc = Mapping[str, str | None]
 Command = Callable[["Parser", argparse.Namespace, Petsc], int]
@@ -83,7 +85,7 @@ def _unknown(kind: str, name: object, known: Iterable[object]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit status, see `STATUSES`. A defect raises its exception, see `start`."""
+    """Run a command; returns the exit status, see `EXIT_STATUS_HELP`. A defect raises its exception, see `start`."""
     words = [*(sys.argv[1:] if arguments is None else arguments)]
     several = words[:1] == ["run"] and ("--all" in words or [word[:1] == "-" for word in words[1:3]] == [False, False])
     parser = _several_studies() if several else command_line()
@@ -147,16 +149,16 @@ def command_line() -> argparse.ArgumentParser:
     before.add_argument("--new", action="store_true", help="print a description to fill in, with a mesh file's names")
     _add_json(before)
     what = "Run the studies of the paper, and write a page with its numbers beside those that are computed."
-    page = _command(commands, "reproduce", _batch, f"{what} {TAKEN_UP}", "--quick")
-    page.epilog = f"{REPRODUCED} {page.epilog}"
+    page = _command(commands, "reproduce", _batch, f"{what} {RESUME_HELP}", "--quick")
+    page.epilog = f"{REPRODUCE_HELP} {page.epilog}"
     _add_batch(page, Path("out", "reproduce"))
     return parser
 
 
 def _several_studies() -> Parser:
     """The parser of `run` for several studies."""
-    what = f"Run several studies, each in its folder DIR/STUDY. {TAKEN_UP}"
-    parser = Parser(prog="python3 -m thinlayer run", description=what, epilog=STATUSES)
+    what = f"Run several studies, each in its folder DIR/STUDY. {RESUME_HELP}"
+    parser = Parser(prog="python3 -m thinlayer run", description=what, epilog=EXIT_STATUS_HELP)
     parser.add_argument("studies", nargs="*", metavar="STUDY", choices=studies(), help="names of studies")
     names = [study.name for study in studies().values() if study.drawn]
     parser.add_argument("--all", action="store_const", const=names, help="all studies that draw pictures")
@@ -183,7 +185,7 @@ def _command(commands: Any, name: str, work: Command, what: str, example: str) -
 def _computing(one: Parser) -> Parser:
     """The parser of a command that computes, and has a folder."""
     one.description = f"{one.description} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
-    one.epilog = f"{STATUSES} {one.epilog}"
+    one.epilog = f"{EXIT_STATUS_HELP} {one.epilog}"
     said = one.add_mutually_exclusive_group()
     said.add_argument("-v", "--verbose", action="count", default=0, help="show attempts of solves; twice: their steps")
     quiet = "print no progress and no tables, only errors, warnings and checks that fail"

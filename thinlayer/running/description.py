@@ -26,13 +26,13 @@ from thinlayer.running.section import (
 Place = str | tuple[float, ...]
 Vector = tuple[float, ...]
 
-GOALS: dict[str, dict[str, Reader]] = {
+GOAL_READERS: dict[str, dict[str, Reader]] = {
     "compliance": {},
     "reaction": {"place": Section.text, "direction": Section.vector},
     "mean_traction": {"direction": Section.vector, "seam": Section.text},
     "displacement": {"x": Section.vector, "direction": Section.vector, "side": choice_reader("lower", "upper")},
 }  # kind -> its arguments
-ALWAYS = ("traction", "jump")  # quantities that every estimate has, besides goals
+DEFAULT_QUANTITIES = ("traction", "jump")  # quantities that every estimate has, besides goals
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ class Description:
         """
         section = read_description(path, settings)
         law = "the parameters of a law, such as E and nu, in a table"
-        needed = {"mesh": MESH, "body": f"{law} [body]", "layer": f"{law} [layer]"}
-        found = cls(section, **section.entries(READERS, needed))
+        needed = {"mesh": MESH_HINT, "body": f"{law} [body]", "layer": f"{law} [layer]"}
+        found = cls(section, **section.entries(ENTRY_READERS, needed))
         moves = [v for one in found.supports.values() for v in (one.values() if isinstance(one, Mapping) else [one])]
         strained = any(one.eigenstrain for one in (*found.body.values(), *found.layer.values()))
         if not (found.tractions or found.body_force or found.loads or any(moves) or strained):
@@ -110,7 +110,7 @@ def _mesh(section: Section, key: str) -> dict[str, Any]:
     given, sides = section.values[key], dict.fromkeys(("upper", "lower"), Section.texts)
     one = section.inner({"path": given} if isinstance(given, str) else given, "path and arguments of read", key)
     readers: dict[str, Reader] = {"path": Section.text, "S": _sides, **sides, "direction": Section.vector}
-    found = one.entries(readers | {"scale": positive_reader("a factor")}, {"path": MESH})
+    found = one.entries(readers | {"scale": positive_reader("a factor")}, {"path": MESH_HINT})
     return {"S": None, **found} if sides.keys() <= found.keys() else found
 
 
@@ -195,13 +195,15 @@ def _times(section: Section, key: str) -> tuple[float, ...]:
 def _goals(section: Section, key: str) -> dict[str, dict[str, Any]]:
     goals, found = section.table(key, "names with what they ask for, such as compliance = true"), {}
     for name, value in goals.values.items():
-        if name in ALWAYS:
+        if name in DEFAULT_QUANTITIES:
             goals.refuse("this quantity is told of every layer; give a goal another name", name)
         one = goals.inner({} if value is True else value, "arguments of a goal, or is true", name)
-        kind = one.text("kind", GOALS) if "kind" in one.values else name
-        if kind not in GOALS:
-            goals.refuse(f"what is asked for? give kind, one of {', '.join(GOALS)}, or one of them as the key", name)
-        readers = GOALS[kind]
+        kind = one.text("kind", GOAL_READERS) if "kind" in one.values else name
+        if kind not in GOAL_READERS:
+            goals.refuse(
+                f"what is asked for? give kind, one of {', '.join(GOAL_READERS)}, or one of them as the key", name
+            )
+        readers = GOAL_READERS[kind]
         needed = {key: f"{kind} has {', '.join(readers)}" for key in readers if key not in ("seam", "side")}
         found[name] = {"kind": kind, **one.entries({"kind": Section.text, **readers}, needed)}
     return found
@@ -212,12 +214,12 @@ def _tolerance(section: Section, key: str) -> dict[str, float]:
     value, what = section.values[key], "the largest relative change that is allowed, between 0 and 1"
     one = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, key)
     goals = section.values.get("goals") or {"compliance": True}
-    found = one.entries(dict.fromkeys([*ALWAYS, *goals], positive_reader(what)), kind="quantity")
+    found = one.entries(dict.fromkeys([*DEFAULT_QUANTITIES, *goals], positive_reader(what)), kind="quantity")
     return {name: one.checked(name, lambda number: number < 1, f"is not < 1; it is {what}") for name in found}
 
 
-MESH = 'the name of a mesh file, mesh = "joint.msh"'
-READERS: dict[str, Reader] = {
+MESH_HINT = 'the name of a mesh file, mesh = "joint.msh"'
+ENTRY_READERS: dict[str, Reader] = {
     "mesh": _mesh,
     "units": _units,
     "body": read_materials,

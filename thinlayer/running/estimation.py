@@ -31,8 +31,8 @@ from thinlayer.system.table import Table
 from thinlayer.time.marching import march
 
 LAW, BOND = "law", "bond"  # what is in place of the meshed layer
-NEAR = (4, 8)  # distances from the ends of S, in thicknesses, for which shares of the change are printed
-QUESTIONS = {
+END_DISTANCES = (4, 8)  # distances from the ends of S, in thicknesses, for which shares of the change are printed
+QUESTION_TEXTS = {
     LAW: "May you drop the layer's mesh, with its interface law instead?",
     BOND: "May you ignore the layer altogether, with its bodies bonded?",
 }
@@ -61,7 +61,7 @@ def run(record: Record, given: Description, file: Path) -> None:
         record.say("lengths in {}, stresses in {}".format(*given.units))
     thicknesses = []
     for name, one in found.items():
-        record.say("\n".join([QUESTIONS[name], *(f"  {sentence}" for sentence in one.sentences)]))
+        record.say("\n".join([QUESTION_TEXTS[name], *(f"  {sentence}" for sentence in one.sentences)]))
         thicknesses += _thicknesses(record, case, name)
     record.say(f"\n{table}\n")
     if thicknesses:
@@ -129,7 +129,7 @@ def _near_ends(found: Estimate, goal: str, density: Array) -> str:
     surface, error, shares = Surface(found.better.model), found.goals[goal], []
     if error.zero or error.fixed or not np.isfinite(surface.distance_to_ends).any():
         return ""
-    for distance in np.array(NEAR) * max(layer.layer.eps for layer in found.layers.values()):
+    for distance in np.array(END_DISTANCES) * max(layer.layer.eps for layer in found.layers.values()):
         near = surface.integral(surface.at_points(density) * (surface.distance_to_ends < distance))
         shares.append(f"{100 * near / error.change:.2g} % within {distance:.3g} of the ends of S")
     return f"of its change {' and '.join(shares)}"

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from forms.base import InputError
 
-DATA = Path(__file__).parents[2] / "studies" / "data"  # pages of the paper, and the means of their text
-SIGNS: dict[str, str] = tomllib.loads((DATA / "signs.toml").read_text(encoding="utf-8"))
-ACCENTS = {"bar": "\u0304", "dot": "\u0307"}
-MARKED = re.compile(r"\$([^$]+)\$|`([^`]+)`|\*\*([^*]+)\*\*|\[([^\]]+)\]\(([^)\s]+)\)")
+DATA_FOLDER = Path(__file__).parents[2] / "studies" / "data"  # pages of the paper, and the means of their text
+SIGN_ENTITIES: dict[str, str] = tomllib.loads((DATA_FOLDER / "signs.toml").read_text(encoding="utf-8"))
+COMBINING_ACCENTS = {"bar": "\u0304", "dot": "\u0307"}
+MARKUP_PATTERN = re.compile(r"\$([^$]+)\$|`([^`]+)`|\*\*([^*]+)\*\*|\[([^\]]+)\]\(([^)\s]+)\)")
 
 
 def html_of(text: str) -> str:
@@ -35,20 +35,24 @@ def line_of(text: str) -> str:
             return f'<a href="{link}">{line_of(html.unescape(label))}</a>'
         return f"<code>{code}</code>" if code else f"<strong>{stress}</strong>"
 
-    return MARKED.sub(marked, html.escape(text))
+    return MARKUP_PATTERN.sub(marked, html.escape(text))
 
 
 def formula_of(tex: str) -> str:
     """A formula as HTML; raises as `html_of`."""
 
     def sign(match: re.Match[str]) -> str:
-        text = SIGNS.get(match[1][1:], match[1]) if match[1][0] == "\\" else match[1]
+        text = SIGN_ENTITIES.get(match[1][1:], match[1]) if match[1][0] == "\\" else match[1]
         return f"<i>{text}{match[2]}</i>" if len(text) == 1 and text.isalpha() else text
 
-    done = re.sub(r"\\(bar|dot)\s*\{?(\\[a-z]+|\w)\}?", lambda match: match[2] + ACCENTS[match[1]], html.escape(tex))
+    done = re.sub(
+        r"\\(bar|dot)\s*\{?(\\[a-z]+|\w)\}?", lambda match: match[2] + COMBINING_ACCENTS[match[1]], html.escape(tex)
+    )
     done = re.sub(r"(\\[A-Za-z]+|\\.|&\w+;|[A-Za-z-])([\u0304\u0307]?)", sign, done.replace("-", "\\-"))
     for raised, tag in (("_", "sub"), (r"\^", "sup")):
         done = re.sub(rf"{raised}(?:\{{([^{{}}]*)\}}|(<i>.*?</i>|.))", rf"<{tag}>\1\2</{tag}>", done)
     if left := re.search(r"[\\{}]\w*", done):
-        raise InputError(f"the formula {tex!r} has {left[0]!r}: no name of {DATA / 'signs.toml'}, no simple group")
+        raise InputError(
+            f"the formula {tex!r} has {left[0]!r}: no name of {DATA_FOLDER / 'signs.toml'}, no simple group"
+        )
     return done

@@ -17,8 +17,8 @@ from forms.law import BulkLaw, scalar_fields
 from forms.series import Stack
 from thinlayer.running.section import Reader, Section, choice_reader, positive_reader
 
-ELASTIC = ("E", "nu", "K", "G", "mu", "lmbda")
-PAIRS = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
+ELASTIC_CONSTANTS = ("E", "nu", "K", "G", "mu", "lmbda")
+ELASTIC_PAIRS_TEXT = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
 
 
 @dataclass(frozen=True)
@@ -72,11 +72,11 @@ def _law(section: Section, beside: Mapping[str, Reader], needed: Mapping[str, st
     name = section.text("law", known_laws(), "law of strains") if "law" in section.values else "LinearElastic"
     kind: Any = known_laws()[name]
     parameters = {f.name: f for f in fields(kind) if f.init}
-    elastic = ELASTIC if "lmbda" in parameters else ("E", "G", "mu") if "mu" in parameters else ()
+    elastic = ELASTIC_CONSTANTS if "lmbda" in parameters else ("E", "G", "mu") if "mu" in parameters else ()
     own = [key for key in parameters if key not in elastic]
     readers: dict[str, Reader] = {"law": Section.text, **beside}
     readers |= dict.fromkeys(elastic, Section.number) | dict.fromkeys(own, partial(_value, kind))
-    has = f"{name} has {', '.join([PAIRS, *own] if elastic else own)}"
+    has = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT, *own] if elastic else own)}"
     words = {**{key: has for key in own if parameters[key].default is MISSING}, **needed}
     found = section.entries(readers, words, f"key of {name}")
     moduli = {key: found[key] for key in elastic if key in found}
@@ -124,7 +124,7 @@ def _pair(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str,
     """Lame's moduli from a pair of elastic constants."""
     known = {"G" if key == "mu" and "lmbda" not in moduli else key: value for key, value in moduli.items()}
     if len(moduli) != 2 or known.keys() not in ({"E", "nu"}, {"G", "nu"}, {"K", "G"}, {"lmbda", "mu"}):
-        section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has a pair: {PAIRS}")
+        section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has a pair: {ELASTIC_PAIRS_TEXT}")
     if "lmbda" in known:
         return known
     if "K" in known:

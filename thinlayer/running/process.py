@@ -106,7 +106,7 @@ def computed(work: Callable[[], int], *, petsc: Mapping[str, str | None], verbos
     from thinlayer.system import ranks
 
     set_signals()
-    ranks.STATUS = UNFINISHED
+    ranks.EXIT_STATUS = UNFINISHED
     if verbose:
         logging.basicConfig(format="%(name)s: %(message)s")
         logging.getLogger("thinlayer").setLevel({-1: logging.ERROR, 1: logging.INFO}.get(verbose, logging.DEBUG))

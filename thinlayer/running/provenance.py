@@ -16,7 +16,7 @@ from forms.base import PACKAGES
 from forms.law import Law
 from thinlayer.system.words import VERSION, version_of
 
-INSTALLED = (
+RECORDED_PACKAGES = (
     "fenics-dolfinx fenics-basix fenics-ufl fenics-ffcx petsc4py mpi4py gmsh meshio pyvista vtk numpy scipy matplotlib"
 )
 
@@ -26,7 +26,7 @@ def versions() -> dict[str, str]:
     """Versions of Python and of the packages that results depend on; "not installed" for a missing one."""
     found = {"python": platform.python_version(), "thinlayer": VERSION}
     found["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
-    return found | {name: version_of(name) for name in INSTALLED.split()}
+    return found | {name: version_of(name) for name in RECORDED_PACKAGES.split()}
 
 
 def petsc_options() -> dict[str, Any]:

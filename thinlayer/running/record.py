@@ -30,11 +30,11 @@ from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 
 SolvedType = TypeVar("SolvedType", State, History)
-LOG = logger("study")
-RUN, FORMAT = "run.json", 1  # the format is that of run.json
-PRINTED = 40  # most rows of a table that is printed
-KINDS = {"study": str, "options": dict, "code": str, "petsc": dict, "files": list, "checks": list}  # in run.json
-MARCHES = "unfinished"  # folder for the states of marches, needed to resume
+STUDY_LOGGER = logger("study")
+RUN_FILE, RUN_FORMAT = "run.json", 1  # the format is that of run.json
+MAX_PRINTED_ROWS = 40  # most rows of a table that is printed
+ENTRY_TYPES = {"study": str, "options": dict, "code": str, "petsc": dict, "files": list, "checks": list}  # in run.json
+MARCHES_FOLDER = "unfinished"  # folder for the states of marches, needed to resume
 
 
 @dataclass
@@ -116,12 +116,12 @@ class Record:
 
     def _take(self, stack: ExitStack) -> None:
         stack.enter_context(lock_folder(self.out))
-        if (self.out / RUN).exists():
+        if (self.out / RUN_FILE).exists():
             if self.resume:
                 self._files |= {*self.same_run()["files"]}
             else:  # run.json last: it is still there if the process is killed while files are moved
                 files = (name for name in self._read()["files"] if Path(name).name == name)
-                self._previous = move_away(self.out, [*files, RUN])
+                self._previous = move_away(self.out, [*files, RUN_FILE])
         elif tables := sorted(path.name for path in self.out.glob("*.csv")):
             what = f"{self.out} has tables ({', '.join(tables)}) and no run.json"
             raise InputError(f"{what}; give another --out, or remove these")
@@ -141,16 +141,16 @@ class Record:
                     if not isinstance(error, InputError):
                         self._write(error_reason(error))
                     elif not results:
-                        (self.out / RUN).unlink(missing_ok=True)
+                        (self.out / RUN_FILE).unlink(missing_ok=True)
                         if self._previous:
                             move_back(self._previous)
 
     def _read(self) -> dict[str, Any]:
         """The content of run.json; on rank 0. InputError: the file cannot be read, or has other content."""
-        path = self.out / RUN
+        path = self.out / RUN_FILE
         try:
             run = dict(json.loads(path.read_text(encoding="utf-8")))
-            if wrong := [name for name, kind in KINDS.items() if not isinstance(run.get(name), kind)]:
+            if wrong := [name for name, kind in ENTRY_TYPES.items() if not isinstance(run.get(name), kind)]:
                 raise ValueError(f"it is not as a run writes it: {', '.join(wrong)}")
             Path(*run["files"])
             dict(run["petsc"]["options"])
@@ -198,11 +198,11 @@ class Record:
         content = {name: getattr(self, name) for name in ("study", "options", "parameters", "results", "solves")}
         content |= {"code": code(), "petsc": petsc_options(), "versions": versions(), "ranks": default_comm().size}
         content |= {"seconds": round(time.perf_counter() - self._start, 3), "checks": [*map(asdict, self.checks)]}
-        content |= {"format": FORMAT, "error": error, "files": sorted(self._files)}
-        with replace_file(self.out / RUN) as file:
+        content |= {"format": RUN_FORMAT, "error": error, "files": sorted(self._files)}
+        with replace_file(self.out / RUN_FILE) as file:
             file.write((json.dumps(content, indent=1, default=str) + "\n").encode())
         if error is None:
-            shutil.rmtree(self.out / MARCHES, ignore_errors=True)
+            shutil.rmtree(self.out / MARCHES_FOLDER, ignore_errors=True)
 
     # ---------------------------------------------------------------- files
     def path(self, name: str) -> Path:
@@ -251,7 +251,7 @@ class Record:
     def say_tables(self) -> None:
         """Print the tables that are not long."""
         for name, table in self._tables.items():
-            if len(table) <= PRINTED:
+            if len(table) <= MAX_PRINTED_ROWS:
                 self.say(f"{name}\n{table}")
 
     def say(self, text: object) -> None:
@@ -269,7 +269,7 @@ class Record:
         """Run `thinlayer.march`; files to resume it from are kept until the run is done. Collective."""
         history = None
         try:
-            history = march(model, times, out=self.path(MARCHES) / name, resume=self.resume, **choices)
+            history = march(model, times, out=self.path(MARCHES_FOLDER) / name, resume=self.resume, **choices)
         except SolveError as error:
             history = error.history
             raise
@@ -284,13 +284,13 @@ class Record:
         thin = {name: one.thin.eps for name, one in state.model.layers.items() if one.thin}
         eps = thin if len(thin) > 1 else next(iter(thin.values()), None)
         self.solves.append({"model": repr(state.model), "eps": eps, "t": state.t} | asdict(state.report))
-        LOG.info("%(model)s, eps = %(eps)s, t = %(t)g: %(method)s, %(iterations)d steps", self.solves[-1])
+        STUDY_LOGGER.info("%(model)s, eps = %(eps)s, t = %(t)g: %(method)s, %(iterations)d steps", self.solves[-1])
         return found
 
     def check(self, name: str, value: float, *, low: float | None = None, high: float | None = None) -> None:
         """Check that a number lies in a range; a failed check makes the run exit with status 1."""
         self.checks.append(Check(name, float(value), low, high))
-        LOG.info("check %s", self.checks[-1])
+        STUDY_LOGGER.info("check %s", self.checks[-1])
 
     def check_near(self, name: str, value: float, expected: float, tolerance: float) -> None:
         """Check that a number is the expected one, to a relative tolerance."""

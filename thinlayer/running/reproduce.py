@@ -22,20 +22,20 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from thinlayer.running.batch import LOG, Job, quick_options, run_all
-from thinlayer.running.markup import DATA, html_of, line_of
+from thinlayer.running.batch import LOG_SUFFIX, Job, quick_options, run_all
+from thinlayer.running.markup import DATA_FOLDER, html_of, line_of
 from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
 from thinlayer.running.provenance import code, versions
 from thinlayer.system.folder import replace_file
 from thinlayer.system.table import Table
 from thinlayer.system.words import print_safely
 
-STATUS = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED}  # by verdict
-SHOWN = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions at the head of the page
-CLOSE = 0.05  # a range less than this wide, over its middle, is shown as one number and a tolerance
+STATUS_OF_VERDICT = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED}  # by verdict
+HEADER_PACKAGES = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions at the head of the page
+NARROW_RANGE = 0.05  # a range less than this wide, over its middle, is shown as one number and a tolerance
 NUMBERS = {"label": "Number", "printed": "Paper", "computed": "Computed", "bounds": "Bounds", "verdict": "Verdict"}
 ERRATA = {"where": "Where", "printed": "Printed", "right": "Right", "shown": "Shown by"}
-NONE = {"value": None, "low": None, "high": None, "passed": None}  # of a check that is missing
+MISSING_CHECK = {"value": None, "low": None, "high": None, "passed": None}  # of a check that is missing
 
 
 def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
@@ -54,10 +54,10 @@ def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
     """
     start, page = time.monotonic(), Page(out, quick=quick)
     run_all([*page.jobs.values()], out, at_a_time)
-    head = DATA.parents[1] / ".git" / "HEAD"
+    head = DATA_FOLDER.parents[1] / ".git" / "HEAD"
     name = head.read_text().strip().removeprefix("ref: ") if head.exists() else "not known"
     commit = (head.parent / name).read_text().strip() if (head.parent / name).is_file() else name
-    facts = {name: versions()[name] for name in SHOWN}
+    facts = {name: versions()[name] for name in HEADER_PACKAGES}
     facts |= {"commit": commit[:12], "code": code(), "date": time.strftime("%F")}
     facts["machine"] = f"{platform.system()} {platform.machine()}, {len(os.sched_getaffinity(0))} cores"
     facts["command"] = f"python3 -m thinlayer reproduce{' --quick' * quick}"
@@ -77,7 +77,7 @@ class Page:
     """
 
     def __init__(self, out: Path, *, quick: bool) -> None:
-        self.out, self.data = out, tomllib.loads((DATA / "paper.toml").read_text(encoding="utf-8"))
+        self.out, self.data = out, tomllib.loads((DATA_FOLDER / "paper.toml").read_text(encoding="utf-8"))
         self.jobs = {}
         for name, run in self.data["runs"].items():
             options = run.get("options", {}) | quick_options(run["study"], quick)
@@ -96,7 +96,7 @@ class Page:
             with replace_file(self.out / name) as file:
                 file.write(text.encode())
         print_safely(f"{self.summary}\nwritten to {self.out / 'index.html'}")
-        return max(UNFINISHED if self.unfinished else OK, *(STATUS[row["verdict"]] for row in self.rows))
+        return max(UNFINISHED if self.unfinished else OK, *(STATUS_OF_VERDICT[row["verdict"]] for row in self.rows))
 
     def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[dict[str, Any]]:
         """Rows of entries of paper.toml: a check, or nulls where nothing is computed, and words for it.
@@ -110,7 +110,7 @@ class Page:
             about = {"section": section, "run": run, "study": self.jobs[run].study, "options": self.jobs[run].options}
             checks = self.results[run].get("checks", ())
             matches = [(check, match.groups()) for check in checks if (match := pattern.fullmatch(check["name"]))]
-            for check, parts in matches or [({"name": entry["check"], **NONE}, ())]:
+            for check, parts in matches or [({"name": entry["check"], **MISSING_CHECK}, ())]:
                 label = entry.get("label", check["name"])
                 for part in parts:
                     label = label.replace("*", part, 1)
@@ -127,7 +127,7 @@ class Page:
         sections = self.data["sections"]
         about["links"] = "".join(fill_template("link", id=part["id"], short=part["short"]) for part in sections)
         about["sections"] = "".join(map(self.section, sections))
-        about["gaps"] = "".join(fill_template("gap", name=name, log=f"{name}{LOG}") for name in self.unfinished)
+        about["gaps"] = "".join(fill_template("gap", name=name, log=f"{name}{LOG_SUFFIX}") for name in self.unfinished)
         about |= {
             "errata": html_table(ERRATA, "erratum", map(self.erratum, self.data["errata"])),
             "summary": self.summary,
@@ -138,7 +138,7 @@ class Page:
         """A section: the paper on the left, what is computed on the right; pictures, numbers, details."""
         words = {"id": part["id"], "title": line_of(part["title"])}
         words |= {name: html_of(part[name]) for name in ("problem", "says", "computed")}
-        words["sketch"] = html_picture(DATA / part["sketch"], part["sketch_says"])
+        words["sketch"] = html_picture(DATA_FOLDER / part["sketch"], part["sketch_says"])
         words["pictures"] = "".join(html_picture(self.out / name, text) for name, text in part["pictures"].items())
         runs = dict.fromkeys(row["run"] for row in part["rows"])
         words["details"] = "".join(self.details(name, part.get("tables", ())) for name in runs)
@@ -165,7 +165,7 @@ class Page:
 @cache
 def templates() -> dict[str, Template]:
     """Parts of studies/data/paper.html by name."""
-    first, *rest = re.split(r"<!-- part: (.*) -->\n", (DATA / "paper.html").read_text(encoding="utf-8"))
+    first, *rest = re.split(r"<!-- part: (.*) -->\n", (DATA_FOLDER / "paper.html").read_text(encoding="utf-8"))
     return {"page": Template(first)} | dict(zip(rest[::2], map(Template, rest[1::2]), strict=True))
 
 
@@ -181,7 +181,7 @@ def bounds_text(check: Mapping[str, Any]) -> str:
         return "".join(f"{sign} {end:.6g}" for sign, end in (("≥", low), ("≤", high)) if end is not None)
     half = (high - low) / 2
     near = f"{low + half:.6g}" + f" ± {half:.2g}" * (half > 0)
-    return near if half <= CLOSE * abs(low) else f"{low:.6g} to {high:.6g}"
+    return near if half <= NARROW_RANGE * abs(low) else f"{low:.6g} to {high:.6g}"
 
 
 def html_table(heads: Mapping[str, str], part: str, rows: Iterable[Mapping[str, Any]]) -> str:

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from forms.base import InputError, is_finite, unknown_name_message
 
 Keys = tuple[str, ...]
-NONE: Mapping[str, str] = {}
+NO_HISTORIES: Mapping[str, str] = {}
 
 
 class DescriptionError(InputError):
@@ -119,7 +119,9 @@ class Section:
         except InputError as error:
             self.refuse(str(error), *keys)
 
-    def entries(self, keys: Mapping[str, Reader], needs: Mapping[str, str] = NONE, kind: str = "key") -> dict[str, Any]:
+    def entries(
+        self, keys: Mapping[str, Reader], needs: Mapping[str, str] = NO_HISTORIES, kind: str = "key"
+    ) -> dict[str, Any]:
         """What readers take from the entries of their keys.
 
         Args:

@@ -19,7 +19,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import Configuration, State
 from thinlayer.discretisation.supports import Place
-from thinlayer.parts.part import DISPLACEMENTS, Part, TimeStep
+from thinlayer.parts.part import DISPLACEMENT_KEY, Part, TimeStep
 from thinlayer.pointwise.integrals import assemble_forces, set_owned_values
 from thinlayer.solving.balance import PartSum, TangentMatrix
 from thinlayer.solving.equations import Equations
@@ -27,8 +27,10 @@ from thinlayer.solving.linear_solvers import linear_solvers, mark_symmetry, need
 from thinlayer.solving.petsc import Options, default_options, solve_linear, value_of
 from thinlayer.system.ranks import destroy
 
-DUAL = 1e-6  # difference of changes of a goal, relative, that counts as rounding: forces of random motions are large
-SAME = 1e-12  # difference of two loads, relative, that counts as rounding
+GOAL_CHANGE_TOLERANCE = (
+    1e-6  # difference of changes of a goal, relative, that counts as rounding: forces of random motions are large
+)
+LOAD_TOLERANCE = 1e-12  # difference of two loads, relative, that counts as rounding
 
 
 class Adjoint(AbstractContextManager["Adjoint"]):
@@ -148,7 +150,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         terms = np.concatenate([(q.array_r + on_S.array_r) * d.array_r, g.array_r * (before - after)])
         destroy(d, on_S)
         change, least = self.model.comm.allreduce(np.array([terms.sum(), np.abs(terms).sum()]))
-        if not abs(values[0] - values[1] - change) <= DUAL * (least + abs(values[0]) + abs(values[1])):
+        if not abs(values[0] - values[1] - change) <= GOAL_CHANGE_TOLERANCE * (least + abs(values[0]) + abs(values[1])):
             what = f"the goal {goal.name!r} changes by {values[0] - values[1]:.6g}, its weights say by {change:.6g}"
             raise InputError(f"estimate: {what}, along a random motion: `value` and `dual` are not of one goal")
 
@@ -190,7 +192,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         size = r.norm()
         r.axpy(1.0, q)
         r.array[held] = np.where(g.array_r == self._x.array_r, 0.0, np.inf)[held]
-        return bool(r.norm() <= SAME * size)
+        return bool(r.norm() <= LOAD_TOLERANCE * size)
 
     def _times(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """K^t x; by residuals if the matrix of the factor is the tangent, with its held rows replaced."""
@@ -208,7 +210,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         first, *others = blocks = parts.blocks()
         if first.kept and first.factor == 1.0 and not (others or parts.traits.nonlinear):
             return first.matrix  # the matrix of the bodies is the largest
-        return TangentMatrix(self.model.comm, {DISPLACEMENTS: self.equations.n_displacements}).fill(blocks)
+        return TangentMatrix(self.model.comm, {DISPLACEMENT_KEY: self.equations.n_displacements}).fill(blocks)
 
     def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: TimeStep) -> Array:
         """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""

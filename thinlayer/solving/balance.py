@@ -19,19 +19,19 @@ from geometry.topology import Indices
 from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
-from thinlayer.parts.part import DISPLACEMENTS, Block, FieldPart, Memory, Part, PartTraits, StepOutcome, TimeStep
+from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, Memory, Part, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.integrals import set_owned_values
 from thinlayer.system.ranks import destroy, send
 
-AIM = 1e-10  # residual at which solvers stop, relative to the forces
-ALLOWED = 1e-6  # largest residual of an accepted state, relative to the forces
-EPSILON = float(np.finfo(float).eps)
+SOLVER_TOLERANCE = 1e-10  # residual at which solvers stop, relative to the forces
+STATE_TOLERANCE = 1e-6  # largest residual of an accepted state, relative to the forces
+MACHINE_EPSILON = float(np.finfo(float).eps)
 ROUNDING_SHARE = 1e-14  # rounding of summed forces, relative to stiffness times displacement
-TINY = 1e-300  # divisor instead of zero if there are no forces
+MIN_DIVISOR = 1e-300  # divisor instead of zero if there are no forces
 PartType = TypeVar("PartType", bound=Part)
-SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
-SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
-DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+SAME_PATTERN = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+SUBSET_PATTERN = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+DIFFERENT_PATTERN = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 
 class ForceScale:
@@ -82,7 +82,7 @@ class ForceScale:
             0.0 * self.stiffness,
             max(prescribed, moved),
         )
-        self._support_rounding = EPSILON * self.stiffness * prescribed
+        self._support_rounding = MACHINE_EPSILON * self.stiffness * prescribed
         self.see(0.0)
 
     def start(self, unbalanced: Array) -> None:
@@ -96,28 +96,28 @@ class ForceScale:
     def see(self, stresses: Array | float) -> None:
         """Take norms of the forces of the stresses at a new residual."""
         rounding = ROUNDING_SHARE * self.stiffness * self.displacement
-        self.least = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / ALLOWED)
+        self.least = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / STATE_TOLERANCE)
         self.forces = np.fmax(self.least, stresses)
         if self._within is not None:
-            self.forces = np.maximum(self.forces, ROUNDING_SHARE / ALLOWED * (self._within.T @ self.forces))
+            self.forces = np.maximum(self.forces, ROUNDING_SHARE / STATE_TOLERANCE * (self._within.T @ self.forces))
 
     def rounding(self, largest_displacement: float) -> Array:
         """Rounding of the forces (k,)."""
-        return np.asarray(EPSILON * self._largest_stiffness * largest_displacement)
+        return np.asarray(MACHINE_EPSILON * self._largest_stiffness * largest_displacement)
 
     def aim(self, largest_displacement: float) -> Array:
         """Norms (k,) of the residual at which solvers stop."""
         rounded = np.minimum(self.rounding(largest_displacement), self.allowed)
-        return np.maximum(np.maximum(AIM * self.forces, self._support_rounding), rounded)
+        return np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounded)
 
     @property
     def allowed(self) -> Array:
         """Largest norms (k,) of the residual of an accepted state."""
-        return np.maximum(ALLOWED * self.forces, self._support_rounding)
+        return np.maximum(STATE_TOLERANCE * self.forces, self._support_rounding)
 
     def relative(self, norms: Array) -> float:
         """The largest of the norms of a residual divided by the forces on its block."""
-        return float((norms / np.maximum(self.forces, TINY)).max())
+        return float((norms / np.maximum(self.forces, MIN_DIVISOR)).max())
 
 
 class PartSum:
@@ -286,9 +286,8 @@ class PartSum:
         if (norms <= scale.allowed).all():
             return
         failed = f"; {self.failure()}" if self.failed else ""
-        what = (
-            f"{scale.relative(norms):.1e} of the forces of loads and stresses is out of balance, allowed: {ALLOWED:g}"
-        )
+        allowed = f"allowed: {STATE_TOLERANCE:g}"
+        what = f"{scale.relative(norms):.1e} of the forces of loads and stresses is out of balance, {allowed}"
         advice = "do PETSc options (of a script, a command line, PETSC_OPTIONS or a file petscrc) end the solve early?"
         raise SolveError(f"what the solver returned is no equilibrium: {what}{failed}", advice=advice)
 
@@ -326,7 +325,7 @@ class UnknownLayout:
         """A matrix of displacements on all unknowns, the others as they are; None of None."""
         if T is None or len(self.sizes) == 1:
             return T
-        others = _diagonal_matrix(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENTS], 1.0)
+        others = _diagonal_matrix(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENT_KEY], 1.0)
         return block_matrix([[T, None], [None, others]], self.comm)
 
     def rows(self, local: Indices) -> npt.NDArray[PETSc.IntType]:
@@ -369,12 +368,12 @@ class TangentMatrix:
             A = self._sums[place]
             A.zeroEntries()
             for block in blocks:
-                A.axpy(block.factor, block.matrix, SUBSET)
+                A.axpy(block.factor, block.matrix, SUBSET_PATTERN)
             return
         A = blocks[0].matrix.copy()
         A.scale(blocks[0].factor)
         for block in blocks[1:]:
-            A.axpy(block.factor, block.matrix, DIFFERENT)
+            A.axpy(block.factor, block.matrix, DIFFERENT_PATTERN)
         if len(blocks) > 1:  # PETSc's own LU finds zero pivots in what axpy has merged, none in a copy
             A = A.copy()
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
@@ -389,7 +388,7 @@ class TangentMatrix:
             whole.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
             self._whole = whole
         else:
-            whole.copy(self._whole, SAME)
+            whole.copy(self._whole, SAME_PATTERN)
             whole.destroy()
         return self._whole
 
@@ -425,7 +424,9 @@ def augmented_in_place(
     try:
         for block in others:
             K.axpy(
-                block.factor, block.matrix, SUBSET if _fits_pattern(comm, block.matrix, before, changed) else DIFFERENT
+                block.factor,
+                block.matrix,
+                SUBSET_PATTERN if _fits_pattern(comm, block.matrix, before, changed) else DIFFERENT_PATTERN,
             )
         destroy(*(block.matrix for block in others if not block.kept))
         K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)

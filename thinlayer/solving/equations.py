@@ -25,13 +25,20 @@ from thinlayer.errors import SolveError
 from thinlayer.parts.compiled import SAMPLE_FRACTIONS, CompiledPart
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
-from thinlayer.parts.part import DISPLACEMENTS, Block, TimeStep
-from thinlayer.solving.balance import DIFFERENT, ForceScale, PartSum, TangentMatrix, UnknownLayout, augmented_in_place
+from thinlayer.parts.part import DISPLACEMENT_KEY, Block, TimeStep
+from thinlayer.solving.balance import (
+    DIFFERENT_PATTERN,
+    ForceScale,
+    PartSum,
+    TangentMatrix,
+    UnknownLayout,
+    augmented_in_place,
+)
 from thinlayer.solving.holding import RigidMotions, SupportReactions
-from thinlayer.solving.linear_solvers import MULTIGRIDS, SharedMatrices, orthonormal, set_field_split
+from thinlayer.solving.linear_solvers import MULTIGRID_TYPES, SharedMatrices, orthonormal, set_field_split
 from thinlayer.system.ranks import destroy
 
-LINEARITY = 1e-9  # relative deviation from a straight line in time that still counts as rounding
+LINEARITY_TOLERANCE = 1e-9  # relative deviation from a straight line in time that still counts as rounding
 
 
 class Equations(PartSum):
@@ -69,11 +76,11 @@ class Equations(PartSum):
         self._own_parts = [*self.layers, *added]
         super().__init__([*kept.bodies, *self._own_parts])
         self._layout = UnknownLayout(
-            self.comm, {DISPLACEMENTS: self.u, **{part.key: part.field for part in self.with_own}}
+            self.comm, {DISPLACEMENT_KEY: self.u, **{part.key: part.field for part in self.with_own}}
         )
         kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
         self.factor = kept.factor
-        self.n_displacements = self._layout.sizes[DISPLACEMENTS]
+        self.n_displacements = self._layout.sizes[DISPLACEMENT_KEY]
         self._T = self._layout.widened(self.constraints.T)
         self._product: PETSc.Mat | None = None
         self.held = self._prescribed(None)[0].astype(np.int32)
@@ -95,10 +102,10 @@ class Equations(PartSum):
     def put_state(self, state: Configuration, x: PETSc.Vec) -> None:
         """Write into x the unknowns from which a step after this state starts."""
         values = self._layout.split(x.array)
-        values[DISPLACEMENTS][:] = state.u.x.array[: self.n_displacements]
+        values[DISPLACEMENT_KEY][:] = state.u.x.array[: self.n_displacements]
         for part in self.with_own:
             values[part.key][:] = part.own_start(state)
-        values[DISPLACEMENTS][:] = self.constraints.unknowns(values[DISPLACEMENTS])
+        values[DISPLACEMENT_KEY][:] = self.constraints.unknowns(values[DISPLACEMENT_KEY])
 
     def _put(self, x: PETSc.Vec) -> None:
         """Write unknowns into the displacements u and the parts' own functions."""
@@ -130,7 +137,7 @@ class Equations(PartSum):
         first, *others = [part.K for part in self.parts if part.K is not None]
         K = first.copy()
         for other in others:
-            K.axpy(1.0, other, DIFFERENT)
+            K.axpy(1.0, other, DIFFERENT_PATTERN)
         return K
 
     def hold(self, A: PETSc.Mat, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
@@ -152,7 +159,7 @@ class Equations(PartSum):
     def tell(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
         """Tell the preconditioner of a tangent, with supports, what it can use: rigid motions, blocks of the unknowns."""
         kind = ksp.getPC().getType()
-        if kind in MULTIGRIDS:
+        if kind in MULTIGRID_TYPES:
             A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null, comm=A.comm))
         elif kind == "fieldsplit" and self.with_own:
             set_field_split(ksp.getPC(), A, self._layout, self.near_null)
@@ -236,10 +243,10 @@ class Equations(PartSum):
         """Nodal forces, and forces in own equations, as those on the unknowns, a new vector."""
         out = self.vector()
         rows = self._layout.split(out.array)
-        rows[DISPLACEMENTS][:] = forces.array_r
+        rows[DISPLACEMENT_KEY][:] = forces.array_r
         for part, load in zip(self.with_own, own, strict=False):
             rows[part.key][:] = load
-        rows[DISPLACEMENTS][:] = self.constraints.forces(rows[DISPLACEMENTS])
+        rows[DISPLACEMENT_KEY][:] = self.constraints.forces(rows[DISPLACEMENT_KEY])
         return out
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
@@ -266,10 +273,10 @@ class Equations(PartSum):
         self.scale.see(np.maximum(self.of_bodies, of_all))
         self._forces.axpy(-1.0, self.loads)
         rows = self._layout.split(out.array)
-        rows[DISPLACEMENTS][:] = np.nan if self.failed else self._forces.array_r
+        rows[DISPLACEMENT_KEY][:] = np.nan if self.failed else self._forces.array_r
         for part in self.with_own:
             rows[part.key][:] = part.own_residual()
-        rows[DISPLACEMENTS][:] = self.constraints.forces(rows[DISPLACEMENTS])
+        rows[DISPLACEMENT_KEY][:] = self.constraints.forces(rows[DISPLACEMENT_KEY])
         self._relative_residual = self.relative(out) if self.traits.singular else 0.0
 
     def tangent(self) -> PETSc.Mat:
@@ -371,7 +378,7 @@ class Equations(PartSum):
             for a, b, c in zip(first, last, now, strict=True):
                 apart = np.abs((1 - share) * a + share * b - c).max(initial=0.0)
                 size = np.abs([a, b, c]).max(initial=0.0)
-                if self.comm.allreduce(float(apart), max) > LINEARITY * self.comm.allreduce(float(size), max):
+                if self.comm.allreduce(float(apart), max) > LINEARITY_TOLERANCE * self.comm.allreduce(float(size), max):
                     return False
         return True
 

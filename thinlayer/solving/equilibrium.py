@@ -11,42 +11,61 @@ from petsc4py import PETSc
 
 from forms.base import InputError
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import AIM, ALLOWED
+from thinlayer.solving.balance import SOLVER_TOLERANCE, STATE_TOLERANCE
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import least_pivot, mark_symmetry, needs_factor_only
 from thinlayer.solving.petsc import PREFIX, OptionValue, reason_name, solve_linear, solve_nonlinear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
-WORTH_REFINING = {True: 1e-3, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
-WORTH_ANOTHER = {True: 0.1, False: 0.5}  # reduction of the residual by a refinement after which another one follows
-NEEDED = 0.3  # reduction of a residual by a Krylov method that refines, relative to what is still wanted
-DETERMINED = 1e-6  # least pivot, relative to the largest, above which rounding of the forces moves nothing
-UNDETERMINED = 1e-3  # first refinement, relative to the displacements at play, that shows a singular matrix
-ROUNDED = 1e-5  # last refinement, relative to the displacements at play, above which rounding has spoilt the solution
-OVERSHOOT = 10.0  # residual after the linear step, relative to the forces, at which the step is shortened
-NEWTON: dict[str, OptionValue] = {
+REFINE_BELOW = {True: 1e-3, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
+REFINE_RATIO = {True: 0.1, False: 0.5}  # reduction of the residual by a refinement after which another one follows
+KRYLOV_REDUCTION = 0.3  # reduction of a residual by a Krylov method that refines, relative to what is still wanted
+MIN_DETERMINED_PIVOT = 1e-6  # least pivot, relative to the largest, above which rounding of the forces moves nothing
+SINGULAR_REFINEMENT = 1e-3  # first refinement, relative to the displacements at play, that shows a singular matrix
+SPOILT_REFINEMENT = (
+    1e-5  # last refinement, relative to the displacements at play, above which rounding has spoilt the solution
+)
+OVERSHOOT_RESIDUAL = 10.0  # residual after the linear step, relative to the forces, at which the step is shortened
+NEWTON_OPTIONS: dict[str, OptionValue] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "bt",
     "snes_rtol": 0,  # the first residual is no scale: it may be arbitrarily large where a dashpot was at rest
     "snes_stol": 0,
     "snes_max_it": 100,
 }
-YIELDING: dict[str, OptionValue] = {"snes_max_it": 50}
-LONGEST = "snes_linesearch_maxlambda" if PETSc.Sys.getVersion() >= (3, 24) else "snes_linesearch_maxstep"  # one option
-CRITICAL: dict[str, OptionValue] = {  # steps end where the forces do no work along them, though residuals may grow
+YIELDING_OPTIONS: dict[str, OptionValue] = {"snes_max_it": 50}
+MAX_STEP_OPTION = (
+    "snes_linesearch_maxlambda" if PETSc.Sys.getVersion() >= (3, 24) else "snes_linesearch_maxstep"
+)  # one option
+CRITICAL_OPTIONS: dict[
+    str, OptionValue
+] = {  # steps end where the forces do no work along them, though residuals may grow
     "snes_linesearch_type": "cp",
     "snes_linesearch_max_it": 40,
     "snes_linesearch_atol": 0,  # a work along the step: an absolute tolerance would depend on the units
 }
-SINGULAR: dict[str, OptionValue] = {**CRITICAL, "snes_max_it": 300}  # for singular tangents: of the least energy
-CONTACT: dict[str, OptionValue] = {"snes_linesearch_type": "basic", "snes_max_it": 300}  # residuals grow on good steps
-EASED_CONTACT: dict[str, OptionValue] = {**CRITICAL, "snes_max_it": 40, "snes_linesearch_rtol": 0.01, LONGEST: 1}
+SINGULAR_OPTIONS: dict[str, OptionValue] = {
+    **CRITICAL_OPTIONS,
+    "snes_max_it": 300,
+}  # for singular tangents: of the least energy
+CONTACT_OPTIONS: dict[str, OptionValue] = {
+    "snes_linesearch_type": "basic",
+    "snes_max_it": 300,
+}  # residuals grow on good steps
+CONTACT_HOMOTOPY_OPTIONS: dict[str, OptionValue] = {
+    **CRITICAL_OPTIONS,
+    "snes_max_it": 40,
+    "snes_linesearch_rtol": 0.01,
+    MAX_STEP_OPTION: 1,
+}
 STAGNATION_STEPS = 16  # number of steps in which the residual must fall by a tenth, for laws that yield
-RUN_AWAY = 1e6  # largest displacements, relative to those of the first step, for laws that yield
+DIVERGED_DISPLACEMENT = 1e6  # largest displacements, relative to those of the first step, for laws that yield
 Reason = PETSc.SNES.ConvergedReason
-RESISTS = "does something resist every motion of the bodies, and every strain of the layer?"
-UNRESISTED = 1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
+RESISTANCE_QUESTION = "does something resist every motion of the bodies, and every strain of the layer?"
+YIELDING_EVERYWHERE_STEP = (
+    1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
+)
 
 
 @dataclass(frozen=True)
@@ -156,10 +175,10 @@ class NewtonSolver(EquilibriumSolver):
         r.scale(-1.0)
         self._prepare(move, r)
         self._solve_linear(r, d)
-        if self._yields and x.norm() > 0 and not d.norm() <= UNRESISTED * x.norm():
+        if self._yields and x.norm() > 0 and not d.norm() <= YIELDING_EVERYWHERE_STEP * x.norm():
             self._elastic_step(x, r, d, move)
         if not math.isfinite(d.norm()):
-            advice = f"{RESISTS[:-1]} at rest? A stress without a linear part, as e^3, needs a small one"
+            advice = f"{RESISTANCE_QUESTION[:-1]} at rest? A stress without a linear part, as e^3, needs a small one"
             raise SolveError("the tangent at the start of the step is singular", advice=advice)
         d.array[equations.held] = move.array_r[equations.held]
         x.axpy(1.0, d)
@@ -186,7 +205,7 @@ class NewtonSolver(EquilibriumSolver):
         """Shorten a linear step that is far too long, as laws that stiffen with their rate cause; supports stay moved."""
         d.axpy(-1.0, move)
         for _ in range(40):
-            if not forces or self._free_norm(r) <= OVERSHOOT * forces:
+            if not forces or self._free_norm(r) <= OVERSHOOT_RESIDUAL * forces:
                 return
             x.axpy(-0.75, d)
             d.scale(0.25)
@@ -232,41 +251,46 @@ class NewtonSolver(EquilibriumSolver):
         reason = ksp.getConvergedReason()
         direct = ksp.getType() == "preonly"
         residual, first, moved, iterations, rtol = self._relative(r), True, 0.0, 0, ksp.getTolerances()[0]
-        if residual < AIM and not equations.traits.saddle and least_pivot(ksp.getPC()) > DETERMINED:
+        if (
+            residual < SOLVER_TOLERANCE
+            and not equations.traits.saddle
+            and least_pivot(ksp.getPC()) > MIN_DETERMINED_PIVOT
+        ):
             return residual, 0
-        while REFINED_RESIDUAL[direct] < residual < WORTH_REFINING[direct]:
+        while REFINED_RESIDUAL[direct] < residual < REFINE_BELOW[direct]:
             r.scale(-1.0)
             if not direct:  # no further than needed
-                ksp.setTolerances(rtol=max(rtol, NEEDED * REFINED_RESIDUAL[direct] / residual))
+                ksp.setTolerances(rtol=max(rtol, KRYLOV_REDUCTION * REFINED_RESIDUAL[direct] / residual))
             try:
                 solve_linear(ksp, r, d)
             finally:
                 ksp.setTolerances(rtol=rtol)
             iterations += ksp.getIterationNumber()
             size, change = self._displacements_at_play(x), _largest(d)
-            if first and direct and change > UNDETERMINED * size:
+            if first and direct and change > SINGULAR_REFINEMENT * size:
                 what = f"rounding of the forces changes the displacements {size:.1e} by {change:.1e}"
-                raise SolveError(f"no unique solution: {what}", advice=RESISTS)
+                raise SolveError(f"no unique solution: {what}", advice=RESISTANCE_QUESTION)
             first, moved = False, change / size if size else 0.0
             x.axpy(1.0, d)
             equations.residual(x, r)
             refined = self._relative(r)
             if refined > residual:
                 x.axpy(-1.0, d)
-            if refined >= WORTH_ANOTHER[direct] * residual:
+            if refined >= REFINE_RATIO[direct] * residual:
                 break
             residual = refined
-        if direct and moved > ROUNDED:
-            what = f"rounding of the forces changes the displacements by {moved:.1e} of them, allowed: {ROUNDED:g}"
+        if direct and moved > SPOILT_REFINEMENT:
+            allowed = f"allowed: {SPOILT_REFINEMENT:g}"
+            what = f"rounding of the forces changes the displacements by {moved:.1e} of them, {allowed}"
             why = "the bodies are so much stiffer than what holds them that their strains are lost in rounding"
-            advice = f"take their moduli {10 * moved / ROUNDED:.0e} times smaller, or larger cells"
+            advice = f"take their moduli {10 * moved / SPOILT_REFINEMENT:.0e} times smaller, or larger cells"
             raise SolveError(f"linear solve failed: {what}: {why}", advice=advice)
-        if not residual < ALLOWED:
+        if not residual < STATE_TOLERANCE:
             equations.put_state(equations.interval.old, d)
             equations.start(d, r)
             equations.residual(x, r)
             residual = self._relative(r)
-        if not residual < ALLOWED:
+        if not residual < STATE_TOLERANCE:
             hints = "".join(f", or {part.hint}" for part in equations.with_own if part.hint)
             what = f"{reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}"
             why = f"a body can move freely, or a law is not as linear as it says{hints}"
@@ -305,7 +329,7 @@ class NewtonSolver(EquilibriumSolver):
             SolveError: no convergence. InputError: a method of PETSc's that does not use our convergence test.
             PETSc.Error: PETSc itself has failed. Errors of the equations, such as a InputError, as they were raised.
         """
-        equations, largest = self.equations, RUN_AWAY * _largest(x)
+        equations, largest = self.equations, DIVERGED_DISPLACEMENT * _largest(x)
         residuals: list[float] = []
         given_up = ""
 
@@ -347,13 +371,15 @@ class NewtonSolver(EquilibriumSolver):
             raise InputError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
         last = equations.relative(snes.getFunction()[0])
         ksp_reason = snes.getKSP().getConvergedReason()
-        stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < ALLOWED
+        stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < STATE_TOLERANCE
         if stalled:  # by rounding, or as no equilibrium is near: then another step would go far
             solve_linear(snes.getKSP(), snes.getFunction()[0], d := self._vectors[2])
-            stalled = _largest(d) <= ROUNDED * self._displacements_at_play(x)
+            stalled = _largest(d) <= SPOILT_REFINEMENT * self._displacements_at_play(x)
             given_up = "" if stalled else "no step reduces the residual"
         snes.destroy()
-        stopped = self._own_test and reason >= 0 and not last < ALLOWED  # another test than ours ended the solve
+        stopped = (
+            self._own_test and reason >= 0 and not last < STATE_TOLERANCE
+        )  # another test than ours ended the solve
         if stopped or (reason < 0 and not stalled):
             failed = f"; {equations.failure()}" if equations.failed else ""
             why = f"{given_up or reason_name(Reason, reason)}, residual {last:.1e} of the forces"

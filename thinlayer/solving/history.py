@@ -17,8 +17,8 @@ from thinlayer.discretisation.state import State
 from thinlayer.pointwise.kernels import memory_slots
 from thinlayer.system.table import Table
 
-SAME_TIME = 1e-9  # largest difference of times that count as equal, relative to the span of a march
-ENERGIES = ("supplied", "stored", "dissipated", "remainder", "imbalance")
+TIME_TOLERANCE = 1e-9  # largest difference of times that count as equal, relative to the span of a march
+ENERGY_COLUMNS = ("supplied", "stored", "dissipated", "remainder", "imbalance")
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class History:
     def at(self, t: float) -> State:
         """The state at a time, the last of several. InputError: no step ended there, or its state was not kept."""
         require(is_finite(t), "t", t, "it must be a finite number")
-        near = SAME_TIME * max(abs(t), float(np.ptp(self.t)))
+        near = TIME_TOLERANCE * max(abs(t), float(np.ptp(self.t)))
         for state in reversed(self.states.values()):
             if abs(state.t - t) <= near:
                 return state
@@ -127,7 +127,7 @@ def columns(model: Model) -> dict[str, Callable[[State], float]]:
     remember. What is lost in a snap, by layers and bodies together, is in the column "dissipated" alone. "elastic share" is
     of laws with an `elastic_fraction`, see `State.elastic_share`.
     """
-    names = ("t", "report.iterations", "report.residual", *(f"audit.{name}" for name in ENERGIES))
+    names = ("t", "report.iterations", "report.residual", *(f"audit.{name}" for name in ENERGY_COLUMNS))
     found: dict[str, Callable[[State], float]] = {name.rpartition(".")[2]: attrgetter(name) for name in names}
     remembering = {BODIES, *(name for name, one in model.layers.items() if one.remembers)}
     for place in (name for name in model.by_place({}) if name in remembering):

@@ -15,14 +15,14 @@ from scipy.sparse.linalg import splu
 from forms.base import Array
 from geometry.refusals import place_text
 from geometry.topology import Indices, IntArray
-from thinlayer.discretisation.boundary import AXES
+from thinlayer.discretisation.boundary import AXIS_NAMES
 from thinlayer.discretisation.constraints import distributed_product
-from thinlayer.discretisation.layer import LAYER, PRESSURE, nodes_of_sides
+from thinlayer.discretisation.layer import LAYER_KIND, PRESSURE_KIND, nodes_of_sides
 from thinlayer.discretisation.mesh_functions import cut_at_faces
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid import model_motion_values, motion_values
 from thinlayer.errors import LooseBody
-from thinlayer.parts.part import DISPLACEMENTS, Block, Part, TimeStep
+from thinlayer.parts.part import DISPLACEMENT_KEY, Block, Part, TimeStep
 from thinlayer.system.ranks import destroy
 
 # Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
@@ -31,7 +31,7 @@ ALLOWED_MOTION = 1e-10
 # Least stiffness against a rigid motion, relative to that of the bodies. Rounding of the forces moves a body by eps over
 # this ratio, relative to the displacements: here by a thousandth.
 RESISTED_MOTION = 1e3 * np.finfo(float).eps
-SEVERAL = 1e-6  # least singular value of motions of a piece that are independent of each other
+INDEPENDENCE_TOLERANCE = 1e-6  # least singular value of motions of a piece that are independent of each other
 
 
 class SupportReactions:
@@ -92,7 +92,7 @@ class SupportReactions:
         forces = like.duplicate()
         forces.set(0.0)
         for part in self.parts:
-            if part.key in (key, PRESSURE + key.removeprefix(LAYER)) or part.key.startswith(starts):
+            if part.key in (key, PRESSURE_KIND + key.removeprefix(LAYER_KIND)) or part.key.startswith(starts):
                 part.add_forces(forces)
         loaded = np.flatnonzero(forces.array_r)
         return np.asarray(forces.array_r[loaded] @ self._motions(loaded))
@@ -183,7 +183,7 @@ class RigidMotions:
         allowed, comm = self._allowed, self.model.comm
         stiffness = scipy.sparse.csc_matrix((allowed.shape[0],) * 2)
         for block in blocks if allowed.shape[1] else ():
-            if block.row == block.column == DISPLACEMENTS:
+            if block.row == block.column == DISPLACEMENT_KEY:
                 rows = np.flatnonzero(np.diff(block.matrix.getRowIJ()[0]))
                 first, _ = block.matrix.getOwnershipRange()
                 here = PETSc.IS().createGeneral((first + rows).astype(PETSc.IntType), comm=comm)
@@ -213,12 +213,12 @@ class RigidMotions:
         middle = joint.points[joint.corners[self.model.splitting.pieces == k]].mean(axis=(0, 1))
         where = f" at {place_text(middle)}" if self._names.count(self._names[k]) > 1 else ""
         body = f"body {self._names[k]!r}{where}"
-        if self.model.kinematics.turns and np.linalg.matrix_rank(each[k], tol=SEVERAL) == self._per:
+        if self.model.kinematics.turns and np.linalg.matrix_rank(each[k], tol=INDEPENDENCE_TOLERANCE) == self._per:
             return f"{body} can move and turn freely"
         if np.abs(turn).max(initial=0.0) > np.abs(shift).max():
             if self.model.joint.periods:
                 return f"{body} can turn about the period"
-            pairs = [AXES[i] + AXES[j] for i in range(d) for j in range(i + 1, d)]
+            pairs = [AXIS_NAMES[i] + AXIS_NAMES[j] for i in range(d) for j in range(i + 1, d)]
             return f"{body} can turn in the plane {pairs[int(np.abs(turn).argmax())]}"
         shift /= shift[np.abs(shift).argmax()]  # largest component 1, whichever sign the motion has
         direction = ", ".join(f"{c:.3g}" for c in np.round(shift, 6) + 0.0)

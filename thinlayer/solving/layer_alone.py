@@ -32,13 +32,13 @@ from thinlayer.solving.equations import Equations
 from thinlayer.system.compat import interpolation_points
 
 Vertices = tuple[int, ...]
-NEWTON_STEPS = 100  # at most
-REMEDY = "mesh the layer (structure.full), in smaller steps of time if it slips or opens far"
-SETTLED = 1e-9  # what a step of Newton's changes, in the energy norm and relative, that counts as none
-LEAST_SHARE, SHARES = 0.1, 8  # of a step in the one before, number of them in turn
-PARTS = 32  # of a straight way between two displacements, over which work is summed
-MOST_LOST = 0.01  # of the work of forces in what they move, by which the energy there may differ from it
-INDEPENDENT = 1e-9  # singular value of motions that are independent of each other, over the largest
+MAX_NEWTON_STEPS = 100  # at most
+MESH_REMEDY = "mesh the layer (structure.full), in smaller steps of time if it slips or opens far"
+NEWTON_TOLERANCE = 1e-9  # what a step of Newton's changes, in the energy norm and relative, that counts as none
+MIN_STEP_RATIO, MAX_SHORTENINGS = 0.1, 8  # of a step in the one before, number of them in turn
+WORK_SUBSTEPS = 32  # of a straight way between two displacements, over which work is summed
+MAX_WORK_DIFFERENCE = 0.01  # of the work of forces in what they move, by which the energy there may differ from it
+INDEPENDENCE_TOLERANCE = 1e-9  # singular value of motions that are independent of each other, over the largest
 
 
 class DirichletLayers:
@@ -143,17 +143,21 @@ class DirichletLayers:
             """By which the energy falls along d, a share of it beyond w."""
             return float(d @ (forces - self.residual(w + share * d)))
 
-        for _ in range(NEWTON_STEPS):
+        for _ in range(MAX_NEWTON_STEPS):
             self.linearise(w)
             d = np.zeros_like(w)
             first = factor().solve(forces - self.residual(w), d)
             rounding = ROUNDING_SHARE * np.abs(w[: self._displacements]).max(initial=0.0)
-            if first <= max(SETTLED**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
+            if first <= max(NEWTON_TOLERANCE**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
                 if factor().negative > self._inside[self._displacements :].sum():  # each pressure has one
-                    raise SolveError("the layer by itself softens: its stress falls as strains grow", advice=REMEDY)
+                    raise SolveError(
+                        "the layer by itself softens: its stress falls as strains grow", advice=MESH_REMEDY
+                    )
                 return w
             w = w + d * line_search_share(slope, first)
-        raise SolveError(f"the layer by itself: no equilibrium after {NEWTON_STEPS} of Newton's steps", advice=REMEDY)
+        raise SolveError(
+            f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} of Newton's steps", advice=MESH_REMEDY
+        )
 
     def motion_of(self, place: Place, direction: Array) -> Array:
         """(n,) motion of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
@@ -238,8 +242,10 @@ class LayerSubproblem(DirichletLayers):
         for k in range(count):
             mine = np.flatnonzero(piece == k)
             some = rigid[mine]
-            some = some @ scipy.linalg.null_space(np.vstack([some[~free[mine]], 0 * some[:1]]), rcond=INDEPENDENT)
-            some = scipy.linalg.orth(some, rcond=INDEPENDENT) if some.any() else some[:, :0]
+            some = some @ scipy.linalg.null_space(
+                np.vstack([some[~free[mine]], 0 * some[:1]]), rcond=INDEPENDENCE_TOLERANCE
+            )
+            some = scipy.linalg.orth(some, rcond=INDEPENDENCE_TOLERANCE) if some.any() else some[:, :0]
             _, _, order = scipy.linalg.qr(some[free[mine]].T, pivoting=True)
             pins[mine[free[mine]][order[: some.shape[1]]]] = True
             found.append(np.zeros((len(free), some.shape[1])))
@@ -279,7 +285,7 @@ class LayerSubproblem(DirichletLayers):
         w = np.zeros(len(r))
         work = self._neumann.solve(r, w)
         lost = abs(work - float(w @ (self.K @ w)))
-        return np.where(self.on_face, w, 0.0), work if lost <= MOST_LOST * work else math.inf
+        return np.where(self.on_face, w, 0.0), work if lost <= MAX_WORK_DIFFERENCE * work else math.inf
 
     def pulled(self, w: Array, F: Array) -> Array:
         """Displacements, from w on, of layers with forces F on their faces, which have no resultant; as `settled`."""
@@ -295,9 +301,9 @@ class LayerSubproblem(DirichletLayers):
             SolveError: their work falls somewhere: the energy is not convex.
         """
         d = w - at
-        work = np.array([d @ self.residual(at + share * d) for share in np.linspace(0.0, 1.0, PARTS + 1)])
+        work = np.array([d @ self.residual(at + share * d) for share in np.linspace(0.0, 1.0, WORK_SUBSTEPS + 1)])
         work -= work[0]
-        if (np.diff(work) < -SETTLED * np.abs(work).max()).any():
+        if (np.diff(work) < -NEWTON_TOLERANCE * np.abs(work).max()).any():
             raise SolveError("the energy of the layer is not convex")
         return float(work[:-1].mean()), float(work[1:].mean())
 
@@ -338,10 +344,10 @@ def line_search_share(slope: Callable[[float], float], start: float) -> float:
     """The share of a step at which the slope of a convex energy, `start` > 0 downhill at first, is not far uphill."""
     share = 1.0 if math.isfinite(start) else 0.0
     while share and not (end := slope(share)) >= -start / 2:  # a law that fails has none
-        share *= max(start / (start - end), LEAST_SHARE) if end < 0 else LEAST_SHARE
-        share = share if share >= LEAST_SHARE**SHARES else 0.0
+        share *= max(start / (start - end), MIN_STEP_RATIO) if end < 0 else MIN_STEP_RATIO
+        share = share if share >= MIN_STEP_RATIO**MAX_SHORTENINGS else 0.0
     if not share:
-        raise SolveError("the layer by itself: Newton's steps lead nowhere; it fails, or softens", advice=REMEDY)
+        raise SolveError("the layer by itself: Newton's steps lead nowhere; it fails, or softens", advice=MESH_REMEDY)
     return share
 
 

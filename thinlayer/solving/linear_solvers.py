@@ -16,13 +16,13 @@ from petsc4py import PETSc
 from forms.base import InputError
 from forms.work import Term
 from thinlayer.discretisation.model import Model
-from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part
+from thinlayer.parts.part import DISPLACEMENT_KEY, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.balance import TangentMatrix, UnknownLayout
 from thinlayer.solving.petsc import PREFIX, OptionValue, convert_to_blocks, lean_products, options_set, set_residual
 from thinlayer.system.ranks import destroy
 
-DIRECT: dict[str, OptionValue] = {
+DIRECT_OPTIONS: dict[str, OptionValue] = {
     "ksp_type": "preonly",
     "ksp_rtol": 1e-10,
     "pc_factor_mat_solver_type": "mumps",
@@ -31,14 +31,14 @@ DIRECT: dict[str, OptionValue] = {
     "mat_mumps_cntl_7": 1e-14,
 }
 # dimension -> how MUMPS orders: unknowns, not nodes, by least fill, for fewer entries on grids; in 3D nodes, by PORD
-ORDERINGS: dict[int, dict[str, OptionValue]] = {
+ORDERING_OPTIONS: dict[int, dict[str, OptionValue]] = {
     2: {"mat_mumps_icntl_7": 2, "mat_mumps_icntl_15": 0},
     3: {"mat_mumps_icntl_7": 4},
 }
 # for saddle points at which MUMPS puts off pivots again and again: more memory and smaller pivots
-LENIENT: dict[str, OptionValue] = {"mat_mumps_icntl_14": 1000, "mat_mumps_cntl_1": 1e-4}
-MULTIGRID: dict[str, OptionValue] = {
-    **DIRECT,
+LENIENT_OPTIONS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 1000, "mat_mumps_cntl_1": 1e-4}
+MULTIGRID_OPTIONS: dict[str, OptionValue] = {
+    **DIRECT_OPTIONS,
     "ksp_max_it": 200,
     "pc_type": "gamg",
     "pc_gamg_threshold": 0.01,
@@ -47,27 +47,35 @@ MULTIGRID: dict[str, OptionValue] = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "jacobi",
 }
-MULTIGRIDS = ("gamg", "hypre", "ml")  # PETSc's kinds of algebraic multigrid, for the displacements
+MULTIGRID_TYPES = ("gamg", "hypre", "ml")  # PETSc's kinds of algebraic multigrid, for the displacements
 # for saddle points: multigrid for the displacements after a factorisation for the pressures on S, see above. A
 # preconditioner that is not symmetric takes half the iterations of one for MINRES, and each costs the same.
-BLOCKS: dict[str, OptionValue] = {
+FIELD_SPLIT_OPTIONS: dict[str, OptionValue] = {
     "ksp_type": "gmres",
     "ksp_pc_side": "right",  # then the residual itself is tested
     "ksp_gmres_restart": 100,
     "ksp_gmres_cgs_refinement_type": "refine_ifneeded",
-    "ksp_rtol": MULTIGRID["ksp_rtol"],
-    "ksp_max_it": MULTIGRID["ksp_max_it"],
+    "ksp_rtol": MULTIGRID_OPTIONS["ksp_rtol"],
+    "ksp_max_it": MULTIGRID_OPTIONS["ksp_max_it"],
     "pc_type": "fieldsplit",
     "pc_fieldsplit_type": "schur",
     "pc_fieldsplit_schur_fact_type": "upper",
     "pc_fieldsplit_schur_precondition": "selfp",
-    **{f"fieldsplit_u_{name}": MULTIGRID[name] for name in MULTIGRID if name.startswith(("pc_gamg", "pc_type", "mg_"))},
+    **{
+        f"fieldsplit_u_{name}": MULTIGRID_OPTIONS[name]
+        for name in MULTIGRID_OPTIONS
+        if name.startswith(("pc_gamg", "pc_type", "mg_"))
+    },
     "fieldsplit_u_ksp_type": "preonly",
-    **{f"fieldsplit_p_{name}": value for name, value in (DIRECT | ORDERINGS[2]).items() if name != "ksp_rtol"},
+    **{
+        f"fieldsplit_p_{name}": value
+        for name, value in (DIRECT_OPTIONS | ORDERING_OPTIONS[2]).items()
+        if name != "ksp_rtol"
+    },
     "fieldsplit_p_pc_type": "cholesky",
 }
 # dimension -> number of unknowns up to which factors pay, which steps may share
-MULTIGRID_FROM = {2: 3_000_000, 3: 50_000}
+MIN_MULTIGRID_UNKNOWNS = {2: 3_000_000, 3: 50_000}
 
 
 def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[dict[str, OptionValue]]:
@@ -87,31 +95,33 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
         InputError: a type of preconditioner that does not suit the model.
     """
     direct = direct_solver(model)
-    large = model.unknowns >= MULTIGRID_FROM[model.joint.dim]
+    large = model.unknowns >= MIN_MULTIGRID_UNKNOWNS[model.joint.dim]
     if any(isinstance(part, PressurePart) for part in parts):
-        if chosen in MULTIGRIDS:
+        if chosen in MULTIGRID_TYPES:
             raise InputError(f"pc_type {chosen} cannot solve for the pressures of a layer, too; use pc_type fieldsplit")
-        factorising = [direct, {**direct, **LENIENT}]
+        factorising = [direct, {**direct, **LENIENT_OPTIONS}]
         unsuited = [part.key for part in parts if isinstance(part, FieldPart) and not part.on_S]
         if chosen == "fieldsplit" and unsuited:
             others = f"the unknowns {unsuited[0]!r} are others (of a meshed layer, a plate or a mean stress)"
             raise InputError(f"pc_type fieldsplit is for displacements and pressures on S; {others}")
-        return [BLOCKS, *factorising] if chosen == "fieldsplit" or (large and not unsuited) else factorising
-    iterative = {**MULTIGRID, "ksp_type": "cg" if model.symmetric else "gmres"}
-    if chosen in MULTIGRIDS:
+        return (
+            [FIELD_SPLIT_OPTIONS, *factorising] if chosen == "fieldsplit" or (large and not unsuited) else factorising
+        )
+    iterative = {**MULTIGRID_OPTIONS, "ksp_type": "cg" if model.symmetric else "gmres"}
+    if chosen in MULTIGRID_TYPES:
         return [iterative]
     return [iterative, direct] if large else [direct]
 
 
 def direct_solver(model: Model) -> dict[str, OptionValue]:
     """PETSc options of a factorisation: Cholesky (LDL^T unless the matrix is marked as definite), or LU."""
-    return {**DIRECT, **ORDERINGS[model.joint.dim], "pc_type": "cholesky" if model.symmetric else "lu"}
+    return {**DIRECT_OPTIONS, **ORDERING_OPTIONS[model.joint.dim], "pc_type": "cholesky" if model.symmetric else "lu"}
 
 
 def needs_factor_only() -> bool:
     """Whether solves need no more than the factor, or than the matrices in blocks, with the options that are set."""
     options, names = options_set(), ("ksp_type", "pc_factor_mat_solver_type")
-    return options.get("pc_type") == "gamg" or all(options.get(name) == DIRECT[name] for name in names)
+    return options.get("pc_type") == "gamg" or all(options.get(name) == DIRECT_OPTIONS[name] for name in names)
 
 
 def least_pivot(pc: PETSc.PC) -> float:
@@ -262,7 +272,7 @@ def set_field_split(pc: PETSc.PC, A: PETSc.Mat, layout: UnknownLayout, motions: 
         motions: rigid motions: their displacements, or also further unknowns.
     """
     first, last = A.getOwnershipRange()
-    n, bs = layout.sizes[DISPLACEMENTS], layout.fields[DISPLACEMENTS].function_space.dofmap.index_map_bs
+    n, bs = layout.sizes[DISPLACEMENT_KEY], layout.fields[DISPLACEMENT_KEY].function_space.dofmap.index_map_bs
     of_u = PETSc.IS().createStride(n, first, 1, comm=A.comm)
     of_u.setBlockSize(bs)
     of_p = PETSc.IS().createStride(last - first - n, first + n, 1, comm=A.comm)

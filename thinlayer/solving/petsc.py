@@ -23,20 +23,20 @@ from thinlayer.errors import SolveError
 PREFIX = "thinlayer_"
 # PETSc's error codes that a wrong value of an option can cause: not supported, wrong, out of range, wrong state, user's
 # function missing, unknown type, no such factorisation
-OPTION_ERRORS = (56, 62, 63, 73, 83, 86, 92)
+OPTION_ERROR_CODES = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
 Options = Mapping[str, OptionValue]  # names without the prefix -> values
-_PLACED: set[str] = (
+_DEFAULT_NAMES: set[str] = (
     set()
 )  # names, without the prefix, of the options that `default_options` has put into PETSc's database
-POINTER = ctypes.c_void_p
-ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code
-    "PetscOptionsUsed": (POINTER, ctypes.c_char_p, POINTER),
-    "MatFactorSetSchurIS": (POINTER, POINTER),
-    "MatFactorCreateSchurComplement": (POINTER, POINTER, POINTER),
-    "MatCopy": (POINTER, POINTER, ctypes.c_int),
-    "MatDestroy": (POINTER,),
-    "PCMGSetResidual": (POINTER, ctypes.c_int32, POINTER, POINTER),
+C_POINTER = ctypes.c_void_p
+C_ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code
+    "PetscOptionsUsed": (C_POINTER, ctypes.c_char_p, C_POINTER),
+    "MatFactorSetSchurIS": (C_POINTER, C_POINTER),
+    "MatFactorCreateSchurComplement": (C_POINTER, C_POINTER, C_POINTER),
+    "MatCopy": (C_POINTER, C_POINTER, ctypes.c_int),
+    "MatDestroy": (C_POINTER,),
+    "PCMGSetResidual": (C_POINTER, ctypes.c_int32, C_POINTER, C_POINTER),
 }
 
 
@@ -48,13 +48,13 @@ def default_options(options: Options) -> Iterator[None]:
     ours = {PREFIX + name: value for name, value in options.items() if PREFIX + name not in theirs}
     for name, value in ours.items():
         database.setValue(name, value)
-        _PLACED.add(name.removeprefix(PREFIX))
+        _DEFAULT_NAMES.add(name.removeprefix(PREFIX))
     try:
         yield
     finally:
         for name in ours:
             database.delValue(name)
-            _PLACED.discard(name.removeprefix(PREFIX))
+            _DEFAULT_NAMES.discard(name.removeprefix(PREFIX))
 
 
 def options_set() -> dict[str, str]:
@@ -81,7 +81,7 @@ def database_options() -> str:
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:
     """Raise InputError if the last solve has not read all options that the user has set; ours may stay unread."""
-    theirs = options_set().keys() - _PLACED.intersection(ours)
+    theirs = options_set().keys() - _DEFAULT_NAMES.intersection(ours)
     if names := sorted(name for name in theirs if not was_read(PREFIX + name)):
         listed = ", ".join(f"-{PREFIX}{name}" for name in names)
         remedy = f"a direct solver has no tolerances, -{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
@@ -102,8 +102,8 @@ def chosen_options(ours: Options, given: Options | None = None) -> Iterator[None
             yield
         except PETSc.Error as error:
             found = options_set()
-            theirs = sorted(found.keys() - _PLACED.intersection(ours.keys() - given.keys()))
-            if error.ierr in OPTION_ERRORS and theirs:
+            theirs = sorted(found.keys() - _DEFAULT_NAMES.intersection(ours.keys() - given.keys()))
+            if error.ierr in OPTION_ERROR_CODES and theirs:
                 listed = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
                 raise InputError(f"PETSc does not take the value of one of these options: {listed}") from error
             said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
@@ -122,7 +122,7 @@ def c_function(name: str) -> Any:
     except (OSError, AttributeError) as error:
         remedy = "use a petsc4py that is linked to a shared library of PETSc 3.22 or newer"
         raise ImportError(f"PETSc, from {PETSc.__file__}, does not export its function {name}; {remedy}") from error
-    found.argtypes = ARGUMENTS[name]
+    found.argtypes = C_ARGUMENTS[name]
     return found
 
 
@@ -148,7 +148,7 @@ def schur_complement(factor: PETSc.Mat, c: int) -> Array:
     """Copy (c, c) of the Schur complement of the c unknowns that a Cholesky factor keeps; its upper triangle is set."""
     out = np.empty((c, c))
     dense = PETSc.Mat().createDense((c, c), array=out.T, comm=PETSc.COMM_SELF)  # PETSc stores columns
-    inside, status = POINTER(), ctypes.c_int()
+    inside, status = C_POINTER(), ctypes.c_int()
     _checked_call("MatFactorCreateSchurComplement", factor.handle, ctypes.byref(inside), ctypes.byref(status))
     _checked_call("MatCopy", inside, dense.handle, 0)
     _checked_call("MatDestroy", ctypes.byref(inside))

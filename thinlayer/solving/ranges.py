@@ -15,13 +15,13 @@ from forms.kinematics import average_lame
 from forms.trace import in_plane_modulus
 from geometry.parallel import on_root
 from geometry.refusals import place_text
-from thinlayer.discretisation.layer import BODY, SeamLayer
+from thinlayer.discretisation.layer import BODY_KIND, SeamLayer
 from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.reduction import Applicability
 from thinlayer.discretisation.state import State
 from thinlayer.surface.excess import (
-    LEAST_ERROR,
+    MIN_STIFFNESS_ERROR,
     FaceDisplacements,
     Remark,
     RestingSublayer,
@@ -33,15 +33,17 @@ from thinlayer.surface.excess import (
 )
 from thinlayer.surface.surface_mesh import surface_of
 
-LOCKING = 0.45  # Poisson's ratio above which bodies in elements of degree 1 are told to lock
-LEAST_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
+LOCKING_NU = 0.45  # Poisson's ratio above which bodies in elements of degree 1 are told to lock
+MIN_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
 CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
-LARGEST_STRAIN = 0.1  # root mean square over a body, beyond which changes of shape are no longer small
-ALLOWED_STEP_ERROR = 0.05  # of steps over one own time of a law, in shares of what creeps or relaxes
-LEAST_SPRINGS = 0.05  # share of the load that parallel springs carry, from which on they change results visibly
-SLENDER = 10.0  # length of S over the height of both bodies, from which on these are plates that may bend
-NO_STEP = 1e-9  # step over the time of a law whose error is far below all others, and lost in rounding
-CAVITATION = 2.5  # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
+MAX_SMALL_STRAIN = 0.1  # root mean square over a body, beyond which changes of shape are no longer small
+MAX_STEP_ERROR = 0.05  # of steps over one own time of a law, in shares of what creeps or relaxes
+MIN_SPRING_SHARE = 0.05  # share of the load that parallel springs carry, from which on they change results visibly
+SLENDERNESS = 10.0  # length of S over the height of both bodies, from which on these are plates that may bend
+MIN_STEP_RATIO = 1e-9  # step over the time of a law whose error is far below all others, and lost in rounding
+CAVITATION_STRESS_RATIO = (
+    2.5  # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
+)
 
 
 def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
@@ -55,7 +57,7 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
     for law, C in zip(setup.bodies_with_numbers, setup.bodies_at_rest, strict=True):
         lmbda, mu = average_lame(C) if C is not None else (0.0, 1.0)
         nu = lmbda / (2 * (lmbda + mu))
-        if setup.degree == 1 and nu > LOCKING and model.volume_degree(law) is None:
+        if setup.degree == 1 and nu > LOCKING_NU and model.volume_degree(law) is None:
             what = (
                 f"the Poisson's ratio of a body of {type(law).__name__} is {nu:.4g}, and {setup.element} locks near 0.5"
             )
@@ -103,14 +105,14 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     warn_of_strains(states)
     for known in model.reductions.values() if model.broken else ():
         pulls = [_largest_tension(known, state) for state in states]
-        if max(pulls) > CAVITATION:
+        if max(pulls) > CAVITATION_STRESS_RATIO:
             t, times = states[int(np.argmax(pulls))].t, max(pulls)
             what = f"at t = {t:.4g} the pressure of {known.one} is a tension, {times:.3g} times its shear modulus"
-            why = f"from about {CAVITATION:g} times on small holes in rubber grow and tear it (cavitation)"
+            why = f"from about {CAVITATION_STRESS_RATIO:g} times on small holes in rubber grow and tear it (cavitation)"
             remedy = "which its law does not contain; do not use results under such loads"
             model.warn("cavitation", f"{what}: {why}, {remedy}", known.one.name, states[-1].t)
     worst = max(states, key=lambda state: state.elastic_share)
-    if worst.elastic_share > LEAST_SPRINGS:
+    if worst.elastic_share > MIN_SPRING_SHARE:
         what = f"at t = {worst.t:.4g} springs parallel to what yields carry {worst.elastic_share:.2g} of its load"
         why = "they are the elastic_fraction of its stiffness, and hide its limit load"
         remedy = "take a smaller elastic_fraction, 0 if Newton's method then converges"
@@ -121,7 +123,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
 
 
 def warn_of_strains(states: Sequence[State]) -> None:
-    """Warn where strains of bodies that are not linear exceed `LARGEST_STRAIN`, once for all states. Collective.
+    """Warn where strains of bodies that are not linear exceed `MAX_SMALL_STRAIN`, once for all states. Collective.
 
     The root mean square over a body is tested, because at single places, such as corners, strains are large in any case.
     Linear bodies are not tested: their results are proportional to loads of any size.
@@ -141,14 +143,14 @@ def warn_of_strains(states: Sequence[State]) -> None:
         for state in states:
             u.x.array[:] = state.u.x.array
             strains[state.t] = math.sqrt(model.comm.allreduce(fem.assemble_scalar(squares)) / volume)
-        if not (beyond := [t for t, strain in strains.items() if strain > LARGEST_STRAIN]):
+        if not (beyond := [t for t, strain in strains.items() if strain > MAX_SMALL_STRAIN]):
             continue
-        worst, name = max(beyond, key=strains.__getitem__), term.key.removeprefix(f"{BODY} ")
+        worst, name = max(beyond, key=strains.__getitem__), term.key.removeprefix(f"{BODY_KIND} ")
         body = f"the body {name!r}" if name else "the bodies"
         what = f"at t = {worst:.4g} strains of {body} are {strains[worst]:.3g} (root mean square over its volume)"
         why = "the theory is for small strains; what yields there flows at loads that it cannot bear"
         remedy = "take smaller loads or motions of supports, or check the units of the moduli"
-        since = f"beyond {LARGEST_STRAIN:g} from t = {beyond[0]:.4g} on"
+        since = f"beyond {MAX_SMALL_STRAIN:g} from t = {beyond[0]:.4g} on"
         model.warn("strains", f"{what}, {since}: {why}: {remedy}", name, states[-1].t)
 
 
@@ -159,7 +161,7 @@ def _state_remarks(states: Sequence[State], one: SeamLayer, start: float | None)
         # the mean over S, as jumps are large at single places in any case; not from 1 on, because under one load jumps
         # stay as the thickness tends to zero; not of linear models, whose results are proportional to loads of any size
         closings = [FaceDisplacements.of(state, one).mean_closing for state in states]
-        if max(closings) > LEAST_OVERLAP:
+        if max(closings) > MIN_OVERLAP:
             faces = FaceDisplacements.of(states[int(np.argmax(closings))], one)
             facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
             x = place_text(faces.surface.corner_points.x[:, facet, corner])
@@ -200,7 +202,7 @@ def _facet_remarks(model: Model, one: SeamLayer) -> Iterator[Remark]:
     tilt[np.linalg.norm(tilt, axis=2) > CORNER_ANGLE] = 0.0
     angle = surface.norm(surface.between(np.moveaxis(tilt, -1, 0))) / math.sqrt(surface.integral(1.0))
     normal, tangential = jump_stiffness(one)
-    if normal * angle**2 > LEAST_ERROR * tangential:
+    if normal * angle**2 > MIN_STIFFNESS_ERROR * tangential:
         share = normal * angle**2 / tangential if tangential else math.inf
         effect = f"is about {1 + share:.3g} times too stiff against it," if tangential else "resists"
         what = f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average"
@@ -231,11 +233,11 @@ def _thickness_remarks(model: Model, one: SeamLayer, sublayers: list[RestingSubl
         float(np.ptp(one.sheet.joint.points[one.sheet.vertices], axis=(0, 1)).max()),
         np.mean(one.sheet.heights),
     )
-    if len(one.sheet.heights) == 2 and one.sheet.planar and length > SLENDER * 2 * mean and softest > 0:
+    if len(one.sheet.heights) == 2 and one.sheet.planar and length > SLENDERNESS * 2 * mean and softest > 0:
         # two beams of one height under a half-wave of load; as one the lever of their forces is mean, not mean + eps
         slip = 2 * jump_stiffness(one)[1] * (length / math.pi) ** 2 / (softest * mean)
         error = 6 * slip / (1 + 4 * slip) * layer.eps / mean
-        if error > LEAST_ERROR / 2:
+        if error > MIN_STIFFNESS_ERROR / 2:
             what = f"{one} joins plates {mean:.4g} high, and order 0 has them meet on S, without its thickness between"
             yield "plates", f"{what}: if they bend, they do so about {error:.2g} too much; use order=1"
 
@@ -267,7 +269,7 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
         for a, b in pairwise([start, *times])
         if any(0 <= a - t < own for t in begun)
     )
-    if (worst := max(steps, default=None)) and worst[0] > ALLOWED_STEP_ERROR:
+    if (worst := max(steps, default=None)) and worst[0] > MAX_STEP_ERROR:
         error, step, t, own, name = worst
         what = f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {own:.3g}"
         effect = f"such steps leave an error of about {error:.0%} of what creeps or relaxes"
@@ -290,7 +292,7 @@ def _law_times(model: Model) -> list[tuple[str, float]]:
 
 def _step_error(x: float, theta: float) -> float:
     """Error of exp(-t/tau) after about tau in steps x tau of the scheme."""
-    if x < NO_STEP:
+    if x < MIN_STEP_RATIO:
         return 0.0
     n = max(1, round(1 / x))
     return abs(((1 - (1 - theta) * x) / (1 + theta * x)) ** n - math.exp(-n * x))

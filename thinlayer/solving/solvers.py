@@ -18,14 +18,14 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
 from thinlayer.errors import LooseBody, SolveError
 from thinlayer.parts.part import TimeStep
-from thinlayer.solving.contact.methods import FINDERS, METHODS, check_method, default_method
+from thinlayer.solving.contact.methods import METHODS, SOLVER_OF_METHOD, check_method, default_method
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.equilibrium import (
-    CONTACT,
-    EASED_CONTACT,
-    NEWTON,
-    SINGULAR,
-    YIELDING,
+    CONTACT_HOMOTOPY_OPTIONS,
+    CONTACT_OPTIONS,
+    NEWTON_OPTIONS,
+    SINGULAR_OPTIONS,
+    YIELDING_OPTIONS,
     EquilibriumSolver,
     NewtonSolver,
     StepSolution,
@@ -48,13 +48,13 @@ from thinlayer.system.progress import logger
 from thinlayer.system.ranks import collect, errors_on_all, require_same
 
 # a reason, see `PartSum.refuse`
-SOFTENS = (
+SOFTENING_ADVICE = (
     "the stress of {} falls as jumps grow, with several equilibria; follow them from rest with march(model, times)"
 )
-FIRST_DECREMENT, LEAST_DECREMENT = 0.5, 1 / 64  # decrements of the ease from one law to the next
-MOST_SOLVES = 30  # number of solves after which eased laws give up
-FAILS_SOON: dict[str, OptionValue] = {"snes_max_it": 30, "snes_max_linear_solve_fail": 1}  # if another method follows
-EASED_RUN_AWAY = 1e5  # displacements, relative to those of an elastic layer, at which no equilibrium is expected
+FIRST_DECREMENT, MIN_DECREMENT = 0.5, 1 / 64  # decrements of the ease from one law to the next
+MAX_HOMOTOPY_SOLVES = 30  # number of solves after which eased laws give up
+FAIL_FAST: dict[str, OptionValue] = {"snes_max_it": 30, "snes_max_linear_solve_fail": 1}  # if another method follows
+HOMOTOPY_DIVERGENCE = 1e5  # displacements, relative to those of an elastic layer, at which no equilibrium is expected
 
 
 def solve(
@@ -94,7 +94,7 @@ def solve(
             require(is_finite(t), "t", t, "it must be a finite number")
         require_same(model.comm, t=t)
         late = "{} depends on rates: no equilibrium without time; use march(model, times)"
-        solver.equations.refuse({"softens": f"solve: {SOFTENS}", "rate": late})
+        solver.equations.refuse({"softens": f"solve: {SOFTENING_ADVICE}", "rate": late})
         warn_of_model(model)
         warn_of_no_time(model)
         state = solver.sudden(float(t))
@@ -208,7 +208,9 @@ class Solver(AbstractContextManager["Solver"]):
     def _finder_of(self, method: str) -> EquilibriumSolver:
         """The finder of a method, made when it is first needed."""
         if method not in self._finders:
-            made = FINDERS[method](self.equations, self._like) if method in METHODS else self._equilibrium(method)
+            made = (
+                SOLVER_OF_METHOD[method](self.equations, self._like) if method in METHODS else self._equilibrium(method)
+            )
             self._finders[method] = made
         return self._finders[method]
 
@@ -312,15 +314,23 @@ class Solver(AbstractContextManager["Solver"]):
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[SolveAttempt]:
         """The attempts in turn: every way, then eased laws."""
-        traits, contact, attempts = self.equations.traits, CONTACT if self.model.contact else {}, list[SolveAttempt]()
-        newton = NEWTON | (YIELDING if self.yields else SINGULAR if traits.singular else {}) | contact
+        traits, contact, attempts = (
+            self.equations.traits,
+            CONTACT_OPTIONS if self.model.contact else {},
+            list[SolveAttempt](),
+        )
+        newton = (
+            NEWTON_OPTIONS
+            | (YIELDING_OPTIONS if self.yields else SINGULAR_OPTIONS if traits.singular else {})
+            | contact
+        )
         for method, linear in self._ways:
             name = ", ".join(filter(None, (method, str(linear.get("pc_type", "")))))
-            options = newton if method == "newton" else FAILS_SOON if len(self._ways) > 1 else {}
+            options = newton if method == "newton" else FAIL_FAST if len(self._ways) > 1 else {}
             attempts.append(SolveAttempt(name, (method, linear), options))
         last = attempts[-1]
         if traits.eases and self._finder.eases:
-            options = {**last.options, **(EASED_CONTACT if contact else {})}
+            options = {**last.options, **(CONTACT_HOMOTOPY_OPTIONS if contact else {})}
             attempts.append(replace(last, name="eased laws", options=options, eased=True))
         return attempts
 
@@ -395,17 +405,17 @@ class Solver(AbstractContextManager["Solver"]):
                     found = self._try(replace(attempt, name=f"{attempt.name}, ease {lower:g}"), begin)
                 except SolveError as error:
                     spent, decrement = spent + len(error.residuals), (ease - lower) / 2
-                    if begin is None or decrement < LEAST_DECREMENT or solves >= MOST_SOLVES:
+                    if begin is None or decrement < MIN_DECREMENT or solves >= MAX_HOMOTOPY_SOLVES:
                         raise
                 else:
                     spent, size = spent + found.iterations, float(found.x.norm(PETSc.NormType.INFINITY))
                     found.x.copy(reached)
                     if size > limit:
-                        raise SolveError(f"displacements are {EASED_RUN_AWAY:g} times those of an elastic layer")
+                        raise SolveError(f"displacements are {HOMOTOPY_DIVERGENCE:g} times those of an elastic layer")
                     if not lower:
                         return replace(found, iterations=spent), solves
                     if begin is None:
-                        begin, limit = reached, EASED_RUN_AWAY * size
+                        begin, limit = reached, HOMOTOPY_DIVERGENCE * size
                     else:
                         ease, decrement = lower, 2 * decrement
                 lower = max(ease - decrement, 0.0)

@@ -19,9 +19,9 @@ from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
 from thinlayer.parts.compiled import CompiledPart
 from thinlayer.parts.form_part import FormPart
-from thinlayer.parts.part import DISPLACEMENTS, FieldPart, Part, TimeStep
+from thinlayer.parts.part import DISPLACEMENT_KEY, FieldPart, Part, TimeStep
 from thinlayer.parts.ufl_part import has_arity
-from thinlayer.pointwise.columns import TIE
+from thinlayer.pointwise.columns import EXCESS_TOLERANCE
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.solving.balance import ForceScale, PartSum, TangentMatrix, UnknownLayout
 from thinlayer.system.compat import belongs_to
@@ -94,9 +94,9 @@ class StepProblem(PartSum):
                 part.law.check_at(part.points.joint_x)
         self.state = Configuration(u.copy(), 0.0, self.memory_at_rest, stresses=self.stresses_at_rest, at_rest=True)
         self.energies = {part.key: np.zeros(3) for part in self.parts[1:]}
-        layout = UnknownLayout(self.comm, {DISPLACEMENTS: u})
+        layout = UnknownLayout(self.comm, {DISPLACEMENT_KEY: u})
         held = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))
-        self._held = held[held < layout.sizes[DISPLACEMENTS]]
+        self._held = held[held < layout.sizes[DISPLACEMENT_KEY]]
         self._held_rows = layout.rows(self._held)
         self._forces, self._each = layout.vector(), layout.vector()
         self._matrix = TangentMatrix(self.comm, layout.sizes)
@@ -180,7 +180,7 @@ class StepProblem(PartSum):
         if self.residual_norms(self._forces) > self.scale.allowed:
             self.scale.see(max(*self._sizes, self._self_balanced()))
         self.require_equilibrium(self._forces)
-        if self.excess > TIE:
+        if self.excess > EXCESS_TOLERANCE:
             raise SolveError("columns of the layer must change phase: call switch() and solve until it returns False")
         found, self.state = self.end_parts(self._u, self._interval.t)
         for key, before in self.energies.items():

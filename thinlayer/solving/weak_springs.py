@@ -19,21 +19,21 @@ from forms.base import Array
 from thinlayer.discretisation.state import State
 from thinlayer.errors import NoEquilibrium, SolveError
 from thinlayer.parts.part import TimeStep
-from thinlayer.solving.balance import TINY
+from thinlayer.solving.balance import MIN_DIVISOR
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, mark_symmetry
 from thinlayer.solving.petsc import Options, chosen_options, solve_linear
 
 SpringResult = TypeVar("SpringResult")
-FIRST_STIFFNESS, LEAST_STIFFNESS = 1.0, 1e-12  # of the springs, relative to the mean diagonal entry of K
+FIRST_STIFFNESS, MIN_STIFFNESS = 1.0, 1e-12  # of the springs, relative to the mean diagonal entry of K
 SOFTENING_FACTOR = 10.0  # stiffness of springs divided by that of the next ones
-SETTLED_GROWTH = 1.3  # growth of the distance per SOFTENING_FACTOR below which an equilibrium is near
-RUN_AWAY = 30.0  # distance, relative to that of an elastic layer, that shows that there is no equilibrium
-STOP_DISTANCE = 1e6  # distance, relative to that of an elastic layer, at which the search ends
-TOLERANCE = 1e-3  # residual of solutions with springs, relative to the forces of the springs
-ITERATIONS, HALVINGS = 40, 6  # largest numbers of Newton's steps, and of trial lengths of one step
+CONVERGED_GROWTH = 1.3  # growth of the distance per SOFTENING_FACTOR below which an equilibrium is near
+DIVERGED_DISTANCE = 30.0  # distance, relative to that of an elastic layer, that shows that there is no equilibrium
+MAX_DISTANCE = 1e6  # distance, relative to that of an elastic layer, at which the search ends
+RESIDUAL_TOLERANCE = 1e-3  # residual of solutions with springs, relative to the forces of the springs
+MAX_NEWTON_STEPS, MAX_HALVINGS = 40, 6  # largest numbers of Newton's steps, and of trial lengths of one step
 COMPARED_RESIDUALS = 6  # number of last residuals, the largest of which bounds a new one
-LEAST_DECREASE = 0.1  # relative decrease of the residual over the length of the step
+MIN_DECREASE = 0.1  # relative decrease of the residual over the length of the step
 
 
 class WeakSprings:
@@ -74,7 +74,7 @@ class WeakSprings:
         self._stiffness = FIRST_STIFFNESS * self._unit
         self.equations.residual(self._x, self._r)
         self._forces = np.maximum(self.equations.scale.forces, self.equations.residual_norms(self._r))
-        while self._stiffness > LEAST_STIFFNESS * self._unit and distance < STOP_DISTANCE * elastic:
+        while self._stiffness > MIN_STIFFNESS * self._unit and distance < MAX_DISTANCE * elastic:
             found = self._solve(x)
             if found is None:
                 if softer < SOFTENING_FACTOR or not distance:
@@ -86,7 +86,7 @@ class WeakSprings:
                 continue
             x = kept = found
             before, distance = distance, self._distance(x)
-            settled = distance < before * (1 + (SETTLED_GROWTH - 1) * math.log10(softer))
+            settled = distance < before * (1 + (CONVERGED_GROWTH - 1) * math.log10(softer))
             if settled:
                 self._x.array[:] = x
                 try:
@@ -96,7 +96,7 @@ class WeakSprings:
             self._stiffness /= softer
             if distance > math.sqrt(softer) * before > 0:  # as if displacements grew in proportion to 1/k
                 x = min(x, softer * x + (1 - softer) * self._start, key=self._residual)
-        if distance >= RUN_AWAY * elastic and not settled:
+        if distance >= DIVERGED_DISTANCE * elastic and not settled:
             raise NoEquilibrium(distance / elastic, self._shares(x))
         raise failed.pop()
 
@@ -118,7 +118,7 @@ class WeakSprings:
             A = equations.tangent()
         finally:
             equations.ease(ease)
-        A.shift(LEAST_STIFFNESS * self._unit)
+        A.shift(MIN_STIFFNESS * self._unit)
         r.waxpy(-1.0, loads, equations.given_forces())
         d.set(0.0)
         d.array[equations.held] = equations.prescribed - prescribed
@@ -152,17 +152,17 @@ class WeakSprings:
         self._r.array[:] += self._stiffness * (x - self._start)
         self._r.array[equations.held] = 0.0
         self._norms = equations.norms(self._r.array_r)
-        return float(np.linalg.norm(self._norms[1:] / np.maximum(self._forces[1:], TINY)))
+        return float(np.linalg.norm(self._norms[1:] / np.maximum(self._forces[1:], MIN_DIVISOR)))
 
     def _is_solved(self, x: Array) -> bool:
         """Whether the residual is small against the forces of the springs on each block."""
         springs = self._stiffness * self.equations.norms(x - self._start)
-        return bool((self._norms <= np.maximum(TOLERANCE * springs, self.equations.aim(self._x))).all())
+        return bool((self._norms <= np.maximum(RESIDUAL_TOLERANCE * springs, self.equations.aim(self._x))).all())
 
     def _solve(self, x: Array) -> Array | None:
         """The equilibrium with springs, from x on; None: it was not found."""
         sizes = [self._residual(x)]
-        while len(sizes) <= ITERATIONS and math.isfinite(sizes[-1]):
+        while len(sizes) <= MAX_NEWTON_STEPS and math.isfinite(sizes[-1]):
             A = self.equations.tangent()
             A.shift(self._stiffness)
             self.equations.hold(A)
@@ -176,9 +176,9 @@ class WeakSprings:
     def _search(self, x: Array, d: Array, most: float) -> tuple[Array, float]:
         """The unknowns along d whose residual is below `most`, or else the smallest one tried, and the residual."""
         best, at, length = math.inf, 0.0, 1.0
-        for length in 0.5 ** np.arange(HALVINGS):
+        for length in 0.5 ** np.arange(MAX_HALVINGS):
             size = self._residual(x + length * d)
-            enough = size < (1 - LEAST_DECREASE * length) * most
+            enough = size < (1 - MIN_DECREASE * length) * most
             if enough or size < best:
                 best, at = size, length
             if enough:

@@ -20,10 +20,12 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 
-NEARLY_INCOMPRESSIBLE = 0.5  # (nu = 3/8) a shorter length of the pressure, relative to eps, has no effect along S
-BULK_MODULUS = 1e8  # bulk modulus that stands for incompressibility, relative to the tangent
-NEGLIGIBLE = 1e-9  # modulus or stiffness, relative to others of the layer, that counts as zero
-SAME_RATIO = 1e-3  # relative change of lmbda/mu in time that counts as none
+NEARLY_INCOMPRESSIBLE_LENGTH = (
+    0.5  # (nu = 3/8) a shorter length of the pressure, relative to eps, has no effect along S
+)
+INCOMPRESSIBLE_BULK_RATIO = 1e8  # bulk modulus that stands for incompressibility, relative to the tangent
+NEGLIGIBLE_MODULUS_RATIO = 1e-9  # modulus or stiffness, relative to others of the layer, that counts as zero
+MODULUS_RATIO_TOLERANCE = 1e-3  # relative change of lmbda/mu in time that counts as none
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class RestingSublayer:
     @property
     def nearly(self) -> bool:
         """Whether the sublayer is nearly incompressible."""
-        return self.length > NEARLY_INCOMPRESSIBLE * self.fraction
+        return self.length > NEARLY_INCOMPRESSIBLE_LENGTH * self.fraction
 
     @property
     def length(self) -> float:
@@ -63,7 +65,7 @@ class RestingSublayer:
         """A sublayer from the tangent C at rest; None if the law does not resist shear."""
         lmbda, mu = average_lame(C)
         if law.traits.constrained and not law.parameters().get("lmbda"):
-            held = isotropic_tensor(np.abs(C).max() * BULK_MODULUS, 0.0)
+            held = isotropic_tensor(np.abs(C).max() * INCOMPRESSIBLE_BULK_RATIO, 0.0)
             return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
@@ -77,7 +79,9 @@ def resting_sublayers(one: SeamLayer, dt: float = 0.0) -> list[RestingSublayer]:
         if C is None and C_later is None:
             return []
         rest, then = (None if one is None else RestingSublayer.of(a, law, one, n) for one in (C, C_later))
-        if then and not (rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=SAME_RATIO)):
+        if then and not (
+            rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=MODULUS_RATIO_TOLERANCE)
+        ):
             then = replace(then, when=f" under loads that last {dt:.4g}")
         found += [one for one in (then or rest,) if one]
     return found
@@ -85,7 +89,7 @@ def resting_sublayers(one: SeamLayer, dt: float = 0.0) -> list[RestingSublayer]:
 
 def acts_as_springs(sublayers: list[RestingSublayer]) -> bool:
     """Whether strains along S cause no stress, as in springs: the traction then does not depend on the thickness."""
-    return bool(sublayers) and all(one.along <= NEGLIGIBLE * one.mu for one in sublayers)
+    return bool(sublayers) and all(one.along <= NEGLIGIBLE_MODULUS_RATIO * one.mu for one in sublayers)
 
 
 def jump_stiffness(one: SeamLayer) -> tuple[float, float]:
@@ -97,7 +101,7 @@ def jump_stiffness(one: SeamLayer) -> tuple[float, float]:
         A = acoustic_tensor(C, n)
         size, up = float(np.abs(A).max()), float(n @ A @ n)
         along = float(np.linalg.eigvalsh((A + A.T) / 2 + 2 * size * np.outer(n, n))[0])
-        if min(along, up) <= NEGLIGIBLE * size:
+        if min(along, up) <= NEGLIGIBLE_MODULUS_RATIO * size:
             return up, 0.0
         compliances += [fraction / up, fraction / along]
     normal, tangential = 1 / (compliances * one.thin.eps)
@@ -108,8 +112,8 @@ JUMP_ROUNDING = 1e-9  # rounding of jumps, relative to the displacements
 Remark = tuple[str, str]  # key of a RangeWarning, and its message
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
-LATE_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
-LEAST_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
+MIN_LAST_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
+MIN_STIFFNESS_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
 
 
 @dataclass(frozen=True)
@@ -189,7 +193,7 @@ class PressureExcess:
     @property
     def told(self) -> float:
         """The excess that warnings are about: of openings, unless other tractions hide it; then of the work."""
-        return self.opening if self.traction > LEAST_ERROR else self.work
+        return self.opening if self.traction > MIN_STIFFNESS_ERROR else self.work
 
 
 def times_too_stiff(state: State, one: SeamLayer) -> float | None:
@@ -277,7 +281,7 @@ def free_end_remark(model: Model, one: SeamLayer, layers: Sequence[list[RestingS
     delta = eps * max(lengths)
     y = delta / width
     lost = 1 / (1 - math.tanh(1 / y) * y) - 1
-    if lost > 1 / (1 - LEAST_ERROR) - 1:
+    if lost > 1 / (1 - MIN_STIFFNESS_ERROR) - 1:
         falls = f"its pressure falls to zero at the free ends of S over delta = {delta:.3g}"
         part = f"{y:.2g} of the area of S over the length of its free ends ({width:.3g})"
         stiff = f"between rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps"
@@ -322,14 +326,14 @@ def stiffness_remark(one: SeamLayer, states: Sequence[State], start: float | Non
     if not (has_column or one.law.traits.compiled or any(k.nearly for k in resting_sublayers(one))):
         return  # tangents of others do not change
     openings = [float(np.abs(FaceDisplacements.of(state, one).opening).max()) for state in states]
-    last = max(k for k, opening in enumerate(openings) if opening >= LATE_OPENING * max(openings))
+    last = max(k for k, opening in enumerate(openings) if opening >= MIN_LAST_OPENING * max(openings))
     told = []
     for state in (states[k] for k in sorted({openings.index(max(openings)), last})):
         sublayers = resting_sublayers(one, 0.0 if start is None else state.t - start)
         if len(sublayers) == 1 and (has_column or sublayers[0].nearly) and sublayers[0].length < math.inf:
             told.append((pressure_excess(FaceDisplacements.of(state, one), sublayers[0]).told, sublayers[0]))
     worst, layer = max(told, key=lambda pair: pair[0], default=(0.0, None))
-    if layer and worst > LEAST_ERROR:
+    if layer and worst > MIN_STIFFNESS_ERROR:
         ratio = f"{one}{layer.when} has lmbda/mu = {layer.lmbda / layer.mu:.4g}"
         stiff = f"with the jumps found, the layer alone is {1 + worst:.4g} times too stiff"
         why = "as its interface law lets no material flow along S"

@@ -15,7 +15,7 @@ from geometry.topology import BoolArray, IntArray, along, by_place, connected, i
 from thinlayer.system.table import Table
 
 Plane = tuple[Sequence[float], Sequence[float]]
-SAME = 1e-12  # difference of values, over the largest, and of places, over the size, that counts as none
+LINE_TOLERANCE = 1e-12  # difference of values, over the largest, and of places, over the size, that counts as none
 ARC_DEGREE = 8  # of the quadrature for the length of a curved facet
 
 
@@ -106,8 +106,8 @@ class Segments:
         both = self.x[segments], self.values[segments]
         x, values = (np.take_along_axis(one, sides, axis=1).reshape(len(s), -1) for one in both)
         largest = np.abs(self.values).max(initial=0.0)
-        jumps = np.abs(np.diff(values, axis=0, prepend=np.nan)).max(axis=1) > SAME * largest
-        kept = jumps | (np.diff(s, prepend=-np.inf) > SAME * size)
+        jumps = np.abs(np.diff(values, axis=0, prepend=np.nan)).max(axis=1) > LINE_TOLERANCE * largest
+        kept = jumps | (np.diff(s, prepend=-np.inf) > LINE_TOLERANCE * size)
         return Line(seam, s[kept], x[kept], values[kept], closed)
 
 
@@ -146,7 +146,7 @@ def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> 
     ring, values = nodes[:, around], values[:, around]
     x = joint.points[ring]
     height = (x - both[0]) @ both[1] / np.linalg.norm(both[1])
-    height[np.abs(height) <= SAME * joint.size] = 0.0
+    height[np.abs(height) <= LINE_TOLERANCE * joint.size] = 0.0
     for above in (height >= 0, height > 0):  # a plane along facets: those on one side of it are cut, at their edges
         found = _cut_polygon(ring, x, values, height, above)
         if len(found.keys):

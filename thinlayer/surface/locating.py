@@ -15,10 +15,10 @@ from geometry.joint import Joint
 from geometry.refusals import refuse
 from geometry.topology import BoolArray, IntArray, geometry_degree, is_tensor, lagrange, sum_by_number
 
-INSIDE = 1e-9  # how far outside the reference entity a place may be that counts as in it
-PARTED = "as bodies='extended' has the faces of bodies half a thickness away from S"
-BULGE = 0.5  # by how much of its size a curved entity may exceed the box around its nodes, at most
-STEPS = 30  # of Newton's method for places in entities that are not affine
+REFERENCE_TOLERANCE = 1e-9  # how far outside the reference entity a place may be that counts as in it
+EXTENDED_BODIES_HINT = "as bodies='extended' has the faces of bodies half a thickness away from S"
+MAX_BULGE = 0.5  # by how much of its size a curved entity may exceed the box around its nodes, at most
+MAX_NEWTON_STEPS = 30  # of Newton's method for places in entities that are not affine
 
 
 @dataclass(frozen=True)
@@ -54,24 +54,24 @@ class LocatedPoints:
             raise InputError(f"places are {x!r:.80}; they need {d} finite coordinates each, (n, {d})")
         given = np.atleast_2d(given)
         low, high = nodes.min(axis=1), nodes.max(axis=1)
-        margin = (high - low).max(axis=1, keepdims=True) * (BULGE if degree > 1 else INSIDE)
+        margin = (high - low).max(axis=1, keepdims=True) * (MAX_BULGE if degree > 1 else REFERENCE_TOLERANCE)
         low, high = low - margin, high + margin
         radius = float(np.linalg.norm(high - low, axis=1).max()) / 2
-        near = cKDTree((low + high) / 2).query_ball_point(given, radius * (1 + INSIDE))
+        near = cKDTree((low + high) / 2).query_ball_point(given, radius * (1 + REFERENCE_TOLERANCE))
         point = np.repeat(np.arange(len(given)), [len(one) for one in near])
         entity = np.array([k for one in near for k in sorted(one)], np.int64)
         boxed = ((given[point] >= low[entity]) & (given[point] <= high[entity])).all(axis=1)
         point, entity = point[boxed], entity[boxed]
         X = _reference_points(kind, degree, nodes[entity], given[point])
         last = X.max(axis=1, initial=-np.inf) if is_tensor(kind) else X.sum(axis=1)
-        return cls(given, point, entity, X)[(X >= -INSIDE).all(axis=1) & (last <= 1 + INSIDE)]
+        return cls(given, point, entity, X)[(X >= -REFERENCE_TOLERANCE).all(axis=1) & (last <= 1 + REFERENCE_TOLERANCE)]
 
     @classmethod
     def in_cells(cls, joint: Joint, x: Any) -> LocatedPoints:
         """The cells of a joint, inflated or not, that contain places; raises InputError as `of`, or if some are in none."""
         located = cls.of(joint.cell_type, joint.cell_points, x)
         words = "{bad} of {all} places are in no cell of the mesh, the first at {at}"
-        refuse(located.missing, located.x, words if joint.parted is None else f"{words}; {PARTED}")
+        refuse(located.missing, located.x, words if joint.parted is None else f"{words}; {EXTENDED_BODIES_HINT}")
         return located
 
     def __getitem__(self, rows: IntArray | BoolArray) -> LocatedPoints:
@@ -94,14 +94,14 @@ def _reference_points(kind: str, degree: int, nodes: Array, x: Array) -> Array:
     X = np.tile(basix.geometry(basix.CellType[kind]).mean(axis=0), (len(x), 1))
     if not len(x):  # basix takes no empty arrays
         return X
-    for _ in range(STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         table = element.tabulate(1, X)[..., 0]
         there = np.einsum("pn,pnd->pd", table[0], nodes)
         slopes = np.einsum("tpn,pnd->pdt", table[1:], nodes)
         step = np.einsum("pij,pj->pi", np.linalg.pinv(slopes), x - there)
         X = np.clip(X + step, -1.0, 2.0)
-        if np.abs(step).max(initial=0.0) < INSIDE**2:
+        if np.abs(step).max(initial=0.0) < REFERENCE_TOLERANCE**2:
             break
     there = np.einsum("pn,pnd->pd", element.tabulate(0, X)[0, :, :, 0], nodes)
-    X[np.linalg.norm(x - there, axis=1) > INSIDE * np.ptp(nodes, axis=1).max(axis=1)] = 2.0
+    X[np.linalg.norm(x - there, axis=1) > REFERENCE_TOLERANCE * np.ptp(nodes, axis=1).max(axis=1)] = 2.0
     return X

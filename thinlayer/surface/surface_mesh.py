@@ -26,10 +26,10 @@ from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.surface.lines import Line, Plane, lines_on
-from thinlayer.surface.locating import PARTED, LocatedPoints
+from thinlayer.surface.locating import EXTENDED_BODIES_HINT, LocatedPoints
 
 Where = Array | BoolArray | Callable[[Array], Any]
-SIDES = ("lower", "upper")
+SIDE_NAMES = ("lower", "upper")
 
 
 class FacetPoints:
@@ -156,15 +156,15 @@ class SurfaceMesh:
         Raises:
             InputError: no side; a rigid base, which has no cells below.
         """
-        require(side in SIDES, "side", side, "allowed: lower, upper")
+        require(side in SIDE_NAMES, "side", side, "allowed: lower, upper")
         count, on_s, wanted = len(self.joint.cells) + 1, [], np.empty(0, np.int64)
-        for name, nodes, cells in zip(SIDES, self.faces, self.cells.T, strict=True):
+        for name, nodes, cells in zip(SIDE_NAMES, self.faces, self.cells.T, strict=True):
             at = LocatedPoints.of(self.kind, nodes, located.x)
             on_s.append(at.point)
             if name == side:
                 wanted = (at.point * count + cells[at.entity])[cells[at.entity] >= 0]
         points = np.unique(np.concatenate(on_s))
-        there = "but a rigid base" if self.joint.parted is None else PARTED
+        there = "but a rigid base" if self.joint.parted is None else EXTENDED_BODIES_HINT
         without = f"there is no body on the {side} side of S at {{at}}, {there}"
         refuse(~np.isin(points, wanted // count), located.x[points], without)
         of_side = np.isin(located.point * count + located.entity, wanted)

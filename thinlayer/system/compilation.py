@@ -38,11 +38,11 @@ from thinlayer.system.identity import source_content
 from thinlayer.system.progress import report_call
 
 # Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.
-_LOCKS: dict[Path, int] = {}
+_LOCK_FILES: dict[Path, int] = {}
 # The head of a function of a C source that is not static and returns int or double.
-EXPORTED = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
+EXPORTED_FUNCTION = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
 # Kind of an array -> that of its pointer; dtype.name would take 5 times as long.
-KINDS = {"i": "int32_t[]", "l": "intptr_t[]", "?": "uint8_t[]", "d": "double[]"}
+C_ARRAY_TYPES = {"i": "int32_t[]", "l": "intptr_t[]", "?": "uint8_t[]", "d": "double[]"}
 
 
 class SourceError(ThinlayerError, RuntimeError):
@@ -66,7 +66,7 @@ def acquire(folder: Path, name: str) -> None:
 
 def release(folder: Path, name: str) -> None:
     """Let other processes compile the library of this name."""
-    if folder in _LOCKS:
+    if folder in _LOCK_FILES:
         _lock(folder, name, fcntl.LOCK_UN)
 
 
@@ -74,9 +74,9 @@ def _lock(folder: Path, name: str, how: int) -> None:
     """Lock or free the byte of the folder's lock file that stands for the name."""
     byte = int(hashlib.sha256(name.encode()).hexdigest()[:15], 16)
     with suppress(OSError):  # a file system without locks: a library may be compiled twice, and the last one is kept
-        if folder not in _LOCKS:
-            _LOCKS[folder] = os.open(folder / ".thinlayer.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        fcntl.lockf(_LOCKS[folder], how, 1, byte)
+        if folder not in _LOCK_FILES:
+            _LOCK_FILES[folder] = os.open(folder / ".thinlayer.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        fcntl.lockf(_LOCK_FILES[folder], how, 1, byte)
 
 
 @contextmanager
@@ -197,7 +197,7 @@ _loaded = functools.cache(load_library)
 
 def pointers(library: Any, *arrays: np.ndarray) -> list[Any]:
     """Pointers to arrays, made contiguous (outputs are), for a library in C, which reads them unchecked."""
-    return [library.ffi.from_buffer(KINDS[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
+    return [library.ffi.from_buffer(C_ARRAY_TYPES[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
 
 
 def _file_of(source: Path) -> Path:
@@ -218,7 +218,7 @@ def _build(source: Path, file: Path) -> None:
             return
         text = source.read_text(encoding="utf-8")
         builder = cffi.FFI()
-        builder.cdef("\n".join(head + ";" for head in EXPORTED.findall(text)))
+        builder.cdef("\n".join(head + ";" for head in EXPORTED_FUNCTION.findall(text)))
         builder.set_source(name, text, extra_compile_args=["-O2"], include_dirs=[str(source.parent.resolve())])
         with workshop(file.parent, name) as work:
             keep_file(Path(builder.compile(tmpdir=work)), file)

@@ -19,9 +19,9 @@ from mpi4py import MPI
 from forms.base import InputError
 from geometry.parallel import on_root
 
-LOCK = ".lock"
-PREVIOUS = "previous-"
-WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # errors of file systems without locks
+LOCK_FILE = ".lock"
+PREVIOUS_PREFIX = "previous-"
+NO_LOCK_ERRORS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # errors of file systems without locks
 
 
 # ---------------------------------------------------------------- whole files
@@ -76,7 +76,7 @@ def _seal(content: Mapping[str, Any]) -> str:
 
 # ---------------------------------------------------------------- locks
 @contextmanager
-def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LOCK) -> Iterator[None]:
+def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LOCK_FILE) -> Iterator[None]:
     """Own a folder in a block: no other run may write into it. Collective.
 
     The folder is made if necessary, and removed again if it is empty at the end. The lock is the operating system's:
@@ -97,7 +97,7 @@ def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str
 
 
 @contextmanager
-def lock_folder(folder: Path, name: str = LOCK, *, wait: bool = False) -> Iterator[None]:
+def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> Iterator[None]:
     """The same on one rank, which may wait for another run."""
     made, file = [], -1
     try:
@@ -132,7 +132,7 @@ def _lock(path: Path, wait: bool) -> int:
                 busy = f"another run ({who}) is writing into {str(path.parent)!r}"
                 raise InputError(f"{busy}; wait for it, or give another folder") from None
             except OSError as error:
-                if error.errno not in WITHOUT_LOCKS:  # there runs go on without protection
+                if error.errno not in NO_LOCK_ERRORS:  # there runs go on without protection
                     raise
             if os.fstat(file).st_nlink:
                 os.truncate(file, 0)
@@ -147,8 +147,8 @@ def move_away(folder: Path, names: Iterable[str]) -> Path | None:
     there = [folder / name for name in names if (folder / name).exists()]
     if not there:
         return None
-    numbers = [int(m[1]) for path in folder.iterdir() if (m := re.fullmatch(rf"{PREVIOUS}(\d+)", path.name))]
-    target = folder / f"{PREVIOUS}{max(numbers, default=0) + 1}"
+    numbers = [int(m[1]) for path in folder.iterdir() if (m := re.fullmatch(rf"{PREVIOUS_PREFIX}(\d+)", path.name))]
+    target = folder / f"{PREVIOUS_PREFIX}{max(numbers, default=0) + 1}"
     target.mkdir()
     for path in there:
         path.rename(target / path.name)

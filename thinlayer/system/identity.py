@@ -33,20 +33,22 @@ from ufl.domain import extract_domains
 from forms.base import PACKAGES, InputError
 
 Resume = bool | Literal["anyway"]
-CODE, FILE, CLASS, SAME = "(code)", "(file)", "(class)", "(same as)"
-MISSING = object()  # in place of what only one of two descriptions has
-FEW = 24  # longest array that is shown; longer ones are hashed
-SHOWN = 4  # number of differences that a message names
-LIBRARIES = [Path(sysconfig.get_path("stdlib")), *(Path(__file__).parents[2] / name for name in PACKAGES)]
-OPAQUE = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
-ALONE = f", known to process {uuid.uuid4().hex[:8]} alone"
-EXPANDED = (dict, types.MappingProxyType, list, tuple, set, frozenset, np.ndarray, types.ModuleType)
-GOES_ON = (  # what gives other numbers each time
+CODE_KEY, FILE_KEY, CLASS_KEY, SAME_KEY = "(code)", "(file)", "(class)", "(same as)"
+MISSING_VALUE = object()  # in place of what only one of two descriptions has
+MAX_SHOWN_ARRAY = 24  # longest array that is shown; longer ones are hashed
+MAX_SHOWN_DIFFERENCES = 4  # number of differences that a message names
+LIBRARY_FOLDERS = [Path(sysconfig.get_path("stdlib")), *(Path(__file__).parents[2] / name for name in PACKAGES)]
+OPAQUE_PACKAGES = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
+PROCESS_LABEL = f", known to process {uuid.uuid4().hex[:8]} alone"
+EXPANDED_TYPES = (dict, types.MappingProxyType, list, tuple, set, frozenset, np.ndarray, types.ModuleType)
+GENERATOR_TYPES = (  # what gives other numbers each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
 )  # fmt: skip
-_COUNT = itertools.count(1)
-_NUMBERS: dict[int, tuple[Any, int]] = {}  # id -> reference to an object that only this process knows, and its number
-NAMED = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # a file in a preprocessor line
+_OBJECT_COUNT = itertools.count(1)
+_OBJECT_NUMBERS: dict[
+    int, tuple[Any, int]
+] = {}  # id -> reference to an object that only this process knows, and its number
+INCLUDED_FILE = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # a file in a preprocessor line
 
 
 def describe(value: Any) -> Any:
@@ -65,11 +67,11 @@ def describe(value: Any) -> Any:
 def code_of(found: Any, *, known: bool = True) -> Any:
     """The part of a description that stays as functions collect values: their code, and the numbers they refer to."""
     if isinstance(found, dict):
-        parts = {key: code_of(one, known=CODE in found) for key, one in found.items()}
+        parts = {key: code_of(one, known=CODE_KEY in found) for key, one in found.items()}
         return {key: one for key, one in parts.items() if one not in (None, {}, [])}
     if isinstance(found, list):
         return [one for one in (code_of(one, known=False) for one in found) if one not in (None, {}, [])]
-    return found if known and ALONE not in str(found) else None
+    return found if known and PROCESS_LABEL not in str(found) else None
 
 
 def random_states(value: Any, *, shared: bool = False) -> list[Any]:
@@ -85,12 +87,12 @@ def random_states(value: Any, *, shared: bool = False) -> list[Any]:
 
 
 def differences(one: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
-    """Differences of two descriptions: path of names, and both values there, or `MISSING`."""
+    """Differences of two descriptions: path of names, and both values there, or `MISSING_VALUE`."""
     if isinstance(one, list) and isinstance(other, list):
         one, other = ({f"{k}": entry for k, entry in enumerate(values)} for values in (one, other))
     if isinstance(one, dict) and isinstance(other, dict):
         for key in sorted(one.keys() | other.keys()):
-            yield from differences(one.get(key, MISSING), other.get(key, MISSING), (*path, key))
+            yield from differences(one.get(key, MISSING_VALUE), other.get(key, MISSING_VALUE), (*path, key))
     elif one != other:
         yield path, one, other
 
@@ -99,11 +101,13 @@ def differences_text(found: list[tuple[tuple[str, ...], Any, Any]]) -> str:
     """The first of these differences in words, each pair of values once."""
     pairs = {(_short(one), _short(other)): ".".join(path) for path, one, other in reversed(found)}
     words = [f"{path}: {one} there, {other} here" for (one, other), path in reversed(pairs.items())]
-    return "; ".join(words[:SHOWN]) + f"; and {len(words) - SHOWN} more" * (len(words) > SHOWN)
+    return "; ".join(words[:MAX_SHOWN_DIFFERENCES]) + f"; and {len(words) - MAX_SHOWN_DIFFERENCES} more" * (
+        len(words) > MAX_SHOWN_DIFFERENCES
+    )
 
 
 def _short(value: Any) -> str:
-    text = "nothing" if value is MISSING else value if isinstance(value, str) else json.dumps(value)
+    text = "nothing" if value is MISSING_VALUE else value if isinstance(value, str) else json.dumps(value)
     return text if len(text) <= 200 else f"{text[:200]} ..."
 
 
@@ -138,11 +142,11 @@ class _Describer:
         if found is not None or value is None:
             return found
         if id(value) in self._places:
-            return {SAME: self._places[id(value)][0]}
+            return {SAME_KEY: self._places[id(value)][0]}
         self._places[id(value)] = at, value
         found = self._composed(value, at)
         frozen = getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False)
-        if frozen or type(value) in EXPANDED:  # two that are equal count as one that is there twice
+        if frozen or type(value) in EXPANDED_TYPES:  # two that are equal count as one that is there twice
             del self._places[id(value)]
         return found
 
@@ -151,18 +155,18 @@ class _Describer:
         if function is not None:
             return self._function(function, at)
         if isinstance(value, types.MethodType):
-            return self._named({CODE: "method", "(function)": value.__func__, "self": value.__self__}, at)
+            return self._named({CODE_KEY: "method", "(function)": value.__func__, "self": value.__self__}, at)
         if isinstance(value, functools.partial):
-            parts = {CODE: "partial", "(function)": value.func, "(arguments)": value.args}
+            parts = {CODE_KEY: "partial", "(function)": value.func, "(arguments)": value.args}
             return self._named(parts | value.keywords, at)
         if isinstance(value, types.ModuleType):
-            return {CODE: f"module {value.__name__}"} | _file_of(getattr(value, "__file__", None))
+            return {CODE_KEY: f"module {value.__name__}"} | _file_of(getattr(value, "__file__", None))
         if isinstance(value, type):
             bases = [one for one in value.__mro__ if _is_own(one.__module__)]
             members = {f"{one.__qualname__}{k or ''}": _members(one) for k, one in enumerate(bases)}
             return self._named(members, at) if value in bases else _name(value)
         if kind is np.ndarray:
-            if value.dtype.kind in "biuf" and value.size > FEW:
+            if value.dtype.kind in "biuf" and value.size > MAX_SHOWN_ARRAY:
                 return f"{value.dtype.name} {value.shape}, {digest(np.ascontiguousarray(value).tobytes())}"
             return self.of(value.tolist(), at)
         if kind in (dict, types.MappingProxyType):
@@ -174,9 +178,13 @@ class _Describer:
         if (getattr(getattr(kind, "identity", None), "__module__", None) or "").partition(".")[0] in PACKAGES:
             return self.of(value.identity(), at)
         if dataclasses.is_dataclass(value):
-            return self._named({CLASS: kind} | {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}, at)
+            return self._named(
+                {CLASS_KEY: kind} | {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}, at
+            )
         found = self._copied(value, at)
-        if isinstance(value, GOES_ON) or any(one.__name__ == "QMCEngine" for one in kind.__mro__):  # of scipy.stats
+        if isinstance(value, GENERATOR_TYPES) or any(
+            one.__name__ == "QMCEngine" for one in kind.__mro__
+        ):  # of scipy.stats
             self.random.append(found)
         return found
 
@@ -196,12 +204,12 @@ class _Describer:
             parts = copyreg.dispatch_table.get(kind, lambda one: one.__reduce_ex__(4))(value)
         except Exception:  # it cannot be copied
             parts = None
-        if parts is None or top in OPAQUE:
-            return f"{_name(kind)}{ALONE} ({_number(value)})"
+        if parts is None or top in OPAQUE_PACKAGES:
+            return f"{_name(kind)}{PROCESS_LABEL} ({_number(value)})"
         if isinstance(parts, str):
             return f"{_name(kind)} {parts}"
         make, given, state, *items = (*parts, None)[: max(len(parts), 3)]
-        found = {CLASS: kind, "(made of)": [make, *given], "(items)": [[*one] for one in items if one is not None]}
+        found = {CLASS_KEY: kind, "(made of)": [make, *given], "(items)": [[*one] for one in items if one is not None]}
         for one in state if isinstance(state, tuple) else (state,):  # attributes, and those in slots
             found |= one if isinstance(one, dict) else {f"(state {len(found)})": one}
         return self._named(found, at)
@@ -210,22 +218,22 @@ class _Describer:
         code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
         read: dict[str, Any] = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}
         if not _is_own_file(code.co_filename):
-            return {CODE: _name(function), **self._named(read, at)} if read else _name(function)
+            return {CODE_KEY: _name(function), **self._named(read, at)} if read else _name(function)
         names = {name for one in _codes(code) for name in one.co_names}
         self.names |= names
         read = {name: function.__globals__[name] for name in names & function.__globals__.keys()} | read
         read |= {"(defaults)": function.__defaults__, "(keywords)": function.__kwdefaults__} | vars(function)
         read.pop("__wrapped__", None)
         found = self._named({name: one for name, one in read.items() if one is not None}, at)
-        return found | _file_of(code.co_filename) | {CODE: f"{function.__qualname__} {digest(_bytecode(code))}"}
+        return found | _file_of(code.co_filename) | {CODE_KEY: f"{function.__qualname__} {digest(_bytecode(code))}"}
 
 
 def _number(value: Any) -> int:
     """Number of an object in this process; objects are not kept alive for it, where they allow that."""
-    known = _NUMBERS.get(id(value))
+    known = _OBJECT_NUMBERS.get(id(value))
     if known is None or known[0]() is not value:
         reference = weakref.ref(value) if type(value).__weakrefoffset__ else lambda: value
-        known = _NUMBERS[id(value)] = reference, next(_COUNT)
+        known = _OBJECT_NUMBERS[id(value)] = reference, next(_OBJECT_COUNT)
     return known[1]
 
 
@@ -244,7 +252,7 @@ def _file_of(name: str | None) -> dict[str, str]:
     """The name of a file of one's own, with the hash of its content, if there is one."""
     file = Path(name or "")
     own = file.is_file() and _is_own_file(str(file))
-    return {FILE: f"{file.name} {digest(file.read_bytes())}"} if own else {}
+    return {FILE_KEY: f"{file.name} {digest(file.read_bytes())}"} if own else {}
 
 
 def _function_of(value: Any) -> types.FunctionType | None:
@@ -283,7 +291,7 @@ def _is_own(module: str) -> bool:
 def _is_own_file(file: str) -> bool:
     path = Path(file)
     installed = file.startswith("<frozen") or {"site-packages", "dist-packages"} & {*path.parts}
-    return not (installed or any(path.is_relative_to(one) for one in LIBRARIES))
+    return not (installed or any(path.is_relative_to(one) for one in LIBRARY_FOLDERS))
 
 
 def _plain(value: Any) -> Any:
@@ -313,7 +321,7 @@ def source_content(source: Path) -> bytes:
     found, todo = {source: source.read_bytes()}, [source]
     while todo:
         file = todo.pop()
-        for name in NAMED.findall(found[file]):
+        for name in INCLUDED_FILE.findall(found[file]):
             with suppress(OSError, ValueError):
                 included = (file.parent / name.decode()).resolve()
                 if included not in found:

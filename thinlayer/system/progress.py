@@ -20,13 +20,13 @@ from typing import TextIO
 
 from mpi4py import MPI
 
-from geometry.parallel import T, default_comm
+from geometry.parallel import ResultType, default_comm
 
-LEAST = 1e-3  # share from which on the time left is told
+MIN_TIMED_SHARE = 1e-3  # share from which on the time left is told
 # s before the first line and the next: on a terminal, else
-AFTER, AGAIN = {True: 5.0, False: 60.0}, {True: 0.2, False: 60.0}
+FIRST_REPORT_SECONDS, REPORT_SECONDS = {True: 5.0, False: 60.0}, {True: 0.2, False: 60.0}
 
-_SILENT = logging.Logger("thinlayer on other ranks", logging.CRITICAL + 1)
+_SILENT_LOGGER = logging.Logger("thinlayer on other ranks", logging.CRITICAL + 1)
 
 
 def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
@@ -36,7 +36,7 @@ def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
         part: "solve" (what a solve tries), "march" (steps in time), "study" (what a study has done).
         comm: communicator of the model.
     """
-    return _SILENT if (comm or default_comm()).rank else logging.getLogger(f"thinlayer.{part}")
+    return _SILENT_LOGGER if (comm or default_comm()).rank else logging.getLogger(f"thinlayer.{part}")
 
 
 @dataclass(eq=False)
@@ -64,7 +64,7 @@ class ProgressReporter:
         work = _Task(what)
         if not self._open:
             self._begun, self._shown = self._clock(), False
-            self._due = self._begun + AFTER[self._stream().isatty()]
+            self._due = self._begun + FIRST_REPORT_SECONDS[self._stream().isatty()]
         self._open.append(work)
 
         def tell(share: float, now: str = "", piece: float = 0.0, *, at_once: bool = False) -> None:
@@ -85,7 +85,7 @@ class ProgressReporter:
     def telling_of_a_call(self, what: str) -> Iterator[None]:
         """A context of one call that cannot tell how far it is: it is told of if it lasts, off a terminal too."""
         with self.telling(what) as tell:
-            timer = threading.Timer(AFTER[True], tell, (0.0,), {"at_once": True})
+            timer = threading.Timer(FIRST_REPORT_SECONDS[True], tell, (0.0,), {"at_once": True})
             timer.daemon = True
             timer.start()
             try:
@@ -93,7 +93,7 @@ class ProgressReporter:
             finally:
                 timer.cancel()
 
-    def track(self, items: Sequence[T], what: str, label: str = "{}") -> Iterator[T]:
+    def track(self, items: Sequence[ResultType], what: str, label: str = "{}") -> Iterator[ResultType]:
         """The items one after the other; words for the present one are label.format(item)."""
         with self.telling(what) as tell:
             for k, item in enumerate(items):
@@ -105,7 +105,7 @@ class ProgressReporter:
         quiet = MPI.COMM_WORLD.rank or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING)
         if quiet or (now < self._due and not at_once):
             return
-        self._due, self._shown = now + AGAIN[stream.isatty()], True
+        self._due, self._shown = now + REPORT_SECONDS[stream.isatty()], True
         words = [f"{work.what}: {work.now}" if work.now else work.what for work in self._open]
         # the share of the whole, with those of the work within it; the work goes on as it did
         share, width = 0.0, 1.0
@@ -114,7 +114,7 @@ class ProgressReporter:
             width *= work.piece
         spent = now - self._begun
         words.append(f"{timedelta(seconds=round(spent))} so far")
-        if share > LEAST:
+        if share > MIN_TIMED_SHARE:
             words.append(f"about {timedelta(seconds=round(spent * (1 - share) / share))} left")
         line = ", ".join(words)
         stream.write(f"\r\x1b[K{line[:120]}" if stream.isatty() else f"{line}\n")

@@ -22,22 +22,24 @@ from mpi4py import MPI
 
 from forms.base import InputError
 from geometry.parallel import default_comm
-from thinlayer.system.identity import ALONE, MISSING, describe, differences, digest
+from thinlayer.system.identity import MISSING_VALUE, PROCESS_LABEL, describe, differences, digest
 
 if TYPE_CHECKING:
     from dolfinx.fem import FunctionSpace
     from dolfinx.mesh import Mesh
 
 Array = npt.NDArray[Any]
-SAME = (MPI.IDENT, MPI.CONGRUENT)
-_COPIES: list[MPI.Intracomm] = []
-_SPACES: list[tuple[ref[Any], Any]] = []  # of several ranks, and their index maps, which keep their communicators
-GRACE = 5.0  # s for all ranks with an error to finish printing it, before they are ended
-STATUS = 1  # exit status if one rank alone has an error, as for any Python script; the command line has its own
-POLL = 1e-3  # s between two tests of a request
-SHOWN = 200  # number of characters shown where data differ
-PATIENCE = 60.0  # s that a rank with an error waits for the others at least
-_DEPTH: Counter[int] = Counter()  # communicator -> number of nested blocks that this rank is in
+EQUAL_COMMUNICATORS = (MPI.IDENT, MPI.CONGRUENT)
+_COPIED_COMMS: list[MPI.Intracomm] = []
+_SPACES_OF_RANKS: list[
+    tuple[ref[Any], Any]
+] = []  # of several ranks, and their index maps, which keep their communicators
+GRACE_SECONDS = 5.0  # s for all ranks with an error to finish printing it, before they are ended
+EXIT_STATUS = 1  # exit status if one rank alone has an error, as for any Python script; the command line has its own
+POLL_SECONDS = 1e-3  # s between two tests of a request
+MAX_SHOWN_CHARACTERS = 200  # number of characters shown where data differ
+MIN_WAIT_SECONDS = 60.0  # s that a rank with an error waits for the others at least
+_NESTED_BLOCKS: Counter[int] = Counter()  # communicator -> number of nested blocks that this rank is in
 
 
 # ---------------------------------------------------------------- agreement
@@ -55,21 +57,21 @@ def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
     comm = comm or default_comm()
     key, began = comm.py2f(), time.monotonic()
     problem: Exception | None = None
-    _DEPTH[key] += 1
+    _NESTED_BLOCKS[key] += 1
     try:
         try:
             yield
         except Exception as error:
             problem = error
         if comm.size > 1:
-            texts = _error_texts(comm, _DEPTH[key], problem, max(PATIENCE, time.monotonic() - began))
+            texts = _error_texts(comm, _NESTED_BLOCKS[key], problem, max(MIN_WAIT_SECONDS, time.monotonic() - began))
             wrong = [rank for rank, text in enumerate(texts) if text is not None]
             if wrong and len(wrong) < comm.size:
                 raise _raised_on_all(InputError(f"rank {wrong[0]}: {texts[wrong[0]]}")) from problem
         if problem is not None:
             raise _raised_on_all(problem)
     finally:
-        _DEPTH[key] -= 1
+        _NESTED_BLOCKS[key] -= 1
         problem = None  # whose traceback has this frame
 
 
@@ -108,7 +110,7 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
         return ""
     with errors_on_all(comm):
         texts = {name: json.dumps(describe(one), sort_keys=True) for name, one in given.items()}
-        texts = {name: re.sub(rf"{ALONE} \(\d+\)", "", text) for name, text in texts.items()}
+        texts = {name: re.sub(rf"{PROCESS_LABEL} \(\d+\)", "", text) for name, text in texts.items()}
     found = comm.allgather({name: digest(text) for name, text in texts.items()})
     for name, first in found[0].items():
         for rank, theirs in enumerate(found):
@@ -116,7 +118,9 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
                 full = [json.loads(text) for text in comm.allgather(texts[name])]
                 same = (), full[0], full[rank]  # True and 1.0 are equal
                 path, *both = next(differences(full[0], full[rank]), same)
-                here, there = ("nothing" if one is MISSING else json.dumps(one)[:SHOWN] for one in both)
+                here, there = (
+                    "nothing" if one is MISSING_VALUE else json.dumps(one)[:MAX_SHOWN_CHARACTERS] for one in both
+                )
                 at = f"{'.'.join(path)} is " if path else ""
                 what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
                 raise _raised_on_all(InputError(f"{what}; give all ranks the same"))
@@ -136,11 +140,11 @@ def communicator(mesh: Mesh) -> MPI.Intracomm:
     The mesh's own communicator cannot be used: if it ever served a pickled collective, mpi4py 4.0 waits for itself when
     Python's garbage collector frees the mesh amid another one.
     """
-    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD, *_COPIES):
-        if MPI.Comm.Compare(mesh.comm, comm) in SAME:
+    for comm in (MPI.COMM_SELF, MPI.COMM_WORLD, *_COPIED_COMMS):
+        if MPI.Comm.Compare(mesh.comm, comm) in EQUAL_COMMUNICATORS:
             return comm
-    _COPIES.append(mesh.comm.Dup())
-    return _COPIES[-1]
+    _COPIED_COMMS.append(mesh.comm.Dup())
+    return _COPIED_COMMS[-1]
 
 
 def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
@@ -155,14 +159,14 @@ def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
     if comm.size == 1:
         return
     if used is not None:
-        _SPACES.append((ref(used), used.dofmap.index_map))
-    ours = [one for one in _SPACES if MPI.Comm.Compare(one[1].comm, comm) in SAME]
+        _SPACES_OF_RANKS.append((ref(used), used.dofmap.index_map))
+    ours = [one for one in _SPACES_OF_RANKS if MPI.Comm.Compare(one[1].comm, comm) in EQUAL_COMMUNICATORS]
     alive = np.any(comm.allgather([space() is not None for space, _ in ours]), axis=0)
-    for each in (comm, MPI.COMM_WORLD, *_COPIES, *(imap.comm for _, imap in ours)):
-        if MPI.Comm.Compare(each, comm) in SAME:
+    for each in (comm, MPI.COMM_WORLD, *_COPIED_COMMS, *(imap.comm for _, imap in ours)):
+        if MPI.Comm.Compare(each, comm) in EQUAL_COMMUNICATORS:
             PETSc.garbage_cleanup(each)
     for k in np.flatnonzero(~alive):
-        _SPACES.remove(ours[k])
+        _SPACES_OF_RANKS.remove(ours[k])
 
 
 def destroy(*things: Any) -> None:
@@ -237,7 +241,7 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
 def abort(error: BaseException) -> None:
     """Print an error and end all ranks."""
     traceback.print_exception(error)
-    _end(STATUS)
+    _end(EXIT_STATUS)
 
 
 def is_done(request: MPI.Request, within: float) -> bool:
@@ -246,7 +250,7 @@ def is_done(request: MPI.Request, within: float) -> bool:
     while not request.Test():
         if time.monotonic() > end:
             return False
-        time.sleep(POLL)
+        time.sleep(POLL_SECONDS)
     return True
 
 
@@ -267,7 +271,7 @@ def _end_before_petsc() -> None:
 
     def note_and_end(status: int) -> None:
         note(status)
-        if status and not is_done(MPI.COMM_WORLD.Ibarrier(), GRACE):
+        if status and not is_done(MPI.COMM_WORLD.Ibarrier(), GRACE_SECONDS):
             error = sys.exception()
             if not isinstance(error, SystemExit):
                 traceback.print_exception(error)

@@ -21,11 +21,15 @@ from thinlayer.system.identity import Resume, differences, differences_text
 from thinlayer.system.ranks import carry_cell_values
 from thinlayer.system.table import Table
 
-TABLE = "table.csv"
-REACTIONS = "reactions"
-MEMORY, FIELD, STRESS = "memory ", "field ", "stress "  # prefixes of keys of parts in a state's file
-FORMAT = 2  # of the files: 2 since march.json has the numbers of states
-NUMBERS = ("t", "stored", "sudden", "prescribed_work", "dissipated")  # of a state, in march.json
+TABLE_FILE = "table.csv"
+REACTIONS_KEY = "reactions"
+MEMORY_PREFIX, FIELD_PREFIX, STRESS_PREFIX = (
+    "memory ",
+    "field ",
+    "stress ",
+)  # prefixes of keys of parts in a state's file
+FILE_FORMAT = 2  # of the files: 2 since march.json has the numbers of states
+STATE_NUMBERS = ("t", "stored", "sudden", "prescribed_work", "dissipated")  # of a state, in march.json
 
 
 class Checkpoint:
@@ -42,20 +46,20 @@ class Checkpoint:
     """
 
     def __init__(self, folder: Path, equations: Equations, mark: dict[str, Any]) -> None:
-        self.mark, self.folder, self.path = mark | {"format": FORMAT}, folder, folder / "march.json"
+        self.mark, self.folder, self.path = mark | {"format": FILE_FORMAT}, folder, folder / "march.json"
         self.model, self.comm, self._equations = equations.model, equations.comm, equations
         self._states: dict[str, dict[str, Any]] = {}  # row -> numbers of the state, hash of its file
-        self._orders = {FIELD + part.key: part.own_file_order for part in equations.with_own}
+        self._orders = {FIELD_PREFIX + part.key: part.own_file_order for part in equations.with_own}
         for part in equations.parts:
             if (order := part.file_order) is not None:
-                self._orders |= {MEMORY + part.key: order, STRESS + part.key: order}
+                self._orders |= {MEMORY_PREFIX + part.key: order, STRESS_PREFIX + part.key: order}
         own = self.model.domain.mesh.topology.index_map(self.model.joint.dim).size_local
         rest = equations.rest(0.0)
         for name, f in _state_functions(rest).items():
             dofs = np.asarray(f.function_space.dofmap.list)
             self._orders[name] = FileOrder(self.model.domain.original_cells[: len(dofs)], dofs, own)
         for name in _state_values(rest).keys() - self._orders.keys():
-            what = f"the part {name.removeprefix(MEMORY)!r} remembers values that have no order in files"
+            what = f"the part {name.removeprefix(MEMORY_PREFIX)!r} remembers values that have no order in files"
             raise InputError(f"{what}: march without out=, or give its class file_order, of the rows of its memory")
 
     def _file(self, row: int) -> Path:
@@ -82,7 +86,7 @@ class Checkpoint:
 
     def _forget(self) -> None:
         """Remove the files of an earlier march; the table first, as march.json says to which march it belongs."""
-        for file in (self.folder / TABLE, self.path, *self._files()):
+        for file in (self.folder / TABLE_FILE, self.path, *self._files()):
             file.unlink(missing_ok=True)
 
     def _write_table(self, table: Table, states: Mapping[int, State], pace: Mapping[str, Any]) -> None:
@@ -92,13 +96,13 @@ class Checkpoint:
         for stale in self._files():
             if int(stale.stem) not in states:
                 stale.unlink()
-        table.put(self.folder / TABLE)
+        table.put(self.folder / TABLE_FILE)
 
     def _write_state(self, row: int, state: State) -> None:
-        arrays = {} if state.reactions is None else {REACTIONS: state.reactions}
+        arrays = {} if state.reactions is None else {REACTIONS_KEY: state.reactions}
         arrays |= {name: self._gather(self._orders[name], values) for name, values in _state_values(state).items()}
         about = {"report": asdict(state.report), "audit": asdict(state.audit)}
-        about |= {name: getattr(state, name) for name in NUMBERS}
+        about |= {name: getattr(state, name) for name in STATE_NUMBERS}
 
         def write() -> None:
             with replace_file(self._file(row)) as file:
@@ -131,19 +135,21 @@ class Checkpoint:
             return None
         self.mark, self._states = content["mark"], content["states"]
         table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
-        on_root(self.comm, lambda: table.put(self.folder / TABLE))
+        on_root(self.comm, lambda: table.put(self.folder / TABLE_FILE))
         return table, {row: self._read_state(row) for row in sorted(map(int, self._states))[-last:]}, content["pace"]
 
     def _content(self, resume: Resume) -> dict[str, Any] | None:
         """The content of march.json; on rank 0."""
         if not self.path.exists():
-            if (self.folder / TABLE).exists():
-                raise InputError(f"{self.folder} has a {TABLE} of something else; give another folder, or remove it")
+            if (self.folder / TABLE_FILE).exists():
+                raise InputError(
+                    f"{self.folder} has a {TABLE_FILE} of something else; give another folder, or remove it"
+                )
             return None
         content = read_sealed(self.path)
         there = content["mark"]
-        if there.get("format") != FORMAT:
-            what = f"it has the format {there.get('format')} of another version, this one reads {FORMAT}"
+        if there.get("format") != FILE_FORMAT:
+            what = f"it has the format {there.get('format')} of another version, this one reads {FILE_FORMAT}"
             raise InputError(f"{str(self.path)!r} cannot be read ({what}); give another folder, or remove it")
         if there != self.mark and resume != "anyway":
             other = differences_text([*differences(there, self.mark)])
@@ -162,7 +168,7 @@ class Checkpoint:
                 raise InputError(f"{self._file(row)} is lost or damaged; remove the folder to start anew")
             with np.load(self._file(row), allow_pickle=False) as file:
                 arrays.update(file)
-            return about, [*arrays], arrays.get(REACTIONS)
+            return about, [*arrays], arrays.get(REACTIONS_KEY)
 
         about, names, reactions = on_root(self.comm, load)
         rest = self._equations.rest(about["t"])
@@ -171,9 +177,13 @@ class Checkpoint:
             key: {name: f.copy() for name, f in kept.items()} if isinstance(kept, Mapping) else kept.copy()
             for key, kept in rest.memory.items()
         }
-        fields = {key: fem.Function(V) for key, V in spaces.items() if FIELD + key in names}
+        fields = {key: fem.Function(V) for key, V in spaces.items() if FIELD_PREFIX + key in names}
         report, audit = Report(**about["report"] | {"method": "resumed"}), Audit(**about["audit"])
-        known = {name: about[name] for name in NUMBERS} | {"report": report, "audit": audit, "reactions": reactions}
+        known = {name: about[name] for name in STATE_NUMBERS} | {
+            "report": report,
+            "audit": audit,
+            "reactions": reactions,
+        }
         state = replace(rest, memory=memory, fields=fields, at_rest=False, **known)
         for name, values in _state_values(state).items():
             order = self._orders[name]
@@ -194,12 +204,12 @@ class Checkpoint:
 def _state_functions(state: State) -> dict[str, fem.Function]:
     """The functions among what a state has, by their names in its file, except own unknowns of parts."""
     kept = [(key, one) for key, one in state.memory.items() if isinstance(one, Mapping)]
-    return {"u": state.u, **{f"{MEMORY}{key}/{name}": f for key, one in kept for name, f in one.items()}}
+    return {"u": state.u, **{f"{MEMORY_PREFIX}{key}/{name}": f for key, one in kept for name, f in one.items()}}
 
 
 def _state_values(state: State) -> dict[str, Array]:
     """Values (n, v) of what a state has, by their names in its file; no copies."""
     found = {name: f.x.array.reshape(-1, f.function_space.dofmap.bs) for name, f in _state_functions(state).items()}
-    found |= {FIELD + key: f.x.array[:, None] for key, f in state.fields.items()}
-    found |= {MEMORY + key: kept for key, kept in state.memory.items() if not isinstance(kept, Mapping)}
-    return found | {STRESS + key: kept for key, kept in state.stresses.items()}
+    found |= {FIELD_PREFIX + key: f.x.array[:, None] for key, f in state.fields.items()}
+    found |= {MEMORY_PREFIX + key: kept for key, kept in state.memory.items() if not isinstance(kept, Mapping)}
+    return found | {STRESS_PREFIX + key: kept for key, kept in state.stresses.items()}

@@ -13,7 +13,7 @@ import numpy as np
 from forms.base import InputError
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.history import SAME_TIME, History
+from thinlayer.solving.history import TIME_TOLERANCE, History
 from thinlayer.solving.solvers import Solver
 from thinlayer.system.identity import Resume
 from thinlayer.system.progress import logger, report
@@ -56,7 +56,7 @@ class Controller(ABC):
 
     def __post_init__(self) -> None:
         lengths = np.diff([self.start, *self.targets])
-        self.near = min(SAME_TIME * max(abs(self.start), abs(self.targets[-1])), float(lengths.min()) / 2)
+        self.near = min(TIME_TOLERANCE * max(abs(self.start), abs(self.targets[-1])), float(lengths.min()) / 2)
         self._log = logger("march", self.solver.model.comm)
 
     @property

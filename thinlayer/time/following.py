@@ -17,10 +17,10 @@ from thinlayer.time.path import EquilibriumPath
 from thinlayer.time.plan import ArcLength
 
 WANTED_ITERATIONS = 4  # number of Newton steps at which the length of the next step stays the same
-LEAST_FACTOR, MOST_FACTOR = 0.5, 2.0  # bounds of the ratio of the lengths of two steps
+MIN_LENGTH_RATIO, MAX_LENGTH_RATIO = 0.5, 2.0  # bounds of the ratio of the lengths of two steps
 CORNER_LENGTH = 0.125  # largest length, relative to the first step, of a failed step that may contain a corner
-CLOSENESS = 1e-3  # length of the shortest step before a turning point, relative to the first step
-MANY_STEPS = 10**6
+MIN_LENGTH = 1e-3  # length of the shortest step before a turning point, relative to the first step
+UNLIMITED_STEPS = 10**6
 
 
 @dataclass(eq=False)
@@ -107,7 +107,7 @@ class ArcLengthController(Controller):
         """The state, with the path's direction found there. SolveError: it may not be the next state of the path."""
         self._curve.aim(self.last, state, check=True)
         factor = math.sqrt(WANTED_ITERATIONS / max(state.report.iterations, 1))
-        self.journal.pace.step = length * min(max(factor, LEAST_FACTOR), MOST_FACTOR)
+        self.journal.pace.step = length * min(max(factor, MIN_LENGTH_RATIO), MAX_LENGTH_RATIO)
         self._aimed = state
         return [state]
 
@@ -131,7 +131,7 @@ class PathToTimesController(ArcLengthController):
         """Lengths of steps on a path to given times."""
         lengths = np.diff([start, *times])
         first, largest = float(lengths[0]), float(lengths.max() / lengths[0])
-        return ArcLength(times[-1], first, CLOSENESS, largest, steps=MANY_STEPS)
+        return ArcLength(times[-1], first, MIN_LENGTH, largest, steps=UNLIMITED_STEPS)
 
     def _breaks(self, t: float) -> bool:
         return any(abs(t - one) <= self.near for one in self.solver.model.break_times)

@@ -22,10 +22,10 @@ from thinlayer.system.table import Row
 from thinlayer.time.checkpoint import Checkpoint
 
 Observers = Mapping[str, Callable[[State], float]]
-OBSERVING = "it must be a function of a state that returns a real number"
+OBSERVER_HINT = "it must be a function of a state that returns a real number"
 # Largest relative difference of an observed value between ranks. Rounding is much smaller; values of one rank's part of the
 # mesh differ by more.
-SAME_VALUE = 1e-6
+OBSERVED_TOLERANCE = 1e-6
 
 
 @dataclass
@@ -136,9 +136,9 @@ class Journal:
                 value = float(np.asarray(self._observe[name](state)).astype(float, casting="same_kind"))
         except Exception as error:
             kind = "" if isinstance(error, (ThinlayerError, TypeError, ValueError)) else f"{type(error).__name__}: "
-            raise InputError(f"{place}: {kind}{error}; {OBSERVING}") from error
+            raise InputError(f"{place}: {kind}{error}; {OBSERVER_HINT}") from error
         values = np.array(self.model.comm.allgather(value))
-        if not np.allclose(values, values[0], rtol=SAME_VALUE, atol=0.0, equal_nan=True):
+        if not np.allclose(values, values[0], rtol=OBSERVED_TOLERANCE, atol=0.0, equal_nan=True):
             numbers = ", ".join(f"{value:.6g}" for value in values)
             raise InputError(f"{place}: the ranks find {numbers}; let it return the sum, or the largest, of all ranks")
         return float(values[0])

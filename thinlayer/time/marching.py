@@ -24,7 +24,7 @@ from thinlayer.system.progress import report
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.time.controller import Controller
 from thinlayer.time.following import ArcLengthController, PathToTimesController
-from thinlayer.time.journal import OBSERVING, Journal, Observers
+from thinlayer.time.journal import OBSERVER_HINT, Journal, Observers
 from thinlayer.time.plan import (
     Adaptive,
     ArcLength,
@@ -35,16 +35,16 @@ from thinlayer.time.plan import (
     require_path,
 )
 from thinlayer.time.stepping import (
-    QUANTITIES,
+    COMPARED_QUANTITIES,
     AdaptiveController,
     ErrorEstimate,
     PlannedStepsController,
     SnapController,
 )
 
-TOLD = 0.02  # least error of the steps that leads to a warning
-FEWEST = 8  # planned steps whose number can be halved; fewer are made again as this many or more
-IDLE = 1e-12  # dissipation over the work of the loads, that is none
+WARN_STEP_ERROR = 0.02  # least error of the steps that leads to a warning
+MIN_HALVED_STEPS = 8  # planned steps whose number can be halved; fewer are made again as this many or more
+NO_DISSIPATION_SHARE = 1e-12  # dissipation over the work of the loads, that is none
 
 
 def march(
@@ -198,7 +198,7 @@ def _number(name: str, value: Any) -> float:
 def _check(model: Model, theta: float, keep: str, out: Any, resume: Resume, observe: Any) -> None:
     require(observe is None or isinstance(observe, Mapping), "observe", observe, "give {name of a column: function}")
     for name, function in (observe or {}).items():
-        require(isinstance(name, str) and callable(function), f"observe[{name!r}]", function, OBSERVING)
+        require(isinstance(name, str) and callable(function), f"observe[{name!r}]", function, OBSERVER_HINT)
         if name in {"dt", *columns(model)}:
             raise InputError(f"observe: column {name!r} is there already; give it another name")
     if not 0.5 <= theta <= 1:
@@ -220,8 +220,8 @@ def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) 
     """
     solver, history, n = done.solver, done.journal.history, len(done.targets)
     dissipated, supplied = (np.abs(np.array(history.table[name], float)).sum() for name in ("dissipated", "supplied"))
-    if dissipated <= IDLE * supplied:  # not if a law does not declare its energy
-        history.step_errors = dict.fromkeys(QUANTITIES, 0.0)
+    if dissipated <= NO_DISSIPATION_SHARE * supplied:  # not if a law does not declare its energy
+        history.step_errors = dict.fromkeys(COMPARED_QUANTITIES, 0.0)
         return
     again = _halved_targets(done.targets, done.start, solver.model.break_times)
     remedy = "take more steps, or times=Adaptive(end=..., first=..., tolerance=...)"
@@ -230,14 +230,14 @@ def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) 
             journal = Journal(solver.equations, {"theta": theta})
             other = planned_controller(solver, journal, done.start, again, theta).run(begun=begun).last
     except SolveError as error:
-        history.step_errors = dict.fromkeys(QUANTITIES, np.nan)
+        history.step_errors = dict.fromkeys(COMPARED_QUANTITIES, np.nan)
         what = f"the error of the march's steps is not known: with {len(again)} steps {error.reason}; {remedy}"
         solver.model.warn("no step error", what, *done.targets)
         return
     gain = abs((n / len(again)) ** (2 if theta == 0.5 else 1) - 1)
     shares = ErrorEstimate(solver.equations).shares(other, history.last) / gain
-    history.step_errors = dict(zip(QUANTITIES, map(float, shares), strict=True))
-    if shares.max() > TOLD:
+    history.step_errors = dict(zip(COMPARED_QUANTITIES, map(float, shares), strict=True))
+    if shares.max() > WARN_STEP_ERROR:
         found = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
         what = f"the {n} steps of this march leave estimated relative errors of {found} at its end"
         solver.model.warn("step error", f"{what} (march with {len(again)} steps); {remedy}", *done.targets)
@@ -247,7 +247,7 @@ def _halved_targets(targets: Sequence[float], start: float, breaks: set[float]) 
     """Every second target, counted from the end, and breaks; where few would be left, all steps in parts."""
     last = len(targets) - 1
     coarse = [t for k, t in enumerate(targets) if (last - k) % 2 == 0 or t in breaks]
-    if len(targets) >= FEWEST and 4 * len(coarse) <= 3 * len(targets):
+    if len(targets) >= MIN_HALVED_STEPS and 4 * len(coarse) <= 3 * len(targets):
         return coarse
-    parts = max(2, math.ceil(FEWEST / len(targets)))
+    parts = max(2, math.ceil(MIN_HALVED_STEPS / len(targets)))
     return [b - (b - a) * k / parts for a, b in pairwise([start, *targets]) for k in reversed(range(parts))]

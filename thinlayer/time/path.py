@@ -27,18 +27,18 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, direct_solver, mark_symmetry
 from thinlayer.solving.petsc import Options, chosen_options, reason_name, solve_linear
 
-ITERATIONS = 12  # largest number of Newton steps
-TURN_ITERATIONS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
+MAX_NEWTON_STEPS = 12  # largest number of Newton steps
+MAX_TURN_STEPS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
 # Largest distance of the equilibrium from the predictor, relative to the step; one farther away is on another path.
-MOST_MISSED = 0.25
-TURN_MISSED = 3.0  # the same for a step that turns
-RUN_AWAY = 9.0  # largest distance of Newton's iterates from the predictor, relative to the step
-BEYOND_CORNER = 0.5  # distance beyond a corner at which a step that turns ends, relative to the step
+MAX_PREDICTION_ERROR = 0.25
+MAX_TURN_ERROR = 3.0  # the same for a step that turns
+DIVERGED_DISTANCE = 9.0  # largest distance of Newton's iterates from the predictor, relative to the step
+CORNER_DISTANCE = 0.5  # distance beyond a corner at which a step that turns ends, relative to the step
 # Bound of the distance from the predictor, relative to the step: factor * (change of direction) + offset.
 BEND_FACTOR, BEND_OFFSET = 2.0, 0.01
-SHORT_STEP = 1e-6  # step of difference quotients along the path, relative to the step
-QUOTIENT_STEP = 1e-3  # step of difference quotients in t, relative to the unit of t
-SMALL = 1e-7  # change of forces in a step, relative to the forces, that counts as zero
+PATH_QUOTIENT_STEP = 1e-6  # step of difference quotients along the path, relative to the step
+TIME_QUOTIENT_STEP = 1e-3  # step of difference quotients in t, relative to the unit of t
+FORCE_CHANGE_TOLERANCE = 1e-7  # change of forces in a step, relative to the forces, that counts as zero
 
 
 class EquilibriumPath:
@@ -120,7 +120,7 @@ class EquilibriumPath:
             SolveError: as in `_residual`; or the matrix cannot be factorised.
         """
         equations, held, dR, change = self.equations, self.equations.held, self._dR, self._change
-        prescribed, short = equations.prescribed, math.copysign(QUOTIENT_STEP * self.unit, self.middle - t)
+        prescribed, short = equations.prescribed, math.copysign(TIME_QUOTIENT_STEP * self.unit, self.middle - t)
         self._begin(last, t + short)
         self._forces(dR)
         dR.axpy(-1.0, self._r)
@@ -197,7 +197,7 @@ class EquilibriumPath:
             direction: d_2, found at the last linearisation.
             length: length of the step.
         """
-        equations, short = self.equations, SHORT_STEP * length
+        equations, short = self.equations, PATH_QUOTIENT_STEP * length
         along = self._dR  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0; and with A_2 (change, 1) = 0
         along.array[:] = self._direction[:-1] - self._direction[-1] * self._change.array_r
         along.array[equations.held] = 0.0
@@ -210,7 +210,7 @@ class EquilibriumPath:
         across = (before - self._r.array_r) / short  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
         moved = [float(np.abs(one[:-1]).max(initial=0.0)) for one in (self._direction, point)]
         rounded = np.array([equations.scale.rounding(equations.comm.allreduce(most, max))[0] for most in moved])
-        small = SMALL * equations.scale.forces[0] / length
+        small = FORCE_CHANGE_TOLERANCE * equations.scale.forces[0] / length
         local = [beyond @ beyond, across @ across, beyond @ across]
         *squares, product = equations.comm.allreduce(np.array(local))
         # rounding of residuals; forces may be zero
@@ -238,7 +238,9 @@ class EquilibriumPath:
     def _find(self, last: State, target: Array, row: Array, length: float, turn: bool) -> State:
         """The equilibrium in the plane normal to the row through the target."""
         begin, beyond, iterations, point = time.perf_counter(), 0.0, 0, target.copy()
-        most, far = (TURN_ITERATIONS, TURN_MISSED * length) if turn else (ITERATIONS, MOST_MISSED * length)
+        most, far = (
+            (MAX_TURN_STEPS, MAX_TURN_ERROR * length) if turn else (MAX_NEWTON_STEPS, MAX_PREDICTION_ERROR * length)
+        )
         while (residual := self._residual(last, point)) is None:
             if iterations == most:
                 raise SolveError(f"Newton's method for the arc length has not converged in {most} steps")
@@ -251,7 +253,7 @@ class EquilibriumPath:
                 raise SolveError("the tangent is singular along the path")
             point += newton + missing / across * tangent
             iterations += 1
-            if not self._size(point - target) <= RUN_AWAY * length:
+            if not self._size(point - target) <= DIVERGED_DISTANCE * length:
                 raise SolveError("Newton's method for the arc length runs away")
         missed = self._size(point - target)
         if missed > far:
@@ -266,4 +268,4 @@ class EquilibriumPath:
         if crossing == 0:
             raise SolveError("the path has no corner here")
         row *= math.copysign(1.0, crossing)
-        return row, length * (max(-self._product(row, self._direction), 0.0) + BEYOND_CORNER)
+        return row, length * (max(-self._product(row, self._direction), 0.0) + CORNER_DISTANCE)

@@ -13,14 +13,14 @@ from forms.base import InputError, is_finite, is_number, require
 from forms.temperature import real_values
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.history import SAME_TIME
-from thinlayer.solving.solvers import SOFTENS
+from thinlayer.solving.history import TIME_TOLERANCE
+from thinlayer.solving.solvers import SOFTENING_ADVICE
 
-HALVINGS = 10  # largest number of times that a planned step is halved
-ALLOWED_THETA = "theta = 1"  # the last words of errors
-MOST_SHORTENED = 1e6  # length of the first adaptive step relative to that of the shortest, by default
-NO_ERROR = "Adaptive is for laws that depend on time; steps of {} have no error: give the times to stop at"
-NO_PATH = {
+MAX_HALVINGS = 10  # largest number of times that a planned step is halved
+THETA_HINT = "theta = 1"  # the last words of errors
+MAX_SHORTENING = 1e6  # length of the first adaptive step relative to that of the shortest, by default
+NO_ERROR_MESSAGE = "Adaptive is for laws that depend on time; steps of {} have no error: give the times to stop at"
+NO_PATH_REASONS = {
     "releases": "{} is a contact law: march in time instead of ArcLength",
     "bounded": "{} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit",
     "switches": "{} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps",
@@ -160,7 +160,7 @@ def ends_of_steps(times: Times, start: float, breaks: Iterable[float] = ()) -> l
     if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
         remedy = "they must be finite, increase, and come after start, which is not one of them"
         raise InputError(f"times is {targets} from start = {start:g}; {remedy}")
-    near = SAME_TIME * max(abs(start), abs(targets[-1]))
+    near = TIME_TOLERANCE * max(abs(start), abs(targets[-1]))
     for t in sorted(breaks):
         if start < t < targets[-1] and np.abs(whole - t).min() > near:
             whole = np.append(whole, t)
@@ -192,11 +192,11 @@ def require_in_time(equations: Equations, times: Times, theta: float, ends: list
         ends: start of the march, and the times at which steps end.
     """
     if isinstance(times, Adaptive):
-        equations.refuse({"switches": NO_ERROR})
+        equations.refuse({"switches": NO_ERROR_MESSAGE})
     if theta == 1:
         return
-    at_ends = f"theta is {theta}; {{}} holds at the ends of steps: {ALLOWED_THETA}"
-    bounds = f"theta is {theta}; {{}} bounds stresses, which at the end of a step may exceed it: {ALLOWED_THETA}"
+    at_ends = f"theta is {theta}; {{}} holds at the ends of steps: {THETA_HINT}"
+    bounds = f"theta is {theta}; {{}} bounds stresses, which at the end of a step may exceed it: {THETA_HINT}"
     equations.refuse({"releases": at_ends, "switches": at_ends, "bounded": bounds})
     for part in equations.parts:
         at_once = [(name, False) for name, has in part.named().items() if has.nonlinear and not has.rate]
@@ -205,7 +205,7 @@ def require_in_time(equations: Equations, times: Times, theta: float, ends: list
         for name, changes in at_once:
             how = "with parameters that change in time" if changes else "not linearly (linear = True is not declared)"
             what = f"theta is {theta}; {name} answers at once, and {how}"
-            raise InputError(f"{what}: states at the ends of steps would oscillate undamped: {ALLOWED_THETA}")
+            raise InputError(f"{what}: states at the ends of steps would oscillate undamped: {THETA_HINT}")
 
 
 def require_path(equations: Equations, times: Times, theta: float, method: str | None) -> None:
@@ -216,7 +216,7 @@ def require_path(equations: Equations, times: Times, theta: float, method: str |
         times, theta, method: as in `march`; a path in time is that of a layer which softens.
     """
     if isinstance(times, Adaptive):
-        equations.refuse({"softens": f"march with Adaptive: {SOFTENS}"})
+        equations.refuse({"softens": f"march with Adaptive: {SOFTENING_ADVICE}"})
     try:
         if theta != 1:
             raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
@@ -224,7 +224,7 @@ def require_path(equations: Equations, times: Times, theta: float, method: str |
         for part in equations.of_kind(PressurePart):
             for name in part.named():
                 raise InputError(f"{name} is incompressible: paths have displacements alone; march in time")
-        equations.refuse(NO_PATH)
+        equations.refuse(NO_PATH_REASONS)
         for name in filter(None, equations.ask("takes_time")):
             raise InputError(f"{name} creeps or relaxes, and t is no time on a path: march in time")
     except InputError as error:

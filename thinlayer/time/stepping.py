@@ -12,28 +12,32 @@ import numpy as np
 from petsc4py import PETSc
 
 from forms.base import Array
-from forms.planes import LIFTED
+from forms.planes import PLANE_STRAIN
 from thinlayer.discretisation.rigid import model_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError
-from thinlayer.pointwise.columns import TIE
+from thinlayer.pointwise.columns import EXCESS_TOLERANCE
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.history import SAME_TIME
+from thinlayer.solving.history import TIME_TOLERANCE
 from thinlayer.time.controller import Controller, StepAttempt
-from thinlayer.time.plan import HALVINGS, MOST_SHORTENED, Adaptive, is_divisible
+from thinlayer.time.plan import MAX_HALVINGS, MAX_SHORTENING, Adaptive, is_divisible
 
 # Least size of jumps to which errors are relative, as a share of the displacements; rounding is smaller.
-LEAST_JUMP = 1e-6
-QUANTITIES = ("displacements", "jumps", "forces")
-SAME_LOADS = 1e-12  # relative change of loads that counts as none
-SAFETY = 0.9  # factor on the length of an adaptive step that its error allows
-LEAST_FACTOR, MOST_FACTOR = 0.2, 3.0  # bounds of the ratio of the lengths of two adaptive steps
-NEARER = 8.0  # ratio of the lengths of two steps by weak springs
-SEEK_STEPS = 16  # longest step by weak springs, in lengths of the adaptive step that failed: it may be far from a limit
-LEFT = 1e-3  # what is left before a target, relative to a step, that the step takes along
+MIN_JUMP_SHARE = 1e-6
+COMPARED_QUANTITIES = ("displacements", "jumps", "forces")
+LOAD_TOLERANCE = 1e-12  # relative change of loads that counts as none
+SAFETY_FACTOR = 0.9  # factor on the length of an adaptive step that its error allows
+MIN_LENGTH_RATIO, MAX_LENGTH_RATIO = 0.2, 3.0  # bounds of the ratio of the lengths of two adaptive steps
+SPRING_STEP_RATIO = 8.0  # ratio of the lengths of two steps by weak springs
+MAX_SPRING_STEP = (
+    16  # longest step by weak springs, in lengths of the adaptive step that failed: it may be far from a limit
+)
+REMAINDER_SHARE = 1e-3  # what is left before a target, relative to a step, that the step takes along
 TIME_ROUNDING = 8 * 2.0**-52  # relative tolerance of the time of a snap
-PROBES = 8  # number of equal parts of a step at whose ends the excess is tested if loads are not linear in time
-NO_LIMIT = "no equilibrium was found, which need not be a limit of the loads: try other times, or an elastic fraction"
+EXCESS_PROBES = 8  # number of equal parts of a step at whose ends the excess is tested if loads are not linear in time
+NO_LIMIT_HINT = (
+    "no equilibrium was found, which need not be a limit of the loads: try other times, or an elastic fraction"
+)
 
 
 @dataclass(eq=False)
@@ -48,7 +52,7 @@ class PlannedStepsController(Controller):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.smallest = float(np.diff([self.start, *self.targets]).min()) / 2**HALVINGS * (1 - SAME_TIME)
+        self.smallest = float(np.diff([self.start, *self.targets]).min()) / 2**MAX_HALVINGS * (1 - TIME_TOLERANCE)
         self._failed_at = math.inf  # earliest end of a failed step that the march has not reached
         self._run_away = math.inf  # earliest time at which displacements ran away
 
@@ -56,7 +60,7 @@ class PlannedStepsController(Controller):
         return min(self.journal.pace.step or math.inf, self.target - self.last.t)
 
     def _end(self, length: float) -> float:
-        return self.last.t + length if self.target - self.last.t - length >= LEFT * length else self.target
+        return self.last.t + length if self.target - self.last.t - length >= REMAINDER_SHARE * length else self.target
 
     @property
     def attempts(self) -> list[StepAttempt]:
@@ -73,17 +77,19 @@ class PlannedStepsController(Controller):
         if isinstance(last, NoEquilibrium) and self._loads_change(old.t, self._run_away):
             return LimitLoad(failed.reason, old.t, self._run_away, self._resultant(old.t), last, history)
         step = f"step {len(history)}, from t = {old.t:g} to {self._end(length):g}"
-        return self.error(f"{step}, failed, and so did longer ones: {failed}", NO_LIMIT if self.solver.bounded else "")
+        return self.error(
+            f"{step}, failed, and so did longer ones: {failed}", NO_LIMIT_HINT if self.solver.bounded else ""
+        )
 
     def _loads_change(self, before: float, after: float) -> bool:
         a, b = (self.solver.equations.given_forces_at(t).array_r for t in (before, after))
         changes, sizes = map(self.solver.equations.norms, (b - a, b))
-        return bool((changes > SAME_LOADS * sizes).any())
+        return bool((changes > LOAD_TOLERANCE * sizes).any())
 
     def _resultant(self, t: float) -> list[float]:
         """Sum of the loads on the bodies at time t, those of rigid plates included, (d,)."""
         model, loads = self.solver.model, self.solver.equations.loads_at(t)
-        translations = [*model_motions(model, LIFTED).values()][: model.joint.dim]
+        translations = [*model_motions(model, PLANE_STRAIN).values()][: model.joint.dim]
         return [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
 
     # ---------------------------------------------------------------- attempts
@@ -120,7 +126,7 @@ class PlannedStepsController(Controller):
         old, end, t = self.last, self._end(length), self._farthest(length)
         failed = SolveError("weak springs have not led to an equilibrium")
         if old.t < self._run_away < t:
-            t = max(old.t + (self._run_away - old.t) / NEARER, end)
+            t = max(old.t + (self._run_away - old.t) / SPRING_STEP_RATIO, end)
         while True:
             try:
                 return self._sought(self.solver.seek(old, t, self.theta))
@@ -130,7 +136,7 @@ class PlannedStepsController(Controller):
                 failed = failed if isinstance(failed, NoEquilibrium) else error
             if t <= end:
                 raise failed
-            t = max(old.t + (t - old.t) / NEARER, end)
+            t = max(old.t + (t - old.t) / SPRING_STEP_RATIO, end)
 
     def _farthest(self, length: float) -> float:
         """The latest time at which an equilibrium is sought by weak springs."""
@@ -163,7 +169,7 @@ class AdaptiveController(PlannedStepsController):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._estimate = ErrorEstimate(self.solver.equations)
-        self.smallest = (self.settings.smallest or self.settings.first / MOST_SHORTENED) * (1 - SAME_TIME)
+        self.smallest = (self.settings.smallest or self.settings.first / MAX_SHORTENING) * (1 - TIME_TOLERANCE)
         self.journal.pace.step, self._factor = self.settings.first, 1.0
 
     def shorter(self, length: float, error: SolveError) -> float:
@@ -183,8 +189,8 @@ class AdaptiveController(PlannedStepsController):
         largest = np.where(largest < tolerance * sizes, sizes, largest)
         order = 2 if theta == 0.5 else 1
         error = float(estimate.shares(whole, halves[-1], largest).max()) / (2**order - 1)
-        ratio = (tolerance / error) ** (1 / (order + 1)) if error else MOST_FACTOR
-        self._factor = float(np.clip(SAFETY * ratio, LEAST_FACTOR, MOST_FACTOR))
+        ratio = (tolerance / error) ** (1 / (order + 1)) if error else MAX_LENGTH_RATIO
+        self._factor = float(np.clip(SAFETY_FACTOR * ratio, MIN_LENGTH_RATIO, MAX_LENGTH_RATIO))
         accepted = error <= tolerance
         pace.largest = [*map(float, np.maximum(largest, middle) if accepted else largest)]
         if not accepted:
@@ -198,7 +204,7 @@ class AdaptiveController(PlannedStepsController):
         self.journal.pace.step = min(max(step, planned) if end == self.target else step, self.settings.largest)
 
     def _farthest(self, length: float) -> float:
-        return min(self.target, self.last.t + max(SEEK_STEPS * length, self.settings.first / 2**HALVINGS))
+        return min(self.target, self.last.t + max(MAX_SPRING_STEP * length, self.settings.first / 2**MAX_HALVINGS))
 
     def _sought(self, state: State) -> list[State]:
         raise SolveError("the error of a step by weak springs is not known")
@@ -213,7 +219,7 @@ class SnapController(PlannedStepsController):
         A snap has no duration: both its states have the same t. The energy that layer and bodies lose in it is
         `dissipated`. If loads, supports and parameters are linear in time within the step, the first switch is found (steps
         end at the breaks of piecewise data). Otherwise a column may be missed whose phase is not the one of lowest energy
-        only for a while, see `PROBES`. Collective; errors as in `solve`.
+        only for a while, see `EXCESS_PROBES`. Collective; errors as in `solve`.
 
         Raises:
             SolveError: the methods `excess` and `switched` of a law disagree.
@@ -225,7 +231,7 @@ class SnapController(PlannedStepsController):
             # be linear). The excess is the largest of their sizes, so it is convex: if positive within the step, also at
             # its end.
             convex = old.t == end or solver.equations.linear_in_time(old.t, end)
-            probes = () if convex else (old.t + (end - old.t) * k / PROBES for k in range(1, PROBES))
+            probes = () if convex else (old.t + (end - old.t) * k / EXCESS_PROBES for k in range(1, EXCESS_PROBES))
             bound = next((t for t in probes if self._kept(old, t)[1] > 0), end)
             kept, excess = self._kept(old, bound)
             if excess <= 0:
@@ -234,10 +240,12 @@ class SnapController(PlannedStepsController):
             if t > old.t:
                 old, _ = self._kept(old, t)
                 states.append(old)
-                if self._kept(old, t)[1] <= -TIE:  # Newton's tolerance may make the excess smaller from the new start
+                if (
+                    self._kept(old, t)[1] <= -EXCESS_TOLERANCE
+                ):  # Newton's tolerance may make the excess smaller from the new start
                     continue
             after = solver.step(old, t)
-            if solver.equations.excess > 2 * TIE:
+            if solver.equations.excess > 2 * EXCESS_TOLERANCE:
                 raise SolveError(f"at t = {t:g} excess() > 0 for a column, but switched() keeps its phase")
             # in a snap the remainder of the balance is dissipated
             lost = after.audit.dissipated + after.audit.remainder
@@ -248,7 +256,7 @@ class SnapController(PlannedStepsController):
     def _kept(self, old: State, t: float) -> tuple[State, float]:
         """The state at a time with the phases of another one, and the excess of its columns."""
         state = self.solver.step(old, t, keep_phases=True)
-        return state, self.solver.equations.excess - 2 * TIE
+        return state, self.solver.equations.excess - 2 * EXCESS_TOLERANCE
 
     def _first(self, old: State, end: float) -> float:
         """The first time at which the excess is positive, to rounding; the excess is positive at `end`."""
@@ -292,7 +300,7 @@ class ErrorEstimate:
         apart = self._norms([b - a for a, b in zip(*ends, strict=True)])
         sizes = np.maximum(self._norms(ends[1]), largest)
         moved = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
-        least = np.array([0.0, LEAST_JUMP * self._unit * moved, self._equations.scale.forces[0]])
+        least = np.array([0.0, MIN_JUMP_SHARE * self._unit * moved, self._equations.scale.forces[0]])
         sizes = np.maximum(sizes, least)
         return np.divide(apart, sizes, out=np.zeros(3), where=sizes > 0)
 

@@ -13,15 +13,15 @@ from matplotlib.lines import Line2D
 
 from forms.base import InputError, require
 from thinlayer.discretisation.state import State
-from thinlayer.output.contact_fields import PINNED, Contact
-from thinlayer.output.plotting.curves import COLOURS, LINES, logarithmic
+from thinlayer.output.contact_fields import PINNED_STATUS, Contact
+from thinlayer.output.plotting.curves import COLOURS, LINE_STYLES, logarithmic
 from thinlayer.output.plotting.picture import Picture, finish_picture
 from thinlayer.output.surface import Surface
 from thinlayer.surface.lines import Plane
 
-STYLES = ("-", "--", ":")  # of the normal component and of the tangential ones
-PANEL = (5.2, 2.5)  # width and height of a panel, inches; the first is shared by all seams
-LOW = 1.7  # height of a panel where there are three or more, inches
+COMPONENT_STYLES = ("-", "--", ":")  # of the normal component and of the tangential ones
+PANEL_INCHES = (5.2, 2.5)  # width and height of a panel, inches; the first is shared by all seams
+LOW_PANEL_INCHES = 1.7  # height of a panel where there are three or more, inches
 
 
 def along(
@@ -56,8 +56,8 @@ def along(
     require(isinstance(surface, Surface), "along: surface", surface, "give Surface(limit.model)")
     units = [f" ({unit})" if unit else "" for unit in (stress, length)]
     rows = [_Row(surface, label, cases, plane) for label, cases in _rows(surface, fields, *units).items()]
-    seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL[1] if len(rows) < 3 else LOW
-    figure = Picture(figsize=(PANEL[0] + 2.2 * (len(seams) - 1), len(rows) * curve + 0.8), layout="constrained")
+    seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL_INCHES[1] if len(rows) < 3 else LOW_PANEL_INCHES
+    figure = Picture(figsize=(PANEL_INCHES[0] + 2.2 * (len(seams) - 1), len(rows) * curve + 0.8), layout="constrained")
     panels = figure.subplots(len(rows), len(seams), sharex="col", sharey="row", squeeze=False)
     for row, places in zip(rows, panels, strict=True):
         for axes, seam in zip(places, seams, strict=True):
@@ -89,7 +89,7 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
             of_case = {f"t_{k}{stress}": f for k, f in zip(names, np.roll(t, 1, axis=0), strict=True)}
             of_case |= {f"w_{k}{length}": f for k, f in zip(names, np.roll(w, 1, axis=0), strict=True)}
         else:
-            pinned = np.where(one.status == PINNED, np.nan, 1.0)
+            pinned = np.where(one.status == PINNED_STATUS, np.nan, 1.0)
             t_T, u_T = (v[:, 0] if v.shape[1] == 1 else np.linalg.norm(v, axis=1) for v in (one.t_T, one.u_T))
             of_case = {f"p{stress}": pinned * one.p, f"t_T{stress}": pinned * t_T}
             of_case |= {f"u_T{length}": u_T, f"opening{length}": -one.u_N}
@@ -120,7 +120,7 @@ class _Row:
                     if start and not number:
                         axes.axvline(start, color="0.7", linewidth=0.8)
                     components = np.roll(np.atleast_2d(line.values.T), 1, axis=0)  # the normal one is the last
-                    styles = STYLES if len(components) > 1 else (LINES[number % len(LINES)],)
+                    styles = COMPONENT_STYLES if len(components) > 1 else (LINE_STYLES[number % len(LINE_STYLES)],)
                     for style, component in zip(styles, components, strict=False):
                         axes.plot(start + line.s, component, linestyle=style, color=COLOURS[number % len(COLOURS)])
                     start += line.length
@@ -132,10 +132,12 @@ def _legend(figure: Picture, rows: list[_Row], dim: int) -> None:
     handles, vectors = list[Any](), any(row.components > 1 for row in rows)
     if vectors:
         names = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
-        handles += [Line2D([], [], color="0.3", linestyle=STYLES[k], label=name) for k, name in enumerate(names)]
+        handles += [
+            Line2D([], [], color="0.3", linestyle=COMPONENT_STYLES[k], label=name) for k, name in enumerate(names)
+        ]
     cases = list(dict.fromkeys(case for row in rows for case in row.lines))
     if len(cases) > 1:
-        looks = zip(cycle(COLOURS), cycle(("-",) if vectors else LINES), cases, strict=False)
+        looks = zip(cycle(COLOURS), cycle(("-",) if vectors else LINE_STYLES), cases, strict=False)
         handles += [Line2D([], [], color=colour, linestyle=dash, label=case) for colour, dash, case in looks]
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), frameon=False)

@@ -20,11 +20,15 @@ Range = tuple[float, float] | None
 StyleChoice = str | Sequence[str] | Mapping[str, str] | None  # for all curves, in turn, or by label
 # Of curves, in turn: colours that no eye confuses (Okabe and Ito), line styles and markers for grey prints.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)), (0, (1, 3)))
+LINE_STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-SHOWN = 1e-3  # values over the largest that are seen on a logarithmic axis of both signs
-LETTER, SAMPLE, ROW = 0.075, 0.75, 0.21  # inches: a letter in a legend, what stands before it, the height of a row
-ERRORS = {"traction": "error_traction", "jump": "error_jump"}  # label -> column of a sweep's table
+SYMLOG_RANGE = 1e-3  # values over the largest that are seen on a logarithmic axis of both signs
+LETTER_INCHES, SAMPLE_INCHES, ROW_INCHES = (
+    0.075,
+    0.75,
+    0.21,
+)  # inches: a letter in a legend, what stands before it, the height of a row
+ERROR_COLUMNS = {"traction": "error_traction", "jump": "error_jump"}  # label -> column of a sweep's table
 
 
 def rates(
@@ -33,7 +37,7 @@ def rates(
     save: str | Path | None = None,
     title: str = "",
     reference: float = 1.0,
-    errors: Mapping[str, str] = ERRORS,
+    errors: Mapping[str, str] = ERROR_COLUMNS,
 ) -> Picture:
     """Draw the errors of sweeps against eps on logarithmic axes, with a line of a reference order.
 
@@ -122,7 +126,7 @@ def curves(
     labels = list(dict.fromkeys(label for part in parts.values() for label in part))
     grey = {label: "0.5" for label in labels if label.startswith("slope")}
     styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | grey | _by_label(labels, colours)
-    dashes, drawn = dict(zip(labels, cycle(LINES), strict=False)), dict[str, Any]()
+    dashes, drawn = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Any]()
     for axes, (panel, part) in zip(panels, parts.items(), strict=True):
         for label, line in part.items():
             # points alone are open: they do not hide one another
@@ -140,8 +144,8 @@ def curves(
             axes.set_yticks(range(len(levels[panel])), map(symbols, levels[panel]))
     if len(drawn) > 1:
         wide, high = figure.get_size_inches()
-        rows = math.ceil(len(drawn) / max(1, wide // (SAMPLE + LETTER * max(map(len, drawn)))))
-        figure.set_figheight(high + ROW * (rows - 1))
+        rows = math.ceil(len(drawn) / max(1, wide // (SAMPLE_INCHES + LETTER_INCHES * max(map(len, drawn)))))
+        figure.set_figheight(high + ROW_INCHES * (rows - 1))
         ncols = math.ceil(len(drawn) / rows)
         figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=ncols, frameon=False)
     return finish_picture(figure, save, title if several else "")
@@ -177,7 +181,7 @@ def logarithmic(axes: Axes, low: float, high: float) -> None:
     if not (largest := max(-low, high)) > 0:
         return
     top = math.floor(math.log10(largest))
-    powers = [10.0**k for k in range(top + int(math.log10(SHOWN)) + 1, top + 1)]
+    powers = [10.0**k for k in range(top + int(math.log10(SYMLOG_RANGE)) + 1, top + 1)]
     axes.set_yscale("symlog", linthresh=powers[0], linscale=0.5)
     axes.set_yticks([*(-one for one in reversed(powers)), 0.0, *powers])
     axes.set_ylim(1.5 * min(low, 0.0), 1.5 * max(high, 0.0))  # ticks alone would leave a half empty

@@ -15,19 +15,19 @@ from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
 from thinlayer.output.grid import gather_grid
 from thinlayer.output.plotting.scene import Scene, View
-from thinlayer.output.plotting.structures import DEFAULT
+from thinlayer.output.plotting.structures import DEFAULT_VIEW
 from thinlayer.solving.history import History
 from thinlayer.system.folder import replace_file
 from thinlayer.system.progress import track
 
-GIF, MP4 = ".gif", ".mp4"
-DPI = 120
-FASTEST = 50  # frames per second: a gif counts hundredths of a second
+GIF_SUFFIX, MP4_SUFFIX = ".gif", ".mp4"
+FRAME_DPI = 120
+MAX_FRAME_RATE = 50  # frames per second: a gif counts hundredths of a second
 
 
 def movie(
     solution: History | Sequence[State],
-    view: View = DEFAULT,
+    view: View = DEFAULT_VIEW,
     *,
     save: str | Path,
     per_second: int = 10,
@@ -54,12 +54,12 @@ def movie(
         OSError: the movie could not be written; on all ranks.
     """
     states = _states(solution)
-    if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF, MP4):
+    if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF_SUFFIX, MP4_SUFFIX):
         raise InputError(f"save is {save!r}; it must be the name of a movie, which ends in .gif or .mp4")
-    good = is_integer(per_second, 1) and per_second <= FASTEST
-    require(good, "per_second", per_second, f"allowed: whole numbers from 1 to {FASTEST}")
+    good = is_integer(per_second, 1) and per_second <= MAX_FRAME_RATE
+    require(good, "per_second", per_second, f"allowed: whole numbers from 1 to {MAX_FRAME_RATE}")
     path, comm = Path(save), states[0].model.comm
-    ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4 else ""
+    ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4_SUFFIX else ""
     grids = [grid for state in track(states, "movie", "{0.t:.4g}") if (grid := gather_grid(state))]
 
     def draw() -> None:
@@ -72,10 +72,12 @@ def movie(
             figure.suptitle(title)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # every frame has the layout of the first
-        writer: AbstractMovieWriter = PillowWriter(per_second) if path.suffix == GIF else FFMpegWriter(per_second)
+        writer: AbstractMovieWriter = (
+            PillowWriter(per_second) if path.suffix == GIF_SUFFIX else FFMpegWriter(per_second)
+        )
         with TemporaryDirectory() as folder, replace_file(path) as file:
             drawn = Path(folder) / path.name
-            with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(figure, str(drawn), DPI):
+            with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(figure, str(drawn), FRAME_DPI):
                 for state, grid in track([*zip(states, grids, strict=True)], "movie", "a frame"):
                     shown.set_data(scene.image(grid))
                     clock.set_text(f"t = {state.t:.4g}{f' {time_unit}' if time_unit else ''}")

@@ -18,14 +18,21 @@ from forms.base import require
 from geometry.parallel import on_root
 from thinlayer.system.folder import replace_file
 
-WIDTH, DPI = 6.7, 300  # inches, of a page's text; dots per inch of a picture that is set as wide, or of one less wide
+PAGE_WIDTH, SAVED_DPI = (
+    6.7,
+    300,
+)  # inches, of a page's text; dots per inch of a picture that is set as wide, or of one less wide
 # Text stays text, and files of the same picture are the same.
-VECTORS = {"svg.fonttype": "none", "svg.hashsalt": "thinlayer", "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"]}
-UNDATED: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+VECTOR_STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "thinlayer",
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
+}
+UNDATED_METADATA: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 # Words that are Greek letters; letters with an index, these letters alone, and powers.
-GREEK = "eps|lambda|nu|mu|pi|kappa|rho|psi|omega|Omega|delta|sigma"
-SYMBOL = r"(?:\\[A-Za-z]+|\b[A-Za-z]{1,2})_(?:[NTxyz\d]|min)\b|\\[A-Za-z]+|\b(?:10|L)\^-?\d+"
-IN_NOTEBOOK: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
+GREEK_LETTERS = "eps|lambda|nu|mu|pi|kappa|rho|psi|omega|Omega|delta|sigma"
+SYMBOL_PATTERN = r"(?:\\[A-Za-z]+|\b[A-Za-z]{1,2})_(?:[NTxyz\d]|min)\b|\\[A-Za-z]+|\b(?:10|L)\^-?\d+"
+NOTEBOOK_SETTINGS: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
 
 
 class Picture(Figure):
@@ -43,7 +50,7 @@ class Picture(Figure):
 
     def _repr_png_(self) -> bytes:
         buffer = BytesIO()
-        self.savefig(buffer, format="png", **IN_NOTEBOOK)
+        self.savefig(buffer, format="png", **NOTEBOOK_SETTINGS)
         return buffer.getvalue()
 
     def show(self, warn: bool = True) -> None:
@@ -62,14 +69,14 @@ def symbols(text: str) -> str:
     """A text with its symbols as mathematics: "eps", "t_T", "10^3", "L^2"; a text that has mathematics stays as it is."""
     if "$" in text:
         return text
-    text = re.sub(rf"\b({GREEK})(?=\b|_)", r"\\\1", text).replace(r"\eps", r"\varepsilon")
-    return re.sub(SYMBOL, lambda one: "$" + re.sub(r"([_^])(-?\w+)", r"\1{\2}", one[0]) + "$", text)
+    text = re.sub(rf"\b({GREEK_LETTERS})(?=\b|_)", r"\\\1", text).replace(r"\eps", r"\varepsilon")
+    return re.sub(SYMBOL_PATTERN, lambda one: "$" + re.sub(r"([_^])(-?\w+)", r"\1{\2}", one[0]) + "$", text)
 
 
-F = TypeVar("F", bound=Figure)
+FigureType = TypeVar("FigureType", bound=Figure)
 
 
-def finish_picture(figure: F, save: str | Path | None, title: str = "") -> F:
+def finish_picture(figure: FigureType, save: str | Path | None, title: str = "") -> FigureType:
     """Give a picture its title and save it, if asked to. Collective: rank 0 writes."""
     if title:
         figure.suptitle(title, fontsize=11)
@@ -99,6 +106,6 @@ def save_picture(figure: Figure, save: str | Path) -> None:
     require(isinstance(save, (str, Path)), "save", save, "it must be the name of a picture, or None")
     path = Path(save)
     require(not path.is_dir(), "save", save, "it is a folder; give the name of a picture")
-    ending, dpi = path.suffix.removeprefix(".") or "png", DPI * min(1.0, WIDTH / figure.get_size_inches()[0])
-    with replace_file(path.with_suffix(f".{ending}")) as file, rc_context(VECTORS):
-        figure.savefig(file, format=ending, dpi=dpi, metadata=UNDATED.get(ending), bbox_inches="tight")
+    ending, dpi = path.suffix.removeprefix(".") or "png", SAVED_DPI * min(1.0, PAGE_WIDTH / figure.get_size_inches()[0])
+    with replace_file(path.with_suffix(f".{ending}")) as file, rc_context(VECTOR_STYLE):
+        figure.savefig(file, format=ending, dpi=dpi, metadata=UNDATED_METADATA.get(ending), bbox_inches="tight")

@@ -24,28 +24,34 @@ from forms.temperature import finite_values
 from thinlayer.output.grid import VtkGrid
 from thinlayer.output.plotting.picture import Picture
 
-LARGEST = 0.05  # largest drawn displacement, over the size of the structure
-VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
-LIFT = 0.004  # shift of lines towards the viewer, over the picture's width, so that surfaces do not hide them
-PIXELS = 1400  # length of the longer side of an image
-RED: dict[str, Any] = {"color": "crimson", "line_width": 4, "lighting": False}
-SEAM: dict[str, Any] = RED | {"line_width": 2}  # the two sides of S
-BLACK: dict[str, Any] = {"color": "black", "line_width": 3, "lighting": False}
-GREY: dict[str, Any] = {"color": "dimgrey", "line_width": 8, "lighting": False}
-BODY: dict[str, Any] = {"scalars": "u", "cmap": "viridis", "show_scalar_bar": False, "ambient": 0.7, "diffuse": 0.3}
-PLAIN: dict[str, Any] = {"color": "#ece5da", "lighting": False}
-OUTLINE: dict[str, Any] = {"color": "#6b6256", "line_width": 2, "lighting": False}
-ON_S: dict[str, Any] = {"scalars": "rgb", "rgb": True, "line_width": 12, "lighting": False}
-BAR: dict[str, Any] = {"orientation": "horizontal", "aspect": 40, "shrink": 0.6, "pad": 0.02}
-DIGITS = 9  # of places over the structure's size
+DRAWN_DISPLACEMENT_SHARE = 0.05  # largest drawn displacement, over the size of the structure
+DEFAULT_VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
+LINE_LIFT = 0.004  # shift of lines towards the viewer, over the picture's width, so that surfaces do not hide them
+IMAGE_PIXELS = 1400  # length of the longer side of an image
+LAYER_STYLE: dict[str, Any] = {"color": "crimson", "line_width": 4, "lighting": False}
+SEAM_STYLE: dict[str, Any] = LAYER_STYLE | {"line_width": 2}  # the two sides of S
+EDGE_STYLE: dict[str, Any] = {"color": "black", "line_width": 3, "lighting": False}
+BASE_STYLE: dict[str, Any] = {"color": "dimgrey", "line_width": 8, "lighting": False}
+BODY_STYLE: dict[str, Any] = {
+    "scalars": "u",
+    "cmap": "viridis",
+    "show_scalar_bar": False,
+    "ambient": 0.7,
+    "diffuse": 0.3,
+}
+PLAIN_BODY_STYLE: dict[str, Any] = {"color": "#ece5da", "lighting": False}
+OUTLINE_STYLE: dict[str, Any] = {"color": "#6b6256", "line_width": 2, "lighting": False}
+SURFACE_STYLE: dict[str, Any] = {"scalars": "rgb", "rgb": True, "line_width": 12, "lighting": False}
+COLOUR_BAR_STYLE: dict[str, Any] = {"orientation": "horizontal", "aspect": 40, "shrink": 0.6, "pad": 0.02}
+PLACE_DECIMALS = 9  # of places over the structure's size
 
-SUBDIVISION = 3  # subdivision level of curved cells
-SHARP = 30.0  # angle (degree) between faces whose common edge is drawn
-ALMOST = 0.999  # factor of displacements that keeps the two sides of S apart, so that VTK does not merge them
-OFF_MIDDLE = 1e-3  # distance of a cut from the middle, over the structure's size: not along the faces of a grid
+SUBDIVISION_LEVEL = 3  # subdivision level of curved cells
+SHARP_ANGLE_DEGREES = 30.0  # angle (degree) between faces whose common edge is drawn
+SPLIT_FACTOR = 0.999  # factor of displacements that keeps the two sides of S apart, so that VTK does not merge them
+CUT_OFFSET = 1e-3  # distance of a cut from the middle, over the structure's size: not along the faces of a grid
 
 Window = tuple[float, float, float, float]
-PANEL = 4.6  # width of a structure in a picture, inches
+PANEL_INCHES = 4.6  # width of a structure in a picture, inches
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,7 @@ class DeformedShape:
         """The structure with displacements times a scale; cut: without the half to which this unit vector points."""
         mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
         # times pi: no sum of halves is half-way between two of these digits
-        places = np.round(np.pi / np.ptp(grid.points) * grid.points, DIGITS)
+        places = np.round(np.pi / np.ptp(grid.points) * grid.points, PLACE_DECIMALS)
         _, place, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
         double = (count[place.ravel()] > 1).astype(float)
         mesh.point_data.update({"u": grid.component(component), "moved": scale * grid.u, "double": double})
@@ -112,7 +118,7 @@ class DeformedShape:
         if cut is None:
             return cls(parts, base)
         low, high = grid.points.min(axis=0), grid.points.max(axis=0)
-        plane = {"normal": cut, "origin": (low + high) / 2 + OFF_MIDDLE * (high - low).max() * np.asarray(cut)}
+        plane = {"normal": cut, "origin": (low + high) / 2 + CUT_OFFSET * (high - low).max() * np.asarray(cut)}
         behind = {number: part.clip(**plane) for number, part in parts.items()}
         regions = {number: part for number, part in behind.items() if part.n_cells}
         return cls(regions, base.clip(**plane) if base is not None else None, plane)
@@ -132,18 +138,18 @@ class DeformedShape:
 
 def outer_surface(mesh: pyvista.UnstructuredGrid) -> pyvista.PolyData:
     """Outer surface of a mesh (in 2D the mesh itself), curved cells subdivided."""
-    return mesh.extract_surface(algorithm=None, nonlinear_subdivision=SUBDIVISION)
+    return mesh.extract_surface(algorithm=None, nonlinear_subdivision=SUBDIVISION_LEVEL)
 
 
 def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
     """Outlines of a surface, and where it has sharp edges before it deforms, at their deformed places."""
     still = surface.copy()
-    still.points -= ALMOST * surface["moved"]
+    still.points -= SPLIT_FACTOR * surface["moved"]
     if not surface.n_lines:
         still = still.compute_normals(point_normals=False)  # turns faces alike, for their angles
-    lines = still.extract_feature_edges(SHARP, manifold_edges=False, non_manifold_edges=False)
+    lines = still.extract_feature_edges(SHARP_ANGLE_DEGREES, manifold_edges=False, non_manifold_edges=False)
     if lines.n_cells:
-        lines.points += ALMOST * lines["moved"]
+        lines.points += SPLIT_FACTOR * lines["moved"]
     return lines
 
 
@@ -151,7 +157,7 @@ def _axes(dim: int, view: View) -> Array:
     """(3, 3) unit vectors to the right, upwards and towards the viewer; raises InputError for a view in 2D, or none."""
     if dim == 2 and (view.towards is not None or view.cut):
         raise InputError("towards and cut are for three-dimensional structures")
-    towards = finite_values(VIEWS[dim] if view.towards is None else view.towards, (3,))
+    towards = finite_values(DEFAULT_VIEWS[dim] if view.towards is None else view.towards, (3,))
     if towards is None or not towards.any():
         raise InputError(f"towards is {view.towards}; it needs three components, not all zero")
     towards /= np.linalg.norm(towards)
@@ -187,7 +193,7 @@ class Scene:
         """
         axes = _axes(grids[0].dim, view)
         largest = max(np.linalg.norm(grid.u, axis=1).max() for grid in grids)
-        fitting = LARGEST * np.ptp(grids[0].points, axis=0).max() / largest if largest > 0 else 1.0
+        fitting = DRAWN_DISPLACEMENT_SHARE * np.ptp(grids[0].points, axis=0).max() / largest if largest > 0 else 1.0
         scene = cls(view, axes, float(fitting if view.scale is None else view.scale))
         shapes = [scene.shape(grid) for grid in grids]
         x, y, _ = axes @ np.concatenate([shape.points for shape in shapes]).T
@@ -207,7 +213,9 @@ class Scene:
     def panels(self, count: int) -> tuple[Picture, list[Axes]]:
         """A picture with places for so many structures side by side."""
         x0, x1, y0, y1 = self.window
-        figure = Picture(figsize=(PANEL * count, PANEL * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained")
+        figure = Picture(
+            figsize=(PANEL_INCHES * count, PANEL_INCHES * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained"
+        )
         axes = list(figure.subplots(1, count, squeeze=False)[0])
         for one in axes:
             one.set_axis_off()
@@ -221,7 +229,7 @@ class Scene:
         name = "|u|" if self.view.component == "size" else f"u_{self.view.component}"
         label = f"{name} ({unit.strip()}); {self.scaled}" if unit else f"{name}; {self.scaled}"
         low, high = (one * 10.0**-power for one in self.limits)
-        figure.colorbar(ScalarMappable(Normalize(low, high), "viridis"), ax=axes, **BAR, label=label)
+        figure.colorbar(ScalarMappable(Normalize(low, high), "viridis"), ax=axes, **COLOUR_BAR_STYLE, label=label)
 
     @property
     def scaled(self) -> str:
@@ -235,28 +243,36 @@ class Scene:
         """
         shape, (right, up, towards) = self.shape(grid), self.axes
         x0, x1, y0, y1 = self.window
-        size = [round(PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
+        size = [round(IMAGE_PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
         plotter = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
         plotter.add_light(pyvista.Light(light_type="headlight"))
-        body, outlines = BODY | {"clim": self.limits} if on_s is None else PLAIN, on_s is not None and grid.dim == 3
-        black = BLACK if on_s is None else OUTLINE
-        parts = [(region, body, *((RED, 2) if number < 0 else (black, 1))) for number, region in shape.regions.items()]
-        for mesh, look, pen, lift in parts + ([] if shape.base is None or outlines else [(shape.base, GREY, GREY, 0)]):
+        body, outlines = (
+            BODY_STYLE | {"clim": self.limits} if on_s is None else PLAIN_BODY_STYLE,
+            on_s is not None and grid.dim == 3,
+        )
+        black = EDGE_STYLE if on_s is None else OUTLINE_STYLE
+        parts = [
+            (region, body, *((LAYER_STYLE, 2) if number < 0 else (black, 1)))
+            for number, region in shape.regions.items()
+        ]
+        for mesh, look, pen, lift in parts + (
+            [] if shape.base is None or outlines else [(shape.base, BASE_STYLE, BASE_STYLE, 0)]
+        ):
             outside = outer_surface(mesh)
             if not outlines:
                 plotter.add_mesh(outside, **look)
             lines = sharp_edges(outside)
-            lines.points += lift * LIFT * (x1 - x0) * towards
+            lines.points += lift * LINE_LIFT * (x1 - x0) * towards
             ends = lines.lines.reshape(-1, 3)[:, 1:]
-            on_seam = lines["double"][ends].min(axis=1) > ALMOST if lines.n_cells else np.zeros(0, bool)
-            for part, look in ((~on_seam, pen), (on_seam, pen if on_s else SEAM)):
+            on_seam = lines["double"][ends].min(axis=1) > SPLIT_FACTOR if lines.n_cells else np.zeros(0, bool)
+            for part, look in ((~on_seam, pen), (on_seam, pen if on_s else SEAM_STYLE)):
                 if part.any():
                     plotter.add_mesh(lines.extract_cells(part), **look)
         for mesh in on_s or ():
             if shape.plane is not None:
                 mesh = mesh.clip(**shape.plane)
-            mesh.points += (3 if grid.dim == 2 else 0) * LIFT * (x1 - x0) * towards
-            plotter.add_mesh(mesh, **ON_S)
+            mesh.points += (3 if grid.dim == 2 else 0) * LINE_LIFT * (x1 - x0) * towards
+            plotter.add_mesh(mesh, **SURFACE_STYLE)
         depth = shape.points @ towards
         near, far = depth.max() + (x1 - x0), depth.min() - (x1 - x0)
         centre = (x0 + x1) / 2 * right + (y0 + y1) / 2 * up

@@ -17,23 +17,23 @@ from matplotlib.patches import Patch
 from forms.base import Array, InputError
 from thinlayer.discretisation.state import State
 from thinlayer.output.grid import VtkGrid, gather_grid
-from thinlayer.output.plotting.curves import COLOURS, SHOWN
+from thinlayer.output.plotting.curves import COLOURS, SYMLOG_RANGE
 from thinlayer.output.plotting.picture import Picture, drawn_on_root
-from thinlayer.output.plotting.scene import BAR, Scene, View
+from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, Scene, View
 from thinlayer.output.surface import Surface
 
 SurfaceField = np.ndarray | Callable[[Surface, State], np.ndarray]
-NAMED = {  # also apart as greys, where they occur together
+STATUS_COLOURS = {  # also apart as greys, where they occur together
     "elastic": "#bcc3ca", "stick": "#0072B2", "sliding": "#D55E00", "crushed": "#7b1113", "torn": "#CC79A7",
     "open": "#56B4E9", "separated": "#56B4E9", "pinned": "#009E73", "bonded": "#7f5539",
     "no layer": "#111111", "no contact law": "#c9c9c9",
 }  # fmt: skip
-UNKNOWN = "#c9c9c9"  # colour of what is no number
-DEFAULT = View()
+NAN_COLOUR = "#c9c9c9"  # colour of what is no number
+DEFAULT_VIEW = View()
 
 
 def deformed(
-    states: Mapping[str, State] | State, view: View = DEFAULT, *, save: str | Path | None = None, title: str = ""
+    states: Mapping[str, State] | State, view: View = DEFAULT_VIEW, *, save: str | Path | None = None, title: str = ""
 ) -> Picture | None:
     """Deformed structures side by side, coloured by displacement, with the layer (or the jump across S) visible.
 
@@ -60,7 +60,7 @@ def deformed(
 def on_surface(
     states: Mapping[str, State] | State,
     field: SurfaceField,
-    view: View = DEFAULT,
+    view: View = DEFAULT_VIEW,
     *,
     seam: str = "S",
     save: str | Path | None = None,
@@ -109,7 +109,7 @@ def on_surface(
     def legend(scene: Scene, figure: Picture, places: list[Axes]) -> None:
         text = "; ".join(filter(None, [quantity, scene.scaled]))
         if colours.of_numbers:
-            figure.colorbar(colours.of_numbers, ax=places, **BAR, label=text)
+            figure.colorbar(colours.of_numbers, ax=places, **COLOUR_BAR_STYLE, label=text)
             return
         patches = [Patch(color=colour_of(name, names), label=name) for name in names]
         columns = min(len(patches), 4 * len(panels))
@@ -161,13 +161,13 @@ def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[st
     if wrong := [f.shape for f in fields.values() if f.ndim > 1 and f.shape[-1] != 1]:
         raise InputError(f"names on S are those of facets, (n, 1), or nodes, (m,), not {wrong[0]}")
     found = {*np.concatenate([f.ravel() for f in fields.values()]).tolist()}
-    names = [*(name for name in NAMED if name in found), *sorted(found - {*NAMED})]
+    names = [*(name for name in STATUS_COLOURS if name in found), *sorted(found - {*STATUS_COLOURS})]
     return names, {label: np.vectorize(names.index, otypes=[int])(f) for label, f in fields.items()}
 
 
 def colour_of(name: str, names: list[str]) -> str:
     """Colour of one of the names that occur."""
-    return NAMED.get(name) or COLOURS[names.index(name) % len(COLOURS)]
+    return STATUS_COLOURS.get(name) or COLOURS[names.index(name) % len(COLOURS)]
 
 
 class _Colours:
@@ -186,10 +186,13 @@ class _Colours:
         low, high = float(known.min(initial=0.0)), float(known.max(initial=0.0))
         largest = max(-low, high) or 1.0
         both = low < 0 < high
-        least, low, high = 10.0 ** np.ceil(np.log10(SHOWN * largest)), *((-largest, largest) if both else (low, high))
+        least, low, high = (
+            10.0 ** np.ceil(np.log10(SYMLOG_RANGE * largest)),
+            *((-largest, largest) if both else (low, high)),
+        )
         norm = SymLogNorm(least, vmin=low, vmax=high) if log else Normalize(low, high)
         self.of_numbers = ScalarMappable(norm, "RdBu_r" if both else "viridis")
-        self.of_numbers.get_cmap().set_bad(UNKNOWN)
+        self.of_numbers.get_cmap().set_bad(NAN_COLOUR)
 
     def __call__(self, values: Array) -> npt.NDArray[np.uint8]:
         """(..., 3) colours of values."""

@@ -10,13 +10,13 @@ from forms.base import Array, InputError, is_number, require
 from geometry.refusals import require_known
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.output.plotting.picture import Picture, drawn_on_root
-from thinlayer.output.zooming import AT_CORNER, Zoom
+from thinlayer.output.zooming import CORNER_EXCLUSION, Zoom
 
-COMPONENTS = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # of stresses in the axes of an end: inward, n
-NAMES = {"N": "normal traction t_N", "T": "shear traction t_T", "S": "stress along S"}
-POINTS = (121, 61)  # along S and through the thickness
-HIGHEST = 0.495  # heights that are drawn
-SHOWN = 0.02  # share of the largest values beyond the range of colours: those at corners
+STRESS_COMPONENTS = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # of stresses in the axes of an end: inward, n
+COMPONENT_LABELS = {"N": "normal traction t_N", "T": "shear traction t_T", "S": "stress along S"}
+GRID_POINTS = (121, 61)  # along S and through the thickness
+MAX_HEIGHT = 0.495  # heights that are drawn
+CLIPPED_SHARE = 0.02  # share of the largest values beyond the range of colours: those at corners
 
 
 def zoomed(
@@ -47,18 +47,18 @@ def zoomed(
     """
     for one in (zoom,) if full is None else (zoom, full):
         require(isinstance(one, Zoom), "zoomed: a zoom", one, "give Zoom(state)")
-    require_known("component", component, COMPONENTS)
-    allowed = f"allowed: > {AT_CORNER:g}, over the thickness"
-    require(is_number(width) and AT_CORNER < width < np.inf, "zoomed: width", width, allowed)
+    require_known("component", component, STRESS_COMPONENTS)
+    allowed = f"allowed: > {CORNER_EXCLUSION:g}, over the thickness"
+    require(is_number(width) and CORNER_EXCLUSION < width < np.inf, "zoomed: width", width, allowed)
     if zoom.state.model.joint.dim != 2:
         raise InputError("zoomed: pictures of ends are for two dimensions; in 3D take zoom.stress")
     require(end in range(len(zoom.ends)), "zoomed: end", end, f"S has {len(zoom.ends)} free ends")
     (at, (start, *_)), axes = zoom.ends[end], zoom.ends[end][0].axes
     # finer towards the end and the faces, but not at corners, where stresses are infinite
-    d = AT_CORNER + (width - AT_CORNER) * (1 - np.cos(np.linspace(0, np.pi / 2, POINTS[0])))
-    D, Y = np.meshgrid(d, HIGHEST * np.sin(np.linspace(-np.pi / 2, np.pi / 2, POINTS[1])))
+    d = CORNER_EXCLUSION + (width - CORNER_EXCLUSION) * (1 - np.cos(np.linspace(0, np.pi / 2, GRID_POINTS[0])))
+    D, Y = np.meshgrid(d, MAX_HEIGHT * np.sin(np.linspace(-np.pi / 2, np.pi / 2, GRID_POINTS[1])))
     x, height = start - D.ravel()[:, None] * zoom.eps * at.m, Y.ravel()
-    i, j = COMPONENTS[component]
+    i, j = STRESS_COMPONENTS[component]
     meshed = {} if full is None else {"meshed layer": full.stress(x, height)}
     found = meshed | {"layer by itself": zoom.stress(x, height)}
     values = {name: np.einsum("i,nij,j->n", axes[i], one, axes[j]).reshape(D.shape) for name, one in found.items()}
@@ -66,13 +66,13 @@ def zoomed(
 
 
 def _drawn(values: dict[str, Array], D: Array, Y: Array, component: str, title: str, unit: str) -> Picture:
-    low, high = np.quantile(next(iter(values.values())), [SHOWN, 1 - SHOWN])
+    low, high = np.quantile(next(iter(values.values())), [CLIPPED_SHARE, 1 - CLIPPED_SHARE])
     figure = Picture(figsize=(7.2, 1.9 * len(values) + 3.0), layout="constrained")
     rows = figure.subplots(len(values) + 1, 1, height_ratios=[*[1.0] * len(values), 1.5], sharex=True)
     for axes, (name, one) in zip(rows[:-1], values.items(), strict=True):
         colours = axes.pcolormesh(D, Y, one, shading="gouraud", vmin=low, vmax=high, cmap="viridis")
         axes.set(title=name, ylabel="height/eps", ylim=(-0.5, 0.5))
-    label = f"{NAMES[component]}{f' ({unit})' if unit else ''}"
+    label = f"{COMPONENT_LABELS[component]}{f' ({unit})' if unit else ''}"
     figure.colorbar(colours, ax=list(rows[:-1]), label=label, extend="both")
     for colour, height in zip(COLOURS, (0.45, 0.0, -0.45), strict=False):
         row = int(np.abs(Y[:, 0] - height).argmin())

@@ -14,26 +14,26 @@ from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array, ThinlayerError
 from geometry.topology import BoolArray, IntArray
-from thinlayer.solving.linear_solvers import DIRECT
+from thinlayer.solving.linear_solvers import DIRECT_OPTIONS
 from thinlayer.solving.petsc import PREFIX, OptionValue, default_options, keep_unknowns, schur_complement
 from thinlayer.system.compilation import own_library, pointers
 from thinlayer.system.ranks import destroy
 
 Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]  # row starts, columns and entries of a sparse matrix
-SOURCE = Path(__file__).with_name("triangle.c")
-TOGETHER = 100  # number of kept unknowns from which pieces are factorised apart from the next ones
-SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
-BAND = 4.0  # thickness of the bands in which that front moves, in layers of cells
-SAMPLE = 64  # number of nodes whose edges show the diagonals of the cells
-SPARSE = 0.05  # largest share of non-zeros of a right-hand side that is treated as sparse
-OPTIONS: dict[str, OptionValue] = {
+C_SOURCE = Path(__file__).with_name("triangle.c")
+MAX_JOINT_UNKNOWNS = 100  # number of kept unknowns from which pieces are factorised apart from the next ones
+FRONT_SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
+BAND_LAYERS = 4.0  # thickness of the bands in which that front moves, in layers of cells
+SAMPLE_NODES = 64  # number of nodes whose edges show the diagonals of the cells
+SPARSE_SHARE = 0.05  # largest share of non-zeros of a right-hand side that is treated as sparse
+MUMPS_OPTIONS: dict[str, OptionValue] = {
     "mat_mumps_icntl_7": 0,  # minimum degree: with a Schur complement MUMPS offers only this and METIS
     "mat_mumps_icntl_8": 0,  # no scaling: it takes time and changes nothing here
-    **{name: DIRECT[name] for name in ("mat_mumps_icntl_35", "mat_mumps_cntl_7")},
+    **{name: DIRECT_OPTIONS[name] for name in ("mat_mumps_icntl_35", "mat_mumps_cntl_7")},
 }
 
-SMALL = 1000  # number of nodes of pieces for which MUMPS estimates its workspace too small
-ROOMY: dict[str, OptionValue] = {"mat_mumps_icntl_14": 200}  # percentage of workspace more than estimated
+SMALL_PIECE_NODES = 1000  # number of nodes of pieces for which MUMPS estimates its workspace too small
+SMALL_PIECE_OPTIONS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 200}  # percentage of workspace more than estimated
 
 
 class FactorError(ThinlayerError, RuntimeError):
@@ -68,7 +68,7 @@ class Condensation:
         group = np.zeros(len(x), np.int32)  # of nodes
         if bodies > 2:
             count, piece = connected_components(scipy.sparse.csr_matrix(A[::-1]), directed=False)
-            group = (np.cumsum(np.bincount(piece[kept], minlength=count)) // TOGETHER)[piece[::d]]
+            group = (np.cumsum(np.bincount(piece[kept], minlength=count)) // MAX_JOINT_UNKNOWNS)[piece[::d]]
         self._kept, self._own, self._factors = kept, list[IntArray](), list[SchurFactor]()
         for k in np.unique(group):
             self._own.append(np.flatnonzero(group[kept // d] == k))
@@ -108,16 +108,16 @@ def oblique_order(x: Array, normal: Array, A: Rows) -> IntArray:
     Bands keep neighbours close in memory, which makes the factor faster.
     """
     indptr, indices, d = *A[:2], x.shape[1]
-    some = np.linspace(0, len(x) - 1, min(len(x), SAMPLE)).astype(int)
+    some = np.linspace(0, len(x) - 1, min(len(x), SAMPLE_NODES)).astype(int)
     edges = np.concatenate([x[indices[indptr[r * d] : indptr[r * d + 1] : d] // d] - x[r] for r in some])
     size, up = np.linalg.norm(normal), np.eye(len(normal))[-1]
     normal = normal / size if size > 0 else up
     height = x @ normal
-    key = SLOPE * np.abs(height)
+    key = FRONT_SLOPE * np.abs(height)
     for tangent in linalg.null_space(normal[None]).T:
         lean = np.sign((edges @ tangent) @ (edges @ normal)) or 1.0
         key += lean * np.sign(height) * (x @ tangent)
-    thickness = BAND * np.abs(edges @ normal).max() or 1.0
+    thickness = BAND_LAYERS * np.abs(edges @ normal).max() or 1.0
     band = np.floor(np.abs(height) / thickness + 0.1)  # so that rounding splits no layer of a grid
     return np.lexsort((key, band, height < 0))
 
@@ -151,7 +151,7 @@ class SchurFactor:
         pc.setOperators(upper)
         pc.setType("cholesky")
         pc.setFactorSolverType("mumps")
-        with default_options(OPTIONS | (ROOMY if len(nodes) < SMALL else {})):
+        with default_options(MUMPS_OPTIONS | (SMALL_PIECE_OPTIONS if len(nodes) < SMALL_PIECE_NODES else {})):
             pc.setFactorSetUpSolverType()
             self._factor = pc.getFactorMatrix()
             self._factor.setOptionsPrefix(PREFIX)
@@ -196,7 +196,7 @@ class SchurFactor:
             return np.zeros_like(b)
         found = np.empty((len(b), 1), order="F")
         X = PETSc.Mat().createDense(found.shape, array=found, comm=PETSc.COMM_SELF)
-        if len(places) > SPARSE * len(b):
+        if len(places) > SPARSE_SHARE * len(b):
             B = PETSc.Mat().createDense(found.shape, array=b[:, None], comm=PETSc.COMM_SELF)
             self._factor.matSolve(B, X)
         else:
@@ -224,7 +224,7 @@ def _upper_triangle(A: Rows, held: BoolArray, d: int, nodes: IntArray) -> Rows:
     place = np.full((len(indptr) - 1) // d, -1, np.int32)
     place[nodes] = np.arange(n, dtype=np.int32)
     rows, columns, entries = np.empty(n * d + 1, np.int32), np.empty(size, np.int32), np.empty(size)
-    c = own_library(SOURCE)
+    c = own_library(C_SOURCE)
     indptr, indices, order = (a.astype(np.int32, copy=False) for a in (indptr, indices, nodes))
     arrays = pointers(c, indptr, indices, values, held, place, order, rows, columns, entries)
     if c.lib.upper_triangle(n, d, size, *arrays) != size:

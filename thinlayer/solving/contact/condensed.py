@@ -18,27 +18,27 @@ from geometry.topology import IntArray, along
 from thinlayer.discretisation.constraints import create_aij
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import ALLOWED, EPSILON, TINY
+from thinlayer.solving.balance import MACHINE_EPSILON, MIN_DIVISOR, STATE_TOLERANCE
 from thinlayer.solving.contact.condensation import Condensation, FactorError
 from thinlayer.solving.contact.finder import ContactSolver
 from thinlayer.solving.contact.pairs import ContactPairs
 from thinlayer.solving.equations import Equations
 from thinlayer.system.ranks import destroy
 
-TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
+NEWTON_TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
 COARSE_TOLERANCE = 1e-3  # the same in coarser systems
-COARSEST = 100  # largest number of lines between nodes of a system that is not coarsened
-SHRINKS = 0.75  # largest number of pairs of a coarser system, relative to all; seams of one cell have no fewer
-STALLED = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
-SUMMATION = 10.0  # rounding of the condensed stiffness, relative to that of its largest entry, per sqrt(node)
-SWEEPS = 4  # number of sweeps before each of the first Newton steps
-PATIENCE = 6  # number of Newton steps after which the sweeps double with every step, and steps may be shortened
-MOST_SWEEPS = 32  # largest number of sweeps before a Newton step
-MOST_STEPS = 30
-LONG_STEP = 1e5  # length of a step over the first displacements, as where nothing holds a body
-MOST_LONG_STEPS = 4  # in turn, after which the search ends
-TRIALS = 12  # largest number of trials of a step's length
-FLAT = 0.1  # work along a step at its end, relative to that at its beginning, that ends the search of its length
+MAX_COARSEST_LINES = 100  # largest number of lines between nodes of a system that is not coarsened
+MAX_COARSE_RATIO = 0.75  # largest number of pairs of a coarser system, relative to all; seams of one cell have no fewer
+STALLED_TOLERANCE = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
+SUMMATION_FACTOR = 10.0  # rounding of the condensed stiffness, relative to that of its largest entry, per sqrt(node)
+FIRST_SWEEPS = 4  # number of sweeps before each of the first Newton steps
+DOUBLING_STEPS = 6  # number of Newton steps after which the sweeps double with every step, and steps may be shortened
+MAX_SWEEPS = 32  # largest number of sweeps before a Newton step
+MAX_NEWTON_STEPS = 30
+LONG_STEP_RATIO = 1e5  # length of a step over the first displacements, as where nothing holds a body
+MAX_LONG_STEPS = 4  # in turn, after which the search ends
+MAX_LENGTH_TRIALS = 12  # largest number of trials of a step's length
+WORK_RATIO = 0.1  # work along a step at its end, relative to that at its beginning, that ends the search of its length
 
 
 class CondensedContact(ContactSolver):
@@ -87,7 +87,7 @@ class CondensedContact(ContactSolver):
         condensation.expand(b, u, self.x.array)
         self.x.array[equations.held] = equations.prescribed
         relative = self.relative_residual()
-        if not relative <= ALLOWED:
+        if not relative <= STATE_TOLERANCE:
             large = f"contact: the residual of the whole problem is {relative:.1e} of the forces"
             raise SolveError(large, residuals=residuals)
         return len(residuals) - 1, relative
@@ -138,15 +138,15 @@ class CondensedSystem:
         """Rounding of the forces for unit displacements."""
         springs = self.pairs.bonded()[0]
         largest = max(float(one.diagonal().max(initial=0.0)) for one in (self._stiffness, springs))
-        return EPSILON * SUMMATION * math.sqrt(len(self.pairs.nodes)) * largest
+        return MACHINE_EPSILON * SUMMATION_FACTOR * math.sqrt(len(self.pairs.nodes)) * largest
 
     @cached_property
     def _coarser(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
         """The system for every second pair along S, and the matrix from its displacements to these; None: no smaller."""
-        if len(self._lines) <= COARSEST:
+        if len(self._lines) <= MAX_COARSEST_LINES:
             return None
         chosen, shares, lines = every_second(self._x, self._lines)
-        if len(chosen) > SHRINKS * len(self._x):
+        if len(chosen) > MAX_COARSE_RATIO * len(self._x):
             return None
         few = self.pairs.some(chosen, shares.T @ self.pairs.weights)
         pair, side = np.nonzero(self.pairs.ends >= 0)
@@ -200,34 +200,36 @@ class CondensedSystem:
         return np.asarray(out)
 
     def newton(
-        self, u: Array, g: Array, relative: Callable[[Array, Array, Array], float], tolerance: float = TOLERANCE
+        self, u: Array, g: Array, relative: Callable[[Array, Array, Array], float], tolerance: float = NEWTON_TOLERANCE
     ) -> tuple[Array, tuple[float, ...]]:
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces."""
-        residuals, pairs, long_steps, far = list[float](), self.pairs, 0, LONG_STEP * np.abs(u).max(initial=0.0)
+        residuals, pairs, long_steps, far = list[float](), self.pairs, 0, LONG_STEP_RATIO * np.abs(u).max(initial=0.0)
         while True:
             forces = pairs.forces(pairs.apart(u))
             r = self._stiffness @ u + forces - g
             residuals.append(relative(r, forces, u))
             if residuals[-1] <= tolerance or self._stalls(residuals, u, forces):
                 return u, tuple(residuals)
-            if len(residuals) > MOST_STEPS or long_steps > MOST_LONG_STEPS or not math.isfinite(residuals[-1]):
+            if len(residuals) > MAX_NEWTON_STEPS or long_steps > MAX_LONG_STEPS or not math.isfinite(residuals[-1]):
                 raise SolveError(
                     f"contact: residual {residuals[-1]:.1e} of the forces after {len(residuals) - 1} Newton steps",
                     residuals=tuple(residuals),
                     advice="is every body supported, or pressed against S? Else try smaller load steps",
                 )
             u = u.copy()
-            pairs.sweep(self._blocks, g, u, min(SWEEPS * 2 ** max(len(residuals) - PATIENCE, 0), MOST_SWEEPS))
+            pairs.sweep(
+                self._blocks, g, u, min(FIRST_SWEEPS * 2 ** max(len(residuals) - DOUBLING_STEPS, 0), MAX_SWEEPS)
+            )
             step = self._linear_solve(pairs.tangent(pairs.apart(u)), -self._residual(u, g))
             long_steps = long_steps + 1 if 0 < far < np.abs(step).max() else 0
-            u = u + (self._length(u, step, g) if len(residuals) > PATIENCE else 1.0) * step
+            u = u + (self._length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
 
     def _stalls(self, residuals: list[float], u: Array, forces: Array) -> bool:
         """Whether the residual is as small as rounding lets it be."""
         if len(residuals) < 3 or residuals[-1] <= residuals[-2] / 2:
             return False
-        share = self._rounding * float(np.abs(u).max(initial=0.0)) / max(float(np.linalg.norm(forces)), TINY)
-        return residuals[-1] <= max(STALLED, min(share, ALLOWED))
+        share = self._rounding * float(np.abs(u).max(initial=0.0)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
+        return residuals[-1] <= max(STALLED_TOLERANCE, min(share, STATE_TOLERANCE))
 
     def _length(self, u: Array, step: Array, g: Array) -> float:
         """Length of a step, at most 1, at which the work of the residual along it vanishes; by regula falsi."""
@@ -236,14 +238,14 @@ class CondensedSystem:
             return float(step @ self._residual(u + a * step, g))
 
         first, last = work(0.0), work(1.0)
-        if not (first < 0 and last > FLAT * abs(first)):
+        if not (first < 0 and last > WORK_RATIO * abs(first)):
             return 1.0
         low, high, below, above = 0.0, 1.0, first, last
-        for _ in range(TRIALS):
+        for _ in range(MAX_LENGTH_TRIALS):
             a = low - below * (high - low) / (above - below)
             a = min(max(a, low + 0.1 * (high - low)), high - 0.1 * (high - low))
             now = work(a)
-            if abs(now) <= FLAT * abs(first):
+            if abs(now) <= WORK_RATIO * abs(first):
                 break
             if now < 0:
                 low, below = a, now
@@ -253,7 +255,7 @@ class CondensedSystem:
 
 
 def _without_scaling(r: Array, forces: Array, u: Array) -> float:
-    return float(np.linalg.norm(r)) / max(float(np.linalg.norm(forces)), TINY)
+    return float(np.linalg.norm(r)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
 
 
 def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_matrix, IntArray]:

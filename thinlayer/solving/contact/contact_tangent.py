@@ -16,16 +16,18 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX, convert_to_blocks, lean_products
 from thinlayer.system.ranks import destroy
 
-PIVOTS: dict[str, Any] = {  # of SuperLU: diagonal unless small, and columns in an order for such pivots
+SUPERLU_OPTIONS: dict[str, Any] = {  # of SuperLU: diagonal unless small, and columns in an order for such pivots
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.01,
     "options": {"SymmetricMode": True},
 }
-SWEEPS = 4  # number of Gauss-Seidel sweeps before a Newton step, if sweeps are due
-DIAGONAL = 3.0  # stiffness of a node of S, relative to its area times E/h; an upper estimate
-CLIP_NORMAL, CLIP_TANGENTIAL = 10.0, 1.0  # largest stiffness of springs in the hierarchy, relative to E/h
-FLOOR = 1e-3  # least stiffness of springs in the hierarchy, relative to E/h, for bodies that nothing else holds
-MANY = 0.1  # share of the nodes of S whose springs change by half or more upon which the hierarchy changes, too
+SWEEPS_PER_STEP = 4  # number of Gauss-Seidel sweeps before a Newton step, if sweeps are due
+NODE_STIFFNESS = 3.0  # stiffness of a node of S, relative to its area times E/h; an upper estimate
+MAX_K_N, MAX_K_T = 10.0, 1.0  # largest stiffness of springs in the hierarchy, relative to E/h
+MIN_STIFFNESS = 1e-3  # least stiffness of springs in the hierarchy, relative to E/h, for bodies that nothing else holds
+CHANGED_NODE_SHARE = (
+    0.1  # share of the nodes of S whose springs change by half or more upon which the hierarchy changes, too
+)
 
 
 class ContactTangent:
@@ -67,7 +69,7 @@ class ContactTangent:
         below = nodes.lower_side(diagonal).mean(axis=1)
         diagonal.destroy()
         softer = np.where(below > 0, np.minimum(above, below), above)  # below a rigid base there is none
-        return np.asarray(softer / (DIAGONAL * nodes.weights))
+        return np.asarray(softer / (NODE_STIFFNESS * nodes.weights))
 
     def _clipped(self, start: Array | None) -> Array:
         """Clipped tangents (n, d, d) of S without the coupling by friction."""
@@ -77,8 +79,8 @@ class ContactTangent:
         stiffness = D[:, i, i]
         out = np.zeros_like(D)
         tangential = stiffness[:, :-1].mean(axis=1)
-        out[:, i[:-1], i[:-1]] = np.clip(tangential, FLOOR * scale, CLIP_TANGENTIAL * scale)[:, None]
-        out[:, -1, -1] = np.clip(stiffness[:, -1], FLOOR * scale, CLIP_NORMAL * scale)
+        out[:, i[:-1], i[:-1]] = np.clip(tangential, MIN_STIFFNESS * scale, MAX_K_T * scale)[:, None]
+        out[:, -1, -1] = np.clip(stiffness[:, -1], MIN_STIFFNESS * scale, MAX_K_N * scale)
         return out
 
     def _build(self, equations: Equations) -> None:
@@ -111,7 +113,7 @@ class ContactTangent:
         """
         new, comm = self._clipped(jumps), self.nodes.comm
         others = (np.abs(new - self._springs) > self._springs / 2).any(axis=(1, 2))
-        many = comm.allreduce(int(others.sum())) > MANY * comm.allreduce(len(new))
+        many = comm.allreduce(int(others.sum())) > CHANGED_NODE_SHARE * comm.allreduce(len(new))
         if not many or self._cycle.getType() != "gamg":
             return
         change = springs = self.nodes.stiffness(new - self._springs)
@@ -129,7 +131,7 @@ class ContactTangent:
         """Use these tangents (n, d, d) of the law from now on."""
         self._tangents = tangents
         if len(self.pairs.nodes):
-            self._local = splu((self._near + self.pairs.stiffness(tangents)).tocsc(), **PIVOTS)
+            self._local = splu((self._near + self.pairs.stiffness(tangents)).tocsc(), **SUPERLU_OPTIONS)
 
     def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = tangent times x."""
@@ -164,7 +166,7 @@ class ContactTangent:
         upper = own.reshape(-1, pairs.d)[pairs.ends[back, 0]]
         upper += np.einsum("nji,nj->ni", pairs.frames[back], turned[back])
         own.reshape(-1, pairs.d)[pairs.ends[back, 0]] = upper
-        pairs.sweep(self._blocks, g, own, SWEEPS, rest, moves[:-1])
+        pairs.sweep(self._blocks, g, own, SWEEPS_PER_STEP, rest, moves[:-1])
         u.array[pairs.dofs] = np.where(pairs.free.ravel(), own, u.array_r[pairs.dofs])
 
     def close(self) -> None:

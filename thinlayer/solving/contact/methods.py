@@ -11,13 +11,13 @@ from thinlayer.solving.contact.finder import ContactSolver
 from thinlayer.solving.contact.multigrid import MultigridContact
 from thinlayer.solving.contact.paper_relaxation import ContactRelaxation
 
-FINDERS: dict[str, type[ContactSolver]] = {
+SOLVER_OF_METHOD: dict[str, type[ContactSolver]] = {
     "condensed": CondensedContact,
     "multigrid": MultigridContact,
     "relaxation": ContactRelaxation,
 }
-METHODS = tuple(FINDERS)
-CONDENSED_UP_TO = {2: 4000, 3: 1200}  # dimension -> largest number of displacements at S for which it is the default
+METHODS = tuple(SOLVER_OF_METHOD)
+MAX_CONDENSED = {2: 4000, 3: 1200}  # dimension -> largest number of displacements at S for which it is the default
 
 
 def default_method(model: Model) -> str:
@@ -29,7 +29,7 @@ def default_method(model: Model) -> str:
     joint = model.joint
     both = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
     each = joint.dim * model.structure.degree ** (joint.dim - 1)
-    narrow = (_most_vertices(model) if _is_network(model) else both) * each <= CONDENSED_UP_TO[joint.dim]
+    narrow = (_most_vertices(model) if _is_network(model) else both) * each <= MAX_CONDENSED[joint.dim]
     suited = (method for method in ("condensed", "multigrid") if not _why_unsuited(model, method))
     chosen = (method for method in suited if not model.layer_terms and (narrow or method != "condensed"))
     return next(chosen, "newton")

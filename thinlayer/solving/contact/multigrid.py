@@ -14,12 +14,12 @@ from forms.contact import Status
 from thinlayer.discretisation.contact_nodes import ContactNodes
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import AIM, TINY
+from thinlayer.solving.balance import MIN_DIVISOR, SOLVER_TOLERANCE
 from thinlayer.solving.contact.contact_tangent import ContactTangent
 from thinlayer.solving.contact.finder import ContactSolver
-from thinlayer.solving.contact.pairs import SOURCE, ContactPairs
+from thinlayer.solving.contact.pairs import C_SOURCE, ContactPairs
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import DIRECT, MULTIGRID
+from thinlayer.solving.linear_solvers import DIRECT_OPTIONS, MULTIGRID_OPTIONS
 from thinlayer.solving.petsc import (
     PREFIX,
     OptionValue,
@@ -37,16 +37,20 @@ SlidingState = tuple[
     npt.NDArray[np.int8], Array
 ]  # status of nodes (n,), and their tangential jumps less slip (n, d - 1)
 
-TOLERANCE = 1e-10  # residual of the law at which Newton's method stops, relative to the forces
-LOOSE: Reductions = (0.5, 0.4)  # for a start whose status is wrong at many nodes
-STRICT: Reductions = (0.05, 0.1)  # for a prediction, and in the last attempt
-EXPECTED = 3.0  # largest residual after a Newton step without sweeps, relative to the target of its linear solve
-LARGE = 3e-5  # residual, relative to given forces, above which the rounding of a body far away is no force
-ENOUGH = 0.05  # least factor by which a linear solve after sweeps reduces a residual below the forces
-FINISH = 0.7  # target of the last linear solve, relative to the tolerance
+NEWTON_TOLERANCE = 1e-10  # residual of the law at which Newton's method stops, relative to the forces
+LOOSE_REDUCTIONS: Reductions = (0.5, 0.4)  # for a start whose status is wrong at many nodes
+STRICT_REDUCTIONS: Reductions = (0.05, 0.1)  # for a prediction, and in the last attempt
+EXPECTED_RESIDUAL_RATIO = (
+    3.0  # largest residual after a Newton step without sweeps, relative to the target of its linear solve
+)
+LARGE_RESIDUAL = 3e-5  # residual, relative to given forces, above which the rounding of a body far away is no force
+MIN_REDUCTION = 0.05  # least factor by which a linear solve after sweeps reduces a residual below the forces
+LAST_SOLVE_TARGET = 0.7  # target of the last linear solve, relative to the tolerance
 
-HIERARCHY: dict[str, OptionValue] = {k: v for k, v in MULTIGRID.items() if k not in (*DIRECT, "ksp_max_it")}
-NEWTON: dict[str, OptionValue] = {
+HIERARCHY_OPTIONS: dict[str, OptionValue] = {
+    k: v for k, v in MULTIGRID_OPTIONS.items() if k not in (*DIRECT_OPTIONS, "ksp_max_it")
+}
+NEWTON_OPTIONS: dict[str, OptionValue] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "basic",  # the residual grows on good steps, as springs of S are stiff
     "snes_max_it": 50,
@@ -73,7 +77,7 @@ class MultigridContact(ContactSolver):
 
     def __init__(self, equations: Equations, like: State | None) -> None:
         super().__init__(equations, like)
-        library(SOURCE, self.comm)
+        library(C_SOURCE, self.comm)
         self.nodes = nodes = ContactNodes.joined([part.nodes for part in self.parts])
         self.pairs = ContactPairs(self.parts, self.held, self.x.getOwnershipRange()[0] // nodes.dim, nodes.shared())
         self._tangent: ContactTangent | None = None
@@ -91,12 +95,16 @@ class MultigridContact(ContactSolver):
             self.equations.K.mult(u, self._forces)
             self._largest = max(self._largest, float(self._forces.norm()))
         closed.destroy()
-        with default_options({**HIERARCHY, **NEWTON}):
+        with default_options({**HIERARCHY_OPTIONS, **NEWTON_OPTIONS}):
             if self._tangent is None:
                 self._tangent = ContactTangent(self.A, nodes, self.pairs, self.equations, start)
             else:
                 _mark_as_read(("pc_", "mg_"))
-            attempts = [(None, LOOSE), (None, STRICT)] if start is None else [(start, STRICT), (None, LOOSE)]
+            attempts = (
+                [(None, LOOSE_REDUCTIONS), (None, STRICT_REDUCTIONS)]
+                if start is None
+                else [(start, STRICT_REDUCTIONS), (None, LOOSE_REDUCTIONS)]
+            )
             for guess, reductions in attempts:
                 newton = _NewtonRun(self, self._tangent, reductions)
                 if guess is None:
@@ -125,10 +133,10 @@ class MultigridContact(ContactSolver):
         equations = self.equations
         equations.residual(u, out)
         out.array[equations.held] = 0.0
-        norms, forces = equations.norms(out.array_r), equations.aim(u) / AIM
-        if norms[0] > LARGE * self._largest:  # the large forces of a body far away are only rounding
+        norms, forces = equations.norms(out.array_r), equations.aim(u) / SOLVER_TOLERANCE
+        if norms[0] > LARGE_RESIDUAL * self._largest:  # the large forces of a body far away are only rounding
             forces = np.minimum(forces, self._largest)
-        return float((norms / np.maximum(forces, TINY)).max())
+        return float((norms / np.maximum(forces, MIN_DIVISOR)).max())
 
     def close(self) -> None:
         """Free vectors, matrices and the hierarchy."""
@@ -197,7 +205,7 @@ class _NewtonRun:
         self.residuals.append(self._h)
         if not math.isfinite(norms[2]):
             return reason.DIVERGED_FNORM_NAN
-        return reason.CONVERGED_FNORM_ABS if self._h <= TOLERANCE else False
+        return reason.CONVERGED_FNORM_ABS if self._h <= NEWTON_TOLERANCE else False
 
     def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
         """Before a Newton step: sweep if the last step has changed the status or not reduced the residual as expected."""
@@ -205,7 +213,7 @@ class _NewtonRun:
         if step:
             w = self.nodes.apart(snes.getSolution())
             self._turn = turned_jumps(self.pairs, w, self._at)
-            self._swept = self._is_new(w, self._turn) or self._h > EXPECTED * self._target
+            self._swept = self._is_new(w, self._turn) or self._h > EXPECTED_RESIDUAL_RATIO * self._target
             ksp = snes.getKSP()
             self._left = ksp.getResidualNorm() / snes.getFunctionNorm()
 
@@ -243,12 +251,12 @@ class _NewtonRun:
     def _go_on(self, u: PETSc.Vec) -> Array:
         """Tangents of a later step; sets the target of its linear solve."""
         if self._swept:
-            self._target = max(self.reductions[1] * min(self._h, self._target), ENOUGH * min(self._h, 1.0))
+            self._target = max(self.reductions[1] * min(self._h, self._target), MIN_REDUCTION * min(self._h, 1.0))
         else:
             # the residual that the law's non-linearity leaves is quadratic in the size of the step
             nonlinear = self._h * math.sqrt(abs(1 - self._left**2)) * (self._h / self._before) ** 2
             self._target = min(self.reductions[1] * self._h, nonlinear)
-        self._target = max(self._target, FINISH * TOLERANCE)
+        self._target = max(self._target, LAST_SOLVE_TARGET * NEWTON_TOLERANCE)
         w = self.nodes.apart(u)
         self._at = sliding_state(self.pairs, w)
         return self.pairs.tangents(w)

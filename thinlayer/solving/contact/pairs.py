@@ -17,7 +17,7 @@ from geometry.topology import BoolArray, IntArray
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.system.compilation import own_library, pointers
 
-SOURCE = Path(__file__).with_name("sweeps.c")
+C_SOURCE = Path(__file__).with_name("sweeps.c")
 NodalLaw = ContactLaw | ContactHomotopy
 
 
@@ -177,7 +177,7 @@ class ContactPairs:
             stiffness.indptr, stiffness.indices, stiffness.data, g, u, *self._by_node, self.frames, self.weights, laws,
             self.offsets(rest), self.free if moves is None else self.free & moves[:, None],
         )  # fmt: skip
-        c = own_library(SOURCE)
+        c = own_library(C_SOURCE)
         return int(c.lib.sweep_pairs(len(self.nodes), self.d, *pointers(c, *arrays), sweeps))
 
 

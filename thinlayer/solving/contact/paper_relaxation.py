@@ -15,21 +15,21 @@ from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import ALLOWED, EPSILON
+from thinlayer.solving.balance import MACHINE_EPSILON, STATE_TOLERANCE
 from thinlayer.solving.contact.finder import ContactSolver
-from thinlayer.solving.contact.pairs import SOURCE, sweep_parameters
+from thinlayer.solving.contact.pairs import C_SOURCE, sweep_parameters
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX
 from thinlayer.system.compilation import own_library, pointers
 
-CHUNK = 256  # number of sweeps between two tests of the increments
-PATIENCE = 2048  # least number of sweeps of a relaxation that stagnates
-GROWTH = 1e8  # growth of the changes, relative to the largest of the first sweeps, that means divergence
-NO_PROGRESS = 0.999  # ratio of the least increments of the later and the earlier half of all sweeps: stagnation
-CLOSER = 1.5  # the tolerance of increments over the next one, where forces do not balance yet
-FIXED = 1e20  # diagonal entry of held components of contact nodes, relative to the mean stiffness
-ALIGNED = 1e-9  # largest difference of the axes of S from coordinate axes
-OPTIONS = {  # name -> default and bound
+SWEEPS_PER_TEST = 256  # number of sweeps between two tests of the increments
+MIN_STAGNANT_SWEEPS = 2048  # least number of sweeps of a relaxation that stagnates
+DIVERGENCE_GROWTH = 1e8  # growth of the changes, relative to the largest of the first sweeps, that means divergence
+STAGNATION_RATIO = 0.999  # ratio of the least increments of the later and the earlier half of all sweeps: stagnation
+TOLERANCE_REDUCTION = 1.5  # the tolerance of increments over the next one, where forces do not balance yet
+HELD_DIAGONAL = 1e20  # diagonal entry of held components of contact nodes, relative to the mean stiffness
+AXIS_TOLERANCE = 1e-9  # largest difference of the axes of S from coordinate axes
+RELAXATION_OPTIONS = {  # name -> default and bound
     "omega": (1.7, 2),
     "omega_contact": (1.0, 2),
     "tolerance": (1e-12, 1e-3),
@@ -104,7 +104,7 @@ def relax(
     Returns:
         The last iterate, also without convergence: if increments are not finite, grow or stagnate, or at `max_sweeps`.
     """
-    c, A, count, d = own_library(SOURCE), system.A, len(system.b), system.contact.shape[1]
+    c, A, count, d = own_library(C_SOURCE), system.A, len(system.b), system.contact.shape[1]
     now, steps = np.zeros(count) if u is None else u.copy(), _coded_steps(system.contact, order, count)
     rows = pointers(c, A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, now)
     law, factors = np.array(sweep_parameters(system.law)), np.array([omega, omega_contact])
@@ -113,7 +113,7 @@ def relax(
     increments: Array = np.empty(0)
     converged = False
     while not converged and len(increments) < max_sweeps:
-        chunk = min(CHUNK, max_sweeps - len(increments))
+        chunk = min(SWEEPS_PER_TEST, max_sweeps - len(increments))
         change, size = np.empty(chunk), np.empty(chunk)
         made = c.lib.relax_sweeps(
             len(steps), *pointers(c, steps), count, *rows, d, *nodes, chunk, tolerance, *pointers(c, change, size)
@@ -122,9 +122,9 @@ def relax(
             relative = np.where(change > 0, change / size, change)
         changes, increments = np.append(changes, change[:made]), np.append(increments, relative[:made])
         converged = bool(increments[-1] <= tolerance)
-        diverges = not changes[-1] <= GROWTH * changes[:10].max()
+        diverges = not changes[-1] <= DIVERGENCE_GROWTH * changes[:10].max()
         half = len(increments) // 2
-        slow = half >= PATIENCE // 2 and increments[half:].min() > NO_PROGRESS * increments[:half].min()
+        slow = half >= MIN_STAGNANT_SWEEPS // 2 and increments[half:].min() > STAGNATION_RATIO * increments[:half].min()
         if diverges or slow:
             break
     return Relaxation(now, converged, increments)
@@ -202,7 +202,7 @@ class ContactRelaxation(ContactSolver):
         over = np.zeros(len(given))  # displacements of the upper side that close the gaps
         over[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
         diagonal = np.where(self._held, equations.mean_stiffness, 0.0)
-        diagonal[nodes.dofs[moving][self._held_jumps[moving]]] *= FIXED
+        diagonal[nodes.dofs[moving][self._held_jumps[moving]]] *= HELD_DIAGONAL
         b = self._T.T @ (equations.external.array_r + self._K @ over) - self._A @ given
         free = scipy.sparse.diags((~self._held).astype(float))
         system = SeamSystem(
@@ -220,10 +220,10 @@ class ContactRelaxation(ContactSolver):
             x.array[:] = self._T @ u - over
             x.array[equations.held] = equations.prescribed
             residual = self.relative_residual()
-            if not found.converged or residual <= ALLOWED or chosen["tolerance"] < EPSILON:
+            if not found.converged or residual <= STATE_TOLERANCE or chosen["tolerance"] < MACHINE_EPSILON:
                 break
-            chosen["tolerance"] /= CLOSER
-        if not (found.converged and residual <= ALLOWED):
+            chosen["tolerance"] /= TOLERANCE_REDUCTION
+        if not (found.converged and residual <= STATE_TOLERANCE):
             raise SolveError(
                 f"the relaxation does not converge: after {sweeps} sweeps the increment is {found.increments[-1]:.1e} and "
                 f"the residual {residual:.1e} of the forces",
@@ -237,7 +237,7 @@ class ContactRelaxation(ContactSolver):
 def _options() -> dict[str, Any]:
     """The options of the relaxation in PETSc's database. InputError: a value is out of range."""
     options, chosen = PETSc.Options(PREFIX + "relaxation_"), dict[str, Any]()
-    for name, (default, bound) in OPTIONS.items():
+    for name, (default, bound) in RELAXATION_OPTIONS.items():
         chosen[name] = (options.getInt if isinstance(default, int) else options.getReal)(name, default)
         if not 0 < chosen[name] < bound:
             raise InputError(f"-{PREFIX}relaxation_{name} is {chosen[name]:g}; allowed: > 0 and < {bound:g}")
@@ -247,7 +247,7 @@ def _options() -> dict[str, Any]:
 def _held_components(frames: Array, held: BoolArray) -> BoolArray:
     """Held components (n, d) of jumps in the axes of S."""
     along = np.abs(frames)
-    aligned = (np.abs(along - np.rint(along)) < ALIGNED).all(axis=(1, 2))
+    aligned = (np.abs(along - np.rint(along)) < AXIS_TOLERANCE).all(axis=(1, 2))
     if (~aligned & held.any(axis=1) & ~held.all(axis=1)).any():
         raise InputError("method='relaxation' needs supports along the axes of S at its nodes; use 'condensed'")
     return np.asarray(np.einsum("nij,nj->ni", along > 0.5, held) > 0)
