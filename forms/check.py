@@ -13,10 +13,10 @@ from ufl.classes import Zero
 from ufl.indexed import Indexed
 
 from forms.base import Array, InputError, require
-from forms.kinematics import Expr, mandel_vector
 from forms.law import BulkLaw, Law, Step, explained_errors, require_shape
+from forms.law_tangents import evaluate, law_identity, symbolic
 from forms.parameter_fields import is_field
-from forms.trace import evaluate, law_identity, symbolic
+from forms.tensors import Expr, mandel_vector
 
 SAMPLE_STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
 RELATIVE_TOLERANCE = 1e-8  # relative difference that counts as rounding

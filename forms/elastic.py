@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from forms.base import Array, InputError, is_finite, require
 from forms.ends.constants import free_end
 from forms.ends.weights import EndStrips, EndWeights
-from forms.kinematics import MANDEL_PAIRS, SQRT2, Expr, condensed_tangent, isotropic_tensor, layer_frame
 from forms.law import BulkLaw, Step, choice
 from forms.parameter_fields import Parameter, ParameterField, ParameterRangeError, as_parameter_field, is_field
 from forms.stations import Faces, Station, gauss_stations
+from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, condensed_tangent, isotropic_tensor, layer_frame
 
 VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 VOIGT_INDEX = ((0, 5, 4), (5, 1, 3), (4, 3, 2))  # of the components of a tensor

@@ -16,8 +16,6 @@ import numpy as np
 import ufl
 
 from forms.base import Array, InputError
-from forms.declarations import VARIABLE_SIZES, Traits, require_declarations, reset_inherited
-from forms.kinematics import Expr, average_lame, condensed_tangent, isotropic_tensor
 from forms.parameter_fields import (
     MAX_CHECKED_PLACES,
     ParameterField,
@@ -29,6 +27,8 @@ from forms.parameter_fields import (
     place_text,
 )
 from forms.stations import Station, gauss_stations
+from forms.tensors import Expr, average_lame, condensed_tangent, isotropic_tensor
+from forms.traits import VARIABLE_SIZES, Traits, require_declarations, reset_inherited
 
 if TYPE_CHECKING:
     from forms.ends.weights import EndStrips, EndWeights
@@ -49,7 +49,7 @@ class Step(NamedTuple):
             their stress, in a body, in the layer, on S and in a `Stack`, e is the strain at t + theta dt.
         n: director of the layer: unit vector from the lower to the upper body; None inside a body. Compiled laws
             (`Traits.compiled`) get (3,), in 2D with a zero; laws whose stress is a part of a form get (d,).
-            `forms.kinematics.three_dimensional(n)` is (3,) in both cases.
+            `forms.tensors.three_dimensional(n)` is (3,) in both cases.
         e_old: strain at the beginning; None in problems without time, and for laws without rate and internal variables.
         q: internal variables at the beginning, by name.
         dt: length of the step; 0 at a sudden load; None in problems without time.
@@ -402,7 +402,7 @@ class BulkLaw(Law):
     def stiffness(self, n: Array) -> Array | None:
         """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not define it.
 
-        Parameters are numbers. `forms.trace` evaluates the stress of laws that give None.
+        Parameters are numbers. `forms.law_tangents` evaluates the stress of laws that give None.
         """
         return None
 
@@ -547,7 +547,7 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
             f"{type(law).__name__}.{method}: {type(error).__name__}: {error!s:.200}. Laws are UFL: ufl.exp, "
             "ufl.conditional(ufl.lt(a, b), c, d), tensors of shape (3, 3); step.dt, step.e_old, step.rate need rate = True "
             "or internal variables; step.n has 2 components in 2D unless the law is compiled, "
-            f"forms.kinematics.lift(step.n) has 3; step.q has {sorted(law.internal) or 'nothing'}"
+            f"forms.tensors.lift(step.n) has 3; step.q has {sorted(law.internal) or 'nothing'}"
         ) from error
 
 

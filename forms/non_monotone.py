@@ -12,7 +12,6 @@ import ufl
 
 from forms.base import Array, InputError, is_finite
 from forms.elastic import IsotropicLaw, lame_stress
-from forms.kinematics import Expr, layer_frame, three_dimensional
 from forms.law import Step
 from forms.temperature import (
     TemperatureField,
@@ -22,6 +21,7 @@ from forms.temperature import (
     place_and_time_text,
     real_values,
 )
+from forms.tensors import Expr, layer_frame, three_dimensional
 from forms.viscous import isotropic_energy
 
 
@@ -56,7 +56,7 @@ class Phases(IsotropicLaw):
         transformation_energy: C in the formulas, energy per volume (in a layer: per area, C = real value * eps: the real
             one is C/eps; section 6.1 prints one power of eps for alpha and C), > 0; or a function of T.
         chi: orientation, symmetric, in the layer's axes, (2, 2) in plane strain and (3, 3) in 3D: its second axis is n
-            (`forms.kinematics.layer_frame`). chi_22 acts across S, chi_12 along it.
+            (`forms.tensors.layer_frame`). chi_22 acts across S, chi_12 along it.
         T: temperature, if alpha or the transformation energy depend on it: a number, or a numpy function (x, t) of
             places (d, n), in the joint before inflating, and the time.
 

@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 
 import ufl
 
-from forms.declarations import warn_of_range
 from forms.elastic import IsotropicLaw, LinearElastic, lame_stress
 from forms.kernel import KernelLaw
-from forms.kinematics import Expr, three_dimensional
 from forms.law import BulkLaw, Step, choice, require_positive
 from forms.parameter_fields import Parameter
+from forms.tensors import Expr, three_dimensional
+from forms.traits import warn_of_range
 from forms.viscous import isotropic_energy
 
 MIN_FRICTION_ANGLE_DEGREES = 1.6  # degrees; smaller friction angles were probably meant in radians (pi/2 = 1.57)

@@ -10,9 +10,9 @@ from forms.base import Array
 from forms.elastic import IsotropicLaw, LinearElastic, LinearLaw, lame_stress, poisson_ratio
 from forms.ends.constants import free_end
 from forms.ends.weights import EndStrips, EndWeights, pressure_stations_at_ends
-from forms.kinematics import Expr, isotropic_tensor
 from forms.law import Step, require_positive
 from forms.stations import Station, pressure_stations
+from forms.tensors import Expr, isotropic_tensor
 
 
 class PressureLaw(LinearLaw):

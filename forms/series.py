@@ -10,12 +10,12 @@ from typing import Any, ClassVar
 import ufl
 
 from forms.base import Array, InputError, is_integer, require
-from forms.declarations import Traits, require_declarations
 from forms.elastic import LinearElastic
-from forms.kinematics import Expr, jump_strain, three_dimensional
 from forms.law import BulkLaw
 from forms.parameter_fields import ParameterField
 from forms.stations import Faces, Station
+from forms.tensors import Expr, jump_strain, three_dimensional
+from forms.traits import Traits, require_declarations
 
 
 class AveragedElastic(LinearElastic):

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import ufl
 
-from forms.kinematics import Expr, jump_strain, three_dimensional
+from forms.tensors import Expr, jump_strain, three_dimensional
 
 LawType = TypeVar("LawType")  # a law of strains, `forms.law.BulkLaw`
 GAUSS_HEIGHTS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness

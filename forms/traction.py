@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import ufl
 
 from forms.base import InputError
-from forms.declarations import STRESS_ATTRIBUTES, Traits
-from forms.kinematics import Expr
 from forms.law import BulkLaw, Law, Step, WrappedLaw, require_shape
+from forms.tensors import Expr
+from forms.traits import STRESS_ATTRIBUTES, Traits
 
 
 class JumpStep(Step):

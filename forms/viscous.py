@@ -10,8 +10,8 @@ from typing import ClassVar
 import ufl
 
 from forms.elastic import IsotropicLaw, lame_stress
-from forms.kinematics import Expr
 from forms.law import Step, require_positive
+from forms.tensors import Expr
 
 # Largest tangent of a power-law dashpot in a step, relative to its spring's modulus; a stiffer dashpot is taken as linear.
 MAX_DASHPOT_STIFFNESS = 1e6

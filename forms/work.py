@@ -12,10 +12,10 @@ from ufl.classes import Zero
 
 from forms.base import InputError
 from forms.ends.weights import EndWeights
-from forms.kinematics import Expr, jump_strain, three_dimensional
+from forms.kinematics import PLANE_STRAIN, Kinematics
 from forms.law import BulkLaw, Step, explained_errors, require_shape
-from forms.planes import PLANE_STRAIN, Kinematics
 from forms.stations import Faces, Station
+from forms.tensors import Expr, jump_strain, three_dimensional
 
 
 def constant_law(law: BulkLaw) -> BulkLaw:

@@ -31,8 +31,8 @@ from forms import (
     VonMises,
 )
 from forms.elastic import VOIGT_PAIRS, lame_stress
-from forms.kinematics import Expr
 from forms.law import Step
+from forms.tensors import Expr
 from geometry import block, faults, ring, sandwich
 from geometry.joint import Joint
 from studies.problems import FOURIER_BODY, WALLS, fourier, free_blocks, of

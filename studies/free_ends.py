@@ -17,15 +17,15 @@ from forms import BulkLaw, Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from forms.ends import FreeEnd, free_end
 from forms.ends.constants import TABLE_COLUMNS, chebyshev_ratios, shipped_table
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from geometry import block
 from geometry.joint import Joint
 from studies.half_strip import half_strip
 from studies.problems import FOURIER_BODY, free_blocks
 from studies.sweeping import by_reaction, last_order
 from thinlayer import Structure, ThinLayer, compare, plotting, solve
-from thinlayer.discretisation import reduction
-from thinlayer.discretisation.reduction import MIN_STIFFNESS_CONTRAST
+from thinlayer.discretisation import applicability
+from thinlayer.discretisation.applicability import MIN_STIFFNESS_CONTRAST
 from thinlayer.discretisation.state import State
 from thinlayer.errors import RangeWarning
 from thinlayer.running.record import Record
@@ -233,7 +233,7 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
         factors = {f"{what}_factor": known[what] / ignored[what] for what in WHAT}
         return {"nu": nu, "eps": eps, "E_over_mu": contrast, **known, **factors}
 
-    with patch.object(reduction, "MIN_STIFFNESS_CONTRAST", 0.0):
+    with patch.object(applicability, "MIN_STIFFNESS_CONTRAST", 0.0):
         table = record.rows("contrasts.csv", cases, row, "nu, eps, E/mu = {}")
     factors = np.max([table[f"{what}_factor"] for what in WHAT], axis=0)
     allowed = table["E_over_mu"] >= MIN_STIFFNESS_CONTRAST

@@ -25,7 +25,7 @@ from scipy.sparse.linalg import splu
 import thinlayer.system.compat  # noqa: F401  # before any form is compiled
 from forms.base import Array
 from forms.ends.constants import FreeEnd, flow_factor, lame_over_mu
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from geometry.domain import create_mesh
 
 MIDDLE = 0.5  # y of the middle line: what is solved is the half of the strip below it

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from forms import LinearElastic
 from forms.base import Array
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from geometry import faults, grains, wall
 from geometry.joint import Joint
 from geometry.seam import JUNCTIONS, LAYER

@@ -28,7 +28,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.result import ESTIMATED_FIELDS, Estimate
 from thinlayer.output.plotting.curves import fraction
-from thinlayer.pointwise.integrals import assemble_values
+from thinlayer.pointwise.quadrature import assemble_values
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 from thinlayer.system.progress import track

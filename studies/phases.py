@@ -10,7 +10,7 @@ import ufl
 
 from forms import NonMonotone, NonMonotoneUnrelaxed, TractionLaw
 from forms.base import Array
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from forms.traction import JumpStep
 from geometry import sandwich
 from geometry.joint import Joint

@@ -9,9 +9,9 @@ import numpy as np
 from mpi4py import MPI
 
 from forms import BulkLaw
-from forms.kinematics import mandel_tensors as tensor
-from forms.kinematics import mandel_vectors as vector
-from thinlayer.pointwise.material import CompiledLaw
+from forms.tensors import mandel_tensors as tensor
+from forms.tensors import mandel_vectors as vector
+from thinlayer.pointwise.compiled_law import CompiledLaw
 
 DT = 0.1
 E2 = np.array([0.0, 1.0, 0.0])

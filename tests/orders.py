@@ -8,7 +8,7 @@ import numpy as np
 
 from thinlayer import Table
 from thinlayer.parts.part import TimeStep
-from thinlayer.solving.solvers import Solver
+from thinlayer.solving.solve import Solver
 
 
 def observed_orders(sizes: Iterable[float], errors: Iterable[float]) -> list[float | None]:

@@ -12,7 +12,7 @@ from forms import LinearElastic
 from tests.meshes import upper_cells
 from thinlayer.discretisation.state import Report, State
 from thinlayer.errors import RangeWarning
-from thinlayer.surface.excess import FaceDisplacements, pressure_excess, resting_sublayers
+from thinlayer.surface.pressure_excess import FaceDisplacements, pressure_excess, resting_sublayers
 
 STIFF = LinearElastic.young(1e5, 0.3)
 

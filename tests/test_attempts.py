@@ -10,7 +10,7 @@ from geometry import sandwich
 from tests.refused import refused
 from thinlayer import SolveError, Structure, ThinLayer, march, solve
 from thinlayer.solving.contact.methods import MAX_CONDENSED
-from thinlayer.solving.equilibrium import NewtonSolver
+from thinlayer.solving.newton import NewtonSolver
 
 JOINT = sandwich(8, 2, 2, h=1.0, structured=True)
 STEEL = LinearElastic.young(E=20e3, nu=0.2)

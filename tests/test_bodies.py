@@ -26,7 +26,7 @@ from tests.refused import refused
 from tests.test_mean_volume import Pointwise
 from thinlayer import Adaptive, LimitLoad, Springs, Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.solving.solvers import Solver
+from thinlayer.solving.solve import Solver
 
 pytestmark = pytest.mark.few(5)
 

@@ -20,7 +20,7 @@ from petsc4py import PETSc
 from tests.documents import CLONE
 from thinlayer.running import cli
 from thinlayer.running.catalogue import STUDY_GROUPS, duration
-from thinlayer.system.words import VERSION
+from thinlayer.system.version import VERSION
 
 ELASTIC = ("run", "rates", "--law", "elastic")
 

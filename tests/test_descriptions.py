@@ -13,7 +13,7 @@ from forms import Anisotropic, Incompressible, LinearElastic, Norton, Rubber, St
 from tests.documents import CLONE
 from tests.refused import refused
 from thinlayer.running.description import Description
-from thinlayer.running.section import DescriptionError
+from thinlayer.running.toml_table import DescriptionError
 
 LEAST = """
 mesh = "joint.msh"

@@ -13,8 +13,8 @@ import ufl
 from forms import LinearElastic, Rubber
 from forms.ends import free_end
 from forms.ends.weights import EndStrips, EndWeights
+from forms.kinematics import Kinematics
 from forms.law import Step
-from forms.planes import Kinematics
 from forms.stations import Faces
 from geometry import block, faults, sandwich
 from geometry.sheet import Sheet, straight_ends

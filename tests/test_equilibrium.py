@@ -14,11 +14,11 @@ from tests.refused import refused
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.discretisation.constraints import local_csr
 from thinlayer.parts.part import Block
-from thinlayer.solving import equilibrium
-from thinlayer.solving.balance import augmented_in_place
-from thinlayer.solving.contact.finder import ContactSolver
+from thinlayer.solving import newton
+from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import NewtonSolver
+from thinlayer.solving.newton import NewtonSolver
+from thinlayer.solving.part_sum import augmented_in_place
 
 STEEL = LinearElastic.young(E=210e3, nu=0.3)
 PLATES = sandwich(40, 4, 6, h=2.0)
@@ -152,8 +152,8 @@ def test_a_meshed_layer_that_hardly_resists():
 
 
 def test_a_step_whose_pivots_show_that_nothing_can_move_is_solved_once(monkeypatch):
-    solve_linear, seen = equilibrium.solve_linear, []
-    monkeypatch.setattr(equilibrium, "solve_linear", lambda *these: (seen.append(1), solve_linear(*these)))
+    solve_linear, seen = newton.solve_linear, []
+    monkeypatch.setattr(newton, "solve_linear", lambda *these: (seen.append(1), solve_linear(*these)))
     solve(linear())
     assert len(seen) == 1
 

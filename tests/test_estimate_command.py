@@ -22,7 +22,7 @@ from thinlayer import Surface, estimate, solve
 from thinlayer.estimating import goals
 from thinlayer.running.case import DescribedCase
 from thinlayer.running.description import Description
-from thinlayer.running.section import DescriptionError
+from thinlayer.running.toml_table import DescriptionError
 from thinlayer.system.folder import hash_of
 
 LAP = Path(__file__).parent.parent / "studies/data/lap.toml"

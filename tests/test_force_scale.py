@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from thinlayer.solving.balance import MACHINE_EPSILON, SOLVER_TOLERANCE, STATE_TOLERANCE, ForceScale
+from thinlayer.solving.part_sum import MACHINE_EPSILON, SOLVER_TOLERANCE, STATE_TOLERANCE, ForceScale
 
 STIFF = 1e6  # N/mm
 

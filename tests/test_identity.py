@@ -25,8 +25,8 @@ from forms.base import InputError
 from tests.refused import refused
 from tests.viscous_joints import JOINT, SETUP, SLOW
 from thinlayer import Structure, ThinLayer, compare, march, piecewise, solve
-from thinlayer.system import identity
-from thinlayer.system.identity import code_of, describe, differences, differences_text, random_states
+from thinlayer.system import fingerprint
+from thinlayer.system.fingerprint import code_of, describe, differences, differences_text, random_states
 
 LAYER = ThinLayer(SLOW, 0.1, at=1.0)
 FACTOR = 2.0
@@ -215,7 +215,7 @@ def test_what_no_other_process_knows_is_not_resumed(tmp_path, monkeypatch):
         return Structure(JOINT, tractions={"TOP": lambda x, t: (0.0, t * len([numbers]))}, **SETUP).interface(LAYER)
 
     march(model(), [0.1], out=tmp_path)
-    monkeypatch.setattr(identity, "PROCESS_LABEL", ", known to process 2 alone")
+    monkeypatch.setattr(fingerprint, "PROCESS_LABEL", ", known to process 2 alone")
     words = r"is of another march \(loads.*builtins\.generator, known to process \w+ alone"
     refused(InputError, words, march, model(), [0.1, 0.3], out=tmp_path, resume=True)
 

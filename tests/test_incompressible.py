@@ -26,7 +26,7 @@ from thinlayer import SolveError, Structure, Surface, ThinLayer, compare, march,
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.parts.pressure_part import PressurePart
-from thinlayer.solving.solvers import Solver
+from thinlayer.solving.solve import Solver
 
 pytestmark = pytest.mark.few(5)
 

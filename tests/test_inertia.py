@@ -16,7 +16,7 @@ from tests.on_ranks import alone, on_ranks
 from tests.own_scripts.inertia import Inertia, Newmark
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, march, solve
-from thinlayer.discretisation.addition import PartDefinition
+from thinlayer.discretisation.part_definition import PartDefinition
 
 LAYER = ThinLayer(LinearElastic(0.0, 0.02), 0.01)  # with a quarter of the compliance of the bar: 1 for E = rho = L = 1
 STATIC = {"bonded": 1.0, "interface": 1.25}  # shortening under the pressure 1

@@ -17,9 +17,9 @@ from forms import Anisotropic, BulkLaw, KelvinVoigt, LinearElastic, Maxwell, Sta
 from forms.base import InputError
 from forms.check import require_computed
 from forms.elastic import lame_stress
-from forms.kinematics import three_dimensional
 from forms.law import PlaneStressLaw
-from forms.trace import evaluate, tangent_at_rest
+from forms.law_tangents import evaluate, tangent_at_rest
+from forms.tensors import three_dimensional
 from forms.viscous import isotropic_energy
 from geometry import sandwich
 from tests.own_laws import Mises

@@ -18,7 +18,7 @@ from forms import (
     Stack,
 )
 from forms.base import InputError
-from forms.declarations import RangeWarning
+from forms.traits import RangeWarning
 from tests.at_points import E2, respond, tensor, vector
 from tests.own_laws import Slipping
 from thinlayer import drive

@@ -43,7 +43,7 @@ from thinlayer.discretisation.state import displacements_of
 from thinlayer.estimating import global_local
 from thinlayer.running.estimation import _near_ends
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.layer_alone import LayerSubproblem
+from thinlayer.solving.layer_subproblem import LayerSubproblem
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
 

@@ -28,11 +28,11 @@ from tests.own_laws import layer_of
 from tests.refused import refused
 from thinlayer import Adaptive, SolveError, Structure, Surface, ThinLayer, march, solve
 from thinlayer.errors import LimitLoad
-from thinlayer.parts.compiled import CompiledPart
+from thinlayer.parts.compiled_part import CompiledPart
 from thinlayer.running.cli import main as command
 from thinlayer.running.process import OK, UNFINISHED
 from thinlayer.running.record import Record
-from thinlayer.solving.solvers import Solver
+from thinlayer.solving.solve import Solver
 from thinlayer.solving.weak_springs import WeakSprings
 
 pytestmark = pytest.mark.few(5)

@@ -17,7 +17,7 @@ from geometry import block, disc, sandwich
 from tests.refused import refused
 from tests.viscous_joints import JOINT
 from thinlayer import Adaptive, ArcLength, Pressure, Structure, ThinLayer, drive, march, piecewise, solve
-from thinlayer.parts.compiled import CompiledPart
+from thinlayer.parts.compiled_part import CompiledPart
 from thinlayer.solving.equations import Equations
 
 GLUE = LinearElastic(lmbda=60.0, mu=40.0)

@@ -7,7 +7,7 @@ import pytest
 
 from forms import NonMonotone, NonMonotoneUnrelaxed, Tabulated
 from forms.base import InputError
-from forms.planes import PLANE_STRAIN
+from forms.kinematics import PLANE_STRAIN
 from tests.at_points import E2, jump_strain, material, traction
 from tests.closed_forms import NonMonotoneLimit
 from tests.non_monotone_points import ALPHA, CHI2, EPS, LMBDA, MU, TABLE, C

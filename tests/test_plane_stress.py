@@ -25,13 +25,13 @@ from forms import (
 )
 from forms.base import InputError
 from forms.elastic import lame_stress
+from forms.kinematics import Kinematics
 from forms.law import PlaneStressLaw
 from forms.non_monotone import lamination_gain
-from forms.planes import Kinematics
 from tests.own_laws import Stiffening
 from tests.refused import refused
 from thinlayer import SolveError, drive
-from thinlayer.pointwise.material import CompiledLaw
+from thinlayer.pointwise.compiled_law import CompiledLaw
 
 L, M = 3.0, 1.7
 NU = L / (2 * (L + M))

@@ -22,7 +22,7 @@ from tests.columns_in_time import check_same, column, joint
 from tests.orders import taylor_order
 from tests.test_plane_stress import Pressed, Stiffening
 from thinlayer import SolveError, Structure, Surface, ThinLayer, march, solve
-from thinlayer.solving.solvers import Solver
+from thinlayer.solving.solve import Solver
 
 pytestmark = pytest.mark.few(5)
 

@@ -25,9 +25,9 @@ from thinlayer import (
     piecewise,
     solve,
 )
-from thinlayer.discretisation.addition import PartDefinition
+from thinlayer.discretisation.part_definition import PartDefinition
 from thinlayer.errors import LooseBody
-from thinlayer.solving.solvers import Solver
+from thinlayer.solving.solve import Solver
 
 BEAM = LinearElastic.young(100.0, 0.0)
 

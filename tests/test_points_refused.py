@@ -16,7 +16,7 @@ from forms.law import Step
 from tests.at_points import E2, respond
 from tests.laws_at_points import KELVIN
 from tests.refused import refused
-from thinlayer.pointwise.material import CompiledLaw
+from thinlayer.pointwise.compiled_law import CompiledLaw
 
 
 @dataclass(frozen=True)

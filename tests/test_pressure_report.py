@@ -14,7 +14,7 @@ from tests import reference
 from tests.ranges_told import STIFF, opened, strip_excess, times_too_stiff, told
 from tests.test_networks import cut_at, on
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, compare, solve
-from thinlayer.surface.excess import pressure_excess, resting_sublayers
+from thinlayer.surface.pressure_excess import pressure_excess, resting_sublayers
 
 HALF_WIDTH = 0.5
 LAYERS = {"LOW": ThinLayer(LinearElastic.shear(3.0, 0.49), 1 / 16, at=1.0)}

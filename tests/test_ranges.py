@@ -14,7 +14,7 @@ from studies.problems import FOURIER_LAYER
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from tests.refused import refused
 from thinlayer import SolveError, Structure, Surface, ThinLayer, estimate, march, solve
-from thinlayer.surface.excess import jump_stiffness
+from thinlayer.surface.pressure_excess import jump_stiffness
 
 
 # ---------------------------------------------------------------- jumps that are no openings

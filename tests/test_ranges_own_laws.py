@@ -12,7 +12,7 @@ import ufl
 from forms import Anisotropic, BulkLaw, Incompressible, KelvinVoigt, LinearElastic, Maxwell, Stack
 from forms.base import InputError
 from forms.elastic import lame_stress
-from forms.trace import tangent_at_rest, tangent_over
+from forms.law_tangents import tangent_at_rest, tangent_over
 from geometry import sandwich
 from studies.problems import FOURIER_LAYER, fourier
 from tests import ranges_told

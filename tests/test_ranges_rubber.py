@@ -11,7 +11,7 @@ from geometry import block, sandwich
 from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
 from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.solving.ranges import warn_of_model
-from thinlayer.surface.excess import RestingSublayer, pressure_length
+from thinlayer.surface.pressure_excess import RestingSublayer, pressure_length
 
 pytestmark = pytest.mark.few(5)
 

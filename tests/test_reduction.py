@@ -25,8 +25,8 @@ from geometry import disc, ring, sandwich, wall
 from tests.refused import refused
 from tests.test_tips import partly
 from thinlayer import Structure, ThinLayer
+from thinlayer.discretisation.applicability import Applicability
 from thinlayer.discretisation.layer import SeamLayer
-from thinlayer.discretisation.reduction import Applicability
 
 BODY, GLUE = LinearElastic.young(E=100.0, nu=0.3), LinearElastic.shear(1.0, 0.3)
 CONTACT = HolonomicCoulomb(50.0, 20.0, 0.5)

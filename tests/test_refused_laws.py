@@ -12,7 +12,7 @@ from forms.base import InputError, ThinlayerError
 from tests.refused import refused
 from thinlayer import drive
 from thinlayer.system.compilation import _loaded
-from thinlayer.system.identity import describe, digest
+from thinlayer.system.fingerprint import describe, digest
 
 STEP = [{"w_T": 0.01, "w_N": -0.02}]
 SPRING = """int kernel(double *out, const void *unused, const double *in)

@@ -13,7 +13,7 @@ from geometry import sandwich
 from tests.ranges_told import told
 from tests.test_order1 import apart
 from thinlayer import Structure, ThinLayer, solve
-from thinlayer.parts import making
+from thinlayer.parts import build_parts
 
 pytestmark = pytest.mark.few(5)
 
@@ -98,7 +98,7 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
 
     assert -5e-3 < error() < 0
     ends = lambda model, _: model.joint.points[model.reductions["S"].free.vertices.ravel()]
-    monkeypatch.setattr(making, "_free_vertices", ends)
+    monkeypatch.setattr(build_parts, "_free_vertices", ends)
     assert error() > wrong
 
 

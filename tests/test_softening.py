@@ -13,7 +13,7 @@ import ufl
 
 from forms import BulkLaw, LinearElastic
 from forms.base import InputError
-from forms.kinematics import three_dimensional
+from forms.tensors import three_dimensional
 from geometry import block, sandwich, wall
 from tests import ranges_told
 from tests.on_ranks import on_ranks

@@ -14,7 +14,7 @@ from tests.test_limit_load import LIMITS
 from tests.viscous_joints import JOINT, SETUP, SLOW, SUDDEN, interface
 from thinlayer import Adaptive, Structure, Surface, ThinLayer, march, piecewise
 from thinlayer.errors import LimitLoad
-from thinlayer.solving.solvers import Solver
+from thinlayer.solving.solve import Solver
 from thinlayer.time.stepping import ErrorEstimate
 
 pytestmark = pytest.mark.few(5)

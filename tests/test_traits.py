@@ -8,7 +8,7 @@ import numpy as np
 
 from forms import KelvinVoigt, LinearElastic, MohrCoulomb, NonMonotone, Stack
 from forms.base import InputError
-from forms.declarations import Traits
+from forms.traits import Traits
 from tests.own_laws import AgeingSpring
 from tests.refused import refused
 

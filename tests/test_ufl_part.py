@@ -16,7 +16,7 @@ from geometry import sandwich
 from tests.orders import taylor_order
 from tests.refused import refused
 from thinlayer import Structure, Surface, ThinLayer, UflPart, march, solve
-from thinlayer.solving.solvers import Solver
+from thinlayer.solving.solve import Solver
 
 E, HEIGHT, EPS, P = 100.0, 0.5, 0.1, 0.3
 BODY = LinearElastic.young(E, 0.0)

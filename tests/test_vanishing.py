@@ -11,9 +11,9 @@ from geometry import periodic, sandwich
 from tests.refused import refused
 from tests.test_periodic import laminate
 from thinlayer import Adaptive, Structure, Surface, march, solve
-from thinlayer.parts.compiled import CompiledPart
-from thinlayer.solving.equilibrium import NewtonSolver
-from thinlayer.solving.solvers import Solver
+from thinlayer.parts.compiled_part import CompiledPart
+from thinlayer.solving.newton import NewtonSolver
+from thinlayer.solving.solve import Solver
 
 pytestmark = pytest.mark.few(5)
 

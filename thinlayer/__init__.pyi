@@ -3,14 +3,14 @@
 import typing
 
 from thinlayer.discretisation.broken_mesh import BrokenMesh as BrokenMesh
-from thinlayer.discretisation.given import Pressure as Pressure
-from thinlayer.discretisation.given_strains import Prestress as Prestress
-from thinlayer.discretisation.given_strains import ThermalExpansion as ThermalExpansion
+from thinlayer.discretisation.coefficient import Pressure as Pressure
 from thinlayer.discretisation.layer import Bond as Bond
 from thinlayer.discretisation.layer import Gap as Gap
 from thinlayer.discretisation.layer import ThinLayer as ThinLayer
 from thinlayer.discretisation.point_loads import LineLoad as LineLoad
 from thinlayer.discretisation.point_loads import PointLoad as PointLoad
+from thinlayer.discretisation.prescribed_strains import Prestress as Prestress
+from thinlayer.discretisation.prescribed_strains import ThermalExpansion as ThermalExpansion
 from thinlayer.discretisation.structure import Structure as Structure
 from thinlayer.discretisation.time_functions import piecewise as piecewise
 from thinlayer.errors import InputError as InputError
@@ -31,7 +31,7 @@ from thinlayer.parts.plates import RigidPlate as RigidPlate
 from thinlayer.parts.springs import Springs as Springs
 from thinlayer.parts.ufl_part import UflPart as UflPart
 from thinlayer.pointwise.drive import drive as drive
-from thinlayer.solving.solvers import solve as solve
+from thinlayer.solving.solve import solve as solve
 from thinlayer.solving.step_problem import StepProblem as StepProblem
 from thinlayer.system.table import Table as Table
 from thinlayer.time.marching import march as march

@@ -11,8 +11,8 @@ from mpi4py import MPI
 
 from forms.base import InputError as InputError
 from forms.base import ThinlayerError as ThinlayerError
-from forms.declarations import RangeWarning as RangeWarning
-from forms.declarations import show_warnings, warn_of_range, warn_outside
+from forms.traits import RangeWarning as RangeWarning
+from forms.traits import show_warnings, warn_of_range, warn_outside
 
 MIN_NAMED_SHARE = 0.005  # of a seam's squares of jumps, to be named in a message
 

@@ -17,13 +17,13 @@ from thinlayer import Structure
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.part import TimeStep
-from thinlayer.solving.contact.finder import ContactSolver
+from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.methods import SOLVER_OF_METHOD, default_method
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import StepSolution
 from thinlayer.solving.linear_solvers import DIRECT_OPTIONS, MULTIGRID_OPTIONS, ORDERING_OPTIONS
+from thinlayer.solving.newton import StepSolution
 from thinlayer.solving.petsc import faster_products, require_all_read
-from thinlayer.solving.solvers import Solver
+from thinlayer.solving.solve import Solver
 from thinlayer.system.table import Row
 
 TOLERANCE = 1e-10  # relative residual of the iterative reference, as of the contact solver

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from forms import BulkLaw, LinearElastic, MohrCoulomb, MohrCoulombMonodirectional, Stack
 from studies.timing import timed
 from thinlayer import SolveError
-from thinlayer.pointwise.material import CompiledLaw
+from thinlayer.pointwise.compiled_law import CompiledLaw
 from thinlayer.running.record import Record
 
 LMBDA, MU, C, OMEGA, PSI = 60.0, 40.0, 0.1, 30.0, 10.0

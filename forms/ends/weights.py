@@ -33,8 +33,8 @@ from typing import Any
 import ufl
 
 from forms.ends.constants import FreeEnd
-from forms.kinematics import Expr, three_dimensional
 from forms.stations import Faces, Station, pressure_stations
+from forms.tensors import Expr, three_dimensional
 
 OPENING_STRIP_LENGTH = 3.0  # length over the thickness of the strip where openings are weaker
 LINEAR_PRESSURE_LENGTH = 10.0  # length over the thickness from which on a pressure grows as a straight line near an end

@@ -7,7 +7,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from forms.base import InputError
-from forms.declarations import warn_of_range
+from forms.traits import warn_of_range
 from geometry.joint import PLANAR_TOLERANCE, Joint
 from geometry.refusals import place_text, refuse
 from geometry.sheet import Sheet

@@ -6,7 +6,7 @@ import ufl
 from dolfinx import fem
 
 from thinlayer import InputError
-from thinlayer.discretisation.addition import PartDefinition
+from thinlayer.discretisation.part_definition import PartDefinition
 from thinlayer.parts.form_part import assemble_plain_matrix
 from thinlayer.parts.part import Block, Part, PartTraits, StepOutcome
 

@@ -8,8 +8,8 @@ import scipy.sparse
 from forms import LinearElastic
 from geometry import sandwich
 from thinlayer import Probe, Structure, ThinLayer, solve
-from thinlayer.discretisation.addition import PartDefinition
 from thinlayer.discretisation.constraints import MultiPointConstraint
+from thinlayer.discretisation.part_definition import PartDefinition
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from dolfinx.mesh import Mesh, MeshTags
 from mpi4py import MPI
 
 from forms.base import Array, InputError, require
+from forms.kinematics import KINEMATICS_BY_NAME, Kinematics
 from forms.law import BulkLaw
-from forms.planes import KINEMATICS_BY_NAME, Kinematics
 from forms.traction import TractionLaw
 from forms.work import Interface, Term, surface
 from geometry.domain import cells_of_facets, create_connectivity
@@ -25,8 +25,8 @@ from geometry.refusals import unknown_name_message
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import AXIS_TOLERANCE
 from thinlayer.discretisation.contact_nodes import ContactSurface
+from thinlayer.discretisation.form_compilation import law_with_expressions
 from thinlayer.discretisation.layer import InitialTangents, ThinLayer, law_of_terms, law_with_numbers
-from thinlayer.discretisation.measures import law_with_expressions
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.system.compat import interior_facet_entities, interpolate
 from thinlayer.system.ranks import communicator, errors_on_all

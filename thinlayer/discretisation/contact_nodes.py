@@ -16,7 +16,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from forms.planes import PLANE_STRAIN, Kinematics
+from forms.kinematics import PLANE_STRAIN, Kinematics
 from geometry.domain import cells_of_facets
 from geometry.joint import Joint
 from geometry.topology import Indices, IntArray, sum_by_number
@@ -322,7 +322,7 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
 
 
 def normal_frames(n: Array) -> Array:
-    """Axes of S at normals (n, d), tangents first, equal to those of `forms.kinematics.layer_frame`."""
+    """Axes of S at normals (n, d), tangents first, equal to those of `forms.tensors.layer_frame`."""
     if n.shape[1] == 2:
         return np.stack([np.column_stack([n[:, 1], -n[:, 0]]), n], axis=1)
     e = np.eye(3)

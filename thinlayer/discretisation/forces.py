@@ -13,14 +13,14 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import InputError, require
-from forms.kinematics import Expr
-from forms.planes import Kinematics
+from forms.kinematics import Kinematics
+from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.seam import LAYER, S
 from geometry.sheet import Sheet
 from thinlayer.discretisation.boundary import boundary_values
-from thinlayer.discretisation.given import Coordinates, Load, Pressure, values_by_body
-from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.coefficient import Coordinates, Load, Pressure, values_by_body
+from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.point_loads import ConcentratedForms
 from thinlayer.errors import warn
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from forms import work as forms
 from forms.base import InputError, is_finite, require
-from forms.trace import needs_director
+from forms.law_tangents import needs_director
 from geometry.inflating.dividing import RefinedLayers, refined_towards_ends
 from geometry.inflating.inflation import inflate, without_bodies
 from geometry.inflating.layering import check_layering
@@ -31,7 +31,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import Violation
-from thinlayer.pointwise.integrals import quadrature_degree
+from thinlayer.pointwise.quadrature import quadrature_degree
 
 MAX_THICKNESS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 

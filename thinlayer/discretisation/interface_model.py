@@ -13,8 +13,8 @@ from ufl.algorithms.analysis import extract_coefficients
 
 from forms import work as forms
 from forms.base import InputError
-from forms.kinematics import Expr
 from forms.law import BulkLaw
+from forms.tensors import Expr
 from forms.work import Interface, InterfaceSide
 from geometry.domain import Domain
 from geometry.inflating.inflation import with_gaps
@@ -25,16 +25,16 @@ from geometry.refusals import require_known
 from geometry.seam import S
 from geometry.topology import FloatArray, Splitting
 from thinlayer.discretisation.boundary import require_revolution
+from thinlayer.discretisation.coefficient import Coordinates
 from thinlayer.discretisation.forces import Forces, LoadRegion
-from thinlayer.discretisation.given import Coordinates
+from thinlayer.discretisation.form_compilation import law_with_expressions
 from thinlayer.discretisation.layer import Layers, SeamLayer, law_of_terms, law_with_numbers, seam_entities
-from thinlayer.discretisation.measures import law_with_expressions
 from thinlayer.discretisation.mesh_functions import MidSurface, cellwise_function, relative_thickness
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
 from thinlayer.errors import Violation
-from thinlayer.pointwise.integrals import quadrature_degree
+from thinlayer.pointwise.quadrature import quadrature_degree
 from thinlayer.system.ranks import errors_on_all
 
 END_DEGREE_INCREASE = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S

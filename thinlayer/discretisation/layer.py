@@ -13,21 +13,21 @@ from dolfinx.mesh import Mesh
 
 from forms.base import Array, InputError, is_finite, is_number, require
 from forms.contact import ContactLaw
-from forms.kinematics import Expr, average_lame
+from forms.kinematics import Kinematics
 from forms.law import BulkLaw, Law
-from forms.planes import Kinematics
-from forms.trace import declared_or_computed_tangent, is_checked_at_rest, require_stable, tangent_over
+from forms.law_tangents import declared_or_computed_tangent, is_checked_at_rest, require_stable, tangent_over
+from forms.tensors import Expr, average_lame
 from forms.traction import TractionLaw
 from geometry.domain import Domain, create_connectivity
 from geometry.joint import Joint, Profile
 from geometry.seam import S
 from geometry.sheet import Sheet
 from geometry.topology import Indices, IntArray
-from thinlayer.discretisation.given import Coordinates, Load
-from thinlayer.discretisation.given_strains import EigenstrainContext, EigenstrainInput, prescribed_strain
+from thinlayer.discretisation.coefficient import Coordinates, Load
+from thinlayer.discretisation.prescribed_strains import EigenstrainContext, EigenstrainInput, prescribed_strain
 from thinlayer.errors import Violation
 from thinlayer.system.compat import exterior_facet_entities, interior_facet_entities
-from thinlayer.system.identity import describe
+from thinlayer.system.fingerprint import describe
 
 # keys of what laws remember and store, in states and in files
 LAYER_KIND, CONTACT_KIND, BODY_KIND, PRESSURE_KIND = "layer", "contact", "body", "pressure"

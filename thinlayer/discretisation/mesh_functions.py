@@ -14,7 +14,7 @@ from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from forms.base import Array, InputError
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from forms.work import Interface
 from geometry.domain import Domain, index_map
 from geometry.inflating.inflation import offset_to_middle

@@ -17,18 +17,24 @@ from dolfinx import fem
 from forms import work as forms
 from forms.base import InputError
 from forms.contact import ContactLaw
-from forms.kinematics import Expr
 from forms.law import BulkLaw
+from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.inflating.layering import value_by_seam
 from geometry.joint import Joint
 from geometry.sheet import volume_of
 from geometry.topology import FloatArray, Indices, Splitting, is_tensor
-from thinlayer.discretisation.addition import check_part_definitions
+from thinlayer.discretisation.applicability import Applicability
+from thinlayer.discretisation.coefficient import Coordinates, Load, Pressure
 from thinlayer.discretisation.constraints import Constraints
 from thinlayer.discretisation.forces import BodyForce, Forces, LoadRegion
-from thinlayer.discretisation.given import Coordinates, Load, Pressure
-from thinlayer.discretisation.given_strains import EigenstrainContext, MeanStrain, MeanStress, prescribed_strain
+from thinlayer.discretisation.form_compilation import (
+    checked_term,
+    compiled,
+    compiled_scalars,
+    compiled_terms,
+    origin_of,
+)
 from thinlayer.discretisation.layer import (
     BODIES,
     BODY_KIND,
@@ -41,11 +47,11 @@ from thinlayer.discretisation.layer import (
     law_with_constants,
     loads_of_layers,
 )
-from thinlayer.discretisation.measures import checked_term, compiled, compiled_scalars, compiled_terms, origin_of
 from thinlayer.discretisation.mesh_functions import cut_at_faces, vector_space
+from thinlayer.discretisation.part_definition import check_part_definitions
 from thinlayer.discretisation.point_loads import ConcentratedForms, ConcentratedLoad, check_loads
-from thinlayer.discretisation.reduction import Applicability
-from thinlayer.discretisation.rigid import (
+from thinlayer.discretisation.prescribed_strains import EigenstrainContext, MeanStrain, MeanStress, prescribed_strain
+from thinlayer.discretisation.rigid_motions import (
     Resultant,
     free_translations,
     moment_centre,
@@ -58,9 +64,9 @@ from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports, is_part
 from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.errors import warn
-from thinlayer.pointwise.integrals import Quadrature, quadrature_degree
+from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
 from thinlayer.system.compat import interpolate
-from thinlayer.system.identity import describe, digest
+from thinlayer.system.fingerprint import describe, digest
 from thinlayer.system.ranks import collect, errors_on_all, require_same
 
 

@@ -12,14 +12,14 @@ import numpy as np
 import ufl
 
 from forms.base import Array, InputError, require
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place_text as at_place
 from geometry.refusals import require_known
 from geometry.topology import Indices, IntArray, sum_by_number
 from thinlayer.discretisation.boundary import refuse_periodic
-from thinlayer.discretisation.given import Coordinates, Load
+from thinlayer.discretisation.coefficient import Coordinates, Load
 from thinlayer.discretisation.mesh_functions import cellwise_function
 
 EDGE_GAUSS_POINTS = 4  # Gauss points on an edge: exact for degree 7

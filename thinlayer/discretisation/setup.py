@@ -11,22 +11,22 @@ from mpi4py import MPI
 
 from forms.base import Array, InputError, require
 from forms.kernel import KernelLaw
+from forms.kinematics import KINEMATICS_BY_NAME, Kinematics
 from forms.law import BulkLaw, Law, explained_errors
-from forms.planes import KINEMATICS_BY_NAME, Kinematics
-from forms.trace import declared_or_computed_tangent, needs_director, require_stable
+from forms.law_tangents import declared_or_computed_tangent, needs_director, require_stable
 from geometry.joint import Joint
 from geometry.refusals import require_known
 from geometry.sheet import Sheet
 from geometry.topology import is_tensor
-from thinlayer.discretisation.addition import PartDefinition
 from thinlayer.discretisation.boundary import require_revolution
+from thinlayer.discretisation.coefficient import Load, Pressure, values_by_body
 from thinlayer.discretisation.forces import BodyForce
-from thinlayer.discretisation.given import Load, Pressure, values_by_body
-from thinlayer.discretisation.given_strains import EigenstrainInput as Eigenstrain
-from thinlayer.discretisation.given_strains import Strain
+from thinlayer.discretisation.part_definition import PartDefinition
 from thinlayer.discretisation.point_loads import ConcentratedLoad, check_loads
+from thinlayer.discretisation.prescribed_strains import EigenstrainInput as Eigenstrain
+from thinlayer.discretisation.prescribed_strains import Strain
 from thinlayer.discretisation.supports import ByPlace
-from thinlayer.system.identity import digest
+from thinlayer.system.fingerprint import digest
 from thinlayer.system.ranks import errors_on_all, require_same
 
 ELEMENT_NAMES = {False: ("P1", "P2"), True: ("Q1", "Q2", "S2")}

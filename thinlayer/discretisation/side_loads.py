@@ -25,14 +25,14 @@ from dolfinx import fem
 from forms.elastic import poisson_ratio
 from forms.ends.constants import FreeEnd, free_end
 from forms.ends.weights import EndStrips
-from forms.kinematics import Expr
-from forms.planes import Kinematics
+from forms.kinematics import Kinematics
+from forms.tensors import Expr
 from forms.work import Interface
 from geometry.seam import LAYER
 from geometry.sheet import Rim, Sheet, StraightEnd, straight_ends
 from geometry.topology import FloatArray, ridge_keys
+from thinlayer.discretisation.coefficient import Coordinates, Load, Pressure
 from thinlayer.discretisation.forces import Forces, LoadRegion
-from thinlayer.discretisation.given import Coordinates, Load, Pressure
 from thinlayer.discretisation.layer import SeamLayer, law_with_numbers
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.model import Model

@@ -17,10 +17,10 @@ from geometry.joint import Joint
 from geometry.seam import LAYER, S
 from geometry.sheet import Rim, Sheet, StraightEnd, continued_ridges, share_within
 from geometry.topology import FloatArray, ridge_keys
-from thinlayer.discretisation.addition import PartDefinition
 from thinlayer.discretisation.boundary import AXIS_NAMES, nodes_on_axis, side_normals
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import cellwise_function
+from thinlayer.discretisation.part_definition import PartDefinition
 
 COSINE_TOLERANCE = 1e-6  # of squares of cosines between directions
 FLAT_DIRECTION_SHARE = 1e-3  # share of a direction, cos^2, that counts as none: 2 degrees

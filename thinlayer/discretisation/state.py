@@ -14,15 +14,15 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array, InputError
-from forms.kinematics import MANDEL_PAIRS, Expr, mandel_tensor, mandel_vector, three_dimensional
+from forms.tensors import MANDEL_PAIRS, Expr, mandel_tensor, mandel_vector, three_dimensional
 from forms.work import Term, energy, stress, with_added_strain
 from geometry.seam import BASE, S
 from geometry.topology import IntArray
-from thinlayer.discretisation.given_strains import MEAN_STRAIN, VOIGT_PAIRS_OF_DIM, voigt_strain
+from thinlayer.discretisation.form_compilation import compiled_scalars, per_unit, whole_structure_form
 from thinlayer.discretisation.layer import BODIES, BODY_KIND, LAYER_KIND, PRESSURE_KIND
-from thinlayer.discretisation.measures import compiled_scalars, per_unit, whole_structure_form
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import (
+from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, VOIGT_PAIRS_OF_DIM, voigt_strain
+from thinlayer.discretisation.rigid_motions import (
     Resultant,
     default_moment_point,
     moment_centre,

@@ -13,12 +13,12 @@ from dolfinx.mesh import entities_to_geometry
 from petsc4py import PETSc
 
 from forms.base import Array, InputError, require
-from forms.planes import Kinematics
+from forms.kinematics import Kinematics
 from geometry.domain import Domain
 from geometry.refusals import require_known
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_values, node_normals, nodes_on_axis, smooth_surfaces
-from thinlayer.discretisation.given import Coefficient, Coordinates, Value
+from thinlayer.discretisation.coefficient import Coefficient, Coordinates, Value
 from thinlayer.system.compat import interpolate, interpolation_points
 
 LOAD_SUM_TOLERANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding

@@ -22,8 +22,8 @@ from ufl.core.terminal import Terminal
 from ufl.corealg.traversal import unique_pre_traversal
 
 from forms.base import Array, InputError, is_number
-from forms.kinematics import Expr
 from forms.temperature import real_values
+from forms.tensors import Expr
 from forms.work import Term
 from thinlayer.system.compat import ufl_replace
 

@@ -15,23 +15,23 @@ import scipy.sparse
 from forms.base import InputError, is_finite, require
 from geometry.refusals import require_known
 from geometry.seam import S
+from thinlayer.discretisation.applicability import Applicability
 from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, nodes_of_sides
-from thinlayer.discretisation.reduction import Applicability
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.estimating.global_local import DEFAULT_WIDTH, GlobalLocal, GoalBounds
 from thinlayer.estimating.goals import Compliance, Goal
-from thinlayer.estimating.on_surface import relative_errors, squared_norms
 from thinlayer.estimating.result import ESTIMATED_FIELDS, FIXED_GOAL_SHARE, Estimate, GoalError, LayerError
+from thinlayer.estimating.surface_errors import relative_errors, squared_norms
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.balance import PartSum
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import History
-from thinlayer.solving.layer_alone import MESH_REMEDY, LayerSubproblem
+from thinlayer.solving.layer_subproblem import MESH_REMEDY, LayerSubproblem
+from thinlayer.solving.part_sum import PartSum
 from thinlayer.solving.petsc import Options
-from thinlayer.solving.solvers import solve
+from thinlayer.solving.solve import solve
 from thinlayer.system.progress import report
 from thinlayer.system.ranks import errors_on_all
 from thinlayer.time.marching import march

@@ -35,10 +35,10 @@ from forms.base import Array, InputError
 from thinlayer.discretisation.state import Configuration, State, displacements_of
 from thinlayer.errors import SolveError
 from thinlayer.estimating.goals import Goal
-from thinlayer.pointwise.integrals import set_owned_values
+from thinlayer.pointwise.quadrature import set_owned_values
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.balance import ROUNDING_SHARE, PartSum
-from thinlayer.solving.layer_alone import MESH_REMEDY, LayerSubproblem, line_search_share
+from thinlayer.solving.layer_subproblem import MESH_REMEDY, LayerSubproblem, line_search_share
+from thinlayer.solving.part_sum import ROUNDING_SHARE, PartSum
 
 MAX_STEPS = 5
 ITERATE_TOLERANCE = 1e-10  # difference of two iterates, relative, that counts as rounding

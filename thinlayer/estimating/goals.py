@@ -15,23 +15,23 @@ from petsc4py import PETSc
 
 from forms import work as forms
 from forms.base import Array, InputError, require
-from forms.kinematics import Expr
 from forms.temperature import finite_values
+from forms.tensors import Expr
 from geometry.refusals import require_known
 from geometry.seam import BASE, S
 from geometry.topology import BoolArray, IntArray
+from thinlayer.discretisation.form_compilation import compiled, whole_structure_form
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import nodes_of_sides
-from thinlayer.discretisation.measures import compiled, whole_structure_form
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import balanced_motions
+from thinlayer.discretisation.rigid_motions import balanced_motions
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.discretisation.supports import Place, is_part
 from thinlayer.output.nodal_forces import nodal_forces
 from thinlayer.output.probe import Probe, cells_at
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.layer_alone import DirichletLayers
+from thinlayer.solving.layer_subproblem import DirichletLayers
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.compat import expand_derivatives
 

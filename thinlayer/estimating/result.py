@@ -18,10 +18,10 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
 from thinlayer.estimating.global_local import DEFAULT_WIDTH, BodyEquilibrium, GlobalLocal, GoalBounds
 from thinlayer.estimating.goals import Goal
-from thinlayer.estimating.on_surface import change_density
+from thinlayer.estimating.surface_errors import change_density
 from thinlayer.output.surface import Surface
 from thinlayer.solving.adjoint import Adjoint
-from thinlayer.solving.layer_alone import DirichletLayers, LayerSubproblem
+from thinlayer.solving.layer_subproblem import DirichletLayers, LayerSubproblem
 from thinlayer.solving.petsc import Options
 from thinlayer.system.table import Table
 

@@ -23,7 +23,7 @@ from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.result import ESTIMATED_FIELDS, Estimate
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import Options
-from thinlayer.solving.solvers import solve
+from thinlayer.solving.solve import solve
 from thinlayer.system.progress import report
 from thinlayer.system.ranks import errors_on_all
 from thinlayer.system.table import Table

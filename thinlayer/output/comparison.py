@@ -16,8 +16,8 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.surface import Surface
 from thinlayer.solving.history import TIME_TOLERANCE, History, Solution
-from thinlayer.surface.excess import times_too_stiff
-from thinlayer.system.identity import differences, differences_text
+from thinlayer.surface.pressure_excess import times_too_stiff
+from thinlayer.system.fingerprint import differences, differences_text
 from thinlayer.system.ranks import errors_on_all, require_same
 
 Where = Callable[[Array], Any]

@@ -12,8 +12,8 @@ from forms.base import InputError, require
 from geometry.parallel import default_comm, on_root, use_comm
 from thinlayer.errors import SolveError
 from thinlayer.output.row_file import GENERATOR_MESSAGE, RowFile, checked_row, make_room, require_csv
+from thinlayer.system.fingerprint import Resume, random_states
 from thinlayer.system.folder import LOCK_FILE, lock_folder, own_folder, read_sealed
-from thinlayer.system.identity import Resume, random_states
 from thinlayer.system.progress import track
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table

@@ -10,14 +10,14 @@ import numpy as np
 from forms.base import Array, InputError
 from forms.work import with_added_strain
 from geometry.parallel import default_comm
+from thinlayer.discretisation.coefficient import Coordinates
 from thinlayer.discretisation.forces import Forces
-from thinlayer.discretisation.given import Coordinates
-from thinlayer.discretisation.given_strains import VOIGT_PAIRS_OF_DIM, MeanStrain, Strain
 from thinlayer.discretisation.model import Model, ModelFamily
 from thinlayer.discretisation.point_loads import ConcentratedForms
+from thinlayer.discretisation.prescribed_strains import VOIGT_PAIRS_OF_DIM, MeanStrain, Strain
 from thinlayer.discretisation.time_functions import piecewise
 from thinlayer.errors import SolveError
-from thinlayer.solving.solvers import Solver
+from thinlayer.solving.solve import Solver
 from thinlayer.system.ranks import errors_on_all
 
 ASYMMETRY_TOLERANCE = (

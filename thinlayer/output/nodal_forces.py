@@ -6,9 +6,9 @@ import dolfinx.la
 import ufl
 from dolfinx import fem
 
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from thinlayer.discretisation.contact_nodes import ContactNodes, ContactSurface
-from thinlayer.discretisation.measures import compiled
+from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.state import State
 from thinlayer.system.ranks import destroy
 

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from forms.base import InputError, require
-from thinlayer.system.folder import move_away, read_sealed, write_sealed
-from thinlayer.system.identity import (
+from thinlayer.system.fingerprint import (
     CODE_KEY,
     FILE_KEY,
     MISSING_VALUE,
@@ -21,6 +20,7 @@ from thinlayer.system.identity import (
     random_states,
     require_resume,
 )
+from thinlayer.system.folder import move_away, read_sealed, write_sealed
 from thinlayer.system.table import Row
 
 GENERATOR_MESSAGE = (

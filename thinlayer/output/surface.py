@@ -16,7 +16,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, contact_result, contact_values
 from thinlayer.output.tractions import LawPoints, layer_points, layer_tractions, points_of_rule, reaction_tractions
 from thinlayer.solving.history import phase_shares, phase_slots, seams_with_phases
-from thinlayer.surface.excess import resting_sublayers, times_too_stiff
+from thinlayer.surface.pressure_excess import resting_sublayers, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
 
@@ -144,9 +144,10 @@ class Surface(SurfaceMesh):
         - "plus", "minus": of layers with phases, in either model, the shares in phases 1 and -1; "boundary": the thickness
           of phase 0, if the others lie above it.
         - "too_stiff": how many times too stiff the laws of orders 0 and 1 of an isotropic elastic layer are against the
-          openings of the state, as they let no material flow along S (`surface/excess.py`). The layer alone is so much too
-          stiff, whatever it is sheared; the structure is off by less where its bodies are soft. Beyond 1.1, and where this
-          changes the traction by more than 10 %, a RangeWarning advises `Rubber` with order=1, or a meshed layer.
+          openings of the state, as they let no material flow along S (`surface/pressure_excess.py`). The layer alone is so
+          much too stiff, whatever it is sheared; the structure is off by less where its bodies are soft. Beyond 1.1, and
+          where this changes the traction by more than 10 %, a RangeWarning advises `Rubber` with order=1, or a meshed
+          layer.
         - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). For a Fourier mode of
           wave number k too_stiff is 1 + (k delta)^2.
         """

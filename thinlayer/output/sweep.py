@@ -12,8 +12,8 @@ import numpy as np
 from forms.base import InputError, is_finite, require
 from geometry.parallel import default_comm, on_root
 from thinlayer.output.row_file import RowFile, checked_row, make_room, require_csv
+from thinlayer.system.fingerprint import Resume
 from thinlayer.system.folder import LOCK_FILE, own_folder
-from thinlayer.system.identity import Resume
 from thinlayer.system.progress import track
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.system.table import Row, Table

@@ -17,19 +17,19 @@ from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
 from forms.base import Array, InputError
-from forms.declarations import VARIABLE_SIZES
-from forms.kinematics import MANDEL_PAIRS, Expr, mandel_tensor, mandel_tensors, mandel_vector, mandel_vectors
 from forms.law import BulkLaw
+from forms.tensors import MANDEL_PAIRS, Expr, mandel_tensor, mandel_tensors, mandel_vector, mandel_vectors
+from forms.traits import VARIABLE_SIZES
 from forms.work import Term, stress
 from geometry.domain import cell_nodes
 from geometry.topology import BoolArray, IntArray, lagrange
+from thinlayer.discretisation.form_compilation import column_numbers
 from thinlayer.discretisation.layer import LAYER_KIND, PRESSURE_KIND, SeamLayer, law_with_numbers
-from thinlayer.discretisation.measures import column_numbers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import contact_values
 from thinlayer.output.nodal_forces import layer_forces
-from thinlayer.pointwise.integrals import Quadrature
+from thinlayer.pointwise.quadrature import Quadrature
 from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
 
 UNNAMED_MEMORY = "memory"  # name of the internal values of a law that does not name them

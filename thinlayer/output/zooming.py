@@ -23,7 +23,7 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import Violation, warn
 from thinlayer.output.probe import Probe
 from thinlayer.output.surface import Surface
-from thinlayer.solving.layer_alone import DirichletLayers, LayerSubproblem
+from thinlayer.solving.layer_subproblem import DirichletLayers, LayerSubproblem
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
 SINGLE_END_DISTANCE = (

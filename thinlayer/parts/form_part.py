@@ -16,17 +16,17 @@ from ufl.algorithms.check_arities import ArityMismatch
 
 from forms.base import InputError
 from forms.check import check
-from forms.kinematics import Expr
 from forms.law import BulkLaw, Step
-from forms.trace import law_identity
+from forms.law_tangents import law_identity
+from forms.tensors import Expr
 from forms.work import Term, energy, stress, work
-from thinlayer.discretisation.measures import compiled, compiled_summands, zero_matrix
+from thinlayer.discretisation.form_compilation import compiled, compiled_summands, zero_matrix
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import StepStrains
-from thinlayer.parts.compiled import PointStrains, softening_law
+from thinlayer.parts.compiled_part import PointStrains, softening_law
 from thinlayer.parts.part import Block, Part, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.pointwise.integrals import add_assembled_forces, add_distributed, assemble_matrix
+from thinlayer.pointwise.quadrature import add_assembled_forces, add_distributed, assemble_matrix
 from thinlayer.system.ranks import communicator, destroy
 
 

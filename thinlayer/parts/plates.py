@@ -12,13 +12,13 @@ import scipy.sparse
 from dolfinx import fem
 
 from forms.base import Array, InputError
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from geometry.refusals import require_known
-from thinlayer.discretisation.addition import HostModel, PartDefinition
 from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_values
+from thinlayer.discretisation.coefficient import Coefficient
 from thinlayer.discretisation.constraints import MultiPointConstraint
-from thinlayer.discretisation.given import Coefficient
-from thinlayer.discretisation.rigid import (
+from thinlayer.discretisation.part_definition import HostModel, PartDefinition
+from thinlayer.discretisation.rigid_motions import (
     balanced_motions,
     centroid,
     moment_centre,

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from ufl.classes import Zero
 
 from forms.base import Array
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from forms.work import Term
 from geometry.domain import cell_nodes
 from geometry.topology import IntArray
@@ -21,7 +21,7 @@ from thinlayer.discretisation.layer import LAYER_KIND, PRESSURE_KIND
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.discretisation.time_functions import StepStrains
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
-from thinlayer.pointwise.integrals import (
+from thinlayer.pointwise.quadrature import (
     MeasureRegion,
     MeshOrigin,
     Quadrature,

@@ -11,13 +11,13 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array, InputError
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from geometry.refusals import place_text as at_place
-from thinlayer.discretisation.addition import HostModel, PartDefinition
 from thinlayer.discretisation.boundary import boundary_values
-from thinlayer.discretisation.given import NUMPY_DEGREE, Coefficient
-from thinlayer.discretisation.measures import per_unit
-from thinlayer.discretisation.rigid import motion_expression
+from thinlayer.discretisation.coefficient import NUMPY_DEGREE, Coefficient
+from thinlayer.discretisation.form_compilation import per_unit
+from thinlayer.discretisation.part_definition import HostModel, PartDefinition
+from thinlayer.discretisation.rigid_motions import motion_expression
 from thinlayer.discretisation.supports import Place
 from thinlayer.parts.form_part import FormPart, assemble_plain_matrix
 

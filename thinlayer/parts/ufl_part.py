@@ -13,9 +13,9 @@ from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 
 from forms.base import InputError
-from forms.kinematics import Expr
-from thinlayer.discretisation.addition import HostModel, PartDefinition
-from thinlayer.discretisation.measures import whole_structure_form
+from forms.tensors import Expr
+from thinlayer.discretisation.form_compilation import whole_structure_form
+from thinlayer.discretisation.part_definition import HostModel, PartDefinition
 from thinlayer.parts.form_part import FormPart, assemble_plain_matrix
 from thinlayer.parts.part import PartTraits, StepOutcome
 from thinlayer.system.compat import expand_derivatives, ufl_replace, without_cycles

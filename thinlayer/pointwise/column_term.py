@@ -11,11 +11,11 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import Array
-from forms.trace import needs_director, tangent_at_rest
+from forms.law_tangents import needs_director, tangent_at_rest
 from forms.work import Term
 from geometry.topology import is_tensor
 from thinlayer.pointwise.compiled_term import INDEPENDENCE_TOLERANCE, CompiledTerm, Projection, Response
-from thinlayer.pointwise.integrals import MeshOrigin
+from thinlayer.pointwise.quadrature import MeshOrigin
 from thinlayer.system.ranks import destroy
 
 

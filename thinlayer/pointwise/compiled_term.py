@@ -12,12 +12,12 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from forms.kinematics import MANDEL_BASIS, MANDEL_PAIRS, Expr, mandel_vector
-from forms.trace import LONG_TIME_STEP
+from forms.law_tangents import LONG_TIME_STEP
+from forms.tensors import MANDEL_BASIS, MANDEL_PAIRS, Expr, mandel_vector
 from forms.work import Term
 from thinlayer.pointwise.columns import Switching
-from thinlayer.pointwise.integrals import TRACE_COMPONENTS, MeshOrigin, Quadrature, add_distributed, assemble_matrix
-from thinlayer.pointwise.material import CompiledLaw
+from thinlayer.pointwise.compiled_law import CompiledLaw
+from thinlayer.pointwise.quadrature import TRACE_COMPONENTS, MeshOrigin, Quadrature, add_distributed, assemble_matrix
 from thinlayer.system.ranks import destroy, errors_on_all
 
 # Size of a tangent below which underflow may have cost digits.

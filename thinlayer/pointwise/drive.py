@@ -10,10 +10,10 @@ import numpy as np
 import ufl
 
 from forms.base import Array, InputError, is_finite, is_number, require
-from forms.kinematics import layer_frame, mandel_tensors
 from forms.law import Law
+from forms.law_tangents import depends_on_step_length, evaluate
 from forms.temperature import finite_values
-from forms.trace import depends_on_step_length, evaluate
+from forms.tensors import layer_frame, mandel_tensors
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.material_point import COMPONENT_NAMES, MaterialPoint
 from thinlayer.system.table import Table
@@ -137,7 +137,7 @@ def drive(
 
 
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
-    """Unit normal (d,) and axes (3, d) of S, as `forms.kinematics.layer_frame`."""
+    """Unit normal (d,) and axes (3, d) of S, as `forms.tensors.layer_frame`."""
     if (normal := finite_values(n, (2,), (3,))) is None or not normal.any():
         raise InputError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
     normal = normal / np.linalg.norm(normal)

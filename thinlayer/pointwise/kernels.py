@@ -23,11 +23,11 @@ from mpi4py import MPI
 
 from forms.base import Array, InputError
 from forms.check import check
-from forms.declarations import VARIABLE_SIZES
 from forms.kernel import KernelLaw
-from forms.kinematics import Expr, mandel_vector
 from forms.law import BulkLaw, Step
-from forms.trace import SymbolicLaw, law_identity, require_numbers_alone, symbolic
+from forms.law_tangents import SymbolicLaw, law_identity, require_numbers_alone, symbolic
+from forms.tensors import Expr, mandel_vector
+from forms.traits import VARIABLE_SIZES
 from thinlayer.system.compilation import library
 
 C_KERNEL_SIGNATURE = "int{}(double *out, const void *, const double *in)"

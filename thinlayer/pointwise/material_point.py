@@ -8,11 +8,11 @@ import numpy as np
 from mpi4py import MPI
 
 from forms.base import Array
-from forms.kinematics import MANDEL_BASIS
 from forms.law import BulkLaw
+from forms.tensors import MANDEL_BASIS
 from thinlayer.errors import SolveError
 from thinlayer.pointwise.columns import Switching
-from thinlayer.pointwise.material import CompiledLaw
+from thinlayer.pointwise.compiled_law import CompiledLaw
 
 COMPONENT_NAMES = {2: ("T", "N"), 3: ("T1", "T2", "N")}
 MAX_NEWTON_STEPS, MAX_HALVINGS = 60, 25  # limits of the Newton iterations, and of the halvings of each Newton step

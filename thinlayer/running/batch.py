@@ -20,7 +20,7 @@ from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
 from thinlayer.running.record import Record
 from thinlayer.system.folder import lock_folder
 from thinlayer.system.progress import report
-from thinlayer.system.words import print_safely
+from thinlayer.system.version import print_safely
 
 STATUS_WORDS = {OK: "all checks hold", CHECK_FAILED: "a check fails", UNFINISHED: "not finished"}
 LOG_SUFFIX = ".log"

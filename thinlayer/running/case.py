@@ -8,7 +8,7 @@ from typing import Any
 
 from geometry.importing.reading import read
 from geometry.joint import Joint
-from thinlayer.discretisation.given import Pressure
+from thinlayer.discretisation.coefficient import Pressure
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers, ThinLayer
 from thinlayer.discretisation.point_loads import LineLoad, PointLoad
@@ -18,7 +18,7 @@ from thinlayer.estimating import goals as kinds
 from thinlayer.estimating.goals import Goal
 from thinlayer.running.description import Description
 from thinlayer.running.materials import MaterialEntry
-from thinlayer.running.section import TimeSeries
+from thinlayer.running.toml_table import TimeSeries
 from thinlayer.system.ranks import errors_on_all
 
 MIN_THICKNESS = 1e-9  # thickness over the size of the bodies: below, rounding is larger than its effect

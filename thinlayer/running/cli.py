@@ -28,7 +28,7 @@ from thinlayer.running.process import (
     set_signals,
     stop,
 )
-from thinlayer.system.words import VERSION, error_reason, print_safely, two_columns, version_of
+from thinlayer.system.version import VERSION, error_reason, print_safely, two_columns, version_of
 
 if TYPE_CHECKING:
     from thinlayer.running.description import Description
@@ -324,7 +324,7 @@ def _new(chosen: argparse.Namespace) -> int:
 
 def _check(chosen: argparse.Namespace, given: Description) -> int:
     from thinlayer.running.case import DescribedCase
-    from thinlayer.running.understood import summarise
+    from thinlayer.running.summary import summarise
 
     with given.section.described():
         return _print_answer(chosen, None, summarise(DescribedCase.of(given)))

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from thinlayer.running.materials import MaterialEntry, read_materials
-from thinlayer.running.section import (
+from thinlayer.running.toml_table import (
     Reader,
     Section,
     choice_reader,

@@ -25,7 +25,7 @@ from thinlayer.running.case import DescribedCase
 from thinlayer.running.description import Description
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
-from thinlayer.solving.solvers import solve
+from thinlayer.solving.solve import solve
 from thinlayer.system.folder import hash_of
 from thinlayer.system.table import Table
 from thinlayer.time.marching import march

@@ -15,7 +15,7 @@ from forms.elastic import LinearElastic
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw, scalar_fields
 from forms.series import Stack
-from thinlayer.running.section import Reader, Section, choice_reader, positive_reader
+from thinlayer.running.toml_table import Reader, Section, choice_reader, positive_reader
 
 ELASTIC_CONSTANTS = ("E", "nu", "K", "G", "mu", "lmbda")
 ELASTIC_PAIRS_TEXT = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from thinlayer.system.words import error_reason
+from thinlayer.system.version import error_reason
 
 if TYPE_CHECKING:
     from thinlayer.running.record import Record

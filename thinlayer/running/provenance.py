@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from forms.base import PACKAGES
 from forms.law import Law
-from thinlayer.system.words import VERSION, version_of
+from thinlayer.system.version import VERSION, version_of
 
 RECORDED_PACKAGES = (
     "fenics-dolfinx fenics-basix fenics-ufl fenics-ffcx petsc4py mpi4py gmsh meshio pyvista vtk numpy scipy matplotlib"

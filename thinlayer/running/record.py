@@ -21,11 +21,11 @@ from thinlayer.output.sweep import sweep
 from thinlayer.running.provenance import code, petsc_options, versions
 from thinlayer.solving.history import History
 from thinlayer.solving.petsc import PREFIX
+from thinlayer.system.fingerprint import differences, differences_text
 from thinlayer.system.folder import lock_folder, move_away, move_back, replace_file
-from thinlayer.system.identity import differences, differences_text
 from thinlayer.system.progress import logger, track
 from thinlayer.system.table import Table
-from thinlayer.system.words import error_reason, print_safely
+from thinlayer.system.version import error_reason, print_safely
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 
@@ -183,7 +183,7 @@ class Record:
         return run
 
     def identity(self) -> list[Any]:
-        """Identity of the run for what is resumed within it (`thinlayer.system.identity`), independent of its folder."""
+        """Identity of the run for what is resumed within it (`thinlayer.system.fingerprint`), independent of its folder."""
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
     def check_drawn(self) -> None:

@@ -28,7 +28,7 @@ from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
 from thinlayer.running.provenance import code, versions
 from thinlayer.system.folder import replace_file
 from thinlayer.system.table import Table
-from thinlayer.system.words import print_safely
+from thinlayer.system.version import print_safely
 
 STATUS_OF_VERDICT = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED}  # by verdict
 HEADER_PACKAGES = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions at the head of the page

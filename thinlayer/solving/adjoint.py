@@ -13,17 +13,17 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from geometry.topology import IntArray
+from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.state import Configuration, State
 from thinlayer.discretisation.supports import Place
 from thinlayer.parts.part import DISPLACEMENT_KEY, Part, TimeStep
-from thinlayer.pointwise.integrals import assemble_forces, set_owned_values
-from thinlayer.solving.balance import PartSum, TangentMatrix
+from thinlayer.pointwise.quadrature import assemble_forces, set_owned_values
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import linear_solvers, mark_symmetry, needs_factor_only
+from thinlayer.solving.part_sum import PartSum, TangentMatrix
 from thinlayer.solving.petsc import Options, default_options, solve_linear, value_of
 from thinlayer.system.ranks import destroy
 

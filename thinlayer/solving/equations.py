@@ -17,16 +17,17 @@ from petsc4py import PETSc
 
 from forms.base import Array
 from geometry.topology import IntArray
-from thinlayer.discretisation.given_strains import VaryingStrainIntegrals
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import model_motions
+from thinlayer.discretisation.prescribed_strains import VaryingStrainIntegrals
+from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import SolveError
-from thinlayer.parts.compiled import SAMPLE_FRACTIONS, CompiledPart
+from thinlayer.parts.build_parts import body_parts, diagonal_at_rest, layer_parts
+from thinlayer.parts.compiled_part import SAMPLE_FRACTIONS, CompiledPart
 from thinlayer.parts.contact_part import ContactPart
-from thinlayer.parts.making import body_parts, diagonal_at_rest, layer_parts
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, TimeStep
-from thinlayer.solving.balance import (
+from thinlayer.solving.linear_solvers import MULTIGRID_TYPES, SharedMatrices, orthonormal, set_field_split
+from thinlayer.solving.part_sum import (
     DIFFERENT_PATTERN,
     ForceScale,
     PartSum,
@@ -34,8 +35,7 @@ from thinlayer.solving.balance import (
     UnknownLayout,
     augmented_in_place,
 )
-from thinlayer.solving.holding import RigidMotions, SupportReactions
-from thinlayer.solving.linear_solvers import MULTIGRID_TYPES, SharedMatrices, orthonormal, set_field_split
+from thinlayer.solving.reactions import RigidMotions, SupportReactions
 from thinlayer.system.ranks import destroy
 
 LINEARITY_TOLERANCE = 1e-9  # relative deviation from a straight line in time that still counts as rounding

@@ -18,7 +18,7 @@ from forms.work import Term
 from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENT_KEY, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
-from thinlayer.solving.balance import TangentMatrix, UnknownLayout
+from thinlayer.solving.part_sum import TangentMatrix, UnknownLayout
 from thinlayer.solving.petsc import PREFIX, OptionValue, convert_to_blocks, lean_products, options_set, set_residual
 from thinlayer.system.ranks import destroy
 

@@ -11,16 +11,16 @@ import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from forms.kinematics import average_lame
-from forms.trace import in_plane_modulus
+from forms.law_tangents import in_plane_modulus
+from forms.tensors import average_lame
 from geometry.parallel import on_root
 from geometry.refusals import place_text
+from thinlayer.discretisation.applicability import Applicability
+from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.layer import BODY_KIND, SeamLayer
-from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.reduction import Applicability
 from thinlayer.discretisation.state import State
-from thinlayer.surface.excess import (
+from thinlayer.surface.pressure_excess import (
     MIN_STIFFNESS_ERROR,
     FaceDisplacements,
     Remark,

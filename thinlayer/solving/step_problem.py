@@ -11,19 +11,19 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from forms.base import Array, InputError, require
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from forms.work import Term, work
 from geometry.topology import Indices
-from thinlayer.discretisation.measures import compiled_terms
+from thinlayer.discretisation.form_compilation import compiled_terms
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
-from thinlayer.parts.compiled import CompiledPart
+from thinlayer.parts.compiled_part import CompiledPart
 from thinlayer.parts.form_part import FormPart
 from thinlayer.parts.part import DISPLACEMENT_KEY, FieldPart, Part, TimeStep
 from thinlayer.parts.ufl_part import has_arity
 from thinlayer.pointwise.columns import EXCESS_TOLERANCE
 from thinlayer.pointwise.compiled_term import CompiledTerm
-from thinlayer.solving.balance import ForceScale, PartSum, TangentMatrix, UnknownLayout
+from thinlayer.solving.part_sum import ForceScale, PartSum, TangentMatrix, UnknownLayout
 from thinlayer.system.compat import belongs_to
 from thinlayer.system.ranks import communicator, destroy, errors_on_all
 

@@ -19,9 +19,9 @@ from forms.base import Array
 from thinlayer.discretisation.state import State
 from thinlayer.errors import NoEquilibrium, SolveError
 from thinlayer.parts.part import TimeStep
-from thinlayer.solving.balance import MIN_DIVISOR
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, mark_symmetry
+from thinlayer.solving.part_sum import MIN_DIVISOR
 from thinlayer.solving.petsc import Options, chosen_options, solve_linear
 
 SpringResult = TypeVar("SpringResult")

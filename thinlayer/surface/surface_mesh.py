@@ -286,7 +286,7 @@ class SurfaceMesh:
     def frame(self, f: Any) -> Array:
         """(d, n, q) a vector field in the frame of S: tangential components, then the normal one.
 
-        The tangents are those of `forms.kinematics.layer_frame`: (n_2, -n_1) in 2D, its first and third axis in 3D.
+        The tangents are those of `forms.tensors.layer_frame`: (n_2, -n_1) in 2D, its first and third axis in 3D.
         """
         f, n = self._field(f), self.n
         if f.shape != n.shape:

@@ -34,7 +34,7 @@ from mpi4py import MPI
 
 import thinlayer.system.ranks  # noqa: F401  # before DOLFINx, which starts PETSc
 from forms.base import InputError, ThinlayerError
-from thinlayer.system.identity import source_content
+from thinlayer.system.fingerprint import source_content
 from thinlayer.system.progress import report_call
 
 # Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.

@@ -22,7 +22,7 @@ from mpi4py import MPI
 
 from forms.base import InputError
 from geometry.parallel import default_comm
-from thinlayer.system.identity import MISSING_VALUE, PROCESS_LABEL, describe, differences, digest
+from thinlayer.system.fingerprint import MISSING_VALUE, PROCESS_LABEL, describe, differences, digest
 
 if TYPE_CHECKING:
     from dolfinx.fem import FunctionSpace
@@ -102,7 +102,7 @@ def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
 
     Args:
         comm: communicator (default: the world).
-        given: name -> value, see `thinlayer.system.identity.describe`; the same names on all ranks.
+        given: name -> value, see `thinlayer.system.fingerprint.describe`; the same names on all ranks.
             What only one process knows, such as a function on a mesh, counts by its class.
     """
     comm = comm or default_comm()

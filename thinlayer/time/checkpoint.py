@@ -16,8 +16,8 @@ from geometry.topology import IntArray
 from thinlayer.discretisation.state import Audit, Report, State
 from thinlayer.parts.part import FileOrder
 from thinlayer.solving.equations import Equations
+from thinlayer.system.fingerprint import Resume, differences, differences_text
 from thinlayer.system.folder import hash_of, read_sealed, replace_file, write_sealed
-from thinlayer.system.identity import Resume, differences, differences_text
 from thinlayer.system.ranks import carry_cell_values
 from thinlayer.system.table import Table
 

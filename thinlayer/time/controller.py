@@ -14,8 +14,8 @@ from forms.base import InputError
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.history import TIME_TOLERANCE, History
-from thinlayer.solving.solvers import Solver
-from thinlayer.system.identity import Resume
+from thinlayer.solving.solve import Solver
+from thinlayer.system.fingerprint import Resume
 from thinlayer.system.progress import logger, report
 from thinlayer.time.journal import Journal
 

@@ -15,7 +15,7 @@ from forms.base import InputError, ThinlayerError
 from thinlayer.discretisation.state import State
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import History, columns
-from thinlayer.system.identity import Resume, code_of, describe
+from thinlayer.system.fingerprint import Resume, code_of, describe
 from thinlayer.system.progress import logger
 from thinlayer.system.ranks import collect, errors_on_all
 from thinlayer.system.table import Row

@@ -17,9 +17,9 @@ from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.history import History, Solution, columns
 from thinlayer.solving.ranges import warn_of_model, warn_of_states, warn_of_steps, warn_of_strains
-from thinlayer.solving.solvers import Solver, SolverChoices, comm_of
+from thinlayer.solving.solve import Solver, SolverChoices, comm_of
+from thinlayer.system.fingerprint import Resume, require_resume
 from thinlayer.system.folder import own_folder
-from thinlayer.system.identity import Resume, require_resume
 from thinlayer.system.progress import report
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.time.controller import Controller

@@ -14,7 +14,7 @@ from forms.temperature import real_values
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import TIME_TOLERANCE
-from thinlayer.solving.solvers import SOFTENING_ADVICE
+from thinlayer.solving.solve import SOFTENING_ADVICE
 
 MAX_HALVINGS = 10  # largest number of times that a planned step is halved
 THETA_HINT = "theta = 1"  # the last words of errors

@@ -12,8 +12,8 @@ import numpy as np
 from petsc4py import PETSc
 
 from forms.base import Array
-from forms.planes import PLANE_STRAIN
-from thinlayer.discretisation.rigid import model_motions
+from forms.kinematics import PLANE_STRAIN
+from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError
 from thinlayer.pointwise.columns import EXCESS_TOLERANCE

@@ -18,11 +18,11 @@ from geometry.topology import IntArray, along
 from thinlayer.discretisation.constraints import create_aij
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import MACHINE_EPSILON, MIN_DIVISOR, STATE_TOLERANCE
 from thinlayer.solving.contact.condensation import Condensation, FactorError
-from thinlayer.solving.contact.finder import ContactSolver
+from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.pairs import ContactPairs
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.part_sum import MACHINE_EPSILON, MIN_DIVISOR, STATE_TOLERANCE
 from thinlayer.system.ranks import destroy
 
 NEWTON_TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces

@@ -7,7 +7,7 @@ import numpy as np
 from forms.base import InputError
 from thinlayer.discretisation.model import Model
 from thinlayer.solving.contact.condensed import CondensedContact
-from thinlayer.solving.contact.finder import ContactSolver
+from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.multigrid import MultigridContact
 from thinlayer.solving.contact.paper_relaxation import ContactRelaxation
 

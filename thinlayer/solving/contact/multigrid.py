@@ -14,12 +14,12 @@ from forms.contact import Status
 from thinlayer.discretisation.contact_nodes import ContactNodes
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import MIN_DIVISOR, SOLVER_TOLERANCE
+from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.contact_tangent import ContactTangent
-from thinlayer.solving.contact.finder import ContactSolver
 from thinlayer.solving.contact.pairs import C_SOURCE, ContactPairs
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import DIRECT_OPTIONS, MULTIGRID_OPTIONS
+from thinlayer.solving.part_sum import MIN_DIVISOR, SOLVER_TOLERANCE
 from thinlayer.solving.petsc import (
     PREFIX,
     OptionValue,

@@ -15,10 +15,10 @@ from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import MACHINE_EPSILON, STATE_TOLERANCE
-from thinlayer.solving.contact.finder import ContactSolver
+from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.pairs import C_SOURCE, sweep_parameters
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.part_sum import MACHINE_EPSILON, STATE_TOLERANCE
 from thinlayer.solving.petsc import PREFIX
 from thinlayer.system.compilation import own_library, pointers
 

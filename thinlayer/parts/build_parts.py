@@ -13,12 +13,12 @@ from forms.work import Term
 from geometry.inflating.inflation import points_on_middle
 from geometry.topology import Indices
 from thinlayer.discretisation.contact_nodes import ContactSurface
-from thinlayer.discretisation.measures import compiled_terms
+from thinlayer.discretisation.form_compilation import compiled_terms
 from thinlayer.discretisation.model import Model
-from thinlayer.parts.compiled import CompiledPart
+from thinlayer.parts.compiled_part import CompiledPart
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.parts.form_part import LawFormPart
-from thinlayer.parts.mean_stress import MeanStressPart
+from thinlayer.parts.mean_stress_part import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.pressure_part import PressurePart, flows_along_surface
 

@@ -13,8 +13,8 @@ from petsc4py import PETSc
 
 from forms.base import Array, InputError
 from forms.check import ASYMMETRY_MESSAGE
-from forms.kinematics import MANDEL_PAIRS
-from forms.trace import depends_on_step_length
+from forms.law_tangents import depends_on_step_length
+from forms.tensors import MANDEL_PAIRS
 from forms.work import Term
 from thinlayer.discretisation.layer import LAYER_KIND
 from thinlayer.discretisation.state import Configuration
@@ -22,7 +22,7 @@ from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.column_term import ColumnTerm
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
-from thinlayer.pointwise.integrals import MeshOrigin
+from thinlayer.pointwise.quadrature import MeshOrigin
 from thinlayer.system.ranks import destroy
 
 ASYMMETRY_TOLERANCE = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding

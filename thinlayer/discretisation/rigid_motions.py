@@ -14,14 +14,14 @@ from dolfinx import fem
 from dolfinx.mesh import Mesh
 
 from forms.base import Array, InputError
-from forms.kinematics import Expr
-from forms.planes import Kinematics
+from forms.kinematics import Kinematics
 from forms.temperature import finite_values
+from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place_text as at_place
 from thinlayer.discretisation.boundary import AXIS_NAMES
-from thinlayer.discretisation.measures import per_unit
+from thinlayer.discretisation.form_compilation import per_unit
 from thinlayer.discretisation.supports import Place
 from thinlayer.discretisation.time_functions import TimeLevel
 

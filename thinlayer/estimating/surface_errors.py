@@ -15,7 +15,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.estimating.global_local import BodyEquilibrium, GlobalLocal
 from thinlayer.output.surface import Surface
-from thinlayer.surface.excess import jump_stiffness
+from thinlayer.surface.pressure_excess import jump_stiffness
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
 ROUNDING_SHARES = (

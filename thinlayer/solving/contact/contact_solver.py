@@ -11,7 +11,7 @@ from petsc4py import PETSc
 from thinlayer.discretisation.state import State, displacements_of
 from thinlayer.parts.contact_part import ContactPart
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import EquilibriumSolver, StepSolution
+from thinlayer.solving.newton import EquilibriumSolver, StepSolution
 from thinlayer.system.ranks import destroy
 
 

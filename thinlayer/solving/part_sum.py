@@ -20,7 +20,7 @@ from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, Memory, Part, PartTraits, StepOutcome, TimeStep
-from thinlayer.pointwise.integrals import set_owned_values
+from thinlayer.pointwise.quadrature import set_owned_values
 from thinlayer.system.ranks import destroy, send
 
 SOLVER_TOLERANCE = 1e-10  # residual at which solvers stop, relative to the forces

@@ -12,14 +12,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array
-from forms.kinematics import three_dimensional
 from forms.law import Step
+from forms.tensors import three_dimensional
 from forms.work import Term
-from thinlayer.discretisation.given_strains import MEAN_STRAIN, MeanStress, voigt_strain
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
+from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, MeanStress, voigt_strain
 from thinlayer.discretisation.time_functions import StepStrains
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
-from thinlayer.pointwise.integrals import assemble_matrix, assemble_values
+from thinlayer.pointwise.quadrature import assemble_matrix, assemble_values
 from thinlayer.system.ranks import destroy
 
 

@@ -11,8 +11,8 @@ from mpi4py import MPI
 from forms.base import Array, InputError
 from forms.kernel import KernelLaw
 from forms.law import BulkLaw
+from forms.law_tangents import law_identity
 from forms.parameter_fields import parameter_numbers
-from forms.trace import law_identity
 from thinlayer.pointwise.kernels import compile_kernels
 from thinlayer.system.compilation import library, pointers
 

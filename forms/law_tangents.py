@@ -45,9 +45,9 @@ from ufl.core.expr import Expr as Node
 from ufl.corealg.traversal import traverse_unique_terminals, unique_post_traversal
 
 from forms.base import Array, InputError
-from forms.kinematics import Expr, average_lame, isotropic_tensor, mandel_tensor, mandel_vectors
-from forms.kinematics import mandel_vector as in_mandel
 from forms.law import BulkLaw, Step
+from forms.tensors import Expr, average_lame, isotropic_tensor, mandel_tensor, mandel_vectors
+from forms.tensors import mandel_vector as in_mandel
 
 _SYMBOL_MESH = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
 

@@ -11,9 +11,9 @@ from petsc4py import PETSc
 
 from forms.base import InputError
 from thinlayer.errors import SolveError
-from thinlayer.solving.balance import SOLVER_TOLERANCE, STATE_TOLERANCE
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import least_pivot, mark_symmetry, needs_factor_only
+from thinlayer.solving.part_sum import SOLVER_TOLERANCE, STATE_TOLERANCE
 from thinlayer.solving.petsc import PREFIX, OptionValue, reason_name, solve_linear, solve_nonlinear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.

@@ -12,12 +12,12 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array, InputError, require
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXIS_NAMES
 from thinlayer.discretisation.constraints import MultiPointConstraint
+from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.layer import BODIES, BODY_KIND, CONTACT_KIND, LAYER_KIND
-from thinlayer.discretisation.measures import compiled
 from thinlayer.discretisation.supports import Place
 from thinlayer.system.ranks import destroy
 

@@ -12,16 +12,16 @@ import numpy.typing as npt
 
 from forms.base import InputError
 from forms.elastic import MAX_FREE_END_NU, MODULUS_RATIO_TOLERANCE, LinearElastic, poisson_ratio
-from forms.kinematics import average_lame
 from forms.law import BulkLaw
+from forms.law_tangents import acoustic_tensor, declared_or_computed_tangent, is_isotropic, tangent_at_rest
 from forms.rubber import Rubber
-from forms.trace import acoustic_tensor, declared_or_computed_tangent, is_isotropic, tangent_at_rest
+from forms.tensors import average_lame
 from geometry.refusals import place_text
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray
 from thinlayer.discretisation.boundary import lies_across_axis
-from thinlayer.discretisation.given_strains import SINGULARITY_TOLERANCE
 from thinlayer.discretisation.layer import SeamLayer, SurfaceLaw, ThinLayer, law_with_numbers
+from thinlayer.discretisation.prescribed_strains import SINGULARITY_TOLERANCE
 from thinlayer.discretisation.sides import FLAT_DIRECTION_SHARE, FacetWeights, constrained_directions, side_kinds
 from thinlayer.errors import Violation
 
@@ -319,7 +319,7 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
 
 
 def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of a pressure whose excess is known (`thinlayer.surface.excess`)."""
+    """Of a pressure whose excess is known (`thinlayer.surface.pressure_excess`)."""
     one = r.one
     if one.thin and one.thin.eigenstrain is not None:
         yield Violation("eigenstrain", "the layer has an eigenstrain")

@@ -22,13 +22,13 @@ from thinlayer.discretisation.constraints import create_aij, local_csr
 from thinlayer.discretisation.full_model import LayerModel, meeting_layers
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
-from thinlayer.discretisation.rigid import model_motions
+from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import Configuration, Report, State
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import SolveError
 from thinlayer.parts.part import TimeStep
-from thinlayer.solving.balance import ROUNDING_SHARE
 from thinlayer.solving.equations import Equations
+from thinlayer.solving.part_sum import ROUNDING_SHARE
 from thinlayer.system.compat import interpolation_points
 
 Vertices = tuple[int, ...]

@@ -20,7 +20,8 @@ from thinlayer.errors import LooseBody, SolveError
 from thinlayer.parts.part import TimeStep
 from thinlayer.solving.contact.methods import METHODS, SOLVER_OF_METHOD, check_method, default_method
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.equilibrium import (
+from thinlayer.solving.linear_solvers import linear_solvers
+from thinlayer.solving.newton import (
     CONTACT_HOMOTOPY_OPTIONS,
     CONTACT_OPTIONS,
     NEWTON_OPTIONS,
@@ -30,7 +31,6 @@ from thinlayer.solving.equilibrium import (
     NewtonSolver,
     StepSolution,
 )
-from thinlayer.solving.linear_solvers import linear_solvers
 from thinlayer.solving.petsc import (
     PREFIX,
     Options,

@@ -20,7 +20,7 @@ from petsc4py import PETSc
 from ufl.classes import Zero
 
 from forms.base import Array, InputError
-from forms.kinematics import MANDEL_PAIRS, Expr, three_dimensional
+from forms.tensors import MANDEL_PAIRS, Expr, three_dimensional
 from forms.work import Term
 from geometry.domain import create_connectivity
 from geometry.topology import Indices, IntArray

@@ -13,14 +13,14 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array, InputError, is_finite, is_number, require
-from forms.kinematics import MANDEL_PAIRS, SQRT2, Expr, three_dimensional
+from forms.kinematics import Kinematics
 from forms.law import BulkLaw
-from forms.planes import Kinematics
+from forms.law_tangents import tangent_at_rest
 from forms.temperature import finite_values
-from forms.trace import tangent_at_rest
+from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, three_dimensional
 from forms.work import Term, sum_strains
 from geometry.joint import Joint
-from thinlayer.discretisation.given import Coordinates, depends_on_place
+from thinlayer.discretisation.coefficient import Coordinates, depends_on_place
 from thinlayer.discretisation.time_functions import time_constants
 from thinlayer.system.compat import compiled
 

@@ -18,18 +18,18 @@ from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from forms.base import Array, InputError, require
-from forms.declarations import show_warnings
-from forms.kinematics import Expr
 from forms.law import BulkLaw
+from forms.tensors import Expr
+from forms.traits import show_warnings
 from forms.work import Term
 from geometry.domain import Domain
 from geometry.inflating.inflation import offset_to_middle, points_on_middle
 from geometry.partition import column_numbers
-from thinlayer.discretisation.given import Coordinates, has_finite_numbers
+from thinlayer.discretisation.coefficient import Coordinates, has_finite_numbers
 from thinlayer.discretisation.layer import BODY_KIND, LAYER_KIND, law_with_constants
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.time_functions import time_constants
-from thinlayer.pointwise.integrals import MEASURE_OF_INTEGRAL, MeshOrigin, Quadrature, assemble_matrix
+from thinlayer.pointwise.quadrature import MEASURE_OF_INTEGRAL, MeshOrigin, Quadrature, assemble_matrix
 from thinlayer.system.compat import by_domain, compiled, without_cycles
 from thinlayer.system.ranks import errors_on_all
 

@@ -10,8 +10,8 @@ import ufl
 from dolfinx import fem
 
 from geometry.seam import S
+from thinlayer.discretisation.form_compilation import per_unit
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.measures import per_unit
 from thinlayer.running.case import DescribedCase
 from thinlayer.running.materials import MaterialEntry
 

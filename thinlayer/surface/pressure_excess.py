@@ -11,9 +11,9 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from forms.kinematics import average_lame, isotropic_tensor
 from forms.law import BulkLaw
-from forms.trace import acoustic_tensor, in_plane_modulus
+from forms.law_tangents import acoustic_tensor, in_plane_modulus
+from forms.tensors import average_lame, isotropic_tensor
 from geometry.topology import FloatArray
 from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model

@@ -20,7 +20,7 @@ from thinlayer.discretisation.constraints import distributed_product
 from thinlayer.discretisation.layer import LAYER_KIND, PRESSURE_KIND, nodes_of_sides
 from thinlayer.discretisation.mesh_functions import cut_at_faces
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.rigid import model_motion_values, motion_values
+from thinlayer.discretisation.rigid_motions import model_motion_values, motion_values
 from thinlayer.errors import LooseBody
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, Part, TimeStep
 from thinlayer.system.ranks import destroy

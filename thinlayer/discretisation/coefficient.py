@@ -23,7 +23,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 from ufl.geometry import GeometricQuantity
 
 from forms.base import Array, InputError, is_finite
-from forms.kinematics import Expr
+from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place_text as at_place

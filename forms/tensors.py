@@ -1,0 +1,104 @@
+"""Strains, jumps and frames. Laws get three-dimensional tensors: 2D displacements mean plane strain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import ufl
+
+from forms.base import Array
+
+Expr = Any  # a UFL expression; ufl's own types are not annotated
+
+
+def three_dimensional(a: Expr) -> Expr:
+    """A (2,) vector or (2, 2) tensor with zeros added to (3,) or (3, 3); three-dimensional ones unchanged."""
+    if a.ufl_shape[0] == 3:
+        return a
+    if len(a.ufl_shape) == 1:
+        return ufl.as_vector([a[0], a[1], 0])
+    return ufl.as_tensor([[a[0, 0], a[0, 1], 0], [a[1, 0], a[1, 1], 0], [0, 0, 0]])
+
+
+def strain(u: Expr) -> Expr:
+    """Small strain sym(grad u), (3, 3); Eq. (2)."""
+    return three_dimensional(ufl.sym(ufl.grad(u)))
+
+
+def jump_strain(w: Expr, n: Expr) -> Expr:
+    """Symmetrised product of a jump w and the director n, (w (x) n + n (x) w)/2, (3, 3); divided by eps, a strain."""
+    return ufl.sym(ufl.outer(three_dimensional(w), three_dimensional(n)))
+
+
+MANDEL_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+SQRT2 = 2.0**0.5
+MANDEL_BASIS = np.array(
+    [np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL_PAIRS]
+)  # (6, 3, 3) symmetric tensors of norm 1
+MANDEL_BASIS = (MANDEL_BASIS + MANDEL_BASIS.swapaxes(1, 2)) / np.linalg.norm(
+    MANDEL_BASIS + MANDEL_BASIS.swapaxes(1, 2), axis=(1, 2), keepdims=True
+)
+
+
+def mandel_vectors(tensors: Array) -> Array:
+    """Mandel vectors (..., 6) of the symmetric parts of tensors of numbers (..., 3, 3)."""
+    return np.asarray(np.einsum("...ij,kij->...k", tensors, MANDEL_BASIS))
+
+
+def mandel_tensors(vectors: Array) -> Array:
+    """Symmetric tensors (..., 3, 3) of Mandel vectors of numbers (..., 6)."""
+    return np.asarray(np.einsum("...k,kij->...ij", vectors, MANDEL_BASIS))
+
+
+def mandel_vector(a: Expr, slots: Sequence[int] = range(6)) -> Expr:
+    """A symmetric (3, 3) tensor as a vector (6,) in Mandel's order 11, 22, 33, 12, 13, 23, with a.b = A:B; or slots."""
+    return ufl.as_vector([a[i, j] if i == j else SQRT2 * a[i, j] for i, j in (MANDEL_PAIRS[k] for k in slots)])
+
+
+def mandel_tensor(a: Expr) -> Expr:
+    """The symmetric (3, 3) tensor of a Mandel vector (6,)."""
+    entries = {pair: a[k] if pair[0] == pair[1] else a[k] / SQRT2 for k, pair in enumerate(MANDEL_PAIRS)}
+    return ufl.as_tensor([[entries[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
+
+
+def isotropic_tensor(lmbda: float, mu: float) -> Array:
+    """The tensor (6, 6) in Mandel's order of an isotropic material."""
+    volume = np.repeat([1.0, 0.0], 3)
+    return np.asarray(lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6))
+
+
+def condensed_tangent(C: Array, kept: Sequence[int], out: Sequence[int]) -> Array:
+    """A tangent (6, 6) for some components, where the stresses of the others vanish."""
+    inner = np.linalg.pinv(C[np.ix_(out, out)])
+    return np.asarray(C[np.ix_(kept, kept)] - C[np.ix_(kept, out)] @ inner @ C[np.ix_(out, kept)])
+
+
+def average_lame(C: Array) -> tuple[float, float]:
+    """Moduli lmbda, mu of the isotropic tensor nearest to C (6, 6): its averages over all directions."""
+    bulk = C[:3, :3].sum() / 9
+    mu = (np.trace(C) - 3 * bulk) / 10
+    return float(bulk - 2 * mu / 3), float(mu)
+
+
+def layer_frame(n: Expr) -> Expr:
+    """Rotation (3, 3) whose columns are the layer's axes: second axis n; in 2D the first is the tangent (n_2, -n_1).
+
+    In 3D it is the smallest rotation that takes e_2 to n; for n = -e_2, where there is no smallest one, it is the half
+    turn about the third axis.
+    """
+    if n.ufl_shape[0] == 2:
+        return ufl.as_tensor([[n[1], n[0], 0], [-n[0], n[1], 0], [0, 0, 1]])
+    opposite = ufl.lt(n[1], -1 + 1e-12)
+    squares = n[0] * n[0] + n[2] * n[2]
+    downwards = (1 - n[1]) / ufl.conditional(opposite, 1, squares)  # = 1/(1 + n_2) without cancellation
+    s = ufl.conditional(ufl.lt(n[1], 0), downwards, 1 / ufl.conditional(ufl.lt(n[1], 0), 1, 1 + n[1]))
+    rows = [
+        [1 - s * n[0] * n[0], n[0], -s * n[0] * n[2]],
+        [-n[0], n[1], -n[2]],
+        [-s * n[0] * n[2], n[2], 1 - s * n[2] * n[2]],
+    ]
+    turn = ufl.as_tensor(rows)
+    half_turn = ufl.as_tensor([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])
+    return ufl.as_tensor([[ufl.conditional(opposite, half_turn[i, j], turn[i, j]) for j in range(3)] for i in range(3)])
