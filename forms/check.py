@@ -49,7 +49,7 @@ def check(law: Law, d: int | None = 3) -> None:
     require(isinstance(law, Law), "law", law, "it must be a law")
     if law.traits.nodal:
         return
-    for _, sublayer in law.of_strains().sublayers:
+    for _, sublayer in law.as_bulk_law().sublayers:
         one: Any = sublayer.in_space
         values = [np.asarray(_number(value)).tobytes() for value in one.parameters().values()]
         key = type(one), d, repr(one.choices()), *values

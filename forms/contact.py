@@ -167,7 +167,7 @@ class ContactLaw(Law):
         stored = (t[:, -1] ** 2 / self.K_N + (t[:, :-1] ** 2).sum(axis=1) / self.K_T) / 2
         return stored, (t[:, :-1] * (self.slip_after(w, slip) - slip)).sum(axis=1)
 
-    def eased(self, share: float) -> ContactHomotopy:
+    def homotopy(self, share: float) -> ContactHomotopy:
         """This law in parallel with springs that neither open nor slide, for continuation."""
         return ContactHomotopy(self, share)
 

@@ -51,7 +51,7 @@ class Kinematics:
         """(n,) distances of places (n, d) from the axis of revolution; infinite, as there is none."""
         return np.full(len(x), np.inf)
 
-    def stressed(self, d: int) -> tuple[int, ...]:
+    def stress_slots(self, d: int) -> tuple[int, ...]:
         """Mandel components that stresses may have; the others are zero, whatever the law of `law` gives for them."""
         return tuple(range(len(MANDEL_PAIRS)))
 
@@ -80,7 +80,7 @@ class Kinematics:
         """Strain (3, 3) along S of displacements u (d,) with this gradient along S (d, d)."""
         return three_dimensional(ufl.sym(gradient))
 
-    def seen(self, a: Expr) -> Expr:
+    def restricted(self, a: Expr) -> Expr:
         """The part of a tensor (3, 3) that there is: of a stress, or of a given strain as the laws of `law` take it."""
         return a
 
@@ -97,10 +97,10 @@ class PlaneStress(Kinematics):
 
     name = "stress"
 
-    def stressed(self, d: int) -> tuple[int, ...]:
+    def stress_slots(self, d: int) -> tuple[int, ...]:
         return self.slots(d)
 
-    def seen(self, a: Expr) -> Expr:
+    def restricted(self, a: Expr) -> Expr:
         """The part in the plane: there is no stress out of it, and nothing holds a strain."""
         return ufl.as_tensor([[a[0, 0], a[0, 1], 0], [a[1, 0], a[1, 1], 0], [0, 0, 0]])
 

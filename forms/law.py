@@ -172,7 +172,7 @@ class Law:
         """The traits that follow from the methods and internal variables of a class."""
         return {"remembers": bool(self.internal)}
 
-    def of_strains(self) -> BulkLaw:
+    def as_bulk_law(self) -> BulkLaw:
         """The same law written for strains, as terms and compiled code need it.
 
         Raises:
@@ -310,13 +310,13 @@ class BulkLaw(Law):
         kind, said = type(self), Traits.of(self)
         return super()._traits_of_methods() | {
             "has_energy": kind.energy is not BulkLaw.energy,
-            "eases": kind.eased is not BulkLaw.eased,
+            "has_homotopy": kind.homotopy is not BulkLaw.homotopy,
             "in_series": not (said.constrained or said.switches),
             "in_ufl": True,
             "compiled": said.rate or bool(self.internal) or said.varies,
         }
 
-    def of_strains(self) -> BulkLaw:
+    def as_bulk_law(self) -> BulkLaw:
         return self
 
     # ---------------------------------------------------------------- equations, UFL
@@ -407,7 +407,7 @@ class BulkLaw(Law):
         return None
 
     # ---------------------------------------------------------------- other laws of the same kind
-    def eased(self, ease: float) -> BulkLaw:
+    def homotopy(self, ease: float) -> BulkLaw:
         """A law between this one (ease = 0) and one whose equilibrium is easy to find (ease = 1), for continuation."""
         return self
 
@@ -511,8 +511,8 @@ class PlaneStressLaw(WrappedLaw):
     def in_space(self) -> BulkLaw:
         return self.law
 
-    def eased(self, ease: float) -> Self:
-        return self._of(self.law.eased(ease))
+    def homotopy(self, ease: float) -> Self:
+        return self._of(self.law.homotopy(ease))
 
     def condensed(self, C: Array) -> Array:
         """C (6, 6) condensed; the rows out of the plane are those of the isotropic tensor nearest to it in plane stress."""

@@ -83,7 +83,7 @@ class Plastic(IsotropicLaw):
         self.require(0 <= self.elastic_fraction < 1, "elastic_fraction", "0 <= elastic_fraction < 1")
         require_hardening(self, "hardening", "saturation")
 
-    def eased(self, ease: float) -> Plastic:
+    def homotopy(self, ease: float) -> Plastic:
         """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
         h, share = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - ease) if ease else 0.0
         return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
@@ -281,7 +281,7 @@ class VonMises(KernelLaw, IsotropicLaw):
         require_positive(self, "strength")
         require_hardening(self, "hardening", "kinematic", "saturation")
 
-    def eased(self, ease: float) -> VonMises:
+    def homotopy(self, ease: float) -> VonMises:
         """The law with kinematic hardening between its own (ease = 0) and that of an almost elastic material (1)."""
         if not ease:
             return self

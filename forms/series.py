@@ -192,8 +192,8 @@ class Stack(BulkLaw):
         for law in self.laws:
             law.check_at(x)
 
-    def eased(self, ease: float) -> Stack:
-        return self.with_laws([law.eased(ease) for law in self.laws])
+    def homotopy(self, ease: float) -> Stack:
+        return self.with_laws([law.homotopy(ease) for law in self.laws])
 
     def stations(self) -> list[Station[Any]]:
         if len(self.laws) == 1:

@@ -43,7 +43,7 @@ class TractionLaw(Law):
     Optional: `energy(step)`, and `dissipation(step)` with it. If the tangent is not symmetric, write `symmetric = False`.
     """
 
-    ignored: ClassVar = (*STRESS_ATTRIBUTES, "stress", "advance", "dissipated", "eased")
+    ignored: ClassVar = (*STRESS_ATTRIBUTES, "stress", "advance", "dissipated", "homotopy")
 
     def __post_init__(self) -> None:
         if self.powers:
@@ -55,7 +55,7 @@ class TractionLaw(Law):
         own = {"has_energy": has_energy, "in_ufl": True, "of_jumps": True, "compiled": True}
         return super()._traits_of_methods() | own
 
-    def of_strains(self) -> BulkLaw:
+    def as_bulk_law(self) -> BulkLaw:
         kind: Any = type(self)
         return _bulk_law_class(kind)(self)
 

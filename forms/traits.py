@@ -177,7 +177,7 @@ class Traits:
 
     Traits that follow from the methods of a law:
         has_energy: stored energy and dissipation are declared.
-        eases: `eased` gives laws whose equilibrium is easier to find, for continuation.
+        eases: `homotopy` gives laws whose equilibrium is easier to find, for continuation.
         in_series: the law can be a sublayer of a Stack.
         remembers: the law has internal variables.
         in_ufl: the equations are written in UFL.
@@ -200,7 +200,7 @@ class Traits:
     phases: bool = trait_field(any)
     switches: bool = trait_field(any)
     has_energy: bool = trait_field(all)
-    eases: bool = trait_field(any)
+    has_homotopy: bool = trait_field(any)
     in_series: bool = trait_field(all)
     remembers: bool = trait_field(any)
     in_ufl: bool = trait_field(all)

@@ -40,7 +40,7 @@ class InterfaceSide:
     """
 
     restrict: Callable[[Expr], Expr]
-    back: Expr | None = None
+    inverse_gradient: Expr | None = None
 
     def __call__(self, f: Expr) -> Expr:
         """A function on this side."""
@@ -49,7 +49,7 @@ class InterfaceSide:
     def gradient(self, f: Expr) -> Expr:
         """The gradient of a function on this side; along S it is that of its values on S."""
         gradient = self.restrict(ufl.grad(f))
-        return gradient if self.back is None else ufl.dot(gradient, self.back)
+        return gradient if self.inverse_gradient is None else ufl.dot(gradient, self.inverse_gradient)
 
 
 @dataclass(frozen=True)
@@ -74,12 +74,12 @@ class Interface:
     measure: ufl.Measure
     x: Expr
     n: Expr
-    fibre: Expr
+    director: Expr
     upper: InterfaceSide
     lower: InterfaceSide
     kinematics: Kinematics = PLANE_STRAIN
     area: Expr = 1
-    known: Callable[[BulkLaw], BulkLaw] = constant_law
+    law_on_surface: Callable[[BulkLaw], BulkLaw] = constant_law
 
     @classmethod
     def between_bodies(
@@ -133,7 +133,7 @@ class Interface:
 
     def faces(self, u: Expr, eps: Expr, slope: Expr | None = None) -> Faces:
         """The faces of a layer of thickness eps, of gradient `slope` along S, under displacements u."""
-        along_s = ufl.Identity(len(self.n)) - ufl.outer(self.fibre, self.n)
+        along_s = ufl.Identity(len(self.n)) - ufl.outer(self.director, self.n)
         upper, lower = (ufl.dot(side.gradient(u), along_s) for side in (self.upper, self.lower))
         mean = self.kinematics.along((upper + lower) / 2, (self.upper(u) + self.lower(u)) / 2)
         return Faces(self.n, eps, self.jump(u), upper - lower, mean, self.kinematics.along, slope)
@@ -168,7 +168,7 @@ class Term:
     weight: Any
     measure: ufl.Measure
     n: Expr | None = None
-    given: Expr | None = None
+    prescribed_strain: Expr | None = None
     key: str = ""
     kinematics: Kinematics = PLANE_STRAIN
     volume: int | None = None
@@ -178,7 +178,7 @@ class Term:
     def step(self, u: Expr) -> Step:
         """Input of the law for a displacement u."""
         e = self.strain(u)
-        return Step(e if self.given is None else self.given + e, self.n)
+        return Step(e if self.prescribed_strain is None else self.prescribed_strain + e, self.n)
 
     @property
     def proportional(self) -> bool:
@@ -207,7 +207,7 @@ def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = P
 
 
 def jump_terms(law: BulkLaw, sides: Interface) -> Term:
-    """A law of jumps on S, as one of strains (`TractionLaw.of_strains`): strain sym([u] (x) n), weight 1."""
+    """A law of jumps on S, as one of strains (`TractionLaw.as_bulk_law`): strain sym([u] (x) n), weight 1."""
     n, kinematics = sides.n, sides.kinematics
     return Term(law, lambda u: jump_strain(sides.jump(u), n), sides.factor, sides.measure, n, kinematics=kinematics)
 
@@ -234,7 +234,7 @@ def surface(
         sides: the sides of S.
         eps: the thickness.
         order: of the interface law.
-        given: strain (3, 3), uniform through the layer, beside that of the displacements (`Term.given`).
+        given: strain (3, 3), uniform through the layer, beside that of the displacements (`Term.prescribed_strain`).
         slope: gradient (d,) of the thickness along S; None: it is uniform.
         ends: weights of free ends, for the stations of laws that know them; None: of an infinite layer.
 
@@ -244,7 +244,7 @@ def surface(
     n, d, weight = sides.n, len(sides.n), sides.factor * eps
     term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)
     if order == 0:
-        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, given=given)]
+        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, prescribed_strain=given)]
     held = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), given, sides.kinematics.along)
 
     def opened(i: int) -> Faces:
@@ -252,12 +252,12 @@ def surface(
         return Faces(n, eps, unit, ufl.zero(d, d), ufl.zero(3, 3), lambda gradient, u: ufl.zero(3, 3), slope)
 
     def at(station: Station) -> Term:
-        known = sides.known(station.law)
+        known = sides.law_on_surface(station.law)
         return term(
             station.law,
             lambda u: station.strain(known, sides.faces(u, eps, slope)),
             weight * station.share,
-            given=None if given is None else station.strain(known, held),
+            prescribed_strain=None if given is None else station.strain(known, held),
             flow=eps**3 * station.flow(known),
             traction=lambda stress: ufl.as_vector(
                 [eps * station.share * ufl.inner(stress, station.strain(known, opened(i))) for i in range(d)]
@@ -269,7 +269,12 @@ def surface(
 
 def with_added_strain(terms: Iterable[Term], strain: Expr) -> list[Term]:
     """The terms, a strain (3, 3) added to those that are given."""
-    return [replace(p, given=strain if p.given is None else sum_strains(p.given, strain)) for p in terms]
+    return [
+        replace(
+            p, prescribed_strain=strain if p.prescribed_strain is None else sum_strains(p.prescribed_strain, strain)
+        )
+        for p in terms
+    ]
 
 
 def sum_strains(*strains: Expr) -> Expr:
@@ -280,7 +285,7 @@ def sum_strains(*strains: Expr) -> Expr:
 def stress(term: Term, u: Expr) -> Expr:
     """The stress (3, 3) of a term's law at displacements u."""
     with explained_errors(term.law, "stress"):
-        return term.kinematics.seen(require_shape(term.law, "stress", term.law.stress(term.step(u)), (3, 3)))
+        return term.kinematics.restricted(require_shape(term.law, "stress", term.law.stress(term.step(u)), (3, 3)))
 
 
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:

@@ -247,7 +247,7 @@ class StraightEnd:
         allowed = (self.level[1] - self.level[0]) / 2
         return np.asarray((np.abs(self.distance(x)) <= allowed) & self._reaches(x))
 
-    def beside(self, x: FloatArray) -> BoolArray:
+    def adjoins(self, x: FloatArray) -> BoolArray:
         """Whether places (n, d) of S lie on it, or beside it, inwards."""
         return self.has(x) | self.faces(x)
 

@@ -19,7 +19,7 @@ E2 = np.array([0.0, 1.0, 0.0])
 
 @cache
 def material(law: BulkLaw) -> CompiledLaw:
-    return CompiledLaw(MPI.COMM_SELF, law.of_strains())
+    return CompiledLaw(MPI.COMM_SELF, law.as_bulk_law())
 
 
 @dataclass(frozen=True)

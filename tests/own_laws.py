@@ -86,7 +86,7 @@ class Mises(VonMises):
     """A user's law in C, which says of itself no more than it must."""
 
     bounded = isochoric = False
-    eased = BulkLaw.eased
+    homotopy = BulkLaw.homotopy
 
 
 @dataclass(frozen=True)

@@ -220,7 +220,7 @@ def swept(c, folder):
 def described(c, folder):
     """A structure that a file describes has the same work of its loads."""
     case = DescribedCase.of(Description.read(on_root(c.model.comm, lambda: c.described(folder))))
-    model, times = case.structure.bonded() if case.given.bonded else case.model(), case.given.times
+    model, times = case.structure.bonded() if case.description.bonded else case.model(), case.description.times
     found = march(model, times).last if times else solve(model)
     near(found.load_work(), c.state.load_work())
     return [(found.load_work() / c.whole(len(c.at), 1), len(c.at), 1)]

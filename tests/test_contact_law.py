@@ -53,15 +53,15 @@ def test_tangent_is_the_derivative(law, d):
     same = law.status(w, slip) == law.status(w + 1e-4 * v, slip)
     same &= law.threshold_rate(law.pressure(w)) == law.threshold_rate(law.pressure(w + 1e-4 * v))
     assert same.sum() > 300
-    for one in (law, law.eased(0.3)):
+    for one in (law, law.homotopy(0.3)):
         predicted = np.einsum("nij,nj->ni", one.tangent(w, slip), v)
         steps = [(h, one.traction(w + h * v, slip) - one.traction(w, slip)) for h in (1e-4, 1e-5)]
         errors = [np.abs((change - h * predicted)[same]).max() for h, change in steps]
         assert errors[1] <= max(0.02 * errors[0], 1e-14)
     apart = w - np.column_stack([slip, np.zeros(400)])
     bonded = np.einsum("nij,nj->ni", law.bonded(400, d), apart)
-    assert law.eased(1.0).traction(w, slip) == pytest.approx(bonded, rel=1e-12)
-    assert law.eased(0.3).traction(w, slip) == pytest.approx(0.7 * law.traction(w, slip) + 0.3 * bonded, rel=1e-12)
+    assert law.homotopy(1.0).traction(w, slip) == pytest.approx(bonded, rel=1e-12)
+    assert law.homotopy(0.3).traction(w, slip) == pytest.approx(0.7 * law.traction(w, slip) + 0.3 * bonded, rel=1e-12)
 
 
 def test_slip_memory():

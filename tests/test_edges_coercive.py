@@ -66,7 +66,7 @@ def test_openings_that_are_weaker_alone_are_not_convex():
     one = model(law, 0.25, "plain")
     end, layer, sides = free_end(0.45), one.layers["S"], one.sides_of("S")
     strips = EndStrips(EndStrip(end.c_N, 1.0), EndStrip(), EndStrip(), 0.0, 0.0)
-    ends = straight_ends(one.reductions["S"].free, layer.sheet)
+    ends = straight_ends(one.applicability["S"].free, layer.sheet)
     weights = FacetWeights.of(ends, layer.sheet, EPS, strips).expressions(one.domain, sides)
     opened = lambda u: ufl.dot(sides.jump(u), sides.n)
     taken = lambda u, v: -weights.a_N * (law.lmbda + 2 * law.mu) * opened(u) * opened(v) * sides.measure

@@ -32,7 +32,7 @@ def _ratios(one: Dropped, state) -> tuple[float, float]:
 
 def _with_layer(one: Dropped, **choices):
     """The state with another law of order 1 in place of the better one."""
-    layer = one.found.state.model.layers["S"].thin
+    layer = one.found.state.model.layers["S"].thin_layer
     with warnings.catch_warnings(action="ignore", category=RangeWarning):
         return solved(one.case, one.found.state.model.with_layer(replace(layer, order=1, **choices)))
 

@@ -269,7 +269,7 @@ def test_thin_enough_passes_on_what_its_estimate_says(monkeypatch):
     """The caveats and the warnings of the thickness that it answers; not those of others that it tried."""
 
     def warned(state, *given, **options):
-        warnings.warn(f"tried {state.model.layers['S'].thin.eps:.6g}", RangeWarning, stacklevel=1)
+        warnings.warn(f"tried {state.model.layers['S'].thin_layer.eps:.6g}", RangeWarning, stacklevel=1)
         return estimate(state, *given, **options)
 
     monkeypatch.setattr(thickness, "estimate", warned)

@@ -175,7 +175,7 @@ def schur(model: Model, degree: int) -> np.ndarray:
     stiffness = work([fine(p) for p in model.terms], ufl.TrialFunction(V), ufl.TestFunction(V))
     K = dolfinx.fem.petsc.assemble_matrix(fem.form(stiffness))
     K.assemble()
-    free = np.setdiff1d(np.arange(K.getSize()[0]), model.supports.held(V))
+    free = np.setdiff1d(np.arange(K.getSize()[0]), model.supports.bc_dofs_in(V))
     G = sparse(part.G)[:, free] / part.unit
     return G @ splu(sparse(K)[free][:, free].tocsc()).solve(G.T.toarray())
 

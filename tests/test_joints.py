@@ -83,5 +83,5 @@ def test_sides_of_the_layer():
         model = structure.full(ThinLayer(law, eps, at=1.0))
         load = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), t=0.0))
         assert load.x.array.sum() == pytest.approx(3 * height)
-        x, y = model.V.tabulate_dof_coordinates()[np.unique(model.supports.held(model.V) // 2), :2].T
+        x, y = model.V.tabulate_dof_coordinates()[np.unique(model.supports.bc_dofs_in(model.V) // 2), :2].T
         assert ((x < 1e-12) & (np.abs(y) < 0.49 * eps)).sum() == 2 * 4 - 1

@@ -226,7 +226,7 @@ def test_laws_of_this_package_are_what_they_say(monkeypatch):
     value = lambda expression, values=None: evaluate(expand_derivatives(expression), values)
     monkeypatch.setattr(sys.modules["forms.check"], "_evaluated", value)
     for law in OURS:
-        require_computed(law.of_strains())
+        require_computed(law.as_bulk_law())
 
 
 def test_numbers_are_those_of_ufl():

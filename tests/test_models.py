@@ -125,7 +125,7 @@ def test_a_term_beside_those_of_a_model():
     u, v = solve(model).u, ufl.TestFunction(model.V)
     x = ufl.SpatialCoordinate(model.domain.mesh)
     own = work(model.terms, u, v) - model.external_work(v, 0.0)
-    free = np.setdiff1d(np.arange(len(u.x.array)), model.constraints.held)
+    free = np.setdiff1d(np.arange(len(u.x.array)), model.constraints.bc_dofs)
     f, w = ufl.as_vector([x[0], 2.0]), model.sides.jump(v)
     for term, alone in (
         (ufl.inner(f, v) * model.dx, ufl.inner(f, v) * ufl.dx),
@@ -157,7 +157,7 @@ def test_forms_whose_tags_overlap():
     joint = sandwich(1.0, 0.5, 0.7, 0.25, cell="quadrilateral")
     model = Structure(joint, **SETUP, body_force={"LOWER": (0.3, -1.1)}, element="Q2").interface(LAYER)
     u, v = solve(model).u, ufl.TestFunction(model.V)
-    free = np.setdiff1d(np.arange(len(u.x.array)), model.constraints.held)
+    free = np.setdiff1d(np.arange(len(u.x.array)), model.constraints.bc_dofs)
     forces = lambda form: fem.assemble_vector(form).array
     residual = work(model.terms, u, v) - model.external_work(v, 0.0)
     loads = forces(model.form(model.external_work(v, 0.0)))

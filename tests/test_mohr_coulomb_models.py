@@ -150,7 +150,7 @@ def test_newton_is_quadratic(capfd):
     assert state.report.iterations <= 7
     surface = Surface(model)
     assert surface.integral(surface.frame(surface.traction(state))[0]) == pytest.approx(R_X, rel=2e-4)
-    assert state.report.eased == 0
+    assert state.report.homotopy_steps == 0
     exponents = np.log10(np.array(norms) / norms[0])
     exponents = exponents[exponents > -9][-3:]  # before rounding
     assert exponents[0] < -1

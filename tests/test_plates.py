@@ -192,9 +192,9 @@ def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():
 
 
 class Late(RigidPlate):
-    def tied(self, model):
-        given = lambda t: model.coordinates.given(LATE, "force", (2,)).at_time(t)
-        return replace(super().tied(model), resultant=lambda t: np.append(given(t), 0.0))
+    def multi_point_constraint(self, model):
+        given = lambda t: model.coordinates.coefficient(LATE, "force", (2,)).at_time(t)
+        return replace(super().multi_point_constraint(model), resultant=lambda t: np.append(given(t), 0.0))
 
 
 LATE = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, -1.0), 2.0: (0.0, -3.0)})

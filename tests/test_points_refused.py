@@ -70,7 +70,7 @@ SPOILED = {
 def test_a_law_that_gives_something_else_than_it_must(name):
     """The message names the law."""
     kind, message = SPOILED[name]
-    refused(InputError, message, lambda: CompiledLaw(MPI.COMM_SELF, kind(1.0).of_strains()))
+    refused(InputError, message, lambda: CompiledLaw(MPI.COMM_SELF, kind(1.0).as_bulk_law()))
 
 
 def test_the_law_in_order_is_accepted():

@@ -72,7 +72,7 @@ def test_it_does_not_depend_on_cells():
         structure = Structure(sandwich(1.0, 0.3, 0.3, h, **size), body=STIFF, supports={"BOTTOM": 0.0, "TOP": 0.0})
         moved = [0.0, 1e-3, *[0.0] * len(size)]
         faces = opened(structure.interface(ThinLayer(law, eps, at=1.0)), lambda x, w=moved: [k + 0 * x[0] for k in w])
-        assert pressure_excess(faces, *resting_sublayers(faces.one)).opening == pytest.approx(wanted, rel=0.02)
+        assert pressure_excess(faces, *resting_sublayers(faces.layer)).opening == pytest.approx(wanted, rel=0.02)
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.36, 0.42])
@@ -97,7 +97,7 @@ def test_shear_does_not_hide_it(plates):
     for slip in (0.0, 0.06, 60.0):
         found = pressure_excess(opened(model, lambda x, w=slip: (w + 0 * x[0], 1e-3 + 0 * x[0])), layer)
         assert found.opening == pytest.approx(pure, rel=5e-3)
-        told_with[slip], share[slip] = found.told, found.traction
+        told_with[slip], share[slip] = found.reported, found.traction
         assert (found.work < 0.1) == (slip > 0)
     soft = pytest.approx(pure, rel=5e-3)
     assert told_with == {0.0: soft, 0.06: soft, 60.0: pytest.approx(0, abs=1e-6)}
@@ -136,7 +136,7 @@ def test_layers_without_a_number():
         (ThinLayer(LinearElastic(-1.0, 40.0), eps, at=1.0), "no excess"),
         (ThinLayer(Anisotropic.springs(3.0, 2.0), eps, at=1.0), "anisotropic"),
     ):
-        assert structure.interface(layer).reductions["S"].why_not("excess of pressure").key == key
+        assert structure.interface(layer).applicability["S"].why_not("excess of pressure").key == key
     with warnings.catch_warnings(action="ignore", category=RangeWarning):
         full, limit = solve(structure.full(layer)), solve(structure.interface(layer))
     assert "too_stiff" not in Surface(limit.model).table(limit).columns
@@ -144,4 +144,4 @@ def test_layers_without_a_number():
     rest = solve(structure.interface(ThinLayer(LinearElastic(0.0, 40.0), eps, at=1.0)))
     assert Surface(rest.model).table(rest)["too_stiff"].tolist() == [1.0]
     for law in (Maxwell(60.0, 40.0, 1.0), Norton(60.0, 40.0, 3.0, 1.5), Incompressible(40.0)):
-        assert structure.interface(ThinLayer(law, eps, at=1.0)).reductions["S"].why_not("excess of pressure")
+        assert structure.interface(ThinLayer(law, eps, at=1.0)).applicability["S"].why_not("excess of pressure")

@@ -139,7 +139,7 @@ def test_models_ask():
     """What an interface law cannot do a meshed layer may."""
     wedge = Structure(PLATES, body=BODY, supports={"BOTTOM": 0.0})
     assert refused(InputError, "", wedge.full, "glue").key
-    assert wedge.full(thin(elastic(13.0))).layers["S"].thin.order == 1
-    tapered = wedge.interface(thin(Rubber(74.0, 1.0), profile=varies), bodies="extended").reductions["S"]
+    assert wedge.full(thin(elastic(13.0))).layers["S"].thin_layer.order == 1
+    tapered = wedge.interface(thin(Rubber(74.0, 1.0), profile=varies), bodies="extended").applicability["S"]
     ends = PLATES.points[tapered.loose.vertices[:, 0], 0]
     assert tapered.falls == pytest.approx(0.1 * (1 + ends) * np.sqrt(74.0 / 12))  # in thicknesses of the place

@@ -130,7 +130,7 @@ def test_narrow_or_soft_bearings_have_the_flow_of_an_infinite_layer():
         # half-spaces give way to a pressure of wave number k as the layer does where (eps k)^3 = 48 (1 - nu^2) mu/E
         soft = LinearElastic.young(factor * 48 * (1 - 0.3**2) * 1e3 * MU, 0.3)
         wide = structure("strip", body=soft).interface(layer(rubber(0.499), edges="free"))
-        assert (wide.reductions["S"].weights.strips.resistance.c < 0) == known
+        assert (wide.applicability["S"].weights.strips.resistance.c < 0) == known
 
 
 # ---------------------------------------------------------------- the meshed layer

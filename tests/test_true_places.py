@@ -145,7 +145,7 @@ def test_rotations_cause_no_strain(monkeypatch):
         layer = ThinLayer(GLUE, 1 / 8, order=1, profile=lambda x: 1 + 0.4 * x[0], at=1.0)
         found[whole] = [_of_rotation(whole.interface(layer, bodies="extended"))]
         with monkeypatch.context() as changed:
-            changed.setattr(InterfaceModel, "sides_of", lambda *at: replace(sides := of_model(*at), fibre=sides.n))
+            changed.setattr(InterfaceModel, "sides_of", lambda *at: replace(sides := of_model(*at), director=sides.n))
             found[whole].append(_of_rotation(whole.interface(layer, bodies="extended")))
     straight, curved = found.values()
     assert max(straight[0], curved[0]) < 1e-20

@@ -243,7 +243,7 @@ class NamedGroups:
             if not upper or not lower or set(upper) & set(lower):
                 raise InputError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
             return self._boundary(upper, lower), Seam(lower, upper)
-        facets, beside = self.facets[name], self.beside(name)
+        facets, beside = self.facets[name], self.adjacent_cells(name)
         touched = self.touched(beside)
         if (beside[:, 1] < 0).all() and not lower:
             other = [region for region in touched if region not in (upper or whole)]
@@ -260,7 +260,7 @@ class NamedGroups:
             raise InputError(f"{where}; {remedy} if the same body is on both; {regions}")
         return facets, Seam(lower or tuple(region for region in whole if region not in upper), upper)
 
-    def beside(self, name: str) -> IntArray:
+    def adjacent_cells(self, name: str) -> IntArray:
         """(n, 2) cells on either side of the facets of a set, those that are facets of cells; -1 on the outer boundary."""
         facets = self.facets[name]
         table = self.cells.facets_among(np.unique(facets))

@@ -22,12 +22,12 @@ class Level(PartDefinition):
     components = ("y",)  # it ties these; along x nodes are free
 
     def given(self, model):
-        return model.coordinates.given(self.force, "the level's force", ()).once("the whole beam")
+        return model.coordinates.coefficient(self.force, "the level's force", ()).once("the whole beam")
 
     def check(self, model):
         self.given(model)
 
-    def tied(self, model):
+    def multi_point_constraint(self, model):
         n = model.V.dofmap.index_map.size_local * model.joint.dim  # displacements of this rank
         rows = self.held(model, model.V)
         rows = rows[rows < n]

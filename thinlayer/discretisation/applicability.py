@@ -44,7 +44,7 @@ class Applicability:
     """
 
     def __init__(self, one: SeamLayer, bodies: str = "kept") -> None:
-        self.one, self.bodies = one, bodies
+        self.seam_layer, self.bodies = one, bodies
 
     def why_not(self, question: str) -> Violation | None:
         """The first condition of a question (`CONDITIONS_OF_USE`) that does not hold; None: all do. The same on all ranks.
@@ -62,26 +62,26 @@ class Applicability:
     @cached_property
     def law(self) -> BulkLaw:
         """The law with real parameters, for the structure's kinematics."""
-        return law_with_numbers(self.one.layer, self.one.structure.kinematics)
+        return law_with_numbers(self.seam_layer.layer, self.seam_layer.structure.kinematics)
 
     @cached_property
     def bent(self) -> str | None:
         """In what way the layer is not flat and of one thickness, if it is not."""
-        if self.one.thin and self.one.thin.profile is not None:
+        if self.seam_layer.thin_layer and self.seam_layer.thin_layer.profile is not None:
             return "of a thickness that varies"
-        if not self.one.sheet.planar:
+        if not self.seam_layer.sheet.planar:
             return "on a curved S"
-        across = lies_across_axis(self.one.structure.kinematics, self.one.sheet.mean_normal[None])
+        across = lies_across_axis(self.seam_layer.structure.kinematics, self.seam_layer.sheet.mean_normal[None])
         return None if across else "on an S that is not across the axis of revolution, and so curved,"
 
     # ---------------------------------------------------------------- sides
     def rim(self, *kinds: str) -> Rim:
         """The part of the seam's rim where the layer's side is of some kinds (`side_kinds`)."""
-        return self.one.sheet.rim[np.isin(self._kinds, kinds)]
+        return self.seam_layer.sheet.rim[np.isin(self._kinds, kinds)]
 
     @cached_property
     def _kinds(self) -> npt.NDArray[np.str_]:
-        return side_kinds(self.one)
+        return side_kinds(self.seam_layer)
 
     @cached_property
     def free(self) -> Rim:
@@ -101,10 +101,10 @@ class Applicability:
     @cached_property
     def falls(self) -> FloatArray:
         """(n,) eps sqrt(lmbda/(12 mu)) at the loose sides, over which a pressure of order 1 falls to zero; may be inf."""
-        thin, joint, at = self.one.thin, self.one.sheet.joint, self.loose.vertices
+        thin, joint, at = self.seam_layer.thin_layer, self.seam_layer.sheet.joint, self.loose.vertices
         laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
         squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
-        relative = joint.relative_thickness(thin.profile, self.one.name)[at].mean(axis=1)
+        relative = joint.relative_thickness(thin.profile, self.seam_layer.name)[at].mean(axis=1)
         with np.errstate(divide="ignore"):
             return np.asarray(thin.eps * relative / np.sqrt(squares))
 
@@ -122,12 +122,12 @@ class Applicability:
 
         An elastic one has a pressure, but beside free ends for large nu alone: constants of others need no fine mesh.
         """
-        law, loose = self.one.thin.law, len(self.loose.vertices) > 0
-        in_sheet = self.one.structure.plane == "stress"  # no pressure builds up there
+        law, loose = self.seam_layer.thin_layer.law, len(self.loose.vertices) > 0
+        in_sheet = self.seam_layer.structure.plane == "stress"  # no pressure builds up there
         if isinstance(law, LinearElastic) and not (in_sheet or law.fields) and law.lmbda > 0:
             known_ends = loose and poisson_ratio(law) <= MAX_FREE_END_NU + MODULUS_RATIO_TOLERANCE
             law = law if known_ends else Rubber(law.lmbda, law.mu)
-        return replace(self.one.thin, law=law, order=1)
+        return replace(self.seam_layer.thin_layer, law=law, order=1)
 
     # ---------------------------------------------------------------- ends
     @property
@@ -144,18 +144,18 @@ class Applicability:
     @cached_property
     def contrast(self) -> float:
         """The least Young's modulus at rest of the bodies on the seam over the layer's mu."""
-        return softest_body(self.one) / float(self.law.parameters()["mu"])
+        return softest_body(self.seam_layer) / float(self.law.parameters()["mu"])
 
     @property
     def width(self) -> float:
         """Area of the seam over the length of its free ends, over the thickness."""
-        return float(self.one.sheet.areas.sum() / self.free.length.sum()) / float(self.one.thin.eps)
+        return float(self.seam_layer.sheet.areas.sum() / self.free.length.sum()) / float(self.seam_layer.thin_layer.eps)
 
     @cached_property
     def all_weights(self) -> FacetWeights:
         """Weights of the free ends on the facets, if conditions before `overlap` hold."""
         strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING_FACTOR) ** (1 / 3)))
-        sheet, eps = self.one.sheet, float(self.one.thin.eps)
+        sheet, eps = self.seam_layer.sheet, float(self.seam_layer.thin_layer.eps)
         return FacetWeights.of(straight_ends(self.free, sheet), sheet, eps, strips)
 
     @cached_property
@@ -183,7 +183,7 @@ def softest_body(one: SeamLayer) -> float:
 # ---------------------------------------------------------------- conditions, each group in its order
 def _law_conditions(r: Applicability) -> Iterator[Violation]:
     """Of a law of order 0, and of a meshed layer."""
-    one, layer, setup = r.one, r.one.layer, r.one.structure
+    one, layer, setup = r.seam_layer, r.seam_layer.layer, r.seam_layer.structure
     if not isinstance(layer, ThinLayer | SurfaceLaw):
         yield Violation("no layer", f"the layer is {layer!r}", "give ThinLayer(law, eps), or a law of jumps or contact")
     one.law.check_dimension(setup.joint.dim)
@@ -198,15 +198,17 @@ def _law_conditions(r: Applicability) -> Iterator[Violation]:
         return
     if one.law.traits.constrained and setup.element not in ("P2", "Q2"):
         yield Violation("element", f"an incompressible layer needs elements P2 or Q2, not {setup.element}", "give them")
-    if one.thin:
-        setup.joint.relative_thickness(one.thin.profile, one.name)  # a user's function, may fail on one rank alone
+    if one.thin_layer:
+        setup.joint.relative_thickness(
+            one.thin_layer.profile, one.name
+        )  # a user's function, may fail on one rank alone
     for sample in one.samples:
         sample.at_rest.require_stable()
 
 
 def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
     """Of the next term of a law, away from tips and junctions, and then there."""
-    thin, setup, sheet = r.one.thin, r.one.structure, r.one.sheet
+    thin, setup, sheet = r.seam_layer.thin_layer, r.seam_layer.structure, r.seam_layer.sheet
     if thin is None or thin.order == 0:
         return
     if thin.law.traits.constrained and setup.plane == "stress":
@@ -218,22 +220,29 @@ def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
         yield Violation("bent", f"order=1 {r.bent} needs bodies at their true places", remedy)
     if r.bent and len(thin.law.sublayers) > 1:
         yield Violation("bent stack", f"order=1 of a Stack {r.bent}: shares of the jump turn along S", MESH_REMEDY)
-    yield from filter(None, (sample.at_rest.locks() for sample in r.one.samples))
+    yield from filter(None, (sample.at_rest.locks() for sample in r.seam_layer.samples))
     if sheet.tip is not None:
-        reason = f"order=1 has gradients at the tip, and {r.one} ends at {place_text(sheet.tip)}, inside the bodies"
+        reason = (
+            f"order=1 has gradients at the tip, and {r.seam_layer} ends at {place_text(sheet.tip)}, inside the bodies"
+        )
         yield Violation("tip", reason, "use order=0")
     if sheet.junction is not None:
-        reason = f"order=1 leaves out what junctions add, and {r.one} meets another one, or branches, at "
+        reason = f"order=1 leaves out what junctions add, and {r.seam_layer} meets another one, or branches, at "
         yield Violation("junction", reason + place_text(sheet.junction), MESH_REMEDY)
 
 
 def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
-    if r.one.law.traits.softens and r.one.law.traits.phases:
-        reason = f"the stress of {r.one.law!r} falls as strains grow: all strain would gather in one row of cells"
+    if r.seam_layer.law.traits.softens and r.seam_layer.law.traits.phases:
+        reason = (
+            f"the stress of {r.seam_layer.law!r} falls as strains grow: all strain would gather in one row of cells"
+        )
         yield Violation(
             "softens", reason, "take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
         )
-    n, sublayers = r.one.sheet.mean_normal, [one for sample in r.one.samples for one in sample.at_rest.sublayers]
+    n, sublayers = (
+        r.seam_layer.sheet.mean_normal,
+        [one for sample in r.seam_layer.samples for one in sample.at_rest.sublayers],
+    )
     for law in (law for _, law, _ in sublayers if law.traits.softens):
         C = tangent_at_rest(law, n)
         if C is None or np.linalg.eigvals(acoustic_tensor(C, n)).real.min() <= 0:  # it holds nodes in the layer
@@ -242,26 +251,30 @@ def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
-    if r.one.thin and r.one.thin.order:
-        yield Violation("order 1", f"{r.one} has order=1, whose strains along S have a mean part", "use order=0")
+    if r.seam_layer.thin_layer and r.seam_layer.thin_layer.order:
+        yield Violation("order 1", f"{r.seam_layer} has order=1, whose strains along S have a mean part", "use order=0")
 
 
 def _support_conditions(r: Applicability) -> Iterator[Violation]:
     """Of supports that hold the layer's own side, NAME/LAYER: they hold the bodies beside it, too."""
-    rim, alone = r.one.sheet.rim, constrained_directions(r.one) - constrained_directions(r.one, of_layer=False)
+    rim, alone = (
+        r.seam_layer.sheet.rim,
+        constrained_directions(r.seam_layer) - constrained_directions(r.seam_layer, of_layer=False),
+    )
     if len(at := rim.vertices[np.abs(alone).max(axis=(1, 2)) > FLAT_DIRECTION_SHARE]):
-        reason = f"a support holds the side of {r.one} alone, at {place_text(r.one.sheet.joint.points[at[0, 0]])}"
+        place = place_text(r.seam_layer.sheet.joint.points[at[0, 0]])
+        reason = f"a support holds the side of {r.seam_layer} alone, at {place}"
         yield Violation("held alone", reason, "support the bodies too, or mesh the layer")
 
 
 def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
-    if r.one.thin is None:
-        yield Violation("no thickness", f"{r.one.kind} is a law on S, without a thickness", "give a ThinLayer")
+    if r.seam_layer.thin_layer is None:
+        yield Violation("no thickness", f"{r.seam_layer.kind} is a law on S, without a thickness", "give a ThinLayer")
 
 
 def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
     """Of an interface law that knows its free ends, or has none."""
-    one, thin = r.one, r.one.thin
+    one, thin = r.seam_layer, r.seam_layer.thin_layer
     if thin.order == 0:
         yield Violation("order 0", "the interface law is of order 0", "use order=1")
     if not len(r.free.vertices):
@@ -290,12 +303,12 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
     """Of fields and constants of free ends, which are those of straight ones between rigid faces."""
-    one, sheet = r.one, r.one.sheet
+    one, sheet = r.seam_layer, r.seam_layer.sheet
     if r.strips is None:
         known = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
         yield Violation("no constants", f"free ends are not known of this {one.kind}: they are of {known}")
     yield from _straight_end_conditions(r, r.contrast)
-    if one.flows and r.coarse.any():
+    if one.has_pressure_flow and r.coarse.any():
         at, fall = place_text(sheet.joint.points[r.loose[r.coarse].vertices[0, 0]]), r.falls.min()
         reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
         yield Violation("coarse", reason, "make them shorter (h_ends=...)")
@@ -303,7 +316,7 @@ def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Violation]:
     """Of free ends that are straight, on a flat layer between rigid faces: its contrast with the bodies is large."""
-    sheet = r.one.sheet
+    sheet = r.seam_layer.sheet
     if r.bent:
         yield Violation("bent", f"free ends are not known of a layer {r.bent}")
     for oblique in r.rim("oblique").vertices[:1]:
@@ -320,12 +333,12 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
 
 def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
     """Of a pressure whose excess is known (`thinlayer.surface.pressure_excess`)."""
-    one = r.one
-    if one.thin and one.thin.eigenstrain is not None:
+    one = r.seam_layer
+    if one.thin_layer and one.thin_layer.eigenstrain is not None:
         yield Violation("eigenstrain", "the layer has an eigenstrain")
     if one.law.fields:
         yield Violation("functions", "the layer's parameters are functions")
-    if one.flows:
+    if one.has_pressure_flow:
         return
     tangents = [C for _, _, C in one.at_rest.sublayers]
     if not one.law.traits.linear or one.remembers or len(tangents) != 1 or tangents[0] is None:
@@ -341,7 +354,7 @@ def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
     """Of the layer by itself, between faces that are moved."""
-    traits, kind = r.one.law.traits, r.one.kind
+    traits, kind = r.seam_layer.law.traits, r.seam_layer.kind
     if traits.phases or traits.softens:
         first = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
         reason = f"{kind} has phases, or a stress that falls as strains grow"
@@ -353,11 +366,13 @@ def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
     """Of the layer by itself, under forces on its faces: only the stresses of its strains bear them."""
-    slots = r.one.structure.kinematics.slots(r.one.structure.joint.dim)
-    for C in (C[np.ix_(slots, slots)] for s in r.one.samples for _, _, C in s.at_rest.sublayers if C is not None):
+    slots = r.seam_layer.structure.kinematics.slots(r.seam_layer.structure.joint.dim)
+    for C in (
+        C[np.ix_(slots, slots)] for s in r.seam_layer.samples for _, _, C in s.at_rest.sublayers if C is not None
+    ):
         sizes = np.linalg.svd(C, compute_uv=False)
         if sizes[-1] <= SINGULARITY_TOLERANCE * sizes[0]:
-            reason = f"{r.one.kind} has strains without stresses, as springs have along S, and moves in itself"
+            reason = f"{r.seam_layer.kind} has strains without stresses, as springs have along S, and moves in itself"
             yield Violation(
                 "no stress", reason, "solve structure.full(layer), and compare goals: goal.value(state, model)"
             )
@@ -367,28 +382,30 @@ def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
     """Of bodies that are bonded where the layer was, which it moves apart in one piece."""
     if r.bent:
         remedy = "solve structure.full(layer, bodies='extended'), and compare goals: goal.value(state, model)"
-        yield Violation("moved", f"bonded bodies meet on S, where {r.one} {r.bent} leaves them in no place", remedy)
+        yield Violation(
+            "moved", f"bonded bodies meet on S, where {r.seam_layer} {r.bent} leaves them in no place", remedy
+        )
 
 
 def _rate_conditions(r: Applicability) -> Iterator[Violation]:
     """Of a state that knows no rates."""
-    if r.one.law.traits.rate:
-        yield Violation("rate", f"{r.one.kind} has a rate, of which a state does not know", "mesh the layer")
+    if r.seam_layer.law.traits.rate:
+        yield Violation("rate", f"{r.seam_layer.kind} has a rate, of which a state does not know", "mesh the layer")
 
 
 def _corner_conditions(r: Applicability) -> Iterator[Violation]:
     """Of the singular stresses at corners of free ends: a wedge of 90 degrees on a rigid face, in plane strain."""
-    if not r.one.law.traits.linear:
-        yield Violation("not linear", f"exponents are known of linear laws, not of {r.one.kind}")
-    sublayers, n = r.law.sublayers, r.one.sheet.mean_normal
+    if not r.seam_layer.law.traits.linear:
+        yield Violation("not linear", f"exponents are known of linear laws, not of {r.seam_layer.kind}")
+    sublayers, n = r.law.sublayers, r.seam_layer.sheet.mean_normal
     outer = [] if r.law.fields else [declared_or_computed_tangent(law, n) for _, law in (sublayers[0], sublayers[-1])]
     isotropic = [average_lame(C)[1] for C in outer if C is not None and is_isotropic(C)]
     if len(isotropic) < 2:
         yield Violation("not isotropic", "exponents are known of isotropic layers, by numbers")
         return
-    if r.one.structure.plane == "axisymmetric":
+    if r.seam_layer.structure.plane == "axisymmetric":
         yield Violation("radius", "free ends of a body of revolution are curved")
-    yield from _straight_end_conditions(r, softest_body(r.one) / max(isotropic))
+    yield from _straight_end_conditions(r, softest_body(r.seam_layer) / max(isotropic))
 
 
 Condition = Callable[[Applicability], Iterator[Violation]]

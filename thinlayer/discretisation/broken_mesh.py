@@ -161,7 +161,7 @@ class BrokenMesh:
             raise InputError(f"order=1 of a thickness that varies needs {need}")
         if order:
             self._require_no_locking(tag, law)
-        sides = replace(self.interface(tag), known=partial(self._law_on, tag))
+        sides = replace(self.interface(tag), law_on_surface=partial(self._law_on, tag))
         thickness = fem.Constant(self.mesh, float(eps))
         if profile is not None:
             shape = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))  # linear between vertices

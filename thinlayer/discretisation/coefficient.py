@@ -62,7 +62,7 @@ class Coordinates:
     x: Expr
     clock: Clock
     places: Array
-    known: dict[tuple[object, ...], Coefficient] = field(default_factory=dict, repr=False, compare=False)
+    cache: dict[tuple[object, ...], Coefficient] = field(default_factory=dict, repr=False, compare=False)
     planned: list[set[float]] = field(default_factory=list, repr=False, compare=False)
 
     @classmethod
@@ -82,34 +82,34 @@ class Coordinates:
         return self.clock.symbol
 
     @property
-    def apart(self) -> Self:
+    def detached(self) -> Self:
         """The same with the same clock, for what may be replaced: its break times are not those of others."""
-        return changed(self, known={}, planned=[])
+        return changed(self, cache={}, planned=[])
 
     def moved(self, x: Expr) -> Self:
         """The same at other places."""
         return changed(self, x=x)
 
-    def given(self, value: Any, what: str, *shapes: Shape, of_place: bool = False) -> Coefficient:
+    def coefficient(self, value: Any, what: str, *shapes: Shape, of_place: bool = False) -> Coefficient:
         """What a value gives here, checked once. Collective. Arguments and errors as in `Coefficient`."""
         key = (id(value), what, shapes, id(self.x))
-        if key not in self.known:
-            self.known[key] = given = Coefficient(value, what, shapes, self, of_place=of_place)
+        if key not in self.cache:
+            self.cache[key] = given = Coefficient(value, what, shapes, self, of_place=of_place)
             if self.planned and (late := sorted(given.breaks - self.planned[0])):
                 why = f"given after a march has begun, and changes its slope at t = {late[0]:g}, where no step ends"
                 raise InputError(f"{what} is {why}; a part gives it in check(model)")
-        return self.known[key]
+        return self.cache[key]
 
     def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
-        """A traction on facets of the outward normal n, (d,) UFL; errors as of `given`."""
+        """A traction on facets of the outward normal n, (d,) UFL; errors as of `prescribed_strain`."""
         if isinstance(load, Pressure):
-            return -self.given(load.p, what, ()).expression * n
-        return self.given(load, what, (self.mesh.geometry.dim,)).expression
+            return -self.coefficient(load.p, what, ()).expression * n
+        return self.coefficient(load, what, (self.mesh.geometry.dim,)).expression
 
     @property
     def breaks(self) -> set[float]:
         """The break times of all that was given here."""
-        self.planned[:] = [set[float]().union(*(given.breaks for given in self.known.values()))]
+        self.planned[:] = [set[float]().union(*(given.breaks for given in self.cache.values()))]
         return self.planned[0]
 
 
@@ -139,7 +139,7 @@ class Coefficient:
 
     def __init__(self, value: Any, what: str, shapes: Sequence[Shape], at: Coordinates, *, of_place: bool) -> None:
         self.value, self.what, self._shapes, self._of_place = value, what, shapes, of_place
-        self.at = at.apart  # which knows nothing of this one, so that both are freed with their model
+        self.at = at.detached  # which knows nothing of this one, so that both are freed with their model
         is_function = callable(value) and not isinstance(value, ufl.core.expr.Expr)
         self.components = self._on_mesh(self._of_function() if is_function else self._read(value))
         self.varies = is_function or any(isinstance(c, ufl.core.expr.Expr) for c in self.components.flat)

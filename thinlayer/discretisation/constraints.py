@@ -72,13 +72,13 @@ class _ConditionGroup:
     def _inverse(self) -> Array:
         return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENCE_TOLERANCE))
 
-    def held(self, c: Array) -> Array:
+    def constrained_values(self, c: Array) -> Array:
         """Values of the held unknowns."""
         return np.asarray(self._inverse @ c)
 
-    def apart(self, c: Array) -> Array:
+    def residual(self, c: Array) -> Array:
         """What each condition lacks."""
-        return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ self.held(c) - c))
+        return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ self.constrained_values(c) - c))
 
     @cached_property
     def shares(self) -> Array:
@@ -105,14 +105,14 @@ class Constraints:
     """
 
     def __init__(self, prescribed: Prescribed, ties: Sequence[MultiPointConstraint] = ()) -> None:
-        self.prescribed, self.ties = prescribed, list(ties)
+        self.prescribed, self.mpcs = prescribed, list(ties)
         self.comm: MPI.Intracomm = prescribed.comm
         self.d, self.n = prescribed.d, prescribed.size
         self.first = int(self.comm.scan(self.n) - self.n)
         self._require_apart()
-        self.slots = {one.key: self._slots_of(one) for one in self.ties}
-        rows = [np.flatnonzero(np.diff(one.R.indptr)) for one in self.ties]
-        self.tied = np.unique(np.concatenate([np.empty(0, np.int64), *rows])).astype(np.int64)
+        self.masters = {one.key: self._slots_of(one) for one in self.mpcs}
+        rows = [np.flatnonzero(np.diff(one.R.indptr)) for one in self.mpcs]
+        self.slaves = np.unique(np.concatenate([np.empty(0, np.int64), *rows])).astype(np.int64)
         self._T0 = self._tie()
         self._rows = self._conditions()
         self._resolve()
@@ -125,7 +125,7 @@ class Constraints:
     # ---------------------------------------------------------------- who follows whom
     def _require_apart(self) -> None:
         """Raise InputError if a displacement follows two ties."""
-        of = {one.key: np.diff(one.R.indptr) > 0 for one in self.ties}
+        of = {one.key: np.diff(one.R.indptr) > 0 for one in self.mpcs}
         both = sum((rows.astype(int) for rows in of.values()), np.zeros(self.n, int)) > 1
         names = [key for key, rows in of.items() if (rows & both).any()]
         if several := [one for one in self.comm.allgather(names) if one]:
@@ -141,14 +141,14 @@ class Constraints:
 
     def _tie(self) -> PETSc.Mat | None:
         """T0: the displacements that y and the motions in it give; None: the identity."""
-        if not self.comm.allreduce(len(self.tied) + len(self.ties)):
+        if not self.comm.allreduce(len(self.slaves) + len(self.mpcs)):
             return None
-        free = np.setdiff1d(np.arange(self.n), self.tied)
+        free = np.setdiff1d(np.arange(self.n), self.slaves)
         rows, columns, values = [free], [self.first + free], [np.ones(len(free))]
-        for one in self.ties:
+        for one in self.mpcs:
             entries = one.R.tocoo()
             rows.append(entries.row)
-            columns.append(self.slots[one.key][entries.col])
+            columns.append(self.masters[one.key][entries.col])
             values.append(entries.data)
         return self._matrix(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
 
@@ -170,8 +170,8 @@ class Constraints:
         on_y = A if self._T0 is None else A.matMult(self._T0)
         found = local_csr(on_y)
         destroy(A, on_y)
-        self._motions = [(one, k, value) for one in self.ties for k, value in one.motion.items() if self.comm.rank == 0]
-        columns = [self.slots[one.key][k] for one, k, _ in self._motions]
+        self._motions = [(one, k, value) for one in self.mpcs for k, value in one.motion.items() if self.comm.rank == 0]
+        columns = [self.masters[one.key][k] for one, k, _ in self._motions]
         k = len(columns)
         more = scipy.sparse.csr_matrix((np.ones(k), (np.arange(k), columns)), (k, total))
         found = scipy.sparse.vstack([found, more], format="csr")
@@ -199,7 +199,7 @@ class Constraints:
         foreign[self._mine(A.indices)[0]] = False
         columns, uses = np.unique(A.indices, return_counts=True)
         shared = np.concatenate([A.indices[foreign | (counts > 1).repeat(counts)], columns[uses > 1]])
-        everywhere = self.comm.allgather(np.unique(np.concatenate([shared, *self.slots.values()])))
+        everywhere = self.comm.allgather(np.unique(np.concatenate([shared, *self.masters.values()])))
         single = counts == 1
         single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], np.concatenate(everywhere))
         self._single, self._grouped = np.flatnonzero(single), np.flatnonzero(~single & (counts > 0))
@@ -207,8 +207,8 @@ class Constraints:
         self._columns, self._coefficient = A.indices[at] - self.first, A.data[at]
         self._groups = _connected_rows(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
         held = np.concatenate([self._columns, *(self._mine(one.columns[: one.rank])[1] for one in self._groups)])
-        slots = np.concatenate([*self.slots.values(), np.empty(0, np.int64)]) - self.first
-        self.held = np.union1d(held, np.setdiff1d(self.tied, slots)).astype(np.int32)
+        slots = np.concatenate([*self.masters.values(), np.empty(0, np.int64)]) - self.first
+        self.bc_dofs = np.union1d(held, np.setdiff1d(self.slaves, slots)).astype(np.int32)
 
     def _frames(self) -> PETSc.Mat | None:
         """Q; None: the identity."""
@@ -232,7 +232,7 @@ class Constraints:
 
     # ---------------------------------------------------------------- values
     def values(self, t: float) -> Array:
-        """(h,) values of `held` at a time. Collective.
+        """(h,) values of `constrained_values` at a time. Collective.
 
         Raises:
             InputError: two conditions prescribe different values of a displacement, or one that is not finite.
@@ -245,8 +245,8 @@ class Constraints:
         y[self._columns] = c[self._single] / self._coefficient
         for one, values in self._with_values(c):
             own, places = self._mine(one.columns[: one.rank])
-            y[places] = one.held(values)[own]
-        return y[self.held]
+            y[places] = one.constrained_values(values)[own]
+        return y[self.bc_dofs]
 
     def _with_values(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
         """Groups, each with the values of its conditions; those of this rank's are given."""
@@ -264,7 +264,7 @@ class Constraints:
 
     def _require_agreement(self, c: Array, when: str = "") -> None:
         """Raise InputError if values (r,) of conditions contradict each other."""
-        apart = self._by_rows([one.apart(values) for one, values in self._with_values(c)])
+        apart = self._by_rows([one.residual(values) for one, values in self._with_values(c)])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
         limit, message = max(AGREEMENT_TOLERANCE * largest, LENGTH_TOLERANCE * self.prescribed.extent), ""
         if apart.max(initial=0.0) > limit:
@@ -297,9 +297,9 @@ class Constraints:
     def unknowns(self, u: Array) -> Array:
         """y (n,) of displacements u (n,) that follow the ties, or nearest to them."""
         y = u.copy()
-        y[self.tied] = 0.0
-        for one in self.ties:
-            own, places = self._mine(self.slots[one.key])
+        y[self.slaves] = 0.0
+        for one in self.mpcs:
+            own, places = self._mine(self.masters[one.key])
             y[places] = self.motion(one, u)[own]
         return self._times(self.Q, y, transposed=True)
 
@@ -324,7 +324,7 @@ class Constraints:
 
     def loads_at(self, t: float) -> Array:
         """(n,) the least nodal forces with the given resultants of the ties at a time."""
-        return sum((one.R @ self._solved(one, one.resultant(t)) for one in self.ties), np.zeros(self.n))
+        return sum((one.R @ self._solved(one, one.resultant(t)) for one in self.mpcs), np.zeros(self.n))
 
     def _solved(self, tie: MultiPointConstraint, b: Array) -> Array:
         """R'R x = b, of all ranks."""
@@ -346,12 +346,12 @@ class Constraints:
     def _shifts(self, holders: Sequence[int], direction: Array) -> dict[str, Array]:
         """Motions (m,) of ties that are a unit translation along a direction (d,); zero but for ties among some holders."""
         first, shift = len(self.prescribed.supports.entries), np.tile(direction, self.n // self.d)
-        return {tie.key: self.motion(tie, shift) * (first + k in holders) for k, tie in enumerate(self.ties)}
+        return {tie.key: self.motion(tie, shift) * (first + k in holders) for k, tie in enumerate(self.mpcs)}
 
     def given_resultant(self, holders: Sequence[int], direction: Array, t: float) -> float:
         """The force along a direction (d,) that is given at a time for the ties among some holders."""
         shifts = self._shifts(holders, direction)
-        return float(sum(shifts[tie.key] @ tie.resultant(t) for tie in self.ties))
+        return float(sum(shifts[tie.key] @ tie.resultant(t) for tie in self.mpcs))
 
     def dual_to_resultant(self, holders: Sequence[int], direction: Array) -> Array:
         """(n,) motions g of y for which g . T'r, and what is given, is the force of some holders along a direction (d,).
@@ -364,8 +364,8 @@ class Constraints:
         along = np.isin(prescribed.entry, holders) * (prescribed.directions @ direction)
         along = np.append(along, [shifts[tie.key][k] for tie, k, _ in self._motions])
         g = np.zeros(self.n)
-        for tie in self.ties:  # of motions that are not prescribed: what balances their resultants
-            own, places = self._mine(self.slots[tie.key])
+        for tie in self.mpcs:  # of motions that are not prescribed: what balances their resultants
+            own, places = self._mine(self.masters[tie.key])
             g[places] = shifts[tie.key][own]
         g[self._columns] = along[self._single] / self._coefficient
         for one, values in self._with_values(along):
@@ -374,7 +374,7 @@ class Constraints:
         return self._times(self.Q, g, transposed=True)
 
     # ---------------------------------------------------------------- motions
-    def shown(self, motions: Sparse) -> tuple[Sparse, Sparse]:
+    def admissible(self, motions: Sparse) -> tuple[Sparse, Sparse]:
         """Motions as conditions allow them, and how far conditions prevent them.
 
         Args:
@@ -384,20 +384,20 @@ class Constraints:
             Motions (n, c + m) of displacements, of those given and of all ties, without what conditions hold; and the Gram
             matrix (c + m, c + m) of what conditions prevent: it is zero for a motion that they allow.
         """
-        c, m = motions.shape[1], sum(one.count for one in self.ties)
-        first = dict(zip(self.slots, np.cumsum([0, *(one.count for one in self.ties)]).tolist(), strict=False))
-        wide, y = motions, _without_rows(motions, self.tied)
+        c, m = motions.shape[1], sum(one.count for one in self.mpcs)
+        first = dict(zip(self.masters, np.cumsum([0, *(one.count for one in self.mpcs)]).tolist(), strict=False))
+        wide, y = motions, _without_rows(motions, self.slaves)
         if m:
-            own, places = self._mine(np.concatenate([*self.slots.values()]))
+            own, places = self._mine(np.concatenate([*self.masters.values()]))
             of_ties = scipy.sparse.csr_matrix((np.ones(len(own)), (places, own)), (self.n, m))
             y = scipy.sparse.hstack([y, of_ties], format="csr")
             wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
         given = np.zeros(c + m)
         given[[c + first[tie.key] + k for tie, k, _ in self._motions]] = 1.0
         gram = scipy.sparse.diags(given, format="csr")
-        for rows in (self.prescribed.conditions @ wide, (distributed_product(self._T0, y) - wide)[self.tied]):
+        for rows in (self.prescribed.conditions @ wide, (distributed_product(self._T0, y) - wide)[self.slaves]):
             gram = gram + rows.T @ rows
-        z = _without_rows(distributed_product(self.Q, y, transposed=True), self.held)
+        z = _without_rows(distributed_product(self.Q, y, transposed=True), self.bc_dofs)
         return distributed_product(self.T, z), self.comm.allreduce(gram)
 
     def resistance(self, motions: Callable[[IntArray], Array]) -> Array:
@@ -406,7 +406,7 @@ class Constraints:
             rows = self._along_conditions(motions)
             return np.asarray(self.comm.allreduce(rows.T @ rows))
         whole = motions(np.arange(self.n))
-        c, gram = whole.shape[1], self.shown(scipy.sparse.csr_matrix(whole))[1].toarray()
+        c, gram = whole.shape[1], self.admissible(scipy.sparse.csr_matrix(whole))[1].toarray()
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 
     def _along_conditions(self, motions: Callable[[IntArray], Array]) -> Array:

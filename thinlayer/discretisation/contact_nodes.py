@@ -225,11 +225,11 @@ class ContactNodes:
 
     # ---------------------------------------------------------------- supports
     def _note_held(self, held: Indices) -> None:
-        """Set `held` and `held_upper` from the held displacements of this rank (local, unrolled)."""
+        """Set `constrained_values` and `is_fixed_upper` from the held displacements of this rank (local, unrolled)."""
         mark = self.zero()
         mark.array[held] = 1.0
-        self.held_upper = mark.array_r.reshape(-1, self.dim)[self.upper] > 0
-        self.held = self.held_upper & (self.lower is None or self.lower_side(mark) > 0)
+        self.is_fixed_upper = mark.array_r.reshape(-1, self.dim)[self.upper] > 0
+        self.is_fixed = self.is_fixed_upper & (self.lower is None or self.lower_side(mark) > 0)
         mark.destroy()
 
     # ---------------------------------------------------------------- displacements, jumps and forces
@@ -267,7 +267,7 @@ class ContactNodes:
         """Jumps in the nodes' frames, (n, d)."""
         return np.einsum("nij,nj->ni", self.frames, u.array_r.reshape(-1, self.dim)[self.upper] - self.lower_side(u))
 
-    def apart(self, u: PETSc.Vec) -> Array:
+    def separation(self, u: PETSc.Vec) -> Array:
         """How far the sides are apart, in the nodes' frames, (n, d): jumps, and the initial gap along the normal."""
         w = self.jump(u)
         w[:, -1] += self.gap

@@ -45,7 +45,7 @@ class LoadRegion:
     weight: Expr
     value: Callable[[Expr], Expr] = lambda f: f
     mean: Callable[[Expr], Expr] = lambda v: v
-    on_base: Callable[[Expr], Expr] | None = None
+    base_test: Callable[[Expr], Expr] | None = None
 
 
 class Forces:
@@ -67,7 +67,7 @@ class Forces:
 
     def __init__(self, domain: Domain, kinematics: Kinematics, points: ConcentratedForms, setup: Any) -> None:
         self.domain, self.at, self._kinematics = domain, points.at, kinematics
-        self.given: dict[str, Any] = {}
+        self.user_loads: dict[str, Any] = {}
         self._loads: list[
             tuple[str, Expr, LoadRegion, str]
         ] = []  # words, force, its place, the seam if it is a layer's
@@ -91,7 +91,7 @@ class Forces:
             require(not isinstance(load, Pressure), what, load, "there is no normal inside a body; give a vector")
             self._add(what, load, dx(domain.cell_values(name)))
         for one in setup.loads:
-            self.given[f"{one.what}, {len(self.given)}"] = one
+            self.user_loads[f"{one.what}, {len(self.user_loads)}"] = one
             for density, measure in points.terms(one):  # whole forces: their measures have no factor
                 self.add_weighted("", one.what, density, LoadRegion(measure, 1))
         self._everywhere = dx
@@ -106,15 +106,15 @@ class Forces:
             at: coordinates there, with the time of the other loads.
         """
         what = LAYER_FORCE_LABEL.format(name)
-        self.given[what] = load
-        self.add_weighted(name, what, at.given(load, what, (self.domain.joint.dim,)).expression, place)
+        self.user_loads[what] = load
+        self.add_weighted(name, what, at.coefficient(load, what, (self.domain.joint.dim,)).expression, place)
 
     def add_weighted(self, name: str, what: str, force: Expr, place: LoadRegion) -> None:
         """Add a force, a UFL vector, at a place: of the layer of a seam, or of the bodies ("")."""
         self._loads.append((what, place.value(force) * place.weight, place, name))
 
     def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
-        self.given[what] = load
+        self.user_loads[what] = load
         checked = self.at.traction(load, what, ufl.FacetNormal(self.domain.mesh))
         if measure is not None:
             self.add_weighted("", what, checked, LoadRegion(measure, self._kinematics.factor))
@@ -170,8 +170,8 @@ class Forces:
         """Virtual work of what goes to rigid bases by itself, in motions v that move them, by seam; see `work`."""
         works: dict[str, Expr] = {}
         for _, load, one, name in self._loads:
-            if one.on_base:
-                works[name] = works.get(name, ufl.Form([])) + ufl.inner(load, one.on_base(v)) * one.measure
+            if one.base_test:
+                works[name] = works.get(name, ufl.Form([])) + ufl.inner(load, one.base_test(v)) * one.measure
         return works
 
     def nodal_at(self, V: fem.FunctionSpace, t: float, *, layers: bool = False) -> PETSc.Vec:

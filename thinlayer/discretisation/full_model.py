@@ -63,7 +63,7 @@ class FullModel(Model):
         gaps, first = self.gaps, () if self._junctions is None else (self._junctions,)
         for name in first:
             require_known("seam", name, self.layers, "junctions")
-        thin = {name: one.thin for name, one in self.layers.items()}
+        thin = {name: one.thin_layer for name, one in self.layers.items()}
         eps = {name: layer.eps for name, layer in (thin | gaps).items()}
         if (thickest := max(eps.values(), default=0.0)) > MAX_THICKNESS * self.joint.size:
             sizes = f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}"
@@ -94,7 +94,7 @@ class FullModel(Model):
     def _check_junctions(self, band: Any) -> None:
         """Raise InputError if a law cannot be that of cells where layers meet, which are in no column of a layer."""
         for region, name in band.junctions.items():
-            law = self.reductions[name].law
+            law = self.applicability[name].law
             if law.traits.switches:
                 why = "has one phase for each column of a layer, and cells where layers meet are in none"
             elif region not in band.aligned and needs_director(law):
@@ -120,7 +120,7 @@ class FullModel(Model):
                 law = law if law.traits.compiled else law_with_constants(law, mesh)
                 cells = self.dx(self.domain.cell_values(region, *self._shared(name)), **rule)
                 term = forms.band(law, cells, n, self.kinematics)
-                terms.append(replace(term, key=one.key, given=self.given_on[name]))
+                terms.append(replace(term, key=one.key, prescribed_strain=self.layer_strains[name]))
         return terms
 
     def _place_of(self, one: SeamLayer) -> LoadRegion:
@@ -175,7 +175,7 @@ class LayerModel(FullModel):
         given.tractions = {name: load for name, load in (given.tractions or {}).items() if name.endswith(f"/{LAYER}")}
         force = given.body_force
         given.body_force = {k: v for k, v in force.items() if k in (*layers, S)} if isinstance(force, Mapping) else None
-        free = [model.reductions[name].free.vertices.ravel() for name in layers]
+        free = [model.applicability[name].free.vertices.ravel() for name in layers]
         self._ends, self._at_ends = joint.points[np.unique(np.concatenate([*free, joint.meetings]))], at_ends
         super().__init__(given, layers, bodies=model._bodies, cells_through=cells_through, junctions=None)
 

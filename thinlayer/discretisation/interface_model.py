@@ -57,7 +57,7 @@ class InterfaceModel(Model):
             return self.joint
         if self.joint.seams_meet:
             raise InputError("bodies='extended': seams meet or branch, where S has no middle; use bodies='kept'")
-        thin = {name: one.thin for name, one in self.layers.items() if one.thin}
+        thin = {name: one.thin_layer for name, one in self.layers.items() if one.thin_layer}
         for name in (name for name in self.joint.seams if name not in thin):
             reason = f"{name!r} has no ThinLayer, so that no thickness tells where bodies are; use bodies='kept'"
             raise InputError(f"bodies='extended' of an interface model: {reason}")
@@ -69,7 +69,7 @@ class InterfaceModel(Model):
     def _forces(self, structure: Setup) -> Forces:
         forces = super()._forces(structure)  # raises errors of bad data
         for one in self.layers.values():
-            if one.thin and one.thin.order == 1:
+            if one.thin_layer and one.thin_layer.order == 1:
                 add_side_loads(forces, self, one, self.sides_of(one.name))
         return forces
 
@@ -98,10 +98,10 @@ class InterfaceModel(Model):
         return None if self.domain.joint.parted is None else MidSurface(self.domain)
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
-        return at.moved(at.x + self._middle.to_s) if self._middle else at
+        return at.moved(at.x + self._middle.offset) if self._middle else at
 
     def _given_on(self, one: SeamLayer) -> Expr | None:
-        given = one.given(self._coordinates_on(self.coordinates))
+        given = one.prescribed_strain(self._coordinates_on(self.coordinates))
         if given is None or not (self._middle or extract_coefficients(given)):
             return given
         sides = self.sides_of(one.name)
@@ -121,7 +121,7 @@ class InterfaceModel(Model):
         Raises:
             InputError: no such seam; S lies between bodies and on a rigid base.
         """
-        joint, to_s = self.joint, self._middle.to_s if self._middle else None
+        joint, to_s = self.joint, self._middle.offset if self._middle else None
         joint.rows_of(name)
         names = tuple(joint.seams) if name == S else (name,)
         based = [one in joint.base_seams for one in names]
@@ -142,22 +142,26 @@ class InterfaceModel(Model):
     def _layer_terms(self) -> list[forms.Term]:
         with errors_on_all(self.comm):
             for name, one in self.layers.items():
-                if self.reductions[name].weights is None and one.thin and one.thin.edges == "free":
-                    self.reductions[name].require("ends", f"edges='free' of {one}: ")
+                if self.applicability[name].weights is None and one.thin_layer and one.thin_layer.edges == "free":
+                    self.applicability[name].require("ends", f"edges='free' of {one}: ")
         return [term for one in self.layers.values() if not one.contact for term in self.terms_of(one)]
 
     @property
     def remarks(self) -> list[str]:
         """What was chosen at the free ends of layers of order 1."""
-        ordered = [known for known in self.reductions.values() if known.one.thin and known.one.thin.order]
-        return [f"free ends of {known.one}: {known.known_ends}" for known in ordered]
+        ordered = [
+            known
+            for known in self.applicability.values()
+            if known.seam_layer.thin_layer and known.seam_layer.thin_layer.order
+        ]
+        return [f"free ends of {known.seam_layer}: {known.known_ends}" for known in ordered]
 
     def shifts(self) -> FloatArray | None:
         """As in `Model`: by layers of order 1, whose law knows that faces stand apart, between bodies that meet on S."""
         eps = np.zeros(len(self.joint.surface_rows))
         for one in self.layers.values():
-            if one.thin and one.thin.order:
-                eps[one.sheet.facets] = np.nan if one.thin.profile else float(one.thin.eps)
+            if one.thin_layer and one.thin_layer.order:
+                eps[one.sheet.facets] = np.nan if one.thin_layer.profile else float(one.thin_layer.eps)
         if self._middle or not eps.any() or np.isnan(eps).any():
             return None
         try:
@@ -171,8 +175,8 @@ class InterfaceModel(Model):
         Raises:
             InputError: no layer of this name.
         """
-        require_known("layer", name, self.reductions)
-        return self.reductions[name].why_not("ends")
+        require_known("layer", name, self.applicability)
+        return self.applicability[name].why_not("ends")
 
     def terms_of(self, one: SeamLayer) -> list[forms.Term]:
         """The terms of a layer without contact on its seam."""
@@ -182,31 +186,33 @@ class InterfaceModel(Model):
             degree = quadrature_degree(self.V, measure) + self.kinematics.degree
             measure = measure(metadata={"quadrature_degree": degree})
         sides = replace(
-            sides, measure=measure, known=partial(_law_on_surface, self.domain, self.joint, one.name, sides.upper)
+            sides,
+            measure=measure,
+            law_on_surface=partial(_law_on_surface, self.domain, self.joint, one.name, sides.upper),
         )
-        if one.thin is None:
+        if one.thin_layer is None:
             terms = [forms.jump_terms(law, sides)]
         else:
             eps = self._thickness(one, sides)
-            slope = self._middle.slope(sides) if self._middle and one.thin.profile else None
-            weights = self.reductions[one.name].weights
+            slope = self._middle.slope(sides) if self._middle and one.thin_layer.profile else None
+            weights = self.applicability[one.name].weights
             ends = weights.expressions(self.domain, sides) if weights else None
             if ends is not None:
                 finer = {"quadrature_degree": quadrature_degree(self.V, measure) + END_DEGREE_INCREASE}
                 sides = replace(sides, measure=measure.reconstruct(metadata=finer))
-            terms = forms.surface(law, sides, eps, one.thin.order, self.given_on[one.name], slope, ends)
+            terms = forms.surface(law, sides, eps, one.thin_layer.order, self.layer_strains[one.name], slope, ends)
         return [replace(term, key=one.key, law=law_of_terms(term.law, mesh)) for term in terms]
 
     def _thickness(self, one: SeamLayer, sides: Interface) -> Expr:
         if self._middle:
             return self._middle.thickness(sides)
-        eps: Expr = fem.Constant(self.domain.mesh, float(one.thin.eps))
-        if one.thin.profile is None:
+        eps: Expr = fem.Constant(self.domain.mesh, float(one.thin_layer.eps))
+        if one.thin_layer.profile is None:
             return eps
-        return eps * sides.upper(relative_thickness(self.domain, one.thin.profile, one.name))
+        return eps * sides.upper(relative_thickness(self.domain, one.thin_layer.profile, one.name))
 
     def _data(self) -> dict[str, Any]:
-        known = [name for name, reduction in self.reductions.items() if reduction.weights]
+        known = [name for name, reduction in self.applicability.items() if reduction.weights]
         return super()._data() | ({"free ends": known} if known else {})
 
     def _place_of(self, one: SeamLayer) -> LoadRegion:
@@ -214,7 +220,7 @@ class InterfaceModel(Model):
         sides = self.sides_of(one.name)
 
         def on_base(v: Expr) -> Expr:  # which moves as at the facets of the body above it, and as these turn
-            return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.to_s) if self._middle else v) / 2
+            return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.offset) if self._middle else v) / 2
 
         based = on_base if one.name in self.joint.base_seams else None
         weight = self._thickness(one, sides) * sides.factor

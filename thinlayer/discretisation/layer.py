@@ -142,7 +142,7 @@ def _check_thickness(what: str, eps: Any) -> None:
 
 def law_with_numbers(layer: Layer, kinematics: Kinematics) -> BulkLaw:
     """A layer's law for these kinematics; a law of jumps as one of strains."""
-    return kinematics.law(layer.material) if isinstance(layer, ThinLayer) else layer.of_strains()
+    return kinematics.law(layer.material) if isinstance(layer, ThinLayer) else layer.as_bulk_law()
 
 
 def law_with_constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
@@ -231,17 +231,17 @@ class SeamLayer:
         """Key of the layer's pressure, if its law has one."""
         return PRESSURE_KIND + self.key.removeprefix(LAYER_KIND)
 
-    def owns(self, key: str) -> bool:
+    def owns_key(self, key: str) -> bool:
         """Whether a key of a layer is that of one of its terms, or of its pressure."""
         return len(self.structure.joint.seams) == 1 or key.split("/")[0] in (self.key, self.pressure_key)
 
     @property
-    def flows(self) -> bool:
+    def has_pressure_flow(self) -> bool:
         """Whether the interface law is that of order 1 of a law with a pressure, which flows along S."""
-        return self.thin is not None and self.thin.order == 1 and self.thin.law.traits.constrained
+        return self.thin_layer is not None and self.thin_layer.order == 1 and self.thin_layer.law.traits.constrained
 
     @property
-    def thin(self) -> Any:
+    def thin_layer(self) -> Any:
         """The layer, a `ThinLayer`, if it has a law of strains; else None."""
         return None if isinstance(self.layer, SurfaceLaw) else self.layer
 
@@ -273,43 +273,43 @@ class SeamLayer:
     @property
     def samples(self) -> list[SeamLayer]:
         """The layer itself; where parameters are functions, with numbers where one is smallest or largest along S."""
-        return self._samples if self.thin and self.thin.law.fields else [self]
+        return self._samples if self.thin_layer and self.thin_layer.law.fields else [self]
 
     @cached_property
     def _samples(self) -> list[SeamLayer]:
         joint = self.structure.joint
-        laws = self.thin.law.samples(joint.points[joint.table.vertices[joint.rows_of(self.name)]].mean(axis=1).T)
-        return [SeamLayer(self.name, replace(self.thin, law=law), self.structure) for law in laws]
+        laws = self.thin_layer.law.samples(joint.points[joint.table.vertices[joint.rows_of(self.name)]].mean(axis=1).T)
+        return [SeamLayer(self.name, replace(self.thin_layer, law=law), self.structure) for law in laws]
 
     @cached_property
     def at_rest(self) -> InitialTangents:
         """The law at rest, of a layer without contact; its parameters are numbers (`samples`)."""
         return InitialTangents(law_with_numbers(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
-    def given(self, at: Coordinates) -> Expr | None:
+    def prescribed_strain(self, at: Coordinates) -> Expr | None:
         """The strain (3, 3) that is added to that of the displacements: less the eigenstrain; None: there is none."""
-        if self.thin is None:
+        if self.thin_layer is None:
             return None
         kinematics = self.structure.kinematics
         matter = EigenstrainContext(
             str(self), law_with_numbers(self.layer, kinematics), self.sheet.mean_normal, kinematics, at
         )
-        return prescribed_strain(self.thin.eigenstrain, matter)
+        return prescribed_strain(self.thin_layer.eigenstrain, matter)
 
     @property
     def profile(self) -> Any:
         """Description of the profile, as JSON; None: the thickness is uniform."""
-        given = self.thin.profile if self.thin else None
+        given = self.thin_layer.profile if self.thin_layer else None
         return describe(self.structure.joint.relative_thickness(given, self.name)) if given else None
 
     @property
     def shape(self) -> tuple[Any, ...]:
         """Thickness, profile and fractions of sublayers, which the mesh of the layer depends on; (): a law on S."""
-        return (self.thin.eps, self.profile, self.thin.fractions) if self.thin else ()
+        return (self.thin_layer.eps, self.profile, self.thin_layer.fractions) if self.thin_layer else ()
 
     def identity(self) -> dict[str, Any]:
         """Description of the layer without its law, as JSON."""
-        thin = self.thin
+        thin = self.thin_layer
         return {
             "eps": float(thin.eps) if thin else None,
             "order": thin.order if thin else None,
@@ -327,7 +327,7 @@ def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer], b
     named = given if isinstance(given, Mapping) else {}
     loads = [(seam, named[name]) for name in named for seam in joint.seams if name in (S, seam) and seam not in bonds]
     for seam, _ in loads:
-        if seam not in layers or not layers[seam].thin:
+        if seam not in layers or not layers[seam].thin_layer:
             raise InputError(f"body force in the layer {seam!r}: it has no layer with a thickness, no weight is known")
     return dict(loads)
 

@@ -72,16 +72,16 @@ class MidSurface:
 
     def __init__(self, domain: Domain) -> None:
         joint = domain.joint
-        self.to_s = cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
+        self.offset = cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
 
     def thickness(self, sides: Interface) -> Expr:
         """Distance of the bodies along n; S is half of it away from either."""
-        return -2 * ufl.dot(sides.upper(self.to_s), sides.n)
+        return -2 * ufl.dot(sides.upper(self.offset), sides.n)
 
     def slope(self, sides: Interface) -> Expr:
         """(d,) gradient of the thickness along S."""
-        slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self.to_s))
-        return slope - ufl.dot(slope, sides.fibre) * sides.n
+        slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self.offset))
+        return slope - ufl.dot(slope, sides.director) * sides.n
 
 
 def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:

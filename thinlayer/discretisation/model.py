@@ -145,8 +145,8 @@ class Model(ABC):
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
         with errors_on_all(self.comm):
             self.supports = self._supports(structure.supports)
-            self.given = {name: self._given(name) for name in self.body_laws}
-            self.given_on = {name: self._given_on(one) for name, one in self.layers.items()}
+            self.body_strains = {name: self._given(name) for name in self.body_laws}
+            self.layer_strains = {name: self._given_on(one) for name, one in self.layers.items()}
             if not (structure.strain is None and structure.stress is None):
                 self.require("mean strain")
             strain, stress = structure.strain, structure.stress
@@ -188,7 +188,7 @@ class Model(ABC):
             layers = {name: one for name, one in self.on_seams.items() if not isinstance(one, Gap | Bond | None)}
             self.layers = {name: SeamLayer(name, one, structure) for name, one in layers.items()}
             self.contacts = {name: one.contact for name, one in self.layers.items() if one.contact}
-            self.reductions = {name: Applicability(one, self._bodies) for name, one in self.layers.items()}
+            self.applicability = {name: Applicability(one, self._bodies) for name, one in self.layers.items()}
             checked = check()
         self.mark = structure.mark + require_same(structure.comm, model=self.name, layer=layer, options=self._options)
         return checked
@@ -201,7 +201,7 @@ class Model(ABC):
 
     def _given_on(self, one: SeamLayer) -> Expr | None:
         """The strain that is added to that of the displacements in a layer."""
-        return one.given(self.coordinates)
+        return one.prescribed_strain(self.coordinates)
 
     def _alike(self) -> list[list[str]]:
         """Names of the bodies, those of one law and one eigenstrain together."""
@@ -212,7 +212,7 @@ class Model(ABC):
 
     def _body_terms(self, names: Sequence[str]) -> list[forms.Term]:
         """Terms of bodies with one law and one eigenstrain: one if they are parts of forms, else one a body, with a key."""
-        law, given = self.kinematics.law(self.body_laws[names[0]]), self.given[names[0]]
+        law, given = self.kinematics.law(self.body_laws[names[0]]), self.body_strains[names[0]]
         if not law.traits.compiled:
             law, some = law_with_constants(law, self.domain.mesh), {"": names}
         else:
@@ -220,18 +220,21 @@ class Model(ABC):
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         volume = self.volume_degree(law)
         each = {key: forms.body(law, one, self.kinematics, volume) for key, one in cells.items()}
-        return [checked_term(replace(term, key=key, given=given), self.V, self.origin) for key, term in each.items()]
+        return [
+            checked_term(replace(term, key=key, prescribed_strain=given), self.V, self.origin)
+            for key, term in each.items()
+        ]
 
     def _terms_of_layers(self) -> list[forms.Term]:
         terms = [checked_term(term, self.V, self.origin) for term in self._layer_terms()]
         return terms if self.broken else self._strained(terms)
 
     def _supports(self, given: ByPlace) -> Supports:
-        return Supports(self.domain, given, self.coordinates.apart, self._clamped, self.kinematics)
+        return Supports(self.domain, given, self.coordinates.detached, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
     def _forces(self, structure: Setup) -> Forces:
-        at = self.coordinates.apart
+        at = self.coordinates.detached
         points = ConcentratedForms(self.domain, self.joint, structure.degree, at)
         forces = Forces(self.domain, self.kinematics, points, structure)
         for name, load in loads_of_layers(structure.body_force, self.joint, self.layers, self.bonds).items():
@@ -253,7 +256,7 @@ class Model(ABC):
 
     def require(self, question: str, what: str = "") -> None:
         """Raise InputError, after some words, if a layer fails a condition of a question (`Applicability.why_not`)."""
-        for reduction in self.reductions.values():
+        for reduction in self.applicability.values():
             reduction.require(question, what)
 
     @property
@@ -297,7 +300,7 @@ class Model(ABC):
         """This copy of another model, with its layers. Collective."""
         self._lay(layer, partial(self._check_beside, other))
         with errors_on_all(self.comm):
-            self.given_on = {name: self._given_on(one) for name, one in self.layers.items()}
+            self.layer_strains = {name: self._given_on(one) for name, one in self.layers.items()}
         self.layer_terms = self._terms_of_layers()
         with errors_on_all(self.comm):
             self.forces = self._forces(self.structure)
@@ -305,7 +308,7 @@ class Model(ABC):
                 self.require("mean strain")
             if self.stress and not self.broken:
                 raise InputError("with_layer: under a mean stress a meshed layer is a part of the cell; build a model")
-        if self.constraints.ties:  # the thickness is an arm of plates
+        if self.constraints.mpcs:  # the thickness is an arm of plates
             self.constraints = self._constrained()
         self.made_from = self._data()
         return self
@@ -366,7 +369,7 @@ class Model(ABC):
         return new
 
     def _constrained(self) -> Constraints:
-        ties = [part.tied(self) for part in self.parts if part.ties_nodes]
+        ties = [part.multi_point_constraint(self) for part in self.parts if part.ties_nodes]
         return Constraints(Prescribed(self.supports, self.V), ties)
 
     def _derived(self) -> Self:
@@ -466,17 +469,17 @@ class Model(ABC):
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Sums of values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
-        return {name: sum(value for key, value in values.items() if one.owns(key)) for name, one in several.items()}
+        return {name: sum(value for key, value in values.items() if one.owns_key(key)) for name, one in several.items()}
 
-    def held_in(self, V: fem.FunctionSpace) -> Indices:
+    def bc_dofs_in(self, V: fem.FunctionSpace) -> Indices:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which supports and plates act. Collective.
 
         Without those that a rigid base holds.
         """
-        found = [part.held(self, V) for part in self.parts]
-        return np.unique(np.concatenate([self.supports.held(V, clamped=False), *found]))
+        found = [part.bc_dofs_in(self, V) for part in self.parts]
+        return np.unique(np.concatenate([self.supports.bc_dofs_in(V, clamped=False), *found]))
 
-    def held_by(self, place: Place) -> list[int]:
+    def holder_rows(self, place: Place) -> list[int]:
         """Numbers of the rows of `holders` that are a place, or parts of it."""
         return [k for k, name in enumerate(self.holders) if is_part(name, place)]
 
@@ -547,7 +550,7 @@ class Model(ABC):
             "layers": {name: one.identity() for name, one in self.layers.items()},
             **({"bonds": list(self.bonds)} if self.bonds else {}),
             "supports": [[str(place), describe(given)] for place, given in self.supports.entries],
-            "loads": describe(self.forces.given),
+            "loads": describe(self.forces.user_loads),
             "parts": describe(list(self.parts)),
             **({"strain": describe(self.structure.strain)} if self.strain else {}),
             **({"stress": describe(self.structure.stress)} if self.stress else {}),

@@ -44,8 +44,8 @@ class PartDefinition:
 
     @property
     def ties_nodes(self) -> bool:
-        """Whether displacements follow motions of the part: it has a method `tied`."""
-        return type(self).tied is not PartDefinition.tied
+        """Whether displacements follow motions of the part: it has a method `multi_point_constraint`."""
+        return type(self).multi_point_constraint is not PartDefinition.multi_point_constraint
 
     @property
     def has_work(self) -> bool:
@@ -107,7 +107,7 @@ class PartDefinition:
         """
         return []
 
-    def held(self, model: HostModel, V: fem.FunctionSpace) -> Indices:
+    def bc_dofs_in(self, model: HostModel, V: fem.FunctionSpace) -> Indices:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which the part acts as supports do.
 
         Collective. By default those of the components that it ties.
@@ -119,7 +119,7 @@ class PartDefinition:
         blocks = fem.locate_dofs_topological(V, d - 1, facets)
         return np.unique(blocks[:, None] * d + np.array(axes, int)).astype(np.int32)
 
-    def tied(self, model: HostModel) -> MultiPointConstraint:
+    def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
         """Displacements that follow motions of the part. Collective."""
         raise NotImplementedError
 
@@ -129,7 +129,7 @@ class PartDefinition:
         By default that of the resultants of what it ties.
         """
         found, constraints = 0.0, model.constraints
-        for tie in constraints.ties:
+        for tie in constraints.mpcs:
             if tie.key == self.key:
                 found += float(tie.resultant(state.t) @ constraints.motion(tie, state.u.x.array[: constraints.n]))
         return found

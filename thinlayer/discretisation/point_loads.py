@@ -197,7 +197,9 @@ class ConcentratedForms:
             lengths = np.linalg.norm(nodes.in_space(self.joint, joint.cell_points)[1], axis=2)
         kept = joint.band is not None and joint.band.bodies == "kept"
         x = nodes.in_space(joint, joint.reference[joint.cells] if kept else joint.cell_points)[0]
-        split = self.at.given(load.force, load.what, (d,)).varies  # nodes in one cell are parted: each has its place
+        split = self.at.coefficient(
+            load.force, load.what, (d,)
+        ).varies  # nodes in one cell are parted: each has its place
         bodies = self._dx(self.domain.cell_values(*self.joint.bodies))
         parts = [(r, slice(j, j + 1)) for r in _disjoint_groups(nodes.cells) for j in range(lengths.shape[1])]
         for some, column in parts if split else [(np.arange(len(nodes.cells)), slice(None))]:
@@ -206,7 +208,7 @@ class ConcentratedForms:
             places = np.zeros((len(joint.cells), 1, d))
             places[one.cells] = x[some, column][:, :1]
             at = self.at.moved(cellwise_function(self.domain, ("DG", 0, (d,)), places)) if split else self.at
-            found.append((at.given(load.force, load.what, (d,)).expression * g, bodies))
+            found.append((at.coefficient(load.force, load.what, (d,)).expression * g, bodies))
         return found
 
     def _densities(self, nodes: LoadNodes, weights: Array) -> Array:

@@ -56,7 +56,7 @@ class MeanStrain:
         if joint.periods is None:
             raise InputError(f"{self.what} is for a periodic cell, and this joint is none; see geometry.periodic")
         self._dim = d = joint.dim
-        self._given, self.size = at.given(given, self.what, (d, d)).once("the whole cell"), joint.size
+        self._given, self.size = at.coefficient(given, self.what, (d, d)).once("the whole cell"), joint.size
         if not self._given.varies:
             self.at(0.0)
 
@@ -132,7 +132,7 @@ class EigenstrainContext:
             InputError: another shape, components that are no finite numbers, or a table that is not symmetric.
         """
         what, d = f"{what} of {self.name}", len(self.n)
-        given = self.at.given(value, what, (), (d, d), (3, 3))
+        given = self.at.coefficient(value, what, (), (d, d), (3, 3))
         if not given.shape:
             return [[given.components[()] if i == j else 0.0 for j in range(3)] for i in range(3)]
         rows: Rows = given.components.tolist()
@@ -141,7 +141,7 @@ class EigenstrainContext:
 
     def scalar(self, value: Any, what: str) -> Any:
         """A number, or a UFL scalar; raises InputError if the value is none."""
-        return self.at.given(value, f"{what} of {self.name}", ()).components[()]
+        return self.at.coefficient(value, f"{what} of {self.name}", ()).components[()]
 
 
 def require_symmetric(rows: Rows, what: str) -> None:
@@ -301,7 +301,7 @@ def prescribed_strain(given: Any, matter: EigenstrainContext) -> Expr | None:
     if given is None:
         return None
     strains = (_negative_tensor(one.components(matter), matter) for one in eigenstrains(given))
-    found = matter.kinematics.seen(sum_strains(*strains))
+    found = matter.kinematics.restricted(sum_strains(*strains))
     return None if all(isinstance(found[i, j], ufl.classes.Zero) for i in range(3) for j in range(3)) else found
 
 
@@ -316,10 +316,12 @@ class VaryingStrainIntegrals:
     def __init__(self, terms: Sequence[Term], at: Coordinates) -> None:
         self._at, self._forms = at, []
         for p in terms:
-            if p.given is not None and (time_constants(p.given) or depends_on_place(p.given)):
+            if p.prescribed_strain is not None and (
+                time_constants(p.prescribed_strain) or depends_on_place(p.prescribed_strain)
+            ):
                 q = ufl.TestFunction(fem.functionspace(at.mesh, ("DG", 0, (3, 3))))
                 q = q("+") if p.measure.integral_type() == "interior_facet" else q
-                self._forms.append((p, compiled(ufl.inner(p.given, q) * p.measure)))
+                self._forms.append((p, compiled(ufl.inner(p.prescribed_strain, q) * p.measure)))
 
     def integrals(self, t: float) -> list[Array]:
         """Integrals over this rank's cells or facets at a time.

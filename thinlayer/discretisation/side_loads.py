@@ -75,13 +75,17 @@ def add_side_loads(forces: Forces, model: Model, one: SeamLayer, sides: Interfac
     Raises:
         InputError: it is not known how the force reaches the faces there.
     """
-    reduction = model.reductions[one.name]
+    reduction = model.applicability[one.name]
     loose = ridge_keys(reduction.loose.vertices)
     for load in SideLoad.of(model, one):
-        if one.flows or reduction.weights is None or not np.isin(ridge_keys(load.rim.vertices), loose).all():
-            refused = None if one.flows else reduction.why_not("ends")
+        if (
+            one.has_pressure_flow
+            or reduction.weights is None
+            or not np.isin(ridge_keys(load.rim.vertices), loose).all()
+        ):
+            refused = None if one.has_pressure_flow else reduction.why_not("ends")
             why = "a support holds the side" if not refused else refused.reason
-            why = "its pressure of order 1 is zero at free ends" if one.flows else why
+            why = "its pressure of order 1 is zero at free ends" if one.has_pressure_flow else why
             reason = f"the {load.what} acts on the side of {one}, and how it reaches the faces is not known: {why}"
             raise Violation("loaded side", reason, "use order=0, which leaves it out, or mesh the layer").error()
         for force, place in _end_load(load, forces.at, model, one, sides):
@@ -95,7 +99,7 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, one: SeamLayer, sid
         shares = np.zeros((len(model.joint.cells), 1, 5))
         upper = model.joint.surface_cells[one.sheet.facets, 1]
         constants = free_end(poisson_ratio(law_with_numbers(one.layer, one.structure.kinematics)))
-        shares[upper, 0] = _shares(end, load.rim, one.sheet, model.kinematics, float(one.thin.eps), constants)
+        shares[upper, 0] = _shares(end, load.rim, one.sheet, model.kinematics, float(one.thin_layer.eps), constants)
         known = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), shares))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
         place = at.moved(at.x + (offset - ufl.dot(m, at.x)) * m)

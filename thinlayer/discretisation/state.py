@@ -51,7 +51,7 @@ class Report:
     iterations: int
     residual: float
     seconds: float
-    eased: int = 0
+    homotopy_steps: int = 0
 
 
 @dataclass(frozen=True)

@@ -74,11 +74,11 @@ class Supports:
             else:
                 domain.joint.nearest_point(place)
             entries.append((place, self._components(place, support)))
-        self.given = tuple(entries)
+        self.user_entries = tuple(entries)
         self.values, self.moving = dict[tuple[int, str], Coefficient](), list[Place]()
         for number, (place, components) in enumerate(entries):
             for axis, value in components.items():
-                self.values[number, axis] = one = at.given(value, f"support on {place!r}: component {axis}", ())
+                self.values[number, axis] = one = at.coefficient(value, f"support on {place!r}: component {axis}", ())
                 self.moving += [place] if one.varies or one.value != 0 else []
         self.anchored: tuple[str, ...] = ()
         self.on_axis = nodes_on_axis(kinematics, domain.joint)
@@ -87,7 +87,7 @@ class Supports:
     def entries(self) -> tuple[tuple[Place, Components], ...]:
         """(place, components) of all supports, those of clamped facets last."""
         nothing: Components = dict.fromkeys(self.axes, 0.0)
-        return (*self.given, *((place, nothing) for place in self.clamped))
+        return (*self.user_entries, *((place, nothing) for place in self.clamped))
 
     def _components(self, place: Place, support: Support) -> Components:
         require(not callable(support) and support is not None, f"support on {place!r}", support, "give {axis: value}")
@@ -110,14 +110,14 @@ class Supports:
             return fem.locate_dofs_topological(V.sub(self.axes.index(axis)), self.domain.joint.dim - 1, facets)
         return vertex_dofs(V, self.domain.vertices(self.domain.joint.nearest_point(place)), self.axes.index(axis))
 
-    def held(self, V: fem.FunctionSpace, *, clamped: bool = True) -> Indices:
+    def bc_dofs_in(self, V: fem.FunctionSpace, *, clamped: bool = True) -> Indices:
         """All degrees of freedom of a space that supports act on (local, unrolled, ghosts included). Collective.
 
         Args:
             V: the space.
             clamped: whether those of clamped facets count, and of an anchored vertex.
         """
-        entries, anchors = (self.entries, [self.anchors(V)]) if clamped else (self.given, [])
+        entries, anchors = (self.entries, [self.anchors(V)]) if clamped else (self.user_entries, [])
         found = [self.dofs(V, place, axis) for place, components in entries for axis in components]
         return np.unique(np.concatenate([*found, *anchors, self.axis(V)]))
 
@@ -236,7 +236,7 @@ class Prescribed:
         found.append(self._normal_conditions())
         source, dof, directions = (np.concatenate(column) for column in zip(*found, strict=True))
         entry = np.array([*(one.entry for one in self._sources), -1])[source]
-        clamped = entry >= len(supports.given)  # all others do not count at a base
+        clamped = entry >= len(supports.user_entries)  # all others do not count at a base
         fast = np.zeros(self.size, bool)
         fast[dof[clamped]] = True
         kept = clamped | ~((np.abs(directions) > 0) & fast.reshape(-1, d)[dof // d]).any(axis=1)

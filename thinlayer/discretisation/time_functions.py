@@ -58,7 +58,7 @@ class Clock:
             self._show(before)
 
     def _show(self, t: float) -> None:
-        for reading in self.symbol.beside:
+        for reading in self.symbol.time_constants:
             reading.value = reading.at(t)
 
 
@@ -74,8 +74,8 @@ class TimeConstant(fem.Constant):
         super().__init__(mesh, np.full(table.columns.shape[1], np.nan) if table else math.nan)
         self.mesh, self._time, self._argument = mesh, time, argument
         self._table: PiecewiseLinear | None = table
-        self.beside: WeakSet[TimeConstant] = WeakSet() if time is None else time.beside
-        self.beside.add(self)
+        self.time_constants: WeakSet[TimeConstant] = WeakSet() if time is None else time.time_constants
+        self.time_constants.add(self)
 
     def __eq__(self, other: object) -> bool:
         if is_number(other):  # UFL's answer is False, and a load that asks would never see its time
@@ -142,7 +142,10 @@ class TimeLevel:
 
     def terms(self, terms: Iterable[Term]) -> list[Term]:
         """The terms, their given strains at this hand."""
-        return [p if p.given is None else replace(p, given=self.of(p.given)) for p in terms]
+        return [
+            p if p.prescribed_strain is None else replace(p, prescribed_strain=self.of(p.prescribed_strain))
+            for p in terms
+        ]
 
 
 class StepStrains:
@@ -159,7 +162,7 @@ class StepStrains:
     """
 
     def __init__(self, mesh: Mesh, terms: Iterable[Term]) -> None:
-        self._varies = any(p.given is not None and time_constants(p.given) for p in terms)
+        self._varies = any(p.prescribed_strain is not None and time_constants(p.prescribed_strain) for p in terms)
         self._before, self._theta, self._present = (fem.Constant(mesh, 1.0) for _ in range(3))
         self._old, self._new, self._now = TimeLevel(), TimeLevel(), TimeLevel()
         self.grows = True

@@ -90,10 +90,10 @@ def estimate(
     with errors_on_all(model.comm):
         _require_subproblem(model, state, [model.layers[name] for name in chosen])
         for name in given.model.bonds:
-            model.reductions[name].require("bonded", "estimate: ")
+            model.applicability[name].require("bonded", "estimate: ")
         for goal in checked.values():
             goal.check(model)
-    better = {name: _of_order_1(model.reductions[name]) for name in chosen}
+    better = {name: _of_order_1(model.applicability[name]) for name in chosen}
     meshed = {name: replace(one, order=0, edges=None) for name, one in better.items()}
     layers = LayerSubproblem(model, meshed, given.t)
     values = {name: goal.value(given, model) for name, goal in checked.items()}
@@ -131,9 +131,9 @@ def estimate(
         at = known.get(name, GoalBounds(goal.value(last, model), math.nan, math.nan))
         scale = goal.scale(last, model)
         has_bounds = bounded and at.upper - at.lower < math.inf
-        slack = GOAL_TOLERANCE * max(abs(values[name]), abs(at.told)) + at.rounding if has_bounds else math.nan
-        found[name] = GoalError(values[name], at.told, scale, at.lower - slack, at.upper + slack)
-        if not math.isfinite(at.told):
+        slack = GOAL_TOLERANCE * max(abs(values[name]), abs(at.estimate)) + at.rounding if has_bounds else math.nan
+        found[name] = GoalError(values[name], at.estimate, scale, at.lower - slack, at.upper + slack)
+        if not math.isfinite(at.estimate):
             raise SolveError(f"estimate: {name} is not finite where a law fails", advice=MESH_REMEDY)
         if at.lower - at.upper > slack + FIXED_GOAL_SHARE * scale:
             contradiction = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
@@ -190,7 +190,7 @@ def _require_subproblem(model: InterfaceModel, state: State | History, dropped: 
     be among the dropped layers, and its history known.
     """
     for name in model.layers:
-        model.reductions[name].require("estimate", "estimate: ")
+        model.applicability[name].require("estimate", "estimate: ")
     whole = f"mesh the {'layers' if len(model.layers) > 1 else 'layer'} (structure.full)"
     if _has_multi_point_constraints(model):
         raise InputError(f"estimate: plates or inclined supports tie nodes on S; {whole}")
@@ -198,7 +198,7 @@ def _require_subproblem(model: InterfaceModel, state: State | History, dropped: 
         return
     equations = Equations(model)
     try:
-        laws = [part for part in equations.layers if any(one.owns(part.key) for one in dropped)]
+        laws = [part for part in equations.layers if any(one.owns_key(part.key) for one in dropped)]
         others = PartSum(part for part in equations.parts if part not in laws)
         others.refuse(
             dict.fromkeys(("remembers", "rate"), f"estimate: {{}} remembers steps beside the layers; {whole}")
@@ -240,7 +240,7 @@ def _of_order_1(reduction: Applicability) -> ThinLayer:
     try:
         return replace(reduction.better(), edges="plain")
     except InputError:
-        return reduction.one.thin
+        return reduction.seam_layer.thin_layer
 
 
 def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:

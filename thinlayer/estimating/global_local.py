@@ -92,7 +92,7 @@ class GoalBounds:
         rounding: by which rounding of forces may move them, as where bodies move far.
     """
 
-    told: float = math.nan
+    estimate: float = math.nan
     lower: float = -math.inf
     upper: float = math.inf
     rounding: float = 0.0
@@ -100,11 +100,13 @@ class GoalBounds:
     def within(self, other: GoalBounds) -> GoalBounds:
         """The intersection with earlier bounds, which may be so much better that the value moves into them."""
         lower, upper = max(self.lower, other.lower), min(self.upper, other.upper)
-        return replace(self, told=min(max(self.told, lower), upper), lower=lower, upper=upper)
+        return replace(self, estimate=min(max(self.estimate, lower), upper), lower=lower, upper=upper)
 
     def narrow(self, value: float, share: float) -> bool:
         """Whether they are apart by less than a share of the change from a value, or by little more than rounding."""
-        return self.upper - self.lower <= max(share * abs(self.told - value), MAX_WIDTH_OVER_ROUNDING * self.rounding)
+        return self.upper - self.lower <= max(
+            share * abs(self.estimate - value), MAX_WIDTH_OVER_ROUNDING * self.rounding
+        )
 
 
 class GlobalLocal:
@@ -119,7 +121,7 @@ class GlobalLocal:
         self.adjoint, self.equations, self.state, self.layers = adjoint, adjoint.equations, adjoint.state, layers
         self.model, self.n = adjoint.model, adjoint.equations.n_displacements
         dropped = [self.model.layers[name] for name in layers.seams]
-        self._laws = [part for part in self.equations.layers if any(one.owns(part.key) for one in dropped)]
+        self._laws = [part for part in self.equations.layers if any(one.owns_key(part.key) for one in dropped)]
         others = PartSum(part for part in self.equations.parts if part not in self._laws)
         if others.with_own:
             reason = f"{others.with_own[0].key!r} has unknowns of its own"
@@ -238,7 +240,7 @@ class GlobalLocal:
 
     def residual(self, one: BodyEquilibrium) -> Array:
         """r = F - (E u - l)."""
-        return one.F - self.layers.held(one.v, one.load, one.values)
+        return one.F - self.layers.dirichlet_reactions(one.v, one.load, one.values)
 
     def step(self, one: BodyEquilibrium) -> BodyEquilibrium:
         """Toward the meshed layer."""
@@ -246,7 +248,7 @@ class GlobalLocal:
         d, F = self._under(r)
         new = self._balanced(d, F, no, no)
         d, v, F = new.u, new.v, new.F - r
-        Kd = layers.held(v, no, no) - F
+        Kd = layers.dirichlet_reactions(v, no, no) - F
         for p, v_p, F_p, Kp in one.directions:
             c = (v_p @ Kd) / (v_p @ Kp)
             d, v, F, Kd = d - c * p, v - c * v_p, F - c * F_p, Kd - c * Kp
@@ -275,7 +277,7 @@ class GlobalLocal:
         """Of nodal forces (m,) in small displacements (m,); reactions have none, though rounding moves supports."""
         constraints = self.equations.constraints
         forces = constraints.forces(forces).copy()
-        forces[constraints.held] = 0.0
+        forces[constraints.bc_dofs] = 0.0
         return self._product(forces, constraints.unknowns(d))
 
     def newton_step(self, one: BodyEquilibrium) -> BodyEquilibrium:
@@ -297,7 +299,7 @@ class GlobalLocal:
             u = one.u + share * du
             lack = self._lack(u)
             new = self._settled(replace(aim, u=u, v=one.v + share * dv, F=self._pulled(lack)))
-            return self._work(lack, du) - float(self.layers.held(new.v, new.load, new.values) @ dv)
+            return self._work(lack, du) - float(self.layers.dirichlet_reactions(new.v, new.load, new.values) @ dv)
 
         if (start := aim.gained - one.gained) > GAIN_TOLERANCE * abs(one.F @ one.v):
             line_search_share(slope, start)
@@ -385,12 +387,12 @@ class GlobalLocal:
         self._require_balance(z)
         (moved, work), (_, work_z) = map(self.layers.compliance, (r, r_z))
         half = math.sqrt(work) * math.sqrt(work_z) / 2 if max(work, work_z) < math.inf else math.inf
-        told = self.told(at_rest, q, one, z)
+        told = self.goal_estimate(at_rest, q, one, z)
         middle = float(told + r_z @ moved / 2)
         rounding = float(self.equations.scale.rounding(np.abs(one.v).max())[0]) * math.sqrt(self._product(z.u, z.u))
         return GoalBounds(told, middle - half, middle + half, rounding)
 
-    def told(self, at_rest: float, q: Array, one: BodyEquilibrium, z: BodyEquilibrium) -> float:
+    def goal_estimate(self, at_rest: float, q: Array, one: BodyEquilibrium, z: BodyEquilibrium) -> float:
         """A goal, as of `bounds`, with the residual at S weighed. Collective."""
         layers, w, w_z = self.layers, self.inside(one), self.inside(z)
         of_bodies = self._product(q, self.equations.constraints.unknowns(one.u)) + self._product(z.u, self._lack(one.u))
@@ -404,7 +406,7 @@ class GlobalLocal:
         adjoint = self.adjoint
         if bonded:
             pulls = self._lack(u.x.array[: self.n])
-            pulls[self.equations.constraints.held] = 0.0
+            pulls[self.equations.constraints.bc_dofs] = 0.0
             return z.u * pulls
         adjoint.forces(self._laws, self.state, u, adjoint.interval)
         return adjoint.work(self._laws, Configuration(self._function(z.u), self.state.t)) - z.u * adjoint.of_layers
@@ -433,7 +435,7 @@ class GlobalLocal:
             for name, rest in at_rest.items():
                 q, z = weights[name]
                 if width is None:
-                    known[name] = GoalBounds(self.told(rest, q, one, z), math.nan, math.nan)
+                    known[name] = GoalBounds(self.goal_estimate(rest, q, one, z), math.nan, math.nan)
                 else:
                     known[name] = self.bounds(rest, q, one, z).within(known.get(name, GoalBounds()))
             if step == MAX_STEPS or self.is_near(one, values, known, width):

@@ -112,7 +112,7 @@ class Compliance(Goal):
     name: ClassVar[str] = "compliance"  # type: ignore[misc]
 
     def value(self, state: State, model: InterfaceModel) -> float:
-        by_plates = [value(state.t) for tie in model.constraints.ties for value in tie.motion.values()]
+        by_plates = [value(state.t) for tie in model.constraints.mpcs for value in tie.motion.values()]
         if not (model.supports.moving or any(by_plates)):
             return state.load_work()
         if math.isnan(state.prescribed_work):
@@ -182,7 +182,7 @@ class Reaction(DirectedGoal):
         return q, adjoint.of_reaction(self.place, along)
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
-        return model.constraints.given_resultant(model.held_by(self.place), self.unit(model), state.t)
+        return model.constraints.given_resultant(model.holder_rows(self.place), self.unit(model), state.t)
 
     def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
         return np.zeros_like(layers.load), layers.motion_of(self.place, self.unit(layers.model))
@@ -230,7 +230,7 @@ class MeanTraction(DirectedGoal):
         if not linear or not all(part.is_linear(model) for part in model.parts):
             raise InputError(f"{self.name}: there is no map of it, as a law of the bodies, or a part, is not linear")
         du, v = ufl.TestFunction(model.V), self._test(model)
-        works = forms.work([replace(term, given=None) for term in model.bodies], du, v)
+        works = forms.work([replace(term, prescribed_strain=None) for term in model.bodies], du, v)
         u = fem.Function(model.V)
         if (added := model.added_work(u, v)).integrals():
             works += ufl.derivative(added, u, du)
@@ -246,7 +246,7 @@ class MeanTraction(DirectedGoal):
         names = [self.seam] if self.seam in model.layers else [*model.layers]
         sides = {name: nodes_of_sides(model, W, name) for name in model.layers}
         held = fem.Function(W)
-        held.x.array[model.held_in(W)] = 1.0
+        held.x.array[model.bc_dofs_in(W)] = 1.0
         total = 0.0
         for name in names:
             others = [nodes for other, both in sides.items() if other != name for nodes in both]

@@ -147,7 +147,7 @@ class Estimate:
     def dropped(self) -> str:
         """What the given state has in place of the layers, in words."""
         bonds, layers = self.state.model.bonds, self.state.model.layers
-        orders = sorted({one.thin.order for one in layers.values() if one.thin})
+        orders = sorted({one.thin_layer.order for one in layers.values() if one.thin_layer})
         found = [f"order {' and '.join(map(str, orders))}"] if layers else []
         of = " of " + ", ".join(bonds) if layers else ""
         return ", ".join([f"perfect bond{of}", *found] if bonds else found)
@@ -224,7 +224,7 @@ class Estimate:
         for name, goal in self.goals.items():
             rows.append((name, goal.value, goal.better, goal.relative, goal.lower, goal.upper))
         if energy := self.energy:
-            rows.append(("energy above the least", energy.told, 0.0, nan, energy.lower, energy.upper))
+            rows.append(("energy above the least", energy.estimate, 0.0, nan, energy.lower, energy.upper))
         columns = ("quantity", "value", "better", "error", "lower", "upper")
         return Table([dict(zip(columns, row, strict=True)) for row in rows])
 

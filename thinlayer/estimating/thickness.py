@@ -119,7 +119,7 @@ def thin_enough(
     made = begun.with_layer if bodies == "kept" else partial(structure.interface, bodies=bodies)
     bonds = {**given, **dict.fromkeys(chosen, Bond())}
     for name in chosen if bonded else ():
-        begun.reductions[name].require("bonded", "thin_enough: ")
+        begun.applicability[name].require("bonded", "thin_enough: ")
     alone = solved(structure.interface(bonds, bodies=bodies)) if bonded else None
     heard: dict[float, list[warnings.WarningMessage]] = {}
     caveats: dict[float, list[str]] = {}

@@ -69,7 +69,7 @@ def compare(
     if is_open[0] != is_open[1]:
         raise InputError(f"compare needs the same open or bonded joints, not {is_open[0]} and {is_open[1]}")
     for name, layer in limit.layers.items():
-        thin, other = meshed.layers[name].thin, layer.thin
+        thin, other = meshed.layers[name].thin_layer, layer.thin_layer
         if thin and other and thin.eps != other.eps:
             raise InputError(f"compare needs one thickness of {layer}, not {thin.eps} and {other.eps}")
     _require_same_places(meshed, limit)
@@ -77,7 +77,7 @@ def compare(
         _require_same_structure(meshed, limit)
     surface = Surface(limit, seam)
     part = _part(surface, where)
-    row = {"eps": max(float(one.thin.eps) for one in meshed.layers.values() if one.thin)}
+    row = {"eps": max(float(one.thin_layer.eps) for one in meshed.layers.values() if one.thin_layer)}
     moved = float(interface.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) * math.sqrt(surface.integral(part))
     sizes = {}
     for name, field in (("traction", surface.traction), ("jump", surface.jump)):
@@ -91,7 +91,7 @@ def compare(
 def _too_stiff(state: State, seam: str) -> dict[str, float]:
     """Column "too_stiff" of each layer that has one, "too_stiff NAME" if the joint has several seams. Collective."""
     several = len(state.model.joint.seams) > 1
-    layers = {name: one for name, one in state.model.layers.items() if seam in (S, name) and not one.flows}
+    layers = {name: one for name, one in state.model.layers.items() if seam in (S, name) and not one.has_pressure_flow}
     factors = {name: times_too_stiff(state, one) for name, one in layers.items()}
     return {f"too_stiff {name}" if several else "too_stiff": one for name, one in factors.items() if one is not None}
 
@@ -109,7 +109,7 @@ def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
     band = full.domain.joint.band
     here = "kept" if interface.domain.joint.parted is None else "extended"
     assert band is not None
-    if band.bodies != here and any(one.thin and one.thin.order for one in interface.layers.values()):
+    if band.bodies != here and any(one.thin_layer and one.thin_layer.order for one in interface.layers.values()):
         models = f"bodies are {band.bodies} in the full model and {here} in the interface model"
         why = "which is a difference of order 1 by itself; give both the same bodies='...'"
         raise InputError(f"compare, order=1: {models}, {why}")
@@ -119,14 +119,14 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
     """Raise InputError unless both models have the same data but for the layer's law."""
     there, here = (
         {name: model.made_from[name] for name in ("plane", "bodies", "loads")}
-        | {"supports": model.made_from["supports"][: len(model.supports.given)]}
+        | {"supports": model.made_from["supports"][: len(model.supports.user_entries)]}
         for model in (full, interface)
     )
     if there != here:
         found = [*differences(there, here)]
         raise InputError(f"compare needs the same {found[0][0][0]}: {differences_text(found)}")
     for name, layer in interface.layers.items():
-        both = [one.thin.profile for one in (full.layers[name], layer) if one.thin]
+        both = [one.thin_layer.profile for one in (full.layers[name], layer) if one.thin_layer]
         shapes = [full.joint.relative_thickness(profile, name) for profile in both]  # a law on S has no thickness
         if not np.allclose(shapes[0], shapes[-1], rtol=PROFILE_TOLERANCE, atol=0.0):
             raise InputError("compare needs the same profile of the thickness in both models")

@@ -183,8 +183,8 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, Any]:
 def _rank_values(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
     """What a contact law finds at its nodes of this rank, once for each vertex beside a node, and the vertices' numbers."""
     model, law = state.model, state.model.contacts[seam]
-    nodes = ContactNodes(ContactSurface.of(model, seam), model.constraints.held, gap=law.gaps)
-    w, slip = nodes.apart(state.u.x.petsc_vec), state.memory[model.layers[seam].key]
+    nodes = ContactNodes(ContactSurface.of(model, seam), model.constraints.bc_dofs, gap=law.gaps)
+    w, slip = nodes.separation(state.u.x.petsc_vec), state.memory[model.layers[seam].key]
     t, p, kind = law.traction(w, slip), law.pressure(w), law.status(w, slip)
     threshold = law.threshold(p)
     if law.memory:
@@ -193,7 +193,7 @@ def _rank_values(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
     largest = model.comm.allreduce(float(p.max(initial=0.0)), max)
     kind = np.where(p <= ZERO_PRESSURE_SHARE * largest, Status.SEPARATED, kind)
     status = np.array([STATUS_NAMES[Status(int(one))] for one in kind], dtype="<U9")
-    status[nodes.held.all(axis=1)] = PINNED_STATUS
+    status[nodes.is_fixed.all(axis=1)] = PINNED_STATUS
     node, number = body_pairs(model.joint, seam, nodes.file_numbers)
     beside = np.bincount(node, minlength=len(w))
     found: dict[str, npt.NDArray[Any]] = {
@@ -209,7 +209,7 @@ def _balance(state: State) -> tuple[float, float]:
     model, comm, d = state.model, state.model.comm, state.model.joint.dim
     if any(p.law.traits.compiled for p in model.layer_terms):
         return math.nan, math.nan
-    held = np.union1d(model.supports.held(model.V), model.held_in(model.V))
+    held = np.union1d(model.supports.bc_dofs_in(model.V), model.bc_dofs_in(model.V))
     held = held[held < model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs]
     v = ufl.TestFunction(model.V)
     stresses = nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.added_work_in(state, v))

@@ -50,7 +50,7 @@ def homogenised_stiffness(model: Model) -> Array:
     strained.coordinates = at = Coordinates.of(model.domain)
     strained.strain, strained.stress = MeanStrain(_unit_strains(model.joint.dim), at, model.joint), None
     some = model.bodies, model.layer_terms
-    bodies, strained.layer_terms = ([replace(p, given=None) for p in terms] for terms in some)
+    bodies, strained.layer_terms = ([replace(p, prescribed_strain=None) for p in terms] for terms in some)
     strained.bodies = with_added_strain(bodies, strained.strain.expression)
     if not model.broken:
         strained.layer_terms = with_added_strain(strained.layer_terms, strained.strain.expression)

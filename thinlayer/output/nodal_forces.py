@@ -46,7 +46,9 @@ def contact_forces(state: State) -> fem.Function:
     for name, law in model.contacts.items():
         nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)
         out = nodes.zero()
-        nodes.add_forces(-law.traction(nodes.apart(state.u.x.petsc_vec), state.memory[model.layers[name].key]), out)
+        nodes.add_forces(
+            -law.traction(nodes.separation(state.u.x.petsc_vec), state.memory[model.layers[name].key]), out
+        )
         forces.x.array[: out.getLocalSize()] += out.array_r
         destroy(nodes, out)
     forces.x.scatter_forward()

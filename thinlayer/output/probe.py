@@ -221,7 +221,7 @@ def cells_at(model: Model, x: Any, side: str | None = None, seam: str = S) -> Lo
         return located
     if not isinstance(model, InterfaceModel):
         raise InputError("a side is for places on S of an interface model")
-    return SurfaceMesh(model, seam).beside(located, side)
+    return SurfaceMesh(model, seam).on_side(located, side)
 
 
 def _monomials(x: Array, degree: int) -> Array:

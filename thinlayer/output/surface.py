@@ -168,8 +168,13 @@ class Surface(SurfaceMesh):
                 row |= {name: float(areas @ (found[:, 0] == name)) for name in statuses(model, seam)}
             if layer and seam in seams_with_phases(model):
                 row |= phase_shares(state, seam)
-            if layer and layer.thin and found is not None and (factor := times_too_stiff(state, layer)) is not None:
-                row |= {"delta": float(layer.thin.eps) * resting_sublayers(layer)[0].length, "too_stiff": factor}
+            if (
+                layer
+                and layer.thin_layer
+                and found is not None
+                and (factor := times_too_stiff(state, layer)) is not None
+            ):
+                row |= {"delta": float(layer.thin_layer.eps) * resting_sublayers(layer)[0].length, "too_stiff": factor}
             rows.append(row)
         columns = dict.fromkeys(name for row in rows for name in row)
         return Table({name: row.get(name) for name in columns} for row in rows)
@@ -196,7 +201,7 @@ def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.N
     lower, upper = surface.sides(points.state.u, model, rule)[:, :, surface.seams == layer.name]
     opening = np.zeros(rule.weights.shape)
     opening[surface.seams == layer.name] = ((upper - lower) * rule.n[:, surface.seams == layer.name]).sum(axis=0)
-    strain = float(np.abs(upper - lower).max(initial=0.0)) / float(layer.thin.eps)
+    strain = float(np.abs(upper - lower).max(initial=0.0)) / float(layer.thin_layer.eps)
     plastic = np.zeros((q.count, 3, 3))
     for (fraction, _), values in zip(sublayers, points.internal(), strict=True):
         plastic += fraction * values.get("plastic", 0.0)

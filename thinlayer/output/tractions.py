@@ -235,7 +235,7 @@ def reaction_tractions(surface: SurfaceMesh, state: State, *, joined: bool = Fal
     model, d = state.model, surface.joint.dim
     r = layer_forces(state, joined)
     held = fem.Function(r.function_space)
-    held.x.array[model.held_in(r.function_space)] = 1.0
+    held.x.array[model.bc_dofs_in(r.function_space)] = 1.0
     held.x.scatter_forward()
     by_sides = [surface.sides(f, model, surface.corner_points) for f in (r, held)]
     forces, fixed = (np.moveaxis(f, 1, -1) for f in by_sides)  # (2, n, k, d)

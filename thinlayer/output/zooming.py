@@ -98,8 +98,8 @@ class Zoom:
         assert isinstance(model, InterfaceModel)
         layers = {}
         for name in [*model.layers] if model.joint.seams_meet else [self.seam]:
-            what, thin = f"zoom into {model.layers[name]}: ", model.layers[name].thin
-            model.reductions[name].require("alone", what)
+            what, thin = f"zoom into {model.layers[name]}: ", model.layers[name].thin_layer
+            model.applicability[name].require("alone", what)
             if thin.law.traits.remembers and not state.sudden:
                 raise InputError(f"{what}it remembers earlier steps; mesh it (structure.full)")
             layers[name] = replace(thin, order=0, edges=None)
@@ -113,7 +113,7 @@ class Zoom:
     @property
     def eps(self) -> float:
         """The layer's thickness; where it varies the one that its profile multiplies."""
-        return float(self._one.thin.eps)
+        return float(self._one.thin_layer.eps)
 
     @property
     def law(self) -> BulkLaw:
@@ -122,7 +122,7 @@ class Zoom:
 
     @cached_property
     def _known(self) -> Any:
-        return self.state.model.reductions[self.seam]
+        return self.state.model.applicability[self.seam]
 
     def _require_faces(self, layers: State) -> None:
         """Warn if the layer does not bear what the bodies do."""
@@ -181,7 +181,9 @@ class Zoom:
         ends, found = straight_ends(free, self._one.sheet), []
         every = points[np.unique(free.vertices)]
         for end in ends:
-            others = [other.beside(every) & (other.distance(every) <= SINGLE_END_DISTANCE * self.eps) for other in ends]
+            others = [
+                other.adjoins(every) & (other.distance(every) <= SINGLE_END_DISTANCE * self.eps) for other in ends
+            ]
             x = every[end.has(every) & (np.sum(others, axis=0) == 1)]
             if len(x):
                 found.append((end, x[np.argsort(x @ end.along)]))

@@ -97,5 +97,5 @@ def _free_vertices(model: Model, term: Term) -> Array | None:
     if not flows_along_surface(term):
         return None
     one = next(one for one in model.layers.values() if one.key == term.key)
-    known = model.reductions[one.name]
+    known = model.applicability[one.name]
     return points_on_middle(model.domain.joint)[np.unique(known.loose[~known.coarse].vertices)]

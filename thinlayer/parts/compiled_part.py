@@ -47,7 +47,7 @@ class PointStrains:
     """
 
     def __init__(self, points: CompiledTerm) -> None:
-        given = points.term.given
+        given = points.term.prescribed_strain
         self._points, self._hand = points, TimeLevel()
         self._form = None if given is None else points.form_of(self._hand.of(given))
 
@@ -107,8 +107,8 @@ class CompiledPart(Part):
         material = self.points.material
         return [material.parameters] if material.varies else []
 
-    def ease(self, ease: float) -> None:
-        self.points.ease(ease)
+    def set_homotopy(self, ease: float) -> None:
+        self.points.set_homotopy(ease)
         self.points.at_time(self._t)
 
     def begin(self, interval: TimeStep) -> None:
@@ -169,7 +169,7 @@ class CompiledPart(Part):
 
     def _at_rest(self) -> float:
         """Energy stored before the first step, by a strain that has always been given."""
-        if self.points.term.given is None:
+        if self.points.term.prescribed_strain is None:
             return 0.0
         return float(self.comm.allreduce(self.points.stored(self._e_old, self._memory, self.interval.dt)))
 

@@ -39,7 +39,7 @@ class ContactPart(Part):
             raise InputError(f"{law!r} is no contact law")
         law.check_threshold()
         of_law = {name: getattr(law.traits, name) for name in ("remembers", "softens")}
-        self.traits = PartTraits(nonlinear=True, releases=True, eases=True, **of_law)
+        self.traits = PartTraits(nonlinear=True, releases=True, has_homotopy=True, **of_law)
         self.key, self.law, self.nodes, self.cancelling = key, law, ContactNodes(surface, held, gap=law.gaps), 0.0
         self.now: ContactLaw | ContactHomotopy = law
         self.slip = self.rest()
@@ -59,11 +59,11 @@ class ContactPart(Part):
         super().begin(interval)
         self.slip = interval.old.memory[self.key]
 
-    def ease(self, ease: float) -> None:
-        self.now = self.law.eased(MIN_SPRING_SHARE ** (1 - ease)) if ease else self.law
+    def set_homotopy(self, ease: float) -> None:
+        self.now = self.law.homotopy(MIN_SPRING_SHARE ** (1 - ease)) if ease else self.law
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        self._u, self._w = u, self.nodes.apart(u.x.petsc_vec)
+        self._u, self._w = u, self.nodes.separation(u.x.petsc_vec)
 
     def add_forces(self, out: PETSc.Vec) -> float:
         self.nodes.add_forces(self.now.traction(self._w, self.slip), out)
@@ -94,7 +94,7 @@ class ContactPart(Part):
         w, law, nodes = self._w, self.law, self.nodes
         old = self.interval.old
         stored, dissipated = law.energies(w, self.slip)
-        t, change = law.traction(w, self.slip), w - nodes.apart(old.u.x.petsc_vec)
+        t, change = law.traction(w, self.slip), w - nodes.separation(old.u.x.petsc_vec)
         pressed = t[:, -1] * nodes.gap * old.at_rest  # an interference comes with the first step
         worked = (t * change).sum(axis=1) + pressed
         sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, worked, pressed)]))

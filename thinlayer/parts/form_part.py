@@ -186,22 +186,24 @@ class LawFormPart(FormPart):
         proportional = [p.proportional for p in terms]
         linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
         others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
-        strained, bodies = [p for p in linear if p.given is not None], [p for p in terms if p.n is None]
+        strained, bodies = [p for p in linear if p.prescribed_strain is not None], [p for p in terms if p.n is None]
         self._over = over = StepStrains(V.mesh, terms)
-        self._strained = any(p.given is not None for p in terms)
+        self._strained = any(p.prescribed_strain is not None for p in terms)
         u, v = fem.Function(V), ufl.TestFunction(V)
         stored = None
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
             # what a given strain adds to the energy of the displacements, of a linear law
             known = _with_strains(strained, over.now)
-            beyond = [_strain_work(p, u) + p.law.energy(Step(p.given, p.n)) * p.weight * p.measure for p in known]
+            beyond = [
+                _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure for p in known
+            ]
             stored = energy(_with_strains(others, over.now), u) + sum(beyond)
         K = _linear_stiffness(V, linear, everywhere, beside) if linear or everywhere else None
         F = work(_with_strains(others, over.balanced), u, v) if others else None
         g = sum(_strain_work(p, v) for p in _with_strains(strained, over.balanced)) if strained else None
         super().__init__(key, u, K, F, stored, g=g)
         self._opposing = _opposing_integrals(
-            [p for p in _with_strains(others, over.balanced) if p.n is None and p.given is not None], u
+            [p for p in _with_strains(others, over.balanced) if p.n is None and p.prescribed_strain is not None], u
         )
         self.traits = replace(reduce(or_, map(_form_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
 
@@ -216,9 +218,9 @@ class LawFormPart(FormPart):
     @cached_property
     def _power(self) -> fem.Form:
         """Work of the stresses at the last evaluation in the growth of given strains over the step."""
-        over, grown = self._over, [p for p in self._terms if p.given is not None]
+        over, grown = self._over, [p for p in self._terms if p.prescribed_strain is not None]
         pairs = zip([stress(p, self._u) for p in _with_strains(grown, over.balanced)], grown, strict=True)
-        return compiled(sum(ufl.inner(s, over.growth(p.given)) * p.weight * p.measure for s, p in pairs))
+        return compiled(sum(ufl.inner(s, over.growth(p.prescribed_strain)) * p.weight * p.measure for s, p in pairs))
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
@@ -303,23 +305,28 @@ def _form_traits(p: Term) -> PartTraits:
     """Traits of a law in forms: Newton's method takes it as it is, and is told of what weakens in layers alone."""
     traits = PartTraits.of(p.law)
     weakens, unchecked = traits.weakens and p.n is not None, not p.proportional
-    return replace(traits, singular=False, eases=False, weakens=weakens, unchecked=unchecked)
+    return replace(traits, singular=False, has_homotopy=False, weakens=weakens, unchecked=unchecked)
 
 
 def _with_strains(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:
     """The terms, their given strains changed."""
-    return [p if p.given is None else replace(p, given=change(p.given)) for p in terms]
+    return [
+        p if p.prescribed_strain is None else replace(p, prescribed_strain=change(p.prescribed_strain)) for p in terms
+    ]
 
 
 def _strain_work(p: Term, v: Expr) -> Expr:
     """Virtual work of the stress of a given strain alone in the strains of v."""
-    return ufl.inner(p.law.stress(Step(p.given, p.n)), p.strain(v)) * p.weight * p.measure
+    return ufl.inner(p.law.stress(Step(p.prescribed_strain, p.n)), p.strain(v)) * p.weight * p.measure
 
 
 def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
     """Work of stresses in their given strains, integral of the squares of these, and volume of the bodies."""
     one = fem.Constant(u.function_space.mesh, 1.0)
-    densities = [(ufl.inner(stress(p, u), p.given), ufl.inner(p.given, p.given), one) for p in strained]
+    densities = [
+        (ufl.inner(stress(p, u), p.prescribed_strain), ufl.inner(p.prescribed_strain, p.prescribed_strain), one)
+        for p in strained
+    ]
     rows = [[f * p.weight * p.measure for f in row] for p, row in zip(strained, densities, strict=True)]
     return [compiled(sum(column)) for column in zip(*rows, strict=True)]
 
@@ -335,7 +342,7 @@ def _linear_stiffness(
     across = [p for p in beside if p.measure.integral_type() == "interior_facet" and not p.law.traits.compiled]
     K = zero_matrix(V, sum(1 * p.measure for p in (*(linear or bodies), *across)))
     try:
-        form = work((replace(p, given=None) for p in linear), ufl.TrialFunction(V), ufl.TestFunction(V))
+        form = work((replace(p, prescribed_strain=None) for p in linear), ufl.TrialFunction(V), ufl.TestFunction(V))
         for summand in compiled_summands(form) if linear else ():
             dolfinx.fem.petsc.assemble_matrix(K, summand)
     except ArityMismatch as error:

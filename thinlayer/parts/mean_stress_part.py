@@ -55,9 +55,9 @@ class MeanStressPart(FieldPart):
         own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained)
         self.B, self.D = assemble_matrix(fem.form(couple)), assemble_matrix(fem.form(own))
         self._turned = self.B.transpose(PETSc.Mat())
-        of_given = [p for p in bodies if p.given is not None]
+        of_given = [p for p in bodies if p.prescribed_strain is not None]
         self._over = StepStrains(mesh, of_given)
-        stresses = [(p, p.law.stress(Step(self._over.now(p.given), p.n))) for p in of_given]
+        stresses = [(p, p.law.stress(Step(self._over.now(p.prescribed_strain), p.n))) for p in of_given]
         own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
         self._own_of_given = fem.form(own) if of_given else None
         self._forces, self._own, self._more = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()

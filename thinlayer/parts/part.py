@@ -48,7 +48,7 @@ class PartTraits:
         releases: the part may resist a body in one step and release it in the next, as contact does.
         singular: the tangent may be singular for some strains although there is an energy.
         saddle: the tangent with supports may have eigenvalues of both signs.
-        eases: the part can be replaced by an eased one, by its method `ease`.
+        eases: the part can be replaced by an eased one, by its method `set_homotopy`.
         switches: phases stay the same while an equilibrium is found, and change after it.
         inner: rigid motions of a whole body cause no forces.
         unchecked: stresses are not checked point by point: NaNs are found in the summed forces only.
@@ -63,7 +63,7 @@ class PartTraits:
     releases: bool = False
     singular: bool = False
     saddle: bool = False
-    eases: bool = False
+    has_homotopy: bool = False
     switches: bool = False
     inner: bool = False
     unchecked: bool = False
@@ -74,7 +74,7 @@ class PartTraits:
     @classmethod
     def of(cls, law: Law) -> PartTraits:
         """Traits of a part that is one law."""
-        same = ("rate", "remembers", "bounded", "softens", "singular", "eases", "switches")
+        same = ("rate", "remembers", "bounded", "softens", "singular", "has_homotopy", "switches")
         has = {name: getattr(law.traits, name) for name in same}
         weakens = has["rate"] or has["bounded"] or has["singular"] or has["softens"]
         return cls(nonlinear=not law.traits.linear, weakens=weakens, **has)
@@ -135,7 +135,7 @@ class FileOrder:
 
     numbers: IntArray
     order: IntArray
-    own: int | None = None
+    n_owned: int | None = None
 
     @property
     def width(self) -> int:
@@ -174,7 +174,7 @@ class Part(ABC):
     - `failure() -> str`: says what failed in the last evaluation and where; "" if nothing did.
     - `at_time(t)`: uses the parameters of time t from now on; InputError: a parameter is out of range. `parameters()`:
       list of arrays, those that vary in time, on this rank.
-    - `ease(ease)`: uses the eased law; 0 is the law itself, 1 an elastic one.
+    - `set_homotopy(ease)`: uses the eased law; 0 is the law itself, 1 an elastic one.
     - `excess() -> float`: largest gain of energy if a column changed its phase. `switch() -> bool` changes columns to the
       phases of lowest energy in the last evaluation; True if any column changes.
     - `error_measure(u)`: strains or jumps (n,) at u, for the error of a step; the sum of their squares is an integral.
@@ -293,7 +293,7 @@ class FieldPart(Part):
 
     def parameters(self) -> list[Array]:
         """What is given at the time of the last `at_time`."""
-        return [self.load_at(self._t), self.own_held(self._t)[1]]
+        return [self.load_at(self._t), self.own_prescribed(self._t)[1]]
 
     def own_start(self, old: Configuration) -> Array:
         """Own unknowns on this rank at the start of a step from `old`."""
@@ -301,7 +301,7 @@ class FieldPart(Part):
             return np.zeros(self.own_size)
         return np.asarray((values.x.array / self.unit)[: self.own_size])
 
-    def own_held(self, t: float | None) -> tuple[IntArray, Array]:
+    def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """Own unknowns of this rank that are prescribed: their numbers, and values at time t, or 0 without a time."""
         return np.empty(0, np.int64), np.empty(0)
 

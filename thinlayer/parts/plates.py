@@ -84,11 +84,11 @@ class RigidPlate(PartDefinition):
     def __post_init__(self) -> None:
         object.__setattr__(self, "key", f"plate {self.place}")
 
-    def tied(self, model: HostModel) -> MultiPointConstraint:
+    def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
         """Its nodes, which follow its motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
         scale = np.where(np.arange(motion_count(d)) < d, 1.0, size)
-        keys, given, at = self.motions_held(model), self._resultants(model), self._motions(model)
+        keys, given, at = self.prescribed_motions(model), self._resultants(model), self._motions(model)
         held = {k: partial(lambda k, t: float(at[k].at_time(t) * scale[k]) if k in at else 0.0, k) for k in keys}
         R = self._tie(model, self.point(model), size)
         return MultiPointConstraint(self.key, motion_names(d), R, held, lambda t: self._at(t, given, keys, d) / scale)
@@ -96,7 +96,7 @@ class RigidPlate(PartDefinition):
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""
         model: Any = state.model
-        (tie,) = (one for one in model.constraints.ties if one.key == self.key)
+        (tie,) = (one for one in model.constraints.mpcs if one.key == self.key)
         q, d = model.constraints.motion(tie, state.u.x.array[: model.constraints.n]), model.joint.dim
         rotation = q[d:] / model.domain.joint.size  # of lengths
         return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
@@ -147,7 +147,7 @@ class RigidPlate(PartDefinition):
         if self.about is not None:
             require_point(self.about, d)
         if not any(value.varies for value in [*self._resultants(model).values(), *self._motions(model).values()]):
-            self._at(0.0, self._resultants(model), self.motions_held(model), d)
+            self._at(0.0, self._resultants(model), self.prescribed_motions(model), d)
 
     def _resultants(self, model: HostModel) -> dict[str, Coefficient]:
         """The force and the moment, those that are given."""
@@ -162,7 +162,7 @@ class RigidPlate(PartDefinition):
 
     def _value(self, model: HostModel, name: str, value: Any, shape: tuple[int, ...]) -> Coefficient:
         """A value that is one for the whole plate."""
-        return model.coordinates.given(value, f"{self.what}: {name}", shape).once("the whole plate")
+        return model.coordinates.coefficient(value, f"{self.what}: {name}", shape).once("the whole plate")
 
     @staticmethod
     def _prevented(model: HostModel) -> list[int]:
@@ -188,6 +188,6 @@ class RigidPlate(PartDefinition):
             return require_point(self.about, model.joint.dim)
         return moment_centre(model.kinematics, centroid(model.domain, self.place))
 
-    def motions_held(self, model: HostModel) -> list[int]:
+    def prescribed_motions(self, model: HostModel) -> list[int]:
         """Numbers of the prescribed motions; a plate of revolution moves along its axis alone."""
         return sorted({*self._prevented(model), *(motion_names(model.joint.dim).index(name) for name in self.motion)})

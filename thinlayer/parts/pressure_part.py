@@ -88,9 +88,9 @@ class PressurePart(FieldPart):
             self.C.scale(self.unit**2)
         self.G.scale(self.unit)
         self._zero = dofs_at_vertices(space, free) if free is not None and len(free) else np.empty(0, np.int64)
-        strained = [term] if term.given is not None else []
+        strained = [term] if term.prescribed_strain is not None else []
         self._over = StepStrains(V.mesh, strained)
-        room = sum(q * ufl.tr(self._over.now(p.given)) * p.weight * p.measure for p in strained)
+        room = sum(q * ufl.tr(self._over.now(p.prescribed_strain)) * p.weight * p.measure for p in strained)
         self._room = region.compiled(room) if strained else None
         self._turned = self.G.transpose(PETSc.Mat())
         self._volume, self._forces = self.G.createVecLeft(), self.G.createVecRight()
@@ -172,7 +172,7 @@ class PressurePart(FieldPart):
         room = self._volume.array_r + self._given
         return np.asarray(room if self._filled is None else room - self._filled)
 
-    def own_held(self, t: float | None) -> tuple[IntArray, Array]:
+    def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """At free ends the pressure of a law with flow is zero."""
         return self._zero, np.zeros(len(self._zero))
 

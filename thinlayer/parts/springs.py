@@ -71,7 +71,7 @@ class Springs(PartDefinition):
         """The stiffnesses, normal and tangential. Collective."""
         names = ("normal", "tangential")
         what = f"springs on {self.place!r}: "
-        return [model.coordinates.given(getattr(self, name), what + name, (), of_place=True) for name in names]
+        return [model.coordinates.coefficient(getattr(self, name), what + name, (), of_place=True) for name in names]
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> Any:
         """Virtual work of the springs, a UFL form."""

@@ -85,7 +85,7 @@ class CompiledTerm(Quadrature):
         if self._volume:
             self.B = self._volume.matrix(B)
             destroy(B)
-        stressed = term.kinematics.stressed(self.dim)
+        stressed = term.kinematics.stress_slots(self.dim)
         self._none = [k for k in range(len(MANDEL_PAIRS)) if k not in stressed]
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
         self.material = CompiledLaw(self.comm, term.law)
@@ -163,9 +163,9 @@ class CompiledTerm(Quadrature):
             down |= np.sum(change * of_stress, axis=1) < -SOFTENING_TOLERANCE * sizes
         return int(np.count_nonzero(down))
 
-    def ease(self, ease: float) -> None:
-        """Use the law with this ease from now on, see `BulkLaw.eased`; 0: the law itself."""
-        self.material.take(self.term.law.eased(ease) if ease else self.term.law)
+    def set_homotopy(self, ease: float) -> None:
+        """Use the law with this ease from now on, see `BulkLaw.homotopy`; 0: the law itself."""
+        self.material.take(self.term.law.homotopy(ease) if ease else self.term.law)
 
     def at_time(self, t: float) -> None:
         """Use the law's parameters at this time from now on. Collective.

@@ -103,7 +103,7 @@ def drive(
         raise InputError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
     if law.traits.rate and (lengths == 0).any():
         raise InputError(f"dt is 0 in step {np.argmin(lengths) + 1}; {type(law).__name__} lets no jump change at once")
-    point = MaterialPoint(law.of_strains(), normal, axes, float(theta))
+    point = MaterialPoint(law.as_bulk_law(), normal, axes, float(theta))
     if no_time and any(depends_on_step_length(one) for _, one in point.law.sublayers):
         raise InputError(f"dt is missing: {type(law).__name__} depends on the length of the steps in time")
     states = [point.rest()]

@@ -176,7 +176,7 @@ class Quadrature:
     @cached_property
     def slots(self) -> list[int]:
         """Mandel components that strains may have here; the others are zero."""
-        given, of_strains = self.term.given, self.term.kinematics.slots(self.dim)
+        given, of_strains = self.term.prescribed_strain, self.term.kinematics.slots(self.dim)
         if self.term.volume is not None:
             of_strains = (*of_strains, *TRACE_COMPONENTS)
         of_given = [k for k, pair in enumerate(MANDEL_PAIRS) if given is not None and not isinstance(given[pair], Zero)]

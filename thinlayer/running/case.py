@@ -35,7 +35,7 @@ class DescribedCase:
         goals: quantities whose change is told.
     """
 
-    given: Description
+    description: Description
     structure: Structure
     layer: Layers
     goals: Sequence[Goal]
@@ -66,9 +66,9 @@ class DescribedCase:
         Raises:
             InputError: as the model and the goals raise it.
         """
-        model = self.structure.interface(self.layer, bodies=self.given.bodies)
-        for name, goal in zip(self.given.goals or ("compliance",), self.goals, strict=True):
-            with self.given.section.described("goals", name), errors_on_all(model.comm):
+        model = self.structure.interface(self.layer, bodies=self.description.bodies)
+        for name, goal in zip(self.description.goals or ("compliance",), self.goals, strict=True):
+            with self.description.section.described("goals", name), errors_on_all(model.comm):
                 goal.check(model)
         return model
 

@@ -72,7 +72,7 @@ def run(record: Record, given: Description, file: Path) -> None:
 
 
 def _estimate(record: Record, case: DescribedCase, model: Model, **left_out: Any) -> Estimate:
-    state: State | History = march(model, case.given.times) if case.given.times else solve(model)
+    state: State | History = march(model, case.description.times) if case.description.times else solve(model)
     for one in state if isinstance(state, History) else [state]:
         record.solved(one)
     found = estimate(state, goals=case.goals, **left_out)
@@ -84,8 +84,12 @@ def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[dict[st
     """The thickness below which each quantity changes by less than its tolerance; told as soon as it is known."""
     goals, rows = {goal.name: goal for goal in case.goals}, []
     seams = [*case.layer] if isinstance(case.layer, Mapping) else [S]
-    given: dict[str, Any] = {"times": case.given.times or None, "bodies": case.given.bodies, "bonded": name == BOND}
-    for (quantity, tolerance), seam in product(case.given.tolerance.items(), seams):
+    given: dict[str, Any] = {
+        "times": case.description.times or None,
+        "bodies": case.description.bodies,
+        "bonded": name == BOND,
+    }
+    for (quantity, tolerance), seam in product(case.description.tolerance.items(), seams):
         if name == BOND and quantity == "jump":
             continue  # bonded bodies have none
         of = {"seam": seam} if len(seams) > 1 else {}
@@ -115,7 +119,7 @@ def _draw(record: Record, case: DescribedCase, name: str, found: Estimate) -> No
         stems.append(stem)
         if shares := _near_ends(found, goal, density):
             record.say(f"  {goal}: {shares}")
-        path, length = record.path(f"{stem}.png"), case.given.units[0] if case.given.units else ""
+        path, length = record.path(f"{stem}.png"), case.description.units[0] if case.description.units else ""
         shown = goal.replace("$", r"\$")  # no mathematics
         quantity, surface = f"change of {shown}, per area of S", Surface(found.better.model)
         if surface.joint.dim == 2:

@@ -281,7 +281,7 @@ class Record:
     def solved(self, found: SolvedType) -> SolvedType:
         """Note for run.json how a state, or the last one of a history, was found; returns what it is given."""
         state = found if isinstance(found, State) else found.last
-        thin = {name: one.thin.eps for name, one in state.model.layers.items() if one.thin}
+        thin = {name: one.thin_layer.eps for name, one in state.model.layers.items() if one.thin_layer}
         eps = thin if len(thin) > 1 else next(iter(thin.values()), None)
         self.solves.append({"model": repr(state.model), "eps": eps, "t": state.t} | asdict(state.report))
         STUDY_LOGGER.info("%(model)s, eps = %(eps)s, t = %(t)g: %(method)s, %(iterations)d steps", self.solves[-1])

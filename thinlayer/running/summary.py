@@ -25,7 +25,7 @@ def summarise(case: DescribedCase) -> str:
     Raises:
         InputError: as the model and the goals raise it.
     """
-    given, model, values = case.given, case.model(), case.given.section.values
+    given, model, values = case.description, case.model(), case.description.section.values
     joint, sizes, t = model.joint, _sizes(model), given.times[-1] if given.times else 0.0
     of_body, of_layer = ("volume", "area") if joint.dim == 3 or given.plane == "axisymmetric" else ("area", "length")
     names = {S: given.mesh.get("S") or S}  # the only seam has another name in the file

@@ -26,7 +26,7 @@ def template(mesh: Path) -> str:
 
 
 def _filled(mesh: Path, named: NamedGroups) -> str:
-    beside = {name: named.beside(name) for name in named.facets}
+    beside = {name: named.adjacent_cells(name) for name in named.facets}
     inside = {name: named.touched(cells) for name, cells in beside.items() if cells.size and (cells >= 0).all()}
     seam, words = _seam(inside, ", ".join(named.facets))
     layers = "\n\n".join(

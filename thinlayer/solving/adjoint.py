@@ -115,13 +115,13 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def of_prescribed(self) -> PETSc.Vec:
         """Motions g: the displacements that supports prescribe."""
         g = self.nothing()
-        g.array[self.equations.held] = self.equations.prescribed
+        g.array[self.equations.bc_dofs] = self.equations.prescribed
         return g
 
     def of_reaction(self, place: Place, direction: Array) -> PETSc.Vec:
         """Motions g for which -g . r is the force along a direction (d,) of supports and plates at a place."""
         g, model = self.nothing(), self.model
-        dual = model.constraints.dual_to_resultant(model.held_by(place), direction)
+        dual = model.constraints.dual_to_resultant(model.holder_rows(place), direction)
         g.array[: self.equations.n_displacements] = -dual
         return g
 
@@ -130,7 +130,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
         Where the goal weighs the forces on `layers`, these are on S in the model, and beside q.
         """
-        equations, held = self.equations, self.equations.held
+        equations, held = self.equations, self.equations.bc_dofs
         d, residuals, values = equations.vector(), [], []
         size = float(self._x.norm(PETSc.NormType.INFINITY)) or 1.0
         d.array[:] = np.random.default_rng(self.model.comm.rank).uniform(-size, size, d.getLocalSize())
@@ -158,13 +158,13 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def displacements(self, dofs: IntArray, forces: Array) -> Array:
         """Small displacements (m,) under forces (n,) at displacements, local numbers that one rank gives; supports hold."""
         q, x = self.of_nodes(dofs, forces), self.equations.vector()
-        q.array[self.equations.held] = 0.0
+        q.array[self.equations.bc_dofs] = 0.0
         self._solve(q, x, transposed=self.transposed)
         return np.asarray(self.equations.configuration(x).u.x.array[: self.equations.n_displacements])
 
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
         """The weights z, as displacements and the layers' own fields; q and g are overwritten."""
-        equations, held = self.equations, self.equations.held
+        equations, held = self.equations, self.equations.bc_dofs
         if self._same and self._are_given(q, g):
             return equations.configuration(self._x)
         z, out = equations.vector(), equations.vector()
@@ -186,7 +186,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     def _are_given(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
         """Whether q are the loads, and g the displacements of supports, so that the state itself is the weights."""
-        equations, held, r = self.equations, self.equations.held, self._r
+        equations, held, r = self.equations, self.equations.bc_dofs, self._r
         equations.residual(equations.vector(), r)  # the loads, from the other side
         r.array[held] = 0.0
         size = r.norm()

@@ -71,7 +71,7 @@ class Equations(PartSum):
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
         self._kept = kept = SharedMatrices.of(model)
         self.bodies = kept.bodies = kept.bodies or body_parts(model)
-        self.layers = layer_parts(model, self.constraints.held, kept.bodies)
+        self.layers = layer_parts(model, self.constraints.bc_dofs, kept.bodies)
         added = [part for addition in model.parts if (part := addition.part(model)) is not None]
         self._own_parts = [*self.layers, *added]
         super().__init__([*kept.bodies, *self._own_parts])
@@ -83,7 +83,7 @@ class Equations(PartSum):
         self.n_displacements = self._layout.sizes[DISPLACEMENT_KEY]
         self._T = self._layout.widened(self.constraints.T)
         self._product: PETSc.Mat | None = None
-        self.held = self._prescribed(None)[0].astype(np.int32)
+        self.bc_dofs = self._prescribed(None)[0].astype(np.int32)
         diagonal = diagonal_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
         self._rigid = RigidMotions(model, float(diagonal.norm()))
         (self.block_of, self.within), self.last_body = self._rigid.blocks, [None, *kept.bodies][-1]
@@ -92,7 +92,7 @@ class Equations(PartSum):
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         self._reactions = SupportReactions(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
-        self.eased, self._relative_residual = 0.0, 0.0
+        self.homotopy_parameter, self._relative_residual = 0.0, 0.0
 
     # ---------------------------------------------------------------- unknowns
     def vector(self) -> PETSc.Vec:
@@ -117,11 +117,11 @@ class Equations(PartSum):
 
     def _prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """Numbers of the held unknowns, increasing, and their values at time t."""
-        held: npt.NDArray[Any] = self.constraints.held
+        held: npt.NDArray[Any] = self.constraints.bc_dofs
         values = np.zeros(len(held)) if t is None else self.constraints.values(t)
         first = self.n_displacements
         for part in self.with_own:
-            own, own_values = part.own_held(t)
+            own, own_values = part.own_prescribed(t)
             held, values = np.append(held, first + own), np.append(values, own_values)
             first += self._layout.sizes[part.key]
         return held.astype(np.int64), values
@@ -129,7 +129,7 @@ class Equations(PartSum):
     @property
     def held_rows(self) -> npt.NDArray[PETSc.IntType]:
         """Global numbers of the held unknowns."""
-        return self._layout.rows(self.held)
+        return self._layout.rows(self.bc_dofs)
 
     @cached_property
     def K(self) -> PETSc.Mat:
@@ -256,7 +256,7 @@ class Equations(PartSum):
         Nor those of eased laws, in which a layer that has slipped far is elastic.
         """
         self.residual(x, out)
-        if self.model.strain is None and not self.eased:
+        if self.model.strain is None and not self.homotopy_parameter:
             self.scale.start(self.residual_norms(out))
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
@@ -313,10 +313,10 @@ class Equations(PartSum):
         with augmented_in_place(self.comm, first.matrix, others, self.held_rows, self.mean_stiffness or 1.0) as A:
             yield A
 
-    def ease(self, ease: float) -> None:
+    def set_homotopy(self, ease: float) -> None:
         """Replace laws by eased ones: 0 is the law itself, 1 an elastic one."""
-        self.eased = ease
-        self.ask("ease", ease)
+        self.homotopy_parameter = ease
+        self.ask("set_homotopy", ease)
 
     def accept(self, x: PETSc.Vec, report: Report) -> State:
         """The state at the end of the step, for its solution x.
@@ -331,9 +331,12 @@ class Equations(PartSum):
             self.require_unique(out)
         self._require_bounded_jumps()
         self.put_state(self.interval.old, old)
-        held, before = out.array_r[self.held], self.interval.old.u.x.array
-        moved, change = x.array_r[self.held] - old.array_r[self.held], (self.u.x.array - before)[: self.n_displacements]
-        works = held @ x.array_r[self.held], held @ moved + self.loads.array_r @ change
+        held, before = out.array_r[self.bc_dofs], self.interval.old.u.x.array
+        moved, change = (
+            x.array_r[self.bc_dofs] - old.array_r[self.bc_dofs],
+            (self.u.x.array - before)[: self.n_displacements],
+        )
+        works = held @ x.array_r[self.bc_dofs], held @ moved + self.loads.array_r @ change
         prescribed_work, supplied = map(float, self.comm.allreduce(np.array(works)))
         found, end = self.end_parts(self.u, self.interval.t)
         end = replace(end, reactions=self.reactions())

@@ -150,7 +150,7 @@ def phase_columns(model: Model, seam: str) -> dict[str, str]:
 # ---------------------------------------------------------------- phases of layers
 def seams_with_phases(model: Model) -> list[str]:
     """Names of the seams whose layers have phases."""
-    return [name for name, one in model.layers.items() if one.thin and one.law.traits.phases]
+    return [name for name, one in model.layers.items() if one.thin_layer and one.law.traits.phases]
 
 
 def phase_slots(law: BulkLaw) -> list[tuple[float, int]]:
@@ -169,12 +169,12 @@ def phase_shares(state: State, seam: str) -> dict[str, float]:
         position eps S of the phase boundary, Eq. (47).
     """
     layer, sums = state.model.layers[seam], np.zeros(3)
-    assert layer.thin
+    assert layer.thin_layer
     for key, quadrature in state.model.quadratures.items():
         for a, k in phase_slots(quadrature.term.law) if quadrature.term.key == layer.key else ():
             phase, weights = state.memory[key][:, k], a * quadrature.weights
             sums += [weights @ np.maximum(phase, 0), weights @ np.maximum(-phase, 0), weights.sum()]
     plus, minus, whole = map(float, state.model.comm.allreduce(sums))
-    fraction = sum(a for a, one in layer.thin.law.sublayers if one.traits.phases)
-    boundary = max(1 - (plus + minus) / whole, 0.0) * float(layer.thin.eps) * fraction
+    fraction = sum(a for a, one in layer.thin_layer.law.sublayers if one.traits.phases)
+    boundary = max(1 - (plus + minus) / whole, 0.0) * float(layer.thin_layer.eps) * fraction
     return {"plus": plus / whole, "minus": minus / whole, "boundary": boundary}

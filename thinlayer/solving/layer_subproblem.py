@@ -63,7 +63,7 @@ class DirichletLayers:
         self._x, self._out = equations.vector(), equations.vector()
         self._displacements, n = equations.n_displacements, self._x.getLocalSize()
         self.forces, self.values, self._at_sides = np.zeros(n), np.zeros(n), np.zeros(n, bool)
-        self._at_sides[equations.held] = True
+        self._at_sides[equations.bc_dofs] = True
         self.begin(self.rest(t), t)
         domain, d = model.domain, model.joint.dim
         assert domain.joint.band is not None
@@ -90,7 +90,10 @@ class DirichletLayers:
         """Begin a step from a state of the layers to a time."""
         equations = self._equations
         equations.begin(TimeStep(old, t, t - old.t, 1.0))
-        self.forces[: self._displacements], self.values[equations.held] = equations.loads.array_r, equations.prescribed
+        self.forces[: self._displacements], self.values[equations.bc_dofs] = (
+            equations.loads.array_r,
+            equations.prescribed,
+        )
         equations.put_state(old, self._x)
         self.linearise(self._x.array_r.copy())
 
@@ -162,7 +165,7 @@ class DirichletLayers:
     def motion_of(self, place: Place, direction: Array) -> Array:
         """(n,) motion of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
         out = np.zeros(len(self.load))
-        out[: self._displacements] = -self.model.constraints.dual_to_resultant(self.model.held_by(place), direction)
+        out[: self._displacements] = -self.model.constraints.dual_to_resultant(self.model.holder_rows(place), direction)
         return out
 
     def in_parts(self, w: Array, fine: DirichletLayers) -> Array:
@@ -208,7 +211,7 @@ class LayerSubproblem(DirichletLayers):
         self._ours, self._theirs = _matching_dofs(interface, self.model)
         self._require_pairs(interface)
         of_bodies = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
-        of_bodies[interface.constraints.held] = 1.0
+        of_bodies[interface.constraints.bc_dofs] = 1.0
         self.free_faces = self.on_face & ~self._at_sides & ~(self.at_faces(of_bodies) > 0)
         self.R, self._pins = self._motions(self.free_faces | self._inside)
 
@@ -264,7 +267,7 @@ class LayerSubproblem(DirichletLayers):
         return self._ours, w[self._theirs]
 
     # ---------------------------------------------------------------- E and its inverse
-    def held(self, v: Array, load: Array, values: Array) -> Array:
+    def dirichlet_reactions(self, v: Array, load: Array, values: Array) -> Array:
         """Forces that hold the faces at v, zero where supports hold them."""
         return self.on_free(self.K @ self.inside(v, load, values) - load)
 

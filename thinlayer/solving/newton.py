@@ -91,7 +91,7 @@ class EquilibriumSolver(ABC):
         reused: whether the last step used a solver of an earlier step, and so read no PETSc options.
     """
 
-    eases = True
+    has_homotopy = True
     reused = False
 
     @abstractmethod
@@ -147,7 +147,7 @@ class NewtonSolver(EquilibriumSolver):
         for vector in self._vectors:
             vector.set(0.0)
         equations.put_state(equations.interval.old, x)
-        move.array[equations.held] = equations.prescribed - x.array_r[equations.held]
+        move.array[equations.bc_dofs] = equations.prescribed - x.array_r[equations.bc_dofs]
         if self.nonlinear:
             equations.start(x, r)
         else:
@@ -159,7 +159,7 @@ class NewtonSolver(EquilibriumSolver):
 
     def _linear(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> StepSolution:
         r.scale(-1.0)
-        r.array[self.equations.held] = 0.0
+        r.array[self.equations.bc_dofs] = 0.0
         self._prepare()
         iterations = self._solve_linear(r, d)
         x.axpy(1.0, d)
@@ -180,7 +180,7 @@ class NewtonSolver(EquilibriumSolver):
         if not math.isfinite(d.norm()):
             advice = f"{RESISTANCE_QUESTION[:-1]} at rest? A stress without a linear part, as e^3, needs a small one"
             raise SolveError("the tangent at the start of the step is singular", advice=advice)
-        d.array[equations.held] = move.array_r[equations.held]
+        d.array[equations.bc_dofs] = move.array_r[equations.bc_dofs]
         x.axpy(1.0, d)
         if not self._yields and equations.interval.old.at_rest:
             equations.scale.move(_largest(x))
@@ -190,14 +190,14 @@ class NewtonSolver(EquilibriumSolver):
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
         """The first step with the stiffness of an elastic layer."""
-        equations, ease = self.equations, self.equations.eased
+        equations, ease = self.equations, self.equations.homotopy_parameter
         equations.residual(x, r)
         r.scale(-1.0)
-        equations.ease(1.0)
+        equations.set_homotopy(1.0)
         try:
             equations.residual(x, d)
         finally:
-            equations.ease(ease)
+            equations.set_homotopy(ease)
         self._prepare(move, r)
         self._solve_linear(r, d)
 
@@ -311,11 +311,11 @@ class NewtonSolver(EquilibriumSolver):
 
     def _relative(self, r: PETSc.Vec) -> float:
         """The largest norm of the residual relative to the forces on its block; r becomes zero at held unknowns."""
-        r.array[self.equations.held] = 0.0
+        r.array[self.equations.bc_dofs] = 0.0
         return self.equations.relative(r)
 
     def _free_norm(self, r: PETSc.Vec) -> float:
-        r.array[self.equations.held] = 0.0
+        r.array[self.equations.bc_dofs] = 0.0
         return float(r.norm())
 
     # ---------------------------------------------------------------- Newton's method
@@ -335,7 +335,7 @@ class NewtonSolver(EquilibriumSolver):
 
         def function(_: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
             equations.residual(x, b)
-            b.array[equations.held] = 0.0
+            b.array[equations.bc_dofs] = 0.0
 
         def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             equations.tangent()

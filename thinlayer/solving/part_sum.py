@@ -138,7 +138,7 @@ class PartSum:
     """
 
     comm: MPI.Intracomm
-    held: Indices
+    bc_dofs: Indices
     scale: ForceScale
     block_of: npt.NDArray[Any] = np.empty(0, np.int64)
     n_blocks: int = 1
@@ -262,7 +262,7 @@ class PartSum:
     def residual_norms(self, r: PETSc.Vec) -> Array:
         """Norms (k,) of a residual, over the unknowns that are not held."""
         free = r.array_r.copy()
-        free[self.held] = 0.0
+        free[self.bc_dofs] = 0.0
         return self.norms(free)
 
     def relative(self, r: PETSc.Vec) -> float:
@@ -410,7 +410,7 @@ def augmented_in_place(
         K: a matrix with symmetric pattern; after the block its entries are the same as before.
         others: the other blocks; those not kept are destroyed.
         held: rows and columns that become those of `value` times the identity.
-        value: see `held`.
+        value: see `constrained_values`.
     """
     beside = K.createSubMatrix(
         _block_indices(K, held)

@@ -68,10 +68,10 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
     for one in _strain_layers(model):
         for key, remark in _model_remarks(model, one, lasting):
             model.warn(key, remark, one.name)
-    for name, known in model.reductions.items() if model.broken else ():
-        if known.one.flows and known.coarse.any():
+    for name, known in model.applicability.items() if model.broken else ():
+        if known.seam_layer.has_pressure_flow and known.coarse.any():
             delta, largest = known.falls[known.coarse].min(), known.loose[known.coarse].depth.max()
-            what = f"the pressure of {known.one} falls to zero at free ends over delta = {delta:.3g}"
+            what = f"the pressure of {known.seam_layer} falls to zero at free ends over delta = {delta:.3g}"
             remedy = "it is not set to zero there, as if they were held; make cells there shorter"
             model.warn("coarse ends", f"{what}, and cells there are up to {largest:.3g} long: {remedy}", name)
         if refused := known.why_not("sides"):
@@ -84,7 +84,7 @@ def _model_remarks(model: Model, one: SeamLayer, lasting: Sequence[float]) -> It
     yield from _facet_remarks(model, one)
     if not acts_as_springs(sublayers):
         yield from _thickness_remarks(model, one, sublayers)
-    if one.flows or _jumps_tell_more(one, sublayers):
+    if one.has_pressure_flow or _jumps_tell_more(one, sublayers):
         return
     at_once = [] if lasting and one.law.traits.rate else [sublayers]
     yield from free_end_remark(model, one, [*at_once, *(resting_sublayers(one, dt) for dt in lasting)])
@@ -103,14 +103,16 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         return
     model = states[0].model
     warn_of_strains(states)
-    for known in model.reductions.values() if model.broken else ():
+    for known in model.applicability.values() if model.broken else ():
         pulls = [_largest_tension(known, state) for state in states]
         if max(pulls) > CAVITATION_STRESS_RATIO:
             t, times = states[int(np.argmax(pulls))].t, max(pulls)
-            what = f"at t = {t:.4g} the pressure of {known.one} is a tension, {times:.3g} times its shear modulus"
+            what = (
+                f"at t = {t:.4g} the pressure of {known.seam_layer} is a tension, {times:.3g} times its shear modulus"
+            )
             why = f"from about {CAVITATION_STRESS_RATIO:g} times on small holes in rubber grow and tear it (cavitation)"
             remedy = "which its law does not contain; do not use results under such loads"
-            model.warn("cavitation", f"{what}: {why}, {remedy}", known.one.name, states[-1].t)
+            model.warn("cavitation", f"{what}: {why}, {remedy}", known.seam_layer.name, states[-1].t)
     worst = max(states, key=lambda state: state.elastic_share)
     if worst.elastic_share > MIN_SPRING_SHARE:
         what = f"at t = {worst.t:.4g} springs parallel to what yields carry {worst.elastic_share:.2g} of its load"
@@ -170,7 +172,7 @@ def _state_remarks(states: Sequence[State], one: SeamLayer, start: float | None)
             most = f"most near {x}, by {faces.closing.max():.3g} times"
             remedy = "bodies overlap, and the law is for small strains; check loads, thickness and parameters"
             yield "overlap", f"{what} ({most}): {remedy}"
-    if one.law.traits.linear and not one.flows:
+    if one.law.traits.linear and not one.has_pressure_flow:
         told = [*stiffness_remark(one, states, start)]
         yield from told or (free_end_remark(model, one, [sublayers]) if _jumps_tell_more(one, sublayers) else ())
 
@@ -183,7 +185,7 @@ def _jumps_tell_more(one: SeamLayer, sublayers: list[RestingSublayer]) -> bool:
 
 def _strain_layers(model: Model) -> list[SeamLayer]:
     """The layers of an interface model whose laws are of strains, several times where parameters are functions."""
-    return [sample for one in model.layers.values() if one.thin for sample in one.samples] if model.broken else []
+    return [sample for one in model.layers.values() if one.thin_layer for sample in one.samples] if model.broken else []
 
 
 def _facet_remarks(model: Model, one: SeamLayer) -> Iterator[Remark]:
@@ -215,7 +217,7 @@ def _thickness_remarks(model: Model, one: SeamLayer, sublayers: list[RestingSubl
 
     Order 0 leaves eps grad_S <u>, about eps t/E_body, out of a jump of about eps t/E_layer.
     """
-    height, layer = on_root(model.comm, lambda: min(one.sheet.heights)), one.thin  # they take memory of all cells
+    height, layer = on_root(model.comm, lambda: min(one.sheet.heights)), one.thin_layer  # they take memory of all cells
     assert layer
     if layer.eps > height:
         what = f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} high"
@@ -247,11 +249,11 @@ def _largest_tension(known: Applicability, state: State) -> float:
 
     0 if it has none that flows, or none that pulls.
     """
-    p = state.fields.get(known.one.pressure_key) if known.one.flows else None
+    p = state.fields.get(known.seam_layer.pressure_key) if known.seam_layer.has_pressure_flow else None
     if p is None:
         return 0.0
     own = p.function_space.dofmap.index_map.size_local
-    x = p.function_space.tabulate_dof_coordinates()[:own, : known.one.structure.joint.dim]
+    x = p.function_space.tabulate_dof_coordinates()[:own, : known.seam_layer.structure.joint.dim]
     mu = known.law.fields_at(x.T).get("mu", known.law.parameters()["mu"])
     return float(state.model.comm.allreduce((p.x.array[:own] / mu).max(initial=0.0), MPI.MAX))
 

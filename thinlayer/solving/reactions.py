@@ -79,7 +79,7 @@ class SupportReactions:
         by_supports = constraints.support_forces(r.array_r)
         rows = [constraints.of_supports(by_supports, self._motions)]
         rest = r.array_r + of_ties - constraints.prescribed.conditions.T @ by_supports
-        for tie in constraints.ties:
+        for tie in constraints.mpcs:
             tied = np.flatnonzero(np.diff(tie.R.indptr))
             rows.append((rest[tied] @ self._motions(tied))[None])
         first = len(model.supports.entries) + len(rows) - 1
@@ -143,7 +143,7 @@ class RigidMotions:
             nodes = np.concatenate([side.ravel() for side in nodes_of_sides(model, V, name)])
             of[nodes] = of[nodes] % count + k * count
         of = of.repeat(joint.dim)[: model.constraints.n]
-        of[model.constraints.held] %= count
+        of[model.constraints.bc_dofs] %= count
         every = np.unique(np.concatenate(model.comm.allgather(np.unique(of))))
         layers = np.isin(every, pieces[in_layer])
         inside = (every[:, None] == every % count) | (layers & (every < count)[:, None])
@@ -165,7 +165,7 @@ class RigidMotions:
         starts = np.zeros(n + 1, np.int64)
         starts[rows + 1] = per
         csr = values.ravel(), (piece[:, None] * per + np.arange(per)).ravel(), starts.cumsum()
-        return constraints.shown(scipy.sparse.csr_matrix(csr, (n, len(self._names) * per)))
+        return constraints.admissible(scipy.sparse.csr_matrix(csr, (n, len(self._names) * per)))
 
     @cached_property
     def _allowed(self) -> scipy.sparse.csc_matrix:

@@ -140,7 +140,7 @@ class SolveAttempt:
     name: str
     way: SolveWay
     options: Options = field(default_factory=dict)
-    eased: bool = False
+    uses_homotopy: bool = False
 
 
 class Solver(AbstractContextManager["Solver"]):
@@ -251,7 +251,7 @@ class Solver(AbstractContextManager["Solver"]):
         """
         start = time.perf_counter()
         self.equations.begin(TimeStep(old, t, t - old.t, theta))
-        attempts = [one for one in self._attempts() if thorough or not one.eased]
+        attempts = [one for one in self._attempts() if thorough or not one.uses_homotopy]
         solves = [self._from_like(attempts[0], old) or self._work_through(attempts)]
         while not keep_phases and self.equations.switch():
             self._log.info("t = %g: columns change their phase; the equilibrium is found again", t)
@@ -267,7 +267,7 @@ class Solver(AbstractContextManager["Solver"]):
             NoEquilibrium: displacements run away as the springs soften. SolveError: no equilibrium was found.
         """
         start = time.perf_counter()
-        near = [attempt for attempt in self._attempts() if not attempt.eased]
+        near = [attempt for attempt in self._attempts() if not attempt.uses_homotopy]
         self._log.info("t = %g: weak springs at all nodes are tried", t)
         linear = self._ways[0][1] or linear_solvers(self.model, self.equations.parts)[0]  # contact alone has none yet
         springs = WeakSprings(self.equations, {**linear, **self._given})
@@ -292,7 +292,7 @@ class Solver(AbstractContextManager["Solver"]):
         equations, start = self.equations, self.equations.vector()
         u = displacements_of(self._like, self.model)
         equations.put_state(replace(old, u=u), start)
-        start.array[equations.held] = equations.prescribed
+        start.array[equations.bc_dofs] = equations.prescribed
         try:
             return self._try(attempt, start), 0
         except SolveError as error:
@@ -329,9 +329,9 @@ class Solver(AbstractContextManager["Solver"]):
             options = newton if method == "newton" else FAIL_FAST if len(self._ways) > 1 else {}
             attempts.append(SolveAttempt(name, (method, linear), options))
         last = attempts[-1]
-        if traits.eases and self._finder.eases:
+        if traits.has_homotopy and self._finder.has_homotopy:
             options = {**last.options, **(CONTACT_HOMOTOPY_OPTIONS if contact else {})}
-            attempts.append(replace(last, name="eased laws", options=options, eased=True))
+            attempts.append(replace(last, name="eased laws", options=options, uses_homotopy=True))
         return attempts
 
     def _work_through(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
@@ -350,7 +350,9 @@ class Solver(AbstractContextManager["Solver"]):
             if why:
                 self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, why)
             try:
-                found, solves = self._through_eased_laws(attempt) if attempt.eased else (self._try(attempt, start), 0)
+                found, solves = (
+                    self._through_eased_laws(attempt) if attempt.uses_homotopy else (self._try(attempt, start), 0)
+                )
             except SolveError as error:
                 why = f"{attempt.name} failed: {error.reason}"
                 if attempt.way == self._ways[-1]:
@@ -400,7 +402,7 @@ class Solver(AbstractContextManager["Solver"]):
         try:
             while True:
                 solves += 1
-                self.equations.ease(lower)
+                self.equations.set_homotopy(lower)
                 try:
                     found = self._try(replace(attempt, name=f"{attempt.name}, ease {lower:g}"), begin)
                 except SolveError as error:
@@ -422,7 +424,7 @@ class Solver(AbstractContextManager["Solver"]):
         except SolveError as error:
             if not self.equations.traits.releases:
                 raise
-            self.equations.ease(0.0)
+            self.equations.set_homotopy(0.0)
             self.equations.residual(reached, self.equations.vector())
             try:
                 self.equations.require_unique()
@@ -432,4 +434,4 @@ class Solver(AbstractContextManager["Solver"]):
                 raise LooseBody(reason, loose.motion, advice, error.residuals) from error
             raise
         finally:
-            self.equations.ease(0.0)
+            self.equations.set_homotopy(0.0)

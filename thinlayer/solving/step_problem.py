@@ -63,7 +63,7 @@ class StepProblem(PartSum):
             tags; a space without jumps across S; a part that is none, has unknowns of its own, or the key of another one.
     """
 
-    held: Indices = np.empty(0, np.int32)  # prescribed displacements are equations among the others here
+    bc_dofs: Indices = np.empty(0, np.int32)  # prescribed displacements are equations among the others here
 
     def __init__(
         self,

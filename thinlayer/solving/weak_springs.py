@@ -68,7 +68,7 @@ class WeakSprings:
             raise failed.pop()
         self.equations.begin(step)
         self.equations.put_state(step.old, self._x)
-        self._x.array[self.equations.held] = self.equations.prescribed
+        self._x.array[self.equations.bc_dofs] = self.equations.prescribed
         x = kept = self._start = self._x.array_r.copy()
         distance, softer, settled = 0.0, SOFTENING_FACTOR, False
         self._stiffness = FIRST_STIFFNESS * self._unit
@@ -109,19 +109,19 @@ class WeakSprings:
         equations, r, d = self.equations, self._r, self._d
         equations.begin(TimeStep(rest, step.old.t, step.dt, 1.0))
         loads, prescribed = equations.given_forces(), equations.prescribed
-        ease = equations.eased
-        equations.ease(1.0)
+        ease = equations.homotopy_parameter
+        equations.set_homotopy(1.0)
         try:
             equations.begin(TimeStep(rest, step.t, step.dt, 1.0))
             self._x.set(0.0)
             equations.residual(self._x, r)
             A = equations.tangent()
         finally:
-            equations.ease(ease)
+            equations.set_homotopy(ease)
         A.shift(MIN_STIFFNESS * self._unit)
         r.waxpy(-1.0, loads, equations.given_forces())
         d.set(0.0)
-        d.array[equations.held] = equations.prescribed - prescribed
+        d.array[equations.bc_dofs] = equations.prescribed - prescribed
         equations.hold(A, d, r)
         self._solve_linear(A, r, d)
         return float(d.norm())
@@ -138,7 +138,7 @@ class WeakSprings:
             if (part.traits.bounded or part.traits.releases) and hasattr(part, "error_measure"):
                 sums[part.key] = self.equations.comm.allreduce(float((part.error_measure(u) ** 2).sum()))
         of_seams = model.by_seam(sums)
-        thin = {name: model.layers[name].thin for name, square in of_seams.items() if square > 0}
+        thin = {name: model.layers[name].thin_layer for name, square in of_seams.items() if square > 0}
         squares = {name: of_seams[name] * (layer.eps if layer else 1.0) for name, layer in thin.items()}  # of jumps
         whole = sum(squares.values())
         return {name: squares[name] / whole for name in sorted(squares, key=lambda name: -squares[name])}
@@ -150,7 +150,7 @@ class WeakSprings:
         self._x.array[:] = x
         equations.residual(self._x, self._r)
         self._r.array[:] += self._stiffness * (x - self._start)
-        self._r.array[equations.held] = 0.0
+        self._r.array[equations.bc_dofs] = 0.0
         self._norms = equations.norms(self._r.array_r)
         return float(np.linalg.norm(self._norms[1:] / np.maximum(self._forces[1:], MIN_DIVISOR)))
 

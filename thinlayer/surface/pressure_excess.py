@@ -104,7 +104,7 @@ def jump_stiffness(one: SeamLayer) -> tuple[float, float]:
         if min(along, up) <= NEGLIGIBLE_MODULUS_RATIO * size:
             return up, 0.0
         compliances += [fraction / up, fraction / along]
-    normal, tangential = 1 / (compliances * one.thin.eps)
+    normal, tangential = 1 / (compliances * one.thin_layer.eps)
     return float(normal), float(tangential)
 
 
@@ -128,7 +128,7 @@ class FaceDisplacements:
 
     surface: SurfaceMesh
     state: State
-    one: SeamLayer
+    layer: SeamLayer
 
     @classmethod
     def of(cls, state: State, one: SeamLayer) -> FaceDisplacements:
@@ -159,7 +159,7 @@ class FaceDisplacements:
     @property
     def closing(self) -> FloatArray:
         """(n, k) approach of the faces, relative to the thickness."""
-        return -self.opening / self.surface.thickness(self.one, self.surface.corners)
+        return -self.opening / self.surface.thickness(self.layer, self.surface.corners)
 
     @property
     def mean_closing(self) -> float:
@@ -191,17 +191,19 @@ class PressureExcess:
     traction: float = 0.0
 
     @property
-    def told(self) -> float:
+    def reported(self) -> float:
         """The excess that warnings are about: of openings, unless other tractions hide it; then of the work."""
         return self.opening if self.traction > MIN_STIFFNESS_ERROR else self.work
 
 
 def times_too_stiff(state: State, one: SeamLayer) -> float | None:
     """1 + opening of `pressure_excess`, 1 of a law with a pressure that flows; None of laws without it. Collective."""
-    if state.model.reductions[one.name].why_not("excess of pressure"):
+    if state.model.applicability[one.name].why_not("excess of pressure"):
         return None
     return (
-        1.0 if one.flows else 1 + pressure_excess(FaceDisplacements.of(state, one), resting_sublayers(one)[0]).opening
+        1.0
+        if one.has_pressure_flow
+        else 1 + pressure_excess(FaceDisplacements.of(state, one), resting_sublayers(one)[0]).opening
     )
 
 
@@ -222,7 +224,7 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
     if not layer.lmbda:
         return PressureExcess()
     surface, joint = faces.surface, faces.surface.joint
-    eps = surface.between(surface.thickness(faces.one, surface.corners))
+    eps = surface.between(surface.thickness(faces.layer, surface.corners))
     opening = surface.between(faces.opening)
     stiff, wb = layer.lmbda / eps, opening + eps * faces.stretching
     vertex = np.zeros(len(surface.numbers), np.int64)
@@ -234,8 +236,8 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
     whole = volume + joined.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ joined
     if not b @ b:  # nor numbers whose squares are none
         return PressureExcess()
-    rim = faces.state.model.reductions[faces.one.name].neglected
-    at_rim = surface.thickness(faces.one, rim.vertices).mean(axis=1)
+    rim = faces.state.model.applicability[faces.layer.name].neglected
+    at_rim = surface.thickness(faces.layer, rim.vertices).mean(axis=1)
     resistance = layer.length * (1 - 1 / np.sqrt(1 + (rim.depth / (layer.length * at_rim)) ** 2 / 12))
     flow = surface.lengths(rim) * at_rim**2 / (12 * layer.mu * resistance)
     ends, k = np.searchsorted(used, joint.masters[rim.vertices]), rim.vertices.shape[1]
@@ -265,7 +267,7 @@ def free_end_remark(model: Model, one: SeamLayer, layers: Sequence[list[RestingS
         one: the layer.
         layers: the sublayers at several times.
     """
-    layers, rim = [s for s in layers if any(k.nearly for k in s)], model.reductions[one.name].neglected
+    layers, rim = [s for s in layers if any(k.nearly for k in s)], model.applicability[one.name].neglected
     if not layers or not len(rim.vertices):
         return
     if any(k.length == math.inf for sublayers in layers for k in sublayers):
@@ -274,7 +276,7 @@ def free_end_remark(model: Model, one: SeamLayer, layers: Sequence[list[RestingS
         why = f"{one} is incompressible and S has free ends: {held}; a layer with free ends is squeezed out"
         yield "incompressible", f"{why}; {remedy}"
         return
-    surface, eps = surface_of(model, one.name), one.thin.eps
+    surface, eps = surface_of(model, one.name), one.thin_layer.eps
     width = surface.integral(1.0) / surface.lengths(rim).sum()
     lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
     worst = max(layers[lengths.index(max(lengths))], key=lambda k: k.length)
@@ -322,7 +324,7 @@ def stiffness_remark(one: SeamLayer, states: Sequence[State], start: float | Non
     Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
     or relax become nearly incompressible with time.
     """
-    has_column = not states[0].model.reductions[one.name].why_not("excess of pressure")
+    has_column = not states[0].model.applicability[one.name].why_not("excess of pressure")
     if not (has_column or one.law.traits.compiled or any(k.nearly for k in resting_sublayers(one))):
         return  # tangents of others do not change
     openings = [float(np.abs(FaceDisplacements.of(state, one).opening).max()) for state in states]
@@ -331,7 +333,7 @@ def stiffness_remark(one: SeamLayer, states: Sequence[State], start: float | Non
     for state in (states[k] for k in sorted({openings.index(max(openings)), last})):
         sublayers = resting_sublayers(one, 0.0 if start is None else state.t - start)
         if len(sublayers) == 1 and (has_column or sublayers[0].nearly) and sublayers[0].length < math.inf:
-            told.append((pressure_excess(FaceDisplacements.of(state, one), sublayers[0]).told, sublayers[0]))
+            told.append((pressure_excess(FaceDisplacements.of(state, one), sublayers[0]).reported, sublayers[0]))
     worst, layer = max(told, key=lambda pair: pair[0], default=(0.0, None))
     if layer and worst > MIN_STIFFNESS_ERROR:
         ratio = f"{one}{layer.when} has lmbda/mu = {layer.lmbda / layer.mu:.4g}"

@@ -150,7 +150,7 @@ class SurfaceMesh:
         refuse(located.missing, located.x, off)
         return located, FacetPoints(self, located.entity, located.X[:, None])
 
-    def beside(self, located: LocatedPoints, side: str) -> LocatedPoints:
+    def on_side(self, located: LocatedPoints, side: str) -> LocatedPoints:
         """Places in cells of the joint: those on the surface in the cells on one side alone, others in all of theirs.
 
         Raises:
@@ -426,7 +426,9 @@ class SurfaceMesh:
     # ---------------------------------------------------------------- layers
     def thickness(self, one: SeamLayer, vertices: IntArray) -> Array:
         """(...) thickness of a layer with a law of strains at vertices (...) of the joint."""
-        return np.asarray(float(one.thin.eps) * self.joint.relative_thickness(one.thin.profile, one.name)[vertices])
+        return np.asarray(
+            float(one.thin_layer.eps) * self.joint.relative_thickness(one.thin_layer.profile, one.name)[vertices]
+        )
 
     def lengths(self, rim: Rim) -> Array:
         """(n,) lengths of the ridges of a part of the rim; in a plane 1 at each, in axisymmetry that of its circle."""

@@ -114,7 +114,7 @@ class Checkpoint:
     def _gather(self, order: FileOrder, values: Array) -> Array:
         """The rows (number, values...) of all ranks on rank 0, sorted by number, each number once."""
         rows = np.column_stack([order.numbers.astype(float), order.ordered(values)])
-        rows = np.concatenate(self.comm.gather(rows[: order.own]) or [rows[:0]])
+        rows = np.concatenate(self.comm.gather(rows[: order.n_owned]) or [rows[:0]])
         return rows[np.unique(rows[:, 0], return_index=True)[1]]
 
     # ---------------------------------------------------------------- reading

@@ -92,7 +92,7 @@ class EquilibriumPath:
         Raises:
             SolveError: a law fails, or loads or supports are not finite at t.
         """
-        equations, held = self.equations, self.equations.held
+        equations, held = self.equations, self.equations.bc_dofs
         self._begin(last, float(point[-1]))
         point[held] = equations.prescribed
         self._x.array[:] = point[:-1]
@@ -119,7 +119,7 @@ class EquilibriumPath:
         Raises:
             SolveError: as in `_residual`; or the matrix cannot be factorised.
         """
-        equations, held, dR, change = self.equations, self.equations.held, self._dR, self._change
+        equations, held, dR, change = self.equations, self.equations.bc_dofs, self._dR, self._change
         prescribed, short = equations.prescribed, math.copysign(TIME_QUOTIENT_STEP * self.unit, self.middle - t)
         self._begin(last, t + short)
         self._forces(dR)
@@ -200,7 +200,7 @@ class EquilibriumPath:
         equations, short = self.equations, PATH_QUOTIENT_STEP * length
         along = self._dR  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0; and with A_2 (change, 1) = 0
         along.array[:] = self._direction[:-1] - self._direction[-1] * self._change.array_r
-        along.array[equations.held] = 0.0
+        along.array[equations.bc_dofs] = 0.0
         self._matrix.mult(along, self._r)
         beyond = self._r.array_r.copy()
         point = self._point(last)

@@ -65,7 +65,7 @@ class PlannedStepsController(Controller):
     @property
     def attempts(self) -> list[StepAttempt]:
         """Eased laws are tried if no step has failed, after a step that has used them, and in the shortest step."""
-        thorough = self._failed_at == math.inf or self.last.report.eased > 0
+        thorough = self._failed_at == math.inf or self.last.report.homotopy_steps > 0
         first = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
         more = StepAttempt("Newton's method, with eased laws,", partial(self._step, thorough=True), self.smallest)
         seek = StepAttempt("a way by weak springs", self._seek, self.smallest)

@@ -49,7 +49,7 @@ class CondensedContact(ContactSolver):
 
     def __init__(self, equations: Equations, like: State | None) -> None:
         super().__init__(equations, like)
-        self.pairs = ContactPairs(self.parts, self.held)
+        self.pairs = ContactPairs(self.parts, self.is_fixed)
 
     @cached_property
     def _condensation(self) -> Condensation:
@@ -57,7 +57,7 @@ class CondensedContact(ContactSolver):
         pairs, K, model = self.pairs, self.equations.K, self.equations.model
         x, bodies = model.V.tabulate_dof_coordinates()[:, : pairs.d], int(model.splitting.pieces.max()) + 1
         normal = pairs.weights @ pairs.frames[:, -1]
-        return Condensation(K.getValuesCSR(), self.held, pairs.dofs, x, normal, bodies)
+        return Condensation(K.getValuesCSR(), self.is_fixed, pairs.dofs, x, normal, bodies)
 
     @cached_property
     def _system(self) -> CondensedSystem:
@@ -76,7 +76,7 @@ class CondensedContact(ContactSolver):
             held = "is every body supported, or does it meet S in more than a point?"
             raise SolveError(f"contact: {error}; {held}") from error
         u, kept_held = self.x.array_r[pairs.dofs], ~pairs.free.ravel()
-        b[equations.held] = 0.0  # decoupled; what supports prescribe is put back in the end
+        b[equations.bc_dofs] = 0.0  # decoupled; what supports prescribe is put back in the end
         g = condensation.condense(b)
         g[kept_held] = (condensation.stiffness.diagonal() * u)[kept_held]
         self._given = equations.residual_norms(equations.external)
@@ -85,7 +85,7 @@ class CondensedContact(ContactSolver):
             equations.scale.move(float(np.abs(u).max(initial=0.0)))
         u, residuals = self._system.newton(u, g, self._relative)
         condensation.expand(b, u, self.x.array)
-        self.x.array[equations.held] = equations.prescribed
+        self.x.array[equations.bc_dofs] = equations.prescribed
         relative = self.relative_residual()
         if not relative <= STATE_TOLERANCE:
             large = f"contact: the residual of the whole problem is {relative:.1e} of the forces"
@@ -172,7 +172,7 @@ class CondensedSystem:
 
     def _residual(self, u: Array, g: Array) -> Array:
         """Forces of bodies and pairs, less g; zero at held displacements."""
-        return np.asarray(self._stiffness @ u + self.pairs.forces(self.pairs.apart(u)) - g)
+        return np.asarray(self._stiffness @ u + self.pairs.forces(self.pairs.separation(u)) - g)
 
     def _linear_solve(self, more: scipy.sparse.csr_matrix, b: Array) -> Array:
         """x with (stiffness + more) x = b; not finite if the matrix is singular."""
@@ -205,7 +205,7 @@ class CondensedSystem:
         """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces."""
         residuals, pairs, long_steps, far = list[float](), self.pairs, 0, LONG_STEP_RATIO * np.abs(u).max(initial=0.0)
         while True:
-            forces = pairs.forces(pairs.apart(u))
+            forces = pairs.forces(pairs.separation(u))
             r = self._stiffness @ u + forces - g
             residuals.append(relative(r, forces, u))
             if residuals[-1] <= tolerance or self._stalls(residuals, u, forces):
@@ -220,7 +220,7 @@ class CondensedSystem:
             pairs.sweep(
                 self._blocks, g, u, min(FIRST_SWEEPS * 2 ** max(len(residuals) - DOUBLING_STEPS, 0), MAX_SWEEPS)
             )
-            step = self._linear_solve(pairs.tangent(pairs.apart(u)), -self._residual(u, g))
+            step = self._linear_solve(pairs.tangent(pairs.separation(u)), -self._residual(u, g))
             long_steps = long_steps + 1 if 0 < far < np.abs(step).max() else 0
             u = u + (self._length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
 

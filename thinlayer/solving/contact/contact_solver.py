@@ -35,8 +35,8 @@ class ContactSolver(EquilibriumSolver):
         self.equations, self.comm, self._like = equations, equations.comm, like
         self.parts = equations.of_kind(ContactPart)
         self.x, self.b, self._r = (equations.vector() for _ in range(3))
-        self.held = np.zeros(self.x.getLocalSize(), bool)
-        self.held[equations.held] = True
+        self.is_fixed = np.zeros(self.x.getLocalSize(), bool)
+        self.is_fixed[equations.bc_dofs] = True
         self._has_solved = False
 
     @cached_property
@@ -66,11 +66,11 @@ class ContactSolver(EquilibriumSolver):
         known = any(part.nodes.jump(x).any() for part in self.parts)
         known = bool(self.comm.allreduce(int(known)))
         moved = equations.vector()
-        moved.array[equations.held] = x.array[equations.held] = equations.prescribed
+        moved.array[equations.bc_dofs] = x.array[equations.bc_dofs] = equations.prescribed
         equations.K.mult(moved, self.b)
         moved.destroy()
         self.b.aypx(-1.0, equations.external)
-        self.b.array[equations.held] = (equations.mean_stiffness or 1.0) * equations.prescribed
+        self.b.array[equations.bc_dofs] = (equations.mean_stiffness or 1.0) * equations.prescribed
         self._like, self._has_solved = None, True
         steps, residual = self.solve(known)
         return StepSolution(x, steps, residual)

@@ -49,7 +49,7 @@ class ContactTangent:
     def __init__(
         self, A: PETSc.Mat, nodes: ContactNodes, pairs: ContactPairs, equations: Equations, start: Array | None
     ) -> None:
-        self._A, self.nodes, self.pairs, self.held = A, nodes, pairs, equations.held
+        self._A, self.nodes, self.pairs, self.bc_dofs = A, nodes, pairs, equations.bc_dofs
         first = A.getOwnershipRange()[0]
         index = PETSc.IS().createGeneral((first + pairs.dofs).astype(PETSc.IntType), comm=A.comm)
         self._rows = A.createSubMatrix(index, None)
@@ -137,12 +137,12 @@ class ContactTangent:
         """y = tangent times x."""
         self._matrix.mult(x, y)
         self.nodes.add_forces(np.einsum("nij,nj->ni", self._tangents - self._springs, self.nodes.jump(x)), y)
-        y.array[self.held] = 0.0
+        y.array[self.bc_dofs] = 0.0
 
     def apply(self, _: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """z = a cycle of multigrid, then a solve for the nodes of S of this rank with all other displacements fixed."""
         self._cycle.apply(r, z)
-        z.array[self.held] = 0.0
+        z.array[self.bc_dofs] = 0.0
         t = np.einsum("nij,nj->ni", self._tangents, self.nodes.jump(z))
         self._rows.mult(z, self._product)
         if len(self.pairs.nodes):
@@ -157,7 +157,7 @@ class ContactTangent:
             residual: residual of the law at u.
             turned: (n, d) changes of the jumps of pairs that shall stick; their nodes are not swept.
         """
-        pairs, w = self.pairs, self.nodes.apart(u)
+        pairs, w = self.pairs, self.nodes.separation(u)
         own = u.array_r[pairs.dofs].copy()
         g = self._near @ own + pairs.forces(w) - residual.array_r[pairs.dofs]
         rest = w - (pairs.jumps @ own).reshape(w.shape)

@@ -79,7 +79,7 @@ class MultigridContact(ContactSolver):
         super().__init__(equations, like)
         library(C_SOURCE, self.comm)
         self.nodes = nodes = ContactNodes.joined([part.nodes for part in self.parts])
-        self.pairs = ContactPairs(self.parts, self.held, self.x.getOwnershipRange()[0] // nodes.dim, nodes.shared())
+        self.pairs = ContactPairs(self.parts, self.is_fixed, self.x.getOwnershipRange()[0] // nodes.dim, nodes.shared())
         self._tangent: ContactTangent | None = None
         self._forces = equations.vector()
 
@@ -87,7 +87,7 @@ class MultigridContact(ContactSolver):
         """As in `ContactSolver`. SolveError: no convergence, for instance without an equilibrium."""
         history: list[float] = []
         nodes, old = self.nodes, self.equations.interval.old.u.x.petsc_vec
-        start = nodes.apart(self.x) if known else None
+        start = nodes.separation(self.x) if known else None
         closed = self.equations.vector()
         closed.array[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
         self._largest = float(self.b.norm())
@@ -132,7 +132,7 @@ class MultigridContact(ContactSolver):
         """
         equations = self.equations
         equations.residual(u, out)
-        out.array[equations.held] = 0.0
+        out.array[equations.bc_dofs] = 0.0
         norms, forces = equations.norms(out.array_r), equations.aim(u) / SOLVER_TOLERANCE
         if norms[0] > LARGE_RESIDUAL * self._largest:  # the large forces of a body far away are only rounding
             forces = np.minimum(forces, self._largest)
@@ -154,9 +154,9 @@ class _NewtonRun:
     """
 
     def __init__(self, finder: MultigridContact, tangent: ContactTangent, reductions: Reductions) -> None:
-        self.finder, self.tangent, self.reductions = finder, tangent, reductions
+        self.finder, self.tangent, self.applicability = finder, tangent, reductions
         self.nodes, self.pairs = finder.nodes, finder.pairs
-        self.held = finder.equations.held
+        self.bc_dofs = finder.equations.bc_dofs
         self.residuals: list[float] = []
         self._target = reductions[0]
         self._known = False  # whether the next call of `_residual` repeats the last one
@@ -166,7 +166,7 @@ class _NewtonRun:
     def run(self, u: PETSc.Vec, start: Array | None) -> int:
         """Solve from u, in place, first with the tangent at the jumps `start` (None: bonded); returns PETSc's reason."""
         finder, self._start = self.finder, start
-        u.array[self.held] = finder.equations.prescribed
+        u.array[self.bc_dofs] = finder.equations.prescribed
         f = self._f = u.duplicate()
         J = PETSc.Mat().createPython(finder.A.getSizes(), self.tangent, comm=finder.comm)
         J.setUp()
@@ -211,7 +211,7 @@ class _NewtonRun:
         """Before a Newton step: sweep if the last step has changed the status or not reduced the residual as expected."""
         self._swept = False
         if step:
-            w = self.nodes.apart(snes.getSolution())
+            w = self.nodes.separation(snes.getSolution())
             self._turn = turned_jumps(self.pairs, w, self._at)
             self._swept = self._is_new(w, self._turn) or self._h > EXPECTED_RESIDUAL_RATIO * self._target
             ksp = snes.getKSP()
@@ -227,16 +227,16 @@ class _NewtonRun:
         """Set the tangents of a step, and the tolerance of its linear solve."""
         first = not snes.getIterationNumber()
         tangents = self._begin(u, self._f) if first else self._go_on(u)
-        share = self.reductions[0] if first else min(0.5, self._target / self._h)
+        share = self.applicability[0] if first else min(0.5, self._target / self._h)
         self._before = self._h
-        self.tangent.follow(self._start if first else self.nodes.apart(u))
+        self.tangent.follow(self._start if first else self.nodes.separation(u))
         self.tangent.linearise(tangents)
         if self._set_rtol:
             snes.getKSP().setTolerances(rtol=share)
 
     def _begin(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
         """Tangents of the first step; f becomes the residual of the law linearised at the jumps to start from."""
-        pairs, w, s = self.pairs, self.nodes.apart(u), self._start
+        pairs, w, s = self.pairs, self.nodes.separation(u), self._start
         if s is None:
             tangents = pairs.bonded_tangents()
             t = np.einsum("nij,nj->ni", tangents, pairs.offsets(w))
@@ -245,19 +245,19 @@ class _NewtonRun:
             t = pairs.tractions(s) + np.einsum("nij,nj->ni", tangents, w - s)
             self._at = sliding_state(pairs, s)
         self.nodes.add_forces(t - pairs.tractions(w), f)
-        f.array[self.held] = 0.0
+        f.array[self.bc_dofs] = 0.0
         return tangents
 
     def _go_on(self, u: PETSc.Vec) -> Array:
         """Tangents of a later step; sets the target of its linear solve."""
         if self._swept:
-            self._target = max(self.reductions[1] * min(self._h, self._target), MIN_REDUCTION * min(self._h, 1.0))
+            self._target = max(self.applicability[1] * min(self._h, self._target), MIN_REDUCTION * min(self._h, 1.0))
         else:
             # the residual that the law's non-linearity leaves is quadratic in the size of the step
             nonlinear = self._h * math.sqrt(abs(1 - self._left**2)) * (self._h / self._before) ** 2
-            self._target = min(self.reductions[1] * self._h, nonlinear)
+            self._target = min(self.applicability[1] * self._h, nonlinear)
         self._target = max(self._target, LAST_SOLVE_TARGET * NEWTON_TOLERANCE)
-        w = self.nodes.apart(u)
+        w = self.nodes.separation(u)
         self._at = sliding_state(self.pairs, w)
         return self.pairs.tangents(w)
 

@@ -93,7 +93,7 @@ class ContactPairs:
         parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
         return np.concatenate([of_part(part.now, w[own], part.slip[self._of_part[own]]) for part, own in parts])
 
-    def apart(self, u: Array) -> Array:
+    def separation(self, u: Array) -> Array:
         """(pairs, d) jumps, and initial gaps along the normal, in the pairs' frames at displacements (n d,)."""
         return np.asarray((self.jumps @ u).reshape(-1, self.d) + self.gaps)
 

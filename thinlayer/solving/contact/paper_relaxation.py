@@ -151,16 +151,16 @@ class ContactRelaxation(ContactSolver):
     (200000).
     """
 
-    eases = False
+    has_homotopy = False
 
     def __init__(self, equations: Equations, like: State | None) -> None:
         super().__init__(equations, like)
         (self.part,) = self.parts
         nodes = self.part.nodes
-        self._held_jumps = _held_components(nodes.frames, nodes.held)
-        if (nodes.held_upper & ~nodes.held).any():
+        self._held_jumps = _held_components(nodes.frames, nodes.is_fixed)
+        if (nodes.is_fixed_upper & ~nodes.is_fixed).any():
             raise InputError("method='relaxation' needs supports on both sides of S or on the lower; use 'condensed'")
-        self._held = self.held.copy()
+        self._held = self.is_fixed.copy()
         self._held[nodes.dofs] = self._held_jumps
         self._T = self._change()
         self._K = local_csr(equations.K)
@@ -175,7 +175,7 @@ class ContactRelaxation(ContactSolver):
 
     def _change(self) -> scipy.sparse.csr_matrix:
         """Matrix from the unknowns (jumps and other displacements) to all displacements, where there are no gaps."""
-        nodes, n = self.part.nodes, len(self.held)
+        nodes, n = self.part.nodes, len(self.is_fixed)
         upper, others = nodes.dofs, np.setdiff1d(np.arange(n), nodes.dofs)
         rows = [others, np.repeat(upper, nodes.dim, axis=1).ravel()]
         columns = [others, np.tile(upper, nodes.dim).ravel()]
@@ -196,9 +196,9 @@ class ContactRelaxation(ContactSolver):
         equations, nodes, x = self.equations, self.part.nodes, self.x
         chosen, moving = _options(), ~self._held_jumps.all(axis=1)
         x.set(0.0)
-        x.array[equations.held] = equations.prescribed
+        x.array[equations.bc_dofs] = equations.prescribed
         given = x.array_r.copy()
-        given[nodes.dofs] = np.where(self._held_jumps, nodes.apart(x), 0.0)
+        given[nodes.dofs] = np.where(self._held_jumps, nodes.separation(x), 0.0)
         over = np.zeros(len(given))  # displacements of the upper side that close the gaps
         over[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
         diagonal = np.where(self._held, equations.mean_stiffness, 0.0)
@@ -218,7 +218,7 @@ class ContactRelaxation(ContactSolver):
             found = relax(system, u=u, order=order, **chosen)
             u, sweeps = found.u, sweeps or len(found.increments)
             x.array[:] = self._T @ u - over
-            x.array[equations.held] = equations.prescribed
+            x.array[equations.bc_dofs] = equations.prescribed
             residual = self.relative_residual()
             if not found.converged or residual <= STATE_TOLERANCE or chosen["tolerance"] < MACHINE_EPSILON:
                 break
