@@ -56,14 +56,14 @@ def import_optional(name: str) -> ModuleType:
         ) from error
 
 
-def unknown_name_message(kind: str, name: object, known: Iterable[str]) -> str:
+def unknown_name_message(kind: str, name: object, allowed: Iterable[str]) -> str:
     """Message for a name that does not exist: the nearest known one, or the only one that starts so, and the whole list."""
-    known, start = sorted(known), str(name).lower()
-    lowered = {one.lower(): one for one in known}
-    longer = [one for one in lowered if one.startswith(start)]
+    allowed, start = sorted(allowed), str(name).lower()
+    lowered = {candidate.lower(): candidate for candidate in allowed}
+    longer = [key for key in lowered if key.startswith(start)]
     near = difflib.get_close_matches(start, lowered, n=1) or (longer if len(longer) == 1 and start else [])
     meant = f", did you mean {lowered[near[0]]!r}?" if near else ""
-    return f"unknown {kind} {name!r}{meant}; known: {', '.join(known)}"
+    return f"unknown {kind} {name!r}{meant}; known: {', '.join(allowed)}"
 
 
 def is_number(value: Any) -> bool:

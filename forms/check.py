@@ -50,11 +50,11 @@ def check(law: Law, d: int | None = 3) -> None:
     if law.traits.nodal:
         return
     for _, sublayer in law.as_bulk_law().sublayers:
-        one: Any = sublayer.in_space
-        values = [np.asarray(_number(value)).tobytes() for value in one.parameters().values()]
-        key = type(one), d, repr(one.choices()), *values
-        if law_identity(one) is None and key not in _CHECKED_LAWS:
-            require_computed(one, d)
+        law_3d: Any = sublayer.in_space
+        values = [np.asarray(_number(value)).tobytes() for value in law_3d.parameters().values()]
+        key = type(law_3d), d, repr(law_3d.choices()), *values
+        if law_identity(law_3d) is None and key not in _CHECKED_LAWS:
+            require_computed(law_3d, d)
             _CHECKED_LAWS.add(key)
 
 
@@ -62,33 +62,33 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
     """As `check`, whatever has been asked before."""
     if not law.traits.in_ufl:
         return
-    given, name, method = law.mapped(lambda value, _: _number(value)), type(law).__name__, law.methods[0]
+    numeric_law, name, method = law.mapped(lambda value, _: _number(value)), type(law).__name__, law.methods[0]
     d = 3 if law.traits.compiled else d
-    point = symbolic(given, d=d)
-    found = _evaluate_methods(point.law, point.step)
-    if isinstance(found[method], Zero) and not law.traits.compiled:
+    point = symbolic(numeric_law, d=d)
+    expressions = _evaluate_methods(point.law, point.step)
+    if isinstance(expressions[method], Zero) and not law.traits.compiled:
         raise InputError(f"{name}.{method} is zero, whatever the strain; a law of this kind needs a stiffness")
-    flat = mandel_vector(found[method])
-    asked: dict[str, Expr] = {**found, "tangent": ufl.diff(flat, point.strain)}
+    flat = mandel_vector(expressions[method])
+    asked: dict[str, Expr] = {**expressions, "tangent": ufl.diff(flat, point.strain)}
     if law.traits.has_energy and law.traits.symmetric and not (law.traits.rate or law.internal):
-        asked["slope"] = ufl.diff(found["energy"], point.strain) - flat
+        asked["slope"] = ufl.diff(expressions["energy"], point.strain) - flat
     with explained_errors(law, method):
-        asked = {key: expand_derivatives(one) for key, one in asked.items()}
+        asked = {key: expand_derivatives(expression) for key, expression in asked.items()}
 
     def values(key: str, sample: Array) -> Array | None:
         return _evaluated(asked[key], {point.numbers: sample})
 
     for size in SAMPLE_STRAINS:
-        e, sample = _sample(given, size, d or 3)
+        e, sample = _sample(numeric_law, size, d or 3)
         _require_no_decisions(law, d, sample, values)
-        for key in found:
+        for key in expressions:
             tensor = values(key, sample)
             if tensor is not None and tensor.ndim == 2 and (skew := _relative_difference(tensor, tensor.T)):
                 why = f"it differs from its transpose by {skew:.1e} of its size"
                 remedy = "use ufl.sym, or vectors (3,) as internal variables"
                 raise InputError(f"{name}.{key} is not symmetric: {why}; {remedy}")
         turned = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
-        tangents = [C for one in turned if (C := values("tangent", one)) is not None]
+        tangents = [C for inputs in turned if (C := values("tangent", inputs)) is not None]
         for C in tangents:
             if law.traits.linear and _relative_difference(C, tangents[0]):
                 remedy = "write linear = False in the class, or correct the stress"
@@ -111,20 +111,20 @@ def _evaluate_methods(law: BulkLaw, step: Step) -> dict[str, Expr]:
     """
     name, (method, advances) = type(law).__name__, law.methods
     with explained_errors(law, method):
-        found = {method: require_shape(law, method, law.stress(law.own_step(step)), (3, 3))}
+        expressions = {method: require_shape(law, method, law.stress(law.own_step(step)), (3, 3))}
     with explained_errors(law, advances):
         new = law.advance(step)
     if not isinstance(new, dict) or set(new) != set(law.internal):
-        given = sorted(new) if isinstance(new, dict) else repr(new)
-        raise InputError(f"{name}.{advances} gives {given}; it must give {sorted(law.internal)}")
+        actual = sorted(new) if isinstance(new, dict) else repr(new)
+        raise InputError(f"{name}.{advances} gives {actual}; it must give {sorted(law.internal)}")
     for variable, shape in law.internal.items():
         key = f"{advances}[{variable!r}]"
-        found[key] = require_shape(law, key, new[variable], shape)
+        expressions[key] = require_shape(law, key, new[variable], shape)
     if law.traits.has_energy:
         with explained_errors(law, "energy or dissipation"):
-            found["energy"] = require_shape(law, "energy", law.energy(Step(step.e, step.n, q=new)), ())
-            found["dissipation"] = require_shape(law, "dissipation", law.dissipated(step), ())
-    return found
+            expressions["energy"] = require_shape(law, "energy", law.energy(Step(step.e, step.n, q=new)), ())
+            expressions["dissipation"] = require_shape(law, "dissipation", law.dissipated(step), ())
+    return expressions
 
 
 def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
@@ -141,15 +141,15 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
     work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
     least = {"energy": work, "dissipation": work}  # where no energy is stored rounding is left
     for dt, theta, of_place in ((0.1, 1.0, 1.0), (0.0, 0.5, 0.0)):
-        given = law.mapped(lambda value, _, of_place=of_place: _number(value, of_place))  # type: ignore[misc]
-        inputs = np.concatenate([sample[: place + 3], [dt, theta], given.parameter_values()])
+        numeric_law = law.mapped(lambda value, _, of_place=of_place: _number(value, of_place))  # type: ignore[misc]
+        inputs = np.concatenate([sample[: place + 3], [dt, theta], numeric_law.parameter_values()])
         try:
-            point = symbolic(given, inputs, d)
-            found = _evaluate_methods(point.law, point.step)
+            point = symbolic(numeric_law, inputs, d)
+            expressions = _evaluate_methods(point.law, point.step)
         except Exception:  # numbers that cannot be divided, say
             continue
-        for key, one in found.items():
-            direct, traced = _evaluated(one), values(key, inputs)
+        for key, expression in expressions.items():
+            direct, traced = _evaluated(expression), values(key, inputs)
             if direct is not None and traced is not None and _relative_difference(direct, traced, least.get(key, 0.0)):
                 what = "a parameter, or a value computed from it, is compared or used as a condition in Python"
                 remedy = "laws are traced once for all numbers: write ufl.conditional(ufl.eq(a, b), c, d)"
@@ -158,18 +158,18 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
 
 def _relative_difference(a: Array, b: Array, least: float = 0.0) -> float:
     """Largest difference of two arrays over their largest number, or over `least`; 0 if it is rounding."""
-    apart, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least, MIN_NORMAL_NUMBER)
-    return float(apart / largest) if apart > RELATIVE_TOLERANCE * largest else 0.0
+    difference, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least, MIN_NORMAL_NUMBER)
+    return float(difference / largest) if difference > RELATIVE_TOLERANCE * largest else 0.0
 
 
 def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Array | None:
     """The numbers of an expression; None if it has none, or they are not finite."""
     try:
         with warnings.catch_warnings(action="ignore"):  # UFL warns where it finds no number
-            found = evaluate(expand_derivatives(expression), values)
+            numbers = evaluate(expand_derivatives(expression), values)
     except Exception:  # parts without a value, such as a coordinate: the compiler will report errors
         return None
-    return found if np.isfinite(found).all() else None
+    return numbers if np.isfinite(numbers).all() else None
 
 
 def _number(value: Any, of_place: float = 1.0) -> Any:

@@ -84,19 +84,19 @@ class ContactLaw(Law):
         """Raise InputError unless `threshold` (>= 0) and `threshold_rate` give finite numbers (n,) for pressures (n,)."""
         p = np.concatenate([[0.0], self.K_N * np.logspace(-9, 0, 10)])
         for name in ("threshold", "threshold_rate"):
-            where, given = f"{type(self).__name__}.{name}(p)", p.copy()
+            where, pressures = f"{type(self).__name__}.{name}(p)", p.copy()
             try:
                 with np.errstate(all="ignore"):  # the law may not be meant for pressures this large
-                    found = getattr(self, name)(given)
+                    value = getattr(self, name)(pressures)
             except InputError:
                 raise
             except Exception as error:
                 raise InputError(f"{where}: {type(error).__name__}: {error}; p is an array (n,), pressures") from error
-            if not np.array_equal(given, p):
+            if not np.array_equal(pressures, p):
                 raise InputError(f"{where} changes p; it must return a new array")
-            array = found if isinstance(found, np.ndarray) else None
+            array = value if isinstance(value, np.ndarray) else None
             if array is None or array.shape != p.shape or array.dtype.kind != "f":
-                raise InputError(f"{where} is {found!r} for {len(p)} pressures; it must be an array of {len(p)} floats")
+                raise InputError(f"{where} is {value!r} for {len(p)} pressures; it must be an array of {len(p)} floats")
             wrong = np.flatnonzero(~(np.isfinite(array) & ((array >= 0) | (name != "threshold"))))
             if len(wrong):
                 allowed = "finite, >= 0" if name == "threshold" else "finite"

@@ -236,7 +236,7 @@ class Bar:
 
     def __post_init__(self) -> None:
         bound = self.alpha**2 / (2 * self.kbar) * (1 - BOUND_TOLERANCE)
-        if not (all(0 < one < math.inf for one in astuple(self)[:5]) and self.cbar >= bound and 0 <= self.eps < 1):
+        if not (all(0 < value < math.inf for value in astuple(self)[:5]) and self.cbar >= bound and 0 <= self.eps < 1):
             raise InputError(f"{self}; allowed: all > 0, cbar >= alpha^2/(2 kbar) = {bound:g}, 0 <= eps < 1")
 
     @property

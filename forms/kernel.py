@@ -42,5 +42,5 @@ class KernelLaw(BulkLaw):
     def _traits_of_methods(self) -> dict[str, bool]:
         if not isinstance(self.memory, int) or self.memory < 0:
             raise InputError(f"{type(self).__name__}: memory is {self.memory!r}; allowed: a whole number >= 0")
-        own = {"compiled": True, "in_ufl": False, "has_energy": bool(self.energetic), "remembers": self.memory > 0}
-        return super()._traits_of_methods() | own
+        traits = {"compiled": True, "in_ufl": False, "has_energy": bool(self.energetic), "remembers": self.memory > 0}
+        return super()._traits_of_methods() | traits

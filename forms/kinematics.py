@@ -150,4 +150,4 @@ class Axisymmetric(Kinematics):
         return ufl.as_tensor([[0, 0, 0], [0, 0, 0], [0, 0, u[0] / self._r]])
 
 
-KINEMATICS_BY_NAME: dict[str, Kinematics] = {one.name: one for one in (PLANE_STRAIN, PlaneStress(), Axisymmetric())}
+KINEMATICS_BY_NAME: dict[str, Kinematics] = {kind.name: kind for kind in (PLANE_STRAIN, PlaneStress(), Axisymmetric())}

@@ -114,8 +114,8 @@ class Law:
 
     def __post_init__(self) -> None:
         for f in fields(self):
-            own = any(f.name in vars(one) for one in type(self).__mro__ if one.__module__ == __name__)
-            self.require(not own, f"the parameter {f.name!r}", "another one", "a name that all laws use")
+            reserved = any(f.name in vars(base) for base in type(self).__mro__ if base.__module__ == __name__)
+            self.require(not reserved, f"the parameter {f.name!r}", "another one", "a name that all laws use")
             allowed = "a number" + (", a function in numpy" if f.name in self.functions else "")
             self.require(not isinstance(getattr(self, f.name), ufl.core.expr.Expr), f.name, allowed, "a UFL expression")
         kind: Any = type(self)
@@ -159,8 +159,8 @@ class Law:
     @cached_property
     def traits(self) -> Traits:
         """Traits of the law. They are found from its numbers, and stay when other numbers or symbols replace these."""
-        found = Traits.of(self, **self._traits_of_methods())
-        return replace(found, varies=True) if self.fields and found.compiled else found
+        traits = Traits.of(self, **self._traits_of_methods())
+        return replace(traits, varies=True) if self.fields and traits.compiled else traits
 
     def for_points(self) -> Self:
         """The same law as a compiled one, which takes parameters that are functions on S too."""
@@ -209,8 +209,8 @@ class Law:
 
     def choices(self) -> tuple[tuple[str, Any], ...]:
         """Name and value of every field that is not a parameter."""
-        known = self.parameters()
-        return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in known)
+        parameters = self.parameters()
+        return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in parameters)
 
     def parameter_values(self) -> Array:
         """The parameters one after the other, (k,); NaN for functions."""
@@ -243,11 +243,11 @@ class Law:
         Raises:
             InputError: a function fails, does not give n finite real numbers, or is out of its range; with the place.
         """
-        return {name: self._field_at(name, one, x) for name, one in self.fields.items()}
+        return {name: self._field_at(name, parameter, x) for name, parameter in self.fields.items()}
 
-    def _field_at(self, name: str, one: ParameterField, x: Array) -> Array:
+    def _field_at(self, name: str, parameter: ParameterField, x: Array) -> Array:
         try:
-            return one(x)
+            return parameter(x)
         except ParameterRangeError as error:
             said = str(error) if str(error)[:1].isalpha() and " is " in str(error) else f"{name} is {error}"
             raise InputError(f"{type(self).__name__}: {said}, at {place_text(x, error.k)}") from None
@@ -272,9 +272,9 @@ class Law:
             return
         values, n = list(self.fields_at(x).values()), x.shape[1]
         at = sorted({*extreme_places(values, differences=True), *range(0, n, max(n // MAX_CHECKED_PLACES, 1))})
-        for k, one in zip(at, self.at_places(x[:, at]), strict=True):
+        for k, law in zip(at, self.at_places(x[:, at]), strict=True):
             try:
-                one.check()
+                law.check()
             except InputError as error:
                 raise InputError(f"{error}, at {place_text(x, k)}") from None
 
@@ -371,10 +371,10 @@ class BulkLaw(Law):
         Raises:
             InputError: this is none.
         """
-        known = "it is known for isotropic elastic sublayers (LinearElastic), which share the jump in fixed proportions"
+        limit = "it is known for isotropic elastic sublayers (LinearElastic), which share the jump in fixed proportions"
         remedy = "use order=0, or mesh the layer (structure.full)"
         what = f"order=1 of a Stack with the sublayer {type(self).__name__}"
-        raise InputError(f"{what}: {known} along S and across it; {remedy}")
+        raise InputError(f"{what}: {limit} along S and across it; {remedy}")
 
     def own_step(self, step: Step) -> Step:
         """The step as the law's methods get it: the strain at t + theta dt alone for laws without rate and memory."""
@@ -554,12 +554,12 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
 def require_shape(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Expr:
     """The value as UFL; raises InputError unless it is a UFL expression (or number) of this shape."""
     try:
-        found = ufl.as_ufl(value)
+        expression = ufl.as_ufl(value)
     except Exception as error:
         raise InputError(f"{type(law).__name__}.{what} is {value!r}; it must be UFL of shape {shape}") from error
-    if found.ufl_shape != shape:
-        raise InputError(f"{type(law).__name__}.{what} has the shape {found.ufl_shape}; it must have {shape}")
-    return found
+    if expression.ufl_shape != shape:
+        raise InputError(f"{type(law).__name__}.{what} has the shape {expression.ufl_shape}; it must have {shape}")
+    return expression
 
 
 def require_positive(law: Law, *names: str) -> None:

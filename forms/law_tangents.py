@@ -83,7 +83,7 @@ def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> Sy
     """A law at a point, in a step, with a director of d components or None; with numbers as inputs, if they are given."""
     shapes = {name: _shape(value) for name, value in law.parameters().items()}
     length = 6 + 6 + law.memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
-    numbers = _symbols(length) if values is None else ufl.as_vector([ufl.as_ufl(float(one)) for one in values])
+    numbers = _symbols(length) if values is None else ufl.as_vector([ufl.as_ufl(float(value)) for value in values])
     inputs = iter(numbers[i] for i in range(length))
 
     def take(shape: tuple[int, ...]) -> Expr:
@@ -114,8 +114,8 @@ def reads_input(law: BulkLaw, name: str) -> bool:
     point = symbolic(law)
     symbol = ufl.Constant(_SYMBOL_MESH, shape=getattr(point.step, name).ufl_shape)
     step = point.step._replace(**{name: symbol})
-    found = [point.law.stress(point.law.own_step(step)), *point.law.advance(step).values()]
-    return any(symbol is part for one in found for part in traverse_unique_terminals(ufl.as_ufl(one)))
+    outputs = [point.law.stress(point.law.own_step(step)), *point.law.advance(step).values()]
+    return any(symbol is part for output in outputs for part in traverse_unique_terminals(ufl.as_ufl(output)))
 
 
 def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Expr]) -> None:
@@ -148,12 +148,12 @@ def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> V
     Raises:
         Exception: of any type, from UFL: a part, such as a coefficient, has no number.
     """
-    known: dict[Any, Any] = dict(values or {})  # axes of each array: those of the part's shape, then its free indices
+    arrays: dict[Any, Any] = dict(values or {})  # axes of each array: those of the part's shape, then its free indices
     with np.errstate(all="ignore"):
         for part in unique_post_traversal(expression):
-            if part not in known:
-                known[part] = _evaluate_node(part, [known[operand] for operand in part.ufl_operands])
-    return np.asarray(known[expression])
+            if part not in arrays:
+                arrays[part] = _evaluate_node(part, [arrays[operand] for operand in part.ufl_operands])
+    return np.asarray(arrays[expression])
 
 
 def _evaluate_node(part: Any, operands: list[Any]) -> Any:
@@ -197,15 +197,15 @@ def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
 def _broadcast(values: Any, operand: Any, axes: int, free: list[int]) -> Values:
     """Values with so many axes of their shape, and one for each free index, also for those they do not depend on."""
     shape = operand.ufl_shape
-    own = dict(zip(operand.ufl_free_indices, np.shape(values)[len(shape) :], strict=True))
-    return np.reshape(values, [*[1] * (axes - len(shape)), *shape, *(own.get(name, 1) for name in free)])
+    sizes = dict(zip(operand.ufl_free_indices, np.shape(values)[len(shape) :], strict=True))
+    return np.reshape(values, [*[1] * (axes - len(shape)), *shape, *(sizes.get(name, 1) for name in free)])
 
 
 def _scalar_function(part: Any, values: tuple[Any, ...]) -> Any:
     """A function of scalars, or a comparison, at numbers; NaN where it has none."""
     try:
-        found = part._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values)))
-        value = found.evaluate((0.0,), {}, (), {})
+        expr = part._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values)))
+        value = expr.evaluate((0.0,), {}, (), {})
         return value if isinstance(value, (bool, np.bool_)) else _real(value)
     except (ValueError, ZeroDivisionError, OverflowError):
         return math.nan
@@ -261,14 +261,14 @@ def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
         return None
     n3 = np.pad(n, (0, 3 - len(n)))
     try:
-        given = law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
-        point = symbolic(given, d=3 if law.traits.compiled else len(n))
+        numeric_law = law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
+        point = symbolic(numeric_law, d=3 if law.traits.compiled else len(n))
         stress = in_mandel(point.law.stress(point.law.own_step(point.step)))
         tangent: Any = expand_derivatives(ufl.diff(stress, point.strain))
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
-            known = (np.zeros(6 + law.memory), n3, [dt, 1.0], given.parameter_values())
-            inputs = [np.concatenate([e, *known]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
-            C = np.mean([evaluate(tangent, {point.numbers: one}) for one in inputs], axis=0)
+            constants = (np.zeros(6 + law.memory), n3, [dt, 1.0], numeric_law.parameter_values())
+            inputs = [np.concatenate([e, *constants]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
+            C = np.mean([evaluate(tangent, {point.numbers: values}) for values in inputs], axis=0)
     except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
         return None
     return np.asarray(C) if np.isfinite(C).all() else None
@@ -276,14 +276,14 @@ def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
 
 def needs_director(law: BulkLaw) -> bool:
     """Whether the stress of a law depends on the director n; a kernel says so itself (`KernelLaw.isotropic`)."""
-    one: Any = law.in_space
-    return reads_input(one, "n") if one.traits.in_ufl else not one.isotropic
+    law_3d: Any = law.in_space
+    return reads_input(law_3d, "n") if law_3d.traits.in_ufl else not law_3d.isotropic
 
 
 def depends_on_step_length(law: BulkLaw) -> bool:
     """Whether a law creeps or relaxes: its response depends on the length of the step. A kernel says so itself."""
-    one: Any = law.in_space
-    return bool(one.traits.rate or (reads_input(one, "dt") if one.traits.in_ufl else one.relaxes))
+    law_3d: Any = law.in_space
+    return bool(law_3d.traits.rate or (reads_input(law_3d, "dt") if law_3d.traits.in_ufl else law_3d.relaxes))
 
 
 def is_checked_at_rest(law: BulkLaw) -> bool:
@@ -325,9 +325,9 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
     )
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
     if lowest < -EIGENVALUE_TOLERANCE * size:
-        known = f"the smallest eigenvalue {what} is {lowest:.4g}, the largest entry of C {size:.4g}; allowed: >= 0"
+        details = f"the smallest eigenvalue {what} is {lowest:.4g}, the largest entry of C {size:.4g}; allowed: >= 0"
         remedy = "Check the signs of the stress and of the parameters (real ones)"
-        raise InputError(f"{type(law).__name__}: the stiffness at rest is negative, {known}. {remedy}")
+        raise InputError(f"{type(law).__name__}: the stiffness at rest is negative, {details}. {remedy}")
 
 
 def symmetric_mandel(a: Array) -> Array:

@@ -144,8 +144,8 @@ class Phases(IsotropicLaw):
         return law.with_parameters(functions | {"T": self.T})
 
     def _mapped_function(self, name: str, change: Callable[[Any, float], Any]) -> float | TemperatureFunction:
-        given, power = getattr(self, name), self.powers.get(name, 0)
-        return (lambda T: change(real_values(given(T)), power)) if callable(given) else change(given, power)
+        parameter, power = getattr(self, name), self.powers.get(name, 0)
+        return (lambda T: change(real_values(parameter(T)), power)) if callable(parameter) else change(parameter, power)
 
     # ---------------------------------------------------------------- of a step, UFL
     def _drive(self, e: Expr, n: Expr) -> Expr:

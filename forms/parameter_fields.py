@@ -26,7 +26,7 @@ class ParameterRangeError(InputError):
 
 def _operators(combine: Callable[[Any, Any], Any]) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
     """The methods of `ParameterField` that combine it with another value, on its right and on its left."""
-    return lambda one, other: one._with(combine, other), lambda one, other: one._with(combine, other, turned=True)
+    return lambda self, other: self._with(combine, other), lambda self, other: self._with(combine, other, turned=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +49,15 @@ class ParameterField:
             ParameterRangeError: a value is not finite, or out of the range of the function. TypeError: not n real numbers.
         """
         if self.operands:
-            given = [one(x) if isinstance(one, ParameterField) else one for one in self.operands]
-            found = np.asarray(self.function(*given), float)
+            arguments = [operand(x) if isinstance(operand, ParameterField) else operand for operand in self.operands]
+            array = np.asarray(self.function(*arguments), float)
         else:
-            found = np.asarray(self.function(x.copy()))
-            if found.dtype.kind not in "iuf":
-                raise TypeError(f"it gives {found.dtype.name} values, not real numbers")
-        if found.shape not in ((), x.shape[1:]):
-            raise TypeError(f"it gives the shape {found.shape} for x of shape {x.shape}; allowed: {x.shape[1:]}")
-        values = np.broadcast_to(found, x.shape[1:]).astype(float)
+            array = np.asarray(self.function(x.copy()))
+            if array.dtype.kind not in "iuf":
+                raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
+        if array.shape not in ((), x.shape[1:]):
+            raise TypeError(f"it gives the shape {array.shape} for x of shape {x.shape}; allowed: {x.shape[1:]}")
+        values = np.broadcast_to(array, x.shape[1:]).astype(float)
         if len(bad := np.flatnonzero(~np.isfinite(values))):
             raise ParameterRangeError(f"{values[bad[0]]}; allowed: finite numbers", int(bad[0]))
         return values
@@ -105,4 +105,4 @@ def extreme_places(values: Sequence[Array], *, differences: bool = False) -> lis
     with np.errstate(all="ignore"):
         for a, b in combinations(values, 2):
             fields += [a / b] + ([a - b] if differences else [])
-    return sorted({int(pick(one)) for one in fields for pick in (np.nanargmin, np.nanargmax) if np.isfinite(one).any()})
+    return sorted({int(pick(f)) for f in fields for pick in (np.nanargmin, np.nanargmax) if np.isfinite(f).any()})

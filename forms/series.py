@@ -75,12 +75,12 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]
         return sum(a * value for a, value in zip(fractions, values, strict=True))
 
     stiffness, mu = [lmbda + 2 * mu for lmbda, mu in moduli], [mu for _, mu in moduli]
-    whole, sheared = 1 / mean(1 / one for one in stiffness), 1 / mean(1 / one for one in mu)
-    r = [lmbda / one for (lmbda, _), one in zip(moduli, stiffness, strict=True)]
+    whole, sheared = 1 / mean(1 / modulus for modulus in stiffness), 1 / mean(1 / modulus for modulus in mu)
+    r = [lmbda / modulus for (lmbda, _), modulus in zip(moduli, stiffness, strict=True)]
     normal, tangential, squared = [], [], []  # means of Phi_N, Phi_T and Phi_T^2 over each sublayer
     at_n = at_t = -0.5
-    for a, one, shear in zip(fractions, stiffness, mu, strict=True):
-        step_n, step_t = a * whole / one, a * sheared / shear
+    for a, modulus, shear in zip(fractions, stiffness, mu, strict=True):
+        step_n, step_t = a * whole / modulus, a * sheared / shear
         normal.append(at_n + step_n / 2)
         tangential.append(at_t + step_t / 2)
         squared.append(at_t * at_t + at_t * step_t + step_t * step_t / 3)
@@ -94,8 +94,8 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]
         return Station(law, 1, lambda law, faces: faces.in_s(faces.mean + phi * faces.difference))
 
     of_phi = {"normal": normal, "tangential": tangential}
-    beside = {"lateral": r, "lateral_normal": times(r, normal), "lateral_tangential": times(r, tangential)}
-    means = {name: mean(values) for name, values in (beside | of_phi).items()}
+    lateral = {"lateral": r, "lateral_normal": times(r, normal), "lateral_tangential": times(r, tangential)}
+    means = {name: mean(values) for name, values in (lateral | of_phi).items()}
     across = EqualTractionSublayers(whole - 2 * sheared, sheared, **means)
     return [
         Station(across, 1, lambda law, faces: law.strain(faces)),
@@ -133,7 +133,7 @@ class Stack(BulkLaw):
             pairs = [(float(a), getattr(law, "sublayers", ((1.0, law),))) for a, law in sublayers]
         except (TypeError, ValueError) as error:
             raise InputError(f"Stack needs pairs (fraction, law): {error}") from error
-        one_by_one = [(a * b, one) for a, parts in pairs for b, one in parts]
+        one_by_one = [(a * b, law) for a, parts in pairs for b, law in parts]
         object.__setattr__(self, "fractions", tuple(a for a, _ in one_by_one))
         object.__setattr__(self, "laws", tuple(law for _, law in one_by_one))
         self.check()
@@ -174,15 +174,15 @@ class Stack(BulkLaw):
 
     @cached_property
     def traits(self) -> Traits:
-        found = Traits.of_series(law.traits for law in self.laws)
-        return replace(found, varies=True) if self.fields else found
+        traits = Traits.of_series(law.traits for law in self.laws)
+        return replace(traits, varies=True) if self.fields else traits
 
     @property
     def fields(self) -> dict[str, ParameterField]:
-        return {f"{k}.{name}": one for k, law in enumerate(self.laws) for name, one in law.fields.items()}
+        return {f"{k}.{name}": parameter for k, law in enumerate(self.laws) for name, parameter in law.fields.items()}
 
     def fields_at(self, x: Array) -> dict[str, Array]:
-        return {f"{k}.{name}": one for k, law in enumerate(self.laws) for name, one in law.fields_at(x).items()}
+        return {f"{k}.{name}": values for k, law in enumerate(self.laws) for name, values in law.fields_at(x).items()}
 
     def at_places(self, x: Array) -> Iterator[Stack]:
         for laws in zip(*(law.at_places(x) for law in self.laws), strict=True):

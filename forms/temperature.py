@@ -100,9 +100,9 @@ def checked_values(
     return values
 
 
-def evaluated(law: object, name: str, given: float | TemperatureFunction, T: Array) -> Any:
+def evaluated(law: object, name: str, parameter: float | TemperatureFunction, T: Array) -> Any:
     """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,)."""
-    if not callable(given):
-        return np.full(len(T), float(given))
+    if not callable(parameter):
+        return np.full(len(T), float(parameter))
     it = "it must be a numpy function of temperatures, or Tabulated([(T, value), ...])"
-    return checked_values(f"{type(law).__name__}: {name}(T)", given, T, it=it, where=lambda k: f" at T = {T[k]:g}")
+    return checked_values(f"{type(law).__name__}: {name}(T)", parameter, T, it=it, where=lambda k: f" at T = {T[k]:g}")

@@ -52,8 +52,8 @@ class TractionLaw(Law):
 
     def _traits_of_methods(self) -> dict[str, bool]:
         has_energy = type(self).energy is not TractionLaw.energy
-        own = {"has_energy": has_energy, "in_ufl": True, "of_jumps": True, "compiled": True}
-        return super()._traits_of_methods() | own
+        traits = {"has_energy": has_energy, "in_ufl": True, "of_jumps": True, "compiled": True}
+        return super()._traits_of_methods() | traits
 
     def as_bulk_law(self) -> BulkLaw:
         kind: Any = type(self)
@@ -65,8 +65,8 @@ class TractionLaw(Law):
 
     def evolve(self, step: JumpStep) -> dict[str, Expr]:
         """Internal variables at the end of the step."""
-        known = ", ".join(self.internal)
-        raise InputError(f"{type(self).__name__} gives no new {known}; a law with internal needs a method evolve(step)")
+        names = ", ".join(self.internal)
+        raise InputError(f"{type(self).__name__} gives no new {names}; a law with internal needs a method evolve(step)")
 
     def energy(self, step: JumpStep) -> Expr:
         """Stored energy per unit area of the jump step.w and the internal variables step.q, UFL."""

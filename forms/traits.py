@@ -85,8 +85,8 @@ def _is_for_another_stress(kind: Any, name: str, responses: tuple[str, ...]) -> 
         return False
     above = reversed(kind.__mro__[: _place(kind, name) + 1])
     now = _responses(kind, responses)
-    before = next((found for one in above if (found := _responses(one, responses))), now)
-    return any(before.get(one) is not now.get(one) for one in responses if one in before or one not in UPDATE_METHODS)
+    before = next((attributes for base in above if (attributes := _responses(base, responses))), now)
+    return any(before.get(key) is not now.get(key) for key in responses if key in before or key not in UPDATE_METHODS)
 
 
 def _responses(kind: Any, names: tuple[str, ...]) -> dict[str, Any]:
@@ -96,24 +96,24 @@ def _responses(kind: Any, names: tuple[str, ...]) -> dict[str, Any]:
 
 def _place(kind: Any, name: str) -> int:
     """Position, in the order of inheritance, of the class that defines this name; 0 is the class itself."""
-    return next((k for k, one in enumerate(kind.__mro__) if name in vars(one)), len(kind.__mro__))
+    return next((k for k, base in enumerate(kind.__mro__) if name in vars(base)), len(kind.__mro__))
 
 
 def _reset(kind: Any, name: str) -> None:
     """Reset an attribute of a class to the default of all laws."""
-    defaults = (vars(one)[name] for one in kind.__mro__ if one.__module__ in DEFAULT_MODULES and name in vars(one))
+    defaults = (vars(base)[name] for base in kind.__mro__ if base.__module__ in DEFAULT_MODULES and name in vars(base))
     setattr(kind, name, next(defaults, None))
 
 
 def require_declarations(law: Any) -> None:
     """Raise InputError unless the declarations of a law's class fit its parameters and methods."""
-    kind, known = type(law), law.parameters()
-    own = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
-    if own and "__dataclass_params__" not in vars(kind):  # its constructor does not take them
+    kind, parameters = type(law), law.parameters()
+    field_names = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
+    if field_names and "__dataclass_params__" not in vars(kind):  # its constructor does not take them
         raise InputError(f"{kind.__name__} is not a dataclass: write @dataclass(frozen=True) above the class")
     for name, power in law.powers.items():
-        if name not in known:
-            raise InputError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(known) or 'none'}")
+        if name not in parameters:
+            raise InputError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(parameters) or 'none'}")
         require(is_finite(power), f"{kind.__name__}: the power of {name}", power, "allowed: a finite number")
     for name, shape in law.internal.items():
         if shape not in VARIABLE_SIZES:
@@ -125,13 +125,13 @@ def require_declarations(law: Any) -> None:
 def _require_used(law: Any) -> None:
     """Raise InputError for methods and attributes that would be silently ignored."""
     kind, name = type(law), type(law).__name__
-    defining = min(_place(kind, one) for one in ("source", "ignored"))
-    for one in kind.ignored:
-        if _own(kind, one) and _place(kind, one) < defining:
+    defining = min(_place(kind, attribute) for attribute in ("source", "ignored"))
+    for method in kind.ignored:
+        if _own(kind, method) and _place(kind, method) < defining:
             source = f"the source, sublayers or the traction of {kind.__mro__[defining].__name__}"
             why = f"the stress comes from {source}; change those, or write a BulkLaw"
-            raise InputError(f"{name} has a method {one} that is never called: {why}")
-    advancing = [one for one in ("advance", "evolve") if _own(kind, one)]
+            raise InputError(f"{name} has a method {method} that is never called: {why}")
+    advancing = [method for method in ("advance", "evolve") if _own(kind, method)]
     if advancing and not law.internal:
         raise InputError(f"{name} has a method {advancing[0]} but no internal variables: internal = {{name: shape}}")
     if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
@@ -142,7 +142,7 @@ def _require_used(law: Any) -> None:
 
 def _own(kind: Any, name: str) -> bool:
     """Whether an attribute of a class is not the default of all laws."""
-    defining = next((one for one in kind.__mro__ if name in vars(one)), None)
+    defining = next((base for base in kind.__mro__ if name in vars(base)), None)
     if defining is None or defining.__module__ in DEFAULT_MODULES:
         return False
     return getattr(vars(defining)[name], "__module__", None) not in DEFAULT_MODULES  # as restored by `_reset`
@@ -177,7 +177,7 @@ class Traits:
 
     Traits that follow from the methods of a law:
         has_energy: stored energy and dissipation are declared.
-        eases: `homotopy` gives laws whose equilibrium is easier to find, for continuation.
+        has_homotopy: `homotopy` gives laws whose equilibrium is easier to find, for continuation.
         in_series: the law can be a sublayer of a Stack.
         remembers: the law has internal variables.
         in_ufl: the equations are written in UFL.
@@ -229,5 +229,5 @@ class Traits:
     @classmethod
     def of_series(cls, sublayers: Iterable[Traits]) -> Traits:
         """The traits of sublayers in series."""
-        known = list(sublayers)
-        return cls(**{f.name: f.metadata["fold"](getattr(one, f.name) for one in known) for f in fields(cls)})
+        stack = list(sublayers)
+        return cls(**{f.name: f.metadata["fold"](getattr(sublayer, f.name) for sublayer in stack) for f in fields(cls)})

@@ -25,7 +25,7 @@ def constant_law(law: BulkLaw) -> BulkLaw:
         InputError: parameters of the law are functions of the place, and the mesh is not known.
     """
     if law.fields:
-        reason = "the sides of S must know their values; use it in a Model, or give `Interface(known=...)`"
+        reason = "the sides of S must know their values; use it in a Model, or give `Interface(law_on_surface=...)`"
         raise InputError(f"order=1 of {type(law).__name__} with parameters that are functions: {reason}")
     return law
 
@@ -36,7 +36,7 @@ class InterfaceSide:
 
     Attributes:
         restrict: gives a function's value on this side.
-        back: (d, d) gradient of the motion from S to the facet of this side, where they are apart; None: they are not.
+        inverse_gradient: (d, d) gradient of the motion from S to this side's facet; None: they coincide.
     """
 
     restrict: Callable[[Expr], Expr]
@@ -63,12 +63,12 @@ class Interface:
         measure: dS restricted to S between two bodies, ds on a rigid base.
         x: places on S, (d,).
         n: unit normal from the lower to the upper body, (d,).
-        fibre: (d,) what leads from the lower to the upper body, of unit length along n; it is n unless these are apart.
+        director: (d,) what leads from the lower to the upper body, of unit length along n; it is n unless these are apart.
         upper, lower: restrict a function to this side of S.
         kinematics: those of places on S.
         area: area of S per area of the measure.
-        known: law -> the same law with UFL expressions on S for its parameters, also for those that are functions, as
-            strains of order 1 need them.
+        law_on_surface: law -> the same law with UFL expressions on S for its parameters, functions too, as strains of
+            order 1 need them.
     """
 
     measure: ufl.Measure
@@ -153,8 +153,8 @@ class Term:
         weight: factor of the measure.
         measure: dx, ds or dS.
         n: director, (d,), or None in a body.
-        given: strain (3, 3) that is added to that of the displacements: the mean strain of a periodic cell, less the
-            eigenstrain. An expression of place and time; None: none is.
+        prescribed_strain: strain (3, 3) that is added to that of the displacements: the mean strain of a periodic cell,
+            less the eigenstrain. An expression of place and time; None: none is.
         key: name of what the law remembers and stores, where several layers have names; "": by kind and order.
         kinematics: those of the strain.
         volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar), of
@@ -217,7 +217,7 @@ def surface(
     sides: Interface,
     eps: Expr,
     order: int = 0,
-    given: Expr | None = None,
+    prescribed_strain: Expr | None = None,
     slope: Expr | None = None,
     ends: EndWeights | None = None,
 ) -> list[Term]:
@@ -234,7 +234,7 @@ def surface(
         sides: the sides of S.
         eps: the thickness.
         order: of the interface law.
-        given: strain (3, 3), uniform through the layer, beside that of the displacements (`Term.prescribed_strain`).
+        prescribed_strain: (3, 3), uniform through the layer, added to that of the displacements.
         slope: gradient (d,) of the thickness along S; None: it is uniform.
         ends: weights of free ends, for the stations of laws that know them; None: of an infinite layer.
 
@@ -244,23 +244,23 @@ def surface(
     n, d, weight = sides.n, len(sides.n), sides.factor * eps
     term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)
     if order == 0:
-        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, prescribed_strain=given)]
-    held = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), given, sides.kinematics.along)
+        return [term(law, lambda u: jump_strain(sides.jump(u), n) / eps, weight, prescribed_strain=prescribed_strain)]
+    fixed_faces = Faces(n, eps, ufl.zero(d), ufl.zero(d, d), prescribed_strain, sides.kinematics.along)
 
     def opened(i: int) -> Faces:
         unit = ufl.as_vector([float(i == j) for j in range(d)])
         return Faces(n, eps, unit, ufl.zero(d, d), ufl.zero(3, 3), lambda gradient, u: ufl.zero(3, 3), slope)
 
     def at(station: Station) -> Term:
-        known = sides.law_on_surface(station.law)
+        surface_law = sides.law_on_surface(station.law)
         return term(
             station.law,
-            lambda u: station.strain(known, sides.faces(u, eps, slope)),
+            lambda u: station.strain(surface_law, sides.faces(u, eps, slope)),
             weight * station.share,
-            prescribed_strain=None if given is None else station.strain(known, held),
-            flow=eps**3 * station.flow(known),
+            prescribed_strain=None if prescribed_strain is None else station.strain(surface_law, fixed_faces),
+            flow=eps**3 * station.flow(surface_law),
             traction=lambda stress: ufl.as_vector(
-                [eps * station.share * ufl.inner(stress, station.strain(known, opened(i))) for i in range(d)]
+                [eps * station.share * ufl.inner(stress, station.strain(surface_law, opened(i))) for i in range(d)]
             ),
         )
 

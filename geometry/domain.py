@@ -168,7 +168,7 @@ class Domain:
         comm = comm or default_comm()
         if comm.size > 1 or not next(_MESH_COUNT) % MESHES_PER_COLLECTION:
             gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
-        points, cells = (rows_of_rank(one, comm.rank, comm.size) for one in (joint.points, joint.cells))
+        points, cells = (rows_of_rank(array, comm.rank, comm.size) for array in (joint.points, joint.cells))
         mesh = create_mesh(comm, points, cells, joint.cell_type, partitioner(joint, comm))
         original = np.asarray(mesh.topology.original_cell_index, np.int64)
         if joint.parted is not None:
@@ -220,8 +220,8 @@ class Domain:
     def is_outer(self, name: str) -> bool:
         """Whether all facets of a name lie on the outer boundary."""
         joint = self.joint
-        known = [one for one in (name, name.split("/")[0]) if one in joint.facets]
-        return not known or bool((joint.table.cells[joint.table.index(joint.facets[known[0]]), 1] < 0).all())
+        matches = [candidate for candidate in (name, name.split("/")[0]) if candidate in joint.facets]
+        return not matches or bool((joint.table.cells[joint.table.index(joint.facets[matches[0]]), 1] < 0).all())
 
     def facets(self, name: str, *, layer_sides: bool = False) -> Indices:
         """Local facets (ghosts included) of a name; arguments and errors as in `values`."""
@@ -256,7 +256,7 @@ def _local_facets(
     cells, which = local[joint.table.cells[rows]], joint.table.local[rows]
     here = (cells >= 0) & (which >= 0)
     places = here.argmax(axis=1)[:, None]
-    cells, which = (np.take_along_axis(one, places, axis=1)[:, 0] for one in (cells, which))
+    cells, which = (np.take_along_axis(array, places, axis=1)[:, 0] for array in (cells, which))
     kept = np.flatnonzero(here.any(axis=1))
     facets = of_cells[cells[kept], which[kept]]
     order = np.argsort(facets)

@@ -54,9 +54,9 @@ class Periods:
         """
         size = np.ptp(points, axis=0).max()
         for (first, second), pair, vector in zip(self.sides, self.pairs, self.vectors(points), strict=True):
-            apart = np.abs(points[pair[:, 1]] - points[pair[:, 0]] - vector).max(axis=1)
+            mismatch = np.abs(points[pair[:, 1]] - points[pair[:, 0]] - vector).max(axis=1)
             message = f"the sides {first!r} and {second!r} do not match any more at {{at}}"
-            refuse(apart > DISTANCE_TOLERANCE * size, points[pair[:, 0]], message)
+            refuse(mismatch > DISTANCE_TOLERANCE * size, points[pair[:, 0]], message)
         master = self.masters(len(points))
         identified = np.bincount(master, minlength=len(master))[master] > 1
         refuse(
@@ -81,5 +81,5 @@ def _folded_edges(points: FloatArray, nodes: IntArray, master: IntArray) -> Bool
     ends = master[nodes]
     along = (points[nodes[:, 1]] - points[nodes[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]
     _, first, number = np.unique(ridge_keys(ends), return_index=True, return_inverse=True)
-    apart = np.abs(along - along[first[number.ravel()]]).max(axis=1)
-    return np.asarray((ends[:, 0] == ends[:, 1]) | (apart > DISTANCE_TOLERANCE * np.ptp(points, axis=0).max()))
+    difference = np.abs(along - along[first[number.ravel()]]).max(axis=1)
+    return np.asarray((ends[:, 0] == ends[:, 1]) | (difference > DISTANCE_TOLERANCE * np.ptp(points, axis=0).max()))

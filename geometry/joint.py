@@ -216,7 +216,7 @@ class Joint:
         if name != S:
             require_known("seam", name, self.seams)
         names = self.seams if name == S else (name,)
-        return np.unique(np.concatenate([self.table.index(self.facets[one]) for one in names]))
+        return np.unique(np.concatenate([self.table.index(self.facets[seam_name]) for seam_name in names]))
 
     @cached_property
     def surface_rows(self) -> IntArray:
@@ -280,8 +280,8 @@ class Joint:
         """Those of `outer_rows` that touch S in a ridge, (n,), and keys (n, m) of their ridges: -1 for those not in S."""
         keys = keys_of_ridges(self.table.vertices[self.outer_rows], self.dim - 1)
         keys[~np.isin(keys, ridge_keys(ridges(self.surface, self.cell_type)[0]))] = -1
-        beside = (keys >= 0).any(axis=1)
-        return self.outer_rows[beside], keys[beside]
+        adjacent = (keys >= 0).any(axis=1)
+        return self.outer_rows[adjacent], keys[adjacent]
 
     @cached_property
     def splitting(self) -> Splitting:
@@ -340,11 +340,11 @@ class Joint:
     @cached_property
     def meetings(self) -> IntArray:
         """(n,) vertices where S branches, more than two of its facets meeting there, or where seams meet; masters only."""
-        found, counts = ridges(self.masters[self.surface], self.cell_type)
+        ridge_vertices, counts = ridges(self.masters[self.surface], self.cell_type)
         vertices = self.masters[self.table.vertices[self.surface_rows]]
         keys = np.unique(vertices * len(self.seams) + self.seam_numbers[:, None])
         several, seams = np.unique(keys // len(self.seams), return_counts=True)
-        return np.union1d(found[counts > 2], several[seams > 1])
+        return np.union1d(ridge_vertices[counts > 2], several[seams > 1])
 
     @property
     def seams_meet(self) -> bool:
@@ -354,9 +354,9 @@ class Joint:
     @cached_property
     def tips(self) -> IntArray:
         """(n, d - 1) vertices of the ridges where S ends inside the bodies."""
-        found, counts = ridges(self.surface, self.cell_type)
+        ridge_vertices, counts = ridges(self.surface, self.cell_type)
         at_outer, _ = ridges(self.table.nodes(self.outer_rows, self.corners, self.cell_type), self.cell_type)
-        ends = found[counts == 1]
+        ends = ridge_vertices[counts == 1]
         return np.asarray(ends[~np.isin(ridge_keys(ends), ridge_keys(at_outer))])
 
     @property
@@ -399,15 +399,15 @@ class Joint:
         rows = self.rows_of(name)
         vertices = np.unique(self.table.vertices[rows])
         try:
-            given = np.asarray(profile(self.points[vertices].T))
-            if given.dtype.kind not in "fiu":
-                raise TypeError(f"it returns {given.dtype}")
+            thickness = np.asarray(profile(self.points[vertices].T))
+            if thickness.dtype.kind not in "fiu":
+                raise TypeError(f"it returns {thickness.dtype}")
         except Exception as error:
             reason = f"the thickness profile is no numpy function of coordinates x (d, n): {error}"
             raise InputError(reason) from error
-        if given.shape not in ((), vertices.shape):
-            raise InputError(f"the thickness profile returns shape {given.shape} for {len(vertices)} points of S")
-        values[vertices] = given
+        if thickness.shape not in ((), vertices.shape):
+            raise InputError(f"the thickness profile returns shape {thickness.shape} for {len(vertices)} points of S")
+        values[vertices] = thickness
         bad = vertices[~(np.isfinite(values[vertices]) & (values[vertices] > 0))]
         if len(bad):
             at = place_text(self.points[bad[0]])

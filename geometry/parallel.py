@@ -75,12 +75,12 @@ def _broadcast(comm: MPI.Intracomm, result: Any) -> Any:
     return pickle.loads(content, buffers=_shared_copies(comm, large, sizes) if sizes else ())
 
 
-def _shared_copies(comm: MPI.Intracomm, given: list[memoryview], sizes: list[int]) -> list[memoryview]:
+def _shared_copies(comm: MPI.Intracomm, sources: list[memoryview], sizes: list[int]) -> list[memoryview]:
     """Copies of buffers of rank 0 in memory that the ranks of a machine share; it goes with the last user. Collective.
 
     Args:
         comm: the ranks.
-        given: the buffers, on rank 0.
+        sources: the buffers, on rank 0.
         sizes: their sizes, bytes.
     """
     *starts, total = accumulate((size + -size % ALIGNMENT_BYTES for size in sizes), initial=0)
@@ -97,7 +97,7 @@ def _shared_copies(comm: MPI.Intracomm, given: list[memoryview], sizes: list[int
     owners = comm.Split(int(not owner), comm.rank)
     for k, buffer in enumerate(buffers if owner else ()):
         if comm.rank == 0:
-            buffer[:] = given[k]
+            buffer[:] = sources[k]
         for begin in range(0, len(buffer), MAX_MESSAGE_BYTES):
             owners.Bcast(buffer[begin : begin + MAX_MESSAGE_BYTES])
     node.Barrier()

@@ -59,8 +59,8 @@ def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
         layer = np.flatnonzero((column := column_numbers(joint)[0]) >= 0)
         owner[layer] = owner[layer[np.unique(column[layer], return_index=True)[1]]][column[layer]]
     first, second = joint.table.cells.T
-    apart = joint.table.cells[(owner[first] != owner[second]) & (second >= 0)]
-    seen = np.unique(np.concatenate([np.column_stack([a, owner[b]]) for a, b in (apart.T, apart.T[::-1])]), axis=0)
+    pairs = joint.table.cells[(owner[first] != owner[second]) & (second >= 0)]
+    seen = np.unique(np.concatenate([np.column_stack([a, owner[b]]) for a, b in (pairs.T, pairs.T[::-1])]), axis=0)
     times = 1 + np.bincount(seen[:, 0], minlength=len(owner))
     return np.append(0, times.cumsum()), np.insert(owner, seen[:, 0] + 1, seen[:, 1])
 
@@ -76,6 +76,6 @@ def partitioner(joint: Joint, comm: MPI.Intracomm) -> Callable[..., Any] | None:
         return None
     starts, ranks = on_root(comm, lambda: destinations(joint, comm.size))
     first = rows_of_rank(np.arange(len(joint.cells)), comm.rank, comm.size)
-    own = starts[first[0] : first[-1] + 2] if len(first) else starts[:1]
-    lists = dolfinx.cpp.graph.AdjacencyList_int32(ranks[own[0] : own[-1]], (own - own[0]).astype(np.int32))
+    indptr = starts[first[0] : first[-1] + 2] if len(first) else starts[:1]
+    lists = dolfinx.cpp.graph.AdjacencyList_int32(ranks[indptr[0] : indptr[-1]], (indptr - indptr[0]).astype(np.int32))
     return lambda *_: lists

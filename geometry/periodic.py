@@ -56,10 +56,10 @@ def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
     ways = [(x[0], x[1], vector, first, second), (x[1], x[0], -vector, second, first)]
     partners = []
     for places, others, move, name, other in ways:
-        apart, at = scipy.spatial.cKDTree(others).query(places + move)
+        distance, at = scipy.spatial.cKDTree(others).query(places + move)
         partners.append(at)
-        if apart.max() > DISTANCE_TOLERANCE * size:
-            lost = places[apart.argmax()]
+        if distance.max() > DISTANCE_TOLERANCE * size:
+            lost = places[distance.argmax()]
             both = f"{name!r} has a node at {place_text(lost)}, and {other!r} has none at {place_text(lost + move)}"
             raise InputError(f"{unlike}: {both}; {remedy}")
     image = np.full(len(joint.points), -1)

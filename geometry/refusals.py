@@ -16,10 +16,10 @@ def place_text(x: FloatArray) -> str:
     return f"({', '.join(f'{c:.6g}' for c in x)})"
 
 
-def require_known(kind: str, name: object, known: Collection[str], what: str = "") -> None:
+def require_known(kind: str, name: object, allowed: Collection[str], what: str = "") -> None:
     """Raise InputError for a name that does not exist; `what` begins the message."""
-    if not (isinstance(name, Hashable) and name in known):
-        raise InputError((f"{what}: " if what else "") + unknown_name_message(kind, name, known))
+    if not (isinstance(name, Hashable) and name in allowed):
+        raise InputError((f"{what}: " if what else "") + unknown_name_message(kind, name, allowed))
 
 
 def refuse(bad: BoolArray | np.bool_, x: FloatArray, message: str) -> None:

@@ -93,7 +93,7 @@ class Seam:
             InputError: both cells are on one side.
         """
         if self.lower or self.upper:
-            lower, upper = (np.isin(region, [regions.index(one) for one in side]) for side in (self.lower, self.upper))
+            lower, upper = (np.isin(region, [regions.index(key) for key in side]) for side in (self.lower, self.upper))
             below, above = lower if self.lower else ~upper, upper if self.upper else ~lower
             second, first = above[:, 1] & below[:, 0], above[:, 0] & below[:, 1]
             what = "have the same body on both sides"

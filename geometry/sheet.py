@@ -62,10 +62,10 @@ class Rim:
 
     def distance(self, points: FloatArray, x: FloatArray) -> FloatArray:
         """(n,) distances of places (n, d) from the ridges, whose vertices are some of these points; inf: there are none."""
-        found = np.full(len(x), np.inf)
+        distance = np.full(len(x), np.inf)
         for ends in points[self.vertices][:, [0, -1], None]:
-            found = np.minimum(found, np.linalg.norm(vectors_from_segments(x, *ends)[:, 0], axis=1))
-        return found
+            distance = np.minimum(distance, np.linalg.norm(vectors_from_segments(x, *ends)[:, 0], axis=1))
+        return distance
 
 
 def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
@@ -163,8 +163,8 @@ class Sheet:
     def tip(self) -> FloatArray | None:
         """A place where the seam ends inside the bodies, and no other one goes on; None if there is none."""
         joint = self.joint
-        own, _ = ridges(joint.surface[self.facets], joint.cell_type)
-        here = joint.tips[np.isin(ridge_keys(joint.tips), ridge_keys(own))]
+        seam_ridges, _ = ridges(joint.surface[self.facets], joint.cell_type)
+        here = joint.tips[np.isin(ridge_keys(joint.tips), ridge_keys(seam_ridges))]
         return joint.points[here[0]].mean(axis=0) if len(here) else None
 
     @cached_property
@@ -172,9 +172,9 @@ class Sheet:
         """A place where the seam branches or meets another one; None if there is none."""
         joint = self.joint
         surface = joint.masters[joint.surface]
-        (found, counts), (own, here) = (ridges(rows, joint.cell_type) for rows in (surface, surface[self.facets]))
-        all_seams = counts[np.searchsorted(ridge_keys(found), ridge_keys(own))]
-        meeting = own[(here > 2) | (all_seams > here)]
+        (s_ridges, counts), (subset, here) = (ridges(rows, joint.cell_type) for rows in (surface, surface[self.facets]))
+        all_seams = counts[np.searchsorted(ridge_keys(s_ridges), ridge_keys(subset))]
+        meeting = subset[(here > 2) | (all_seams > here)]
         return joint.points[meeting[0]].mean(axis=0) if len(meeting) else None
 
     @cached_property
@@ -188,12 +188,12 @@ class Sheet:
         pieces, cells = joint.splitting.pieces, joint.surface_cells[self.facets]
         sides = [np.unique(pieces[side[side >= 0]]) for side in cells.T]
         sides = [np.union1d(*sides)] if len(np.intersect1d(*sides)) else [side for side in sides if len(side)]
-        distance, found = np.abs((joint.points - joint.points[self.vertices[0, 0]]) @ self.mean_normal), []
+        distance, heights = np.abs((joint.points - joint.points[self.vertices[0, 0]]) @ self.mean_normal), []
         for side in sides:
             inside = np.isin(pieces, side)
             away = distance[joint.corners[inside]].max()
-            found.append(min(volume_of(joint, inside) / self.areas.sum(), away if self.planar else math.inf))
-        return tuple(map(float, found))
+            heights.append(min(volume_of(joint, inside) / self.areas.sum(), away if self.planar else math.inf))
+        return tuple(map(float, heights))
 
 
 def volume_of(joint: Joint, inside: BoolArray) -> float:
@@ -206,8 +206,8 @@ def volume_of(joint: Joint, inside: BoolArray) -> float:
     volume = 0.0
     for corners in QUADRILATERAL_TRIANGLES if joint.cell_type == "hexahedron" else (tuple(range(joint.dim)),):
         x = joint.points[nodes[:, corners]]
-        cones, own = (np.linalg.det(x - tip) for tip in (x[0, 0], middle))  # from one place, and from that in the cell
-        volume += float((cones * np.sign(own)).sum()) / math.factorial(joint.dim)
+        cones, side = (np.linalg.det(x - tip) for tip in (x[0, 0], middle))  # from one place, and from that in the cell
+        volume += float((cones * np.sign(side)).sum()) / math.factorial(joint.dim)
     return volume
 
 
@@ -236,7 +236,7 @@ class StraightEnd:
     @property
     def axes(self) -> FloatArray:
         """(2, 3) unit vectors: inward along S, and the normal of S."""
-        return np.stack([np.pad(one, (0, 3 - len(one))) for one in (-self.m, self.n)])
+        return np.stack([np.pad(vector, (0, 3 - len(vector))) for vector in (-self.m, self.n)])
 
     def distance(self, x: FloatArray) -> FloatArray:
         """Distance (...) of places (..., d) of S from it."""

@@ -97,7 +97,7 @@ class FacetTable:
         """The table of a mesh given by its cells' vertices; raises InputError if more than two cells share a facet."""
         short = corners.T.astype(np.int32)  # half the memory, and faster
         facets = zip(*(short[f] for f in local_facets(cell_type)), strict=True)
-        columns = sorted_columns([np.concatenate(one) for one in facets])
+        columns = sorted_columns([np.concatenate(column) for column in facets])
         order = np.lexsort(columns[::-1])
         start = np.flatnonzero(_changes(columns, order))
         counts = np.diff(start, append=len(order))
@@ -107,7 +107,7 @@ class FacetTable:
         pairs = np.full((len(start), 2), -1, np.int64)  # positions among all cells' facets
         pairs[:, 0] = order[start]
         pairs[double, 1] = order[start[double] + 1]
-        vertices = np.stack([one[pairs[:, 0]] for one in columns], axis=1, dtype=np.int64)
+        vertices = np.stack([column[pairs[:, 0]] for column in columns], axis=1, dtype=np.int64)
         del columns, order, start, counts  # they are large
         local, cells = np.divmod(pairs, max(len(corners), 1))
         cells[~double, 1] = -1
@@ -131,18 +131,18 @@ class FacetTable:
 
 def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
     """Columns of the same rows with each row in ascending order; faster than `np.sort` along rows, which are short."""
-    found = list(columns)
-    for end in range(len(found) - 1, 0, -1):
+    out = list(columns)
+    for end in range(len(out) - 1, 0, -1):
         for k in range(end):
-            found[k : k + 2] = np.minimum(found[k], found[k + 1]), np.maximum(found[k], found[k + 1])
-    return found
+            out[k : k + 2] = np.minimum(out[k], out[k + 1]), np.maximum(out[k], out[k + 1])
+    return out
 
 
 def _changes(columns: Sequence[IntArray], order: IntArray) -> BoolArray:
     """(n,) whether rows, given by columns, differ from those before them in an order; so does the first."""
-    found = np.ones(len(order), bool)
-    found[1:] = reduce(np.logical_or, (np.diff(one[order]) != 0 for one in columns))
-    return found
+    changed = np.ones(len(order), bool)
+    changed[1:] = reduce(np.logical_or, (np.diff(column[order]) != 0 for column in columns))
+    return changed
 
 
 def _keys(rows: IntArray) -> npt.NDArray[np.void]:
@@ -159,8 +159,8 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
     """
     element = lagrange(FACET_TYPES[cell_type], 1)
     rows = np.concatenate([facets[:, ridge] for ridge in element.entity_closure_dofs[-2]])
-    found, counts = np.unique(np.sort(rows, axis=1), axis=0, return_counts=True)
-    return found, counts
+    vertices, counts = np.unique(np.sort(rows, axis=1), axis=0, return_counts=True)
+    return vertices, counts
 
 
 def ridge_keys(rows: IntArray) -> IntArray:
@@ -228,7 +228,7 @@ class Splitting:
         if dim == 0:
             return corners
         of_cells = self._topology[dim]
-        columns = sorted_columns([corners[:, one].ravel() for one in of_cells.T])
+        columns = sorted_columns([corners[:, column].ravel() for column in of_cells.T])
         order = np.lexsort(columns[::-1])
         number = np.empty(len(order), np.int64)
         number[order] = _changes(columns, order).cumsum() - 1
@@ -251,9 +251,9 @@ class Splitting:
         The component with the smallest cell has number 0; so have all cells around entities that are not split.
         """
         local = self._topology[dim]
-        found = np.zeros((len(self.cells), len(local)), np.int32)
+        component = np.zeros((len(self.cells), len(local)), np.int32)
         if dim == len(self._topology) - 1 or not len(self.cut):
-            return found
+            return component
         on_cut = np.zeros(int(self.cells.max()) + 1, bool)
         on_cut[self.table.vertices[self.cut]] = True
         touched = on_cut[self._corners]
@@ -264,7 +264,7 @@ class Splitting:
         linked = (self.table.cells[:, 1] >= 0) & (pairs >= 0).all(axis=1)
         linked[self.cut] = False
         keys = self.entities(dim, self._corners[near])
-        inside = np.array([[i for i, one in enumerate(local) if set(one) <= set(each)] for each in self._topology[-2]])
+        inside = np.array([[i for i, row in enumerate(local) if set(row) <= set(each)] for each in self._topology[-2]])
         links: list[IntArray] = []
         for cell, facet in zip(pairs[linked].T, self.table.local[linked].T, strict=True):
             entity = inside[facet]
@@ -277,8 +277,8 @@ class Splitting:
         start = np.flatnonzero(np.diff(keys.ravel()[first_place][order], prepend=-1))
         number = np.empty(len(order), np.int64)
         number[order] = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
-        found[near] = np.where(touched[near][:, local].any(axis=2), number[label].reshape(keys.shape), 0)
-        return found
+        component[near] = np.where(touched[near][:, local].any(axis=2), number[label].reshape(keys.shape), 0)
+        return component
 
     @cached_property
     def of_nodes(self) -> Indices:

@@ -52,9 +52,9 @@ def zones(full: Solution, limit: Solution) -> dict[str, float]:
     for name, solution in (("band", full), ("contact", limit)):
         x, p, shear = along_s(last(solution), surface).values()
         weights = np.diff(np.concatenate([x[:1], (x[1:] + x[:-1]) / 2, x[-1:]]))
-        apart = p <= NO_PRESSURE * p.max()
-        slides = ~apart & (abs(shear) >= (1 - AT_LIMIT) * FRICTION * p)
-        row |= {f"separated_{name}": float(weights @ apart), f"sliding_{name}": float(weights @ slides)}
+        separated = p <= NO_PRESSURE * p.max()
+        slides = ~separated & (abs(shear) >= (1 - AT_LIMIT) * FRICTION * p)
+        row |= {f"separated_{name}": float(weights @ separated), f"sliding_{name}": float(weights @ slides)}
     return row
 
 

@@ -130,10 +130,10 @@ def run(record: Record, *, quick: bool = False) -> None:
     orders = record.table("orders.csv")
     for title, pull in track([(title, pull) for title in CASES for pull in PULLS], "columns", "{0[0]}"):
         column = Column(record, CASES[title], pull)
-        found = {kind: column.follow(model, times) for kind, model in column.models.items()}
-        difference = max(difference, float(np.abs(found[FULL] / found[INTERFACE] - 1).max()))
-        found[CLOSED] = column.case.exact(pull, curves["t"])
-        curves |= {f"{title}: {kind}, {pull.name}": values for kind, values in found.items()}
+        responses = {kind: column.follow(model, times) for kind, model in column.models.items()}
+        difference = max(difference, float(np.abs(responses[FULL] / responses[INTERFACE] - 1).max()))
+        responses[CLOSED] = column.case.exact(pull, curves["t"])
+        curves |= {f"{title}: {kind}, {pull.name}": values for kind, values in responses.items()}
         orders.append({"case": title, "load": pull.name} | column.errors(steps))
     record.write("table.csv", Table.of(curves))
     record.check("largest relative difference of both models", difference, high=1e-8)

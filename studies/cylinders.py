@@ -107,9 +107,9 @@ def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], sp
     at_rim[:, -n:] = _solutions(mode, laws[-1], radii[-1])[:2]
     matrix = np.concatenate([between.reshape(-1, size), at_rim])
     unknown = np.setdiff1d(np.arange(size), np.arange(n // 2, n))
-    found = np.zeros(size)
-    found[unknown] = np.linalg.lstsq(matrix[:, unknown], np.pad(rim, (len(matrix) - 2, 0)), rcond=None)[0]
-    return found.reshape(len(laws), n)
+    coefficients = np.zeros(size)
+    coefficients[unknown] = np.linalg.lstsq(matrix[:, unknown], np.pad(rim, (len(matrix) - 2, 0)), rcond=None)[0]
+    return coefficients.reshape(len(laws), n)
 
 
 @dataclass(frozen=True)

@@ -322,14 +322,14 @@ def random_case(seed: int) -> tuple[float, Case]:
     body = {name: young(10 ** rng.uniform(2.0, 2.5), rng.uniform(0.0, 0.4)) for name in ("LOWER", "UPPER")}
     plies = [_random_ply(rng) for _ in range(seed % 3 + 1)]
     law = Stack(*zip(rng.dirichlet([3.0] * len(plies)), plies, strict=True)) if len(plies) > 1 else plies[0]
-    load, held, eigenstrain = rng.normal(size=2), rng.random() < 0.3, -0.01 if rng.random() < 0.2 else None
-    words = [type(one).__name__ for one in plies] + ["rollers"] * held + ["shrinks"] * (eigenstrain is not None)
+    load, on_rollers, eigenstrain = rng.normal(size=2), rng.random() < 0.3, -0.01 if rng.random() < 0.2 else None
+    words = [type(ply).__name__ for ply in plies] + ["rollers"] * on_rollers + ["shrinks"] * (eigenstrain is not None)
 
     def mean(u: Expr, model: Any) -> Expr:
         along = fem.Constant(model.domain.mesh, np.array([0.6, 0.8]) / heights[1])
         return ufl.inner(along, u) * model.ds(model.domain.values("RIGHT/UPPER"))
 
-    supports = CLAMPED | ({"LEFT": {"x": 0.0}} if held else {})
+    supports = CLAMPED | ({"LEFT": {"x": 0.0}} if on_rollers else {})
     return eps, Case(
         " ".join(words),
         lambda _: free_blocks(eps / 4, tuple(load), tuple(heights), h_S=ALONG, body=body, supports=supports),

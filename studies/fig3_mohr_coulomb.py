@@ -188,7 +188,7 @@ def draw(record: Record) -> None:
     parts, ranges = {}, {}
     for name, of_loads in record.load("table.csv").split("loads").items():
         title = f"{name}: {READINGS[name].why}"
-        lines = {model: (one["x_mm"], one["ratio"] / 1e3) for model, one in of_loads.split("model").items()}
+        lines = {model: (part["x_mm"], part["ratio"] / 1e3) for model, part in of_loads.split("model").items()}
         lines[f"elastic, mu/eps = {GLUE.mu / EPS / 1e3:.2f}"] = (np.array([0.0, SIDE]), np.full(2, GLUE.mu / EPS / 1e3))
         parts[title], ranges[title] = lines, READINGS[name].shown
     title = "Mohr-Coulomb layer, eps = 1 mm, C = 0, Omega = 30°, elastic fraction h: two readings of the loads"

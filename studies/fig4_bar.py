@@ -90,23 +90,23 @@ class Strip:
         """delta, U, sigma, energy, phase, and the energy lost in a snap that ends there, of all states."""
         lost = {snap.row: snap.lost for snap in history.snaps}
         states, delta = history.table, moved(history.t)
-        found = {name: states[name] for name in ("U", "sigma", "energy")} | {"phase": states["plus"]}
+        columns = {name: states[name] for name in ("U", "sigma", "energy")} | {"phase": states["plus"]}
         lost_at = [lost.get(k) for k in range(len(states))]
-        return Table.of({"eps": self.bar.eps, "delta": delta, **found, "lost": lost_at})
+        return Table.of({"eps": self.bar.eps, "delta": delta, **columns, "lost": lost_at})
 
     def least(self, history: History) -> Table:
         """Rows of the relaxed law on the way up, with the phase boundary and the closed forms; checks both ways."""
         rows = self.rows(history)
         delta, bar = rows["delta"], self.bar
         exact = {name: getattr(bar, name)(delta) for name in ("U", "sigma", "energy", "phase", "boundary")}
-        found = {name: rows[name] for name in list(exact)[:4]} | {"boundary": bar.eps * bar.l * (1 - rows["phase"])}
+        curves = {name: rows[name] for name in list(exact)[:4]} | {"boundary": bar.eps * bar.l * (1 - rows["phase"])}
         if bar.eps:
-            found["boundary"] = history.table["boundary"]
-        errors = [np.abs(found[name] - values).max() / (values.max() or 1) for name, values in exact.items()]
+            curves["boundary"] = history.table["boundary"]
+        errors = [np.abs(curves[name] - values).max() / (values.max() or 1) for name, values in exact.items()]
         self.record.check(f"{self}: relative error of {', '.join(exact)}, relaxed law", max(errors), high=EXACT)
-        columns = found | {f"{name}_exact": values for name, values in exact.items()}
+        columns = curves | {f"{name}_exact": values for name, values in exact.items()}
         up = slice(len(rows) // 2 + 1)
-        return Table.of({"eps": bar.eps, "delta": delta[up], **{name: one[up] for name, one in columns.items()}})
+        return Table.of({"eps": bar.eps, "delta": delta[up], **{name: column[up] for name, column in columns.items()}})
 
     def thresholds(self, relaxed: History, unrelaxed: History) -> dict[str, float]:
         """Values of delta where branches meet and where the layer snaps, and the energy lost in a cycle; checks them."""
@@ -114,13 +114,13 @@ class Strip:
         first, mixed, last = (straight(delta, sigma, (delta >= low) & (delta <= high)) for low, high in BRANCHES)
         up, down = moved(np.array([snap.t for snap in unrelaxed.snaps]))
         lost = [snap.lost for snap in unrelaxed.snaps]
-        found = dict(zip(NAMES, (meet(first, mixed), meet(mixed, last), up, down, sum(lost)), strict=True))
-        error = max(abs(value / getattr(self.bar, name) - 1) for name, value in found.items())
-        self.record.check(f"{self}: relative error of {', '.join(found)}", error, high=EXACT)
+        thresholds = dict(zip(NAMES, (meet(first, mixed), meet(mixed, last), up, down, sum(lost)), strict=True))
+        error = max(abs(value / getattr(self.bar, name) - 1) for name, value in thresholds.items())
+        self.record.check(f"{self}: relative error of {', '.join(thresholds)}", error, high=EXACT)
         area = float(np.trapezoid(unrelaxed.table["sigma"], moved(unrelaxed.t)))
         self.record.check_near(f"{self}: area of the loop, force over delta", area, self.bar.loop_area, EXACT)
         self.record.check_near(f"{self}: energy lost in the first snap over half of it", 2 * lost[0] / area, 1.0, EXACT)
-        return {"eps": self.bar.eps} | found
+        return {"eps": self.bar.eps} | thresholds
 
     def __str__(self) -> str:
         return f"eps = {self.bar.eps:g}" if self.bar.eps else "interface law"

@@ -43,12 +43,12 @@ def run(record: Record) -> None:
     )
     record.write("table.csv", table)
     counts = {(n, lmbda): report.counts for (n, (lmbda, _)), report in reports.items()}
-    record.results["counts"] = [{"squares": n, "lmbda": lmbda, **found} for (n, lmbda), found in counts.items()]
+    record.results["counts"] = [{"squares": n, "lmbda": lmbda, **by_status} for (n, lmbda), by_status in counts.items()]
     for (lmbda, mu), expected, u_a in zip(STIFFNESS, COUNTS, U_A, strict=True):
         report, stiffness = reports[N, (lmbda, mu)], label(lmbda, mu)
         for name, count in zip(("separated", "sliding", "stick"), expected, strict=True):
-            found = report.counts[name]
-            record.check(f"{stiffness}: {name} nodes, {count} expected", found, low=count, high=count)
+            n_nodes = report.counts[name]
+            record.check(f"{stiffness}: {name} nodes, {count} expected", n_nodes, low=count, high=count)
         record.check_near(f"{stiffness}: u_T at A, mm", float(report.u_T[0, 0]), u_a, 1e-6)
         beyond = (np.linalg.norm(report.t_T, axis=1) - FRICTION * report.p).max() / report.p.max()
         record.check(f"{stiffness}: largest (|t_T| - f p) / p", beyond, high=1e-12)
@@ -75,7 +75,7 @@ def draw(record: Record) -> None:
     for number, (lmbda, part) in enumerate(record.load("table.csv").split("lmbda").items()):
         status = [str(row["status"]) for row in part.rows]
         name = f"{in_tens(lmbda)}: " + ", ".join(f"{status.count(level)} {level}" for level in LEVELS[:3])
-        panels[STATUS][name] = part["x_mm"], [LEVELS.index(one) + 0.2 * (1 - number) for one in status]
+        panels[STATUS][name] = part["x_mm"], [LEVELS.index(level) + 0.2 * (1 - number) for level in status]
         for title, column in PANELS.items():
             panels[title][name] = part["x_mm"][:-1], part[column][:-1]  # the support's forces are no friction
     look = {"styles": ("o-", "s--", "^:"), "columns": 2, "levels": {STATUS: LEVELS}, "save": record.path("contact.svg")}

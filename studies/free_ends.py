@@ -107,9 +107,9 @@ def graded(length: float, first: float, last: float) -> Array:
 
 def grid(*places: Array, cell: str = "hexahedron") -> Joint:
     """A block of hexahedra or tetrahedra on a rigid base, with vertices at the products of places along x, y and z."""
-    nx, ny, nz = (len(one) - 1 for one in places)
+    nx, ny, nz = (len(nodes) - 1 for nodes in places)
     joint = block(nx, ny, 1.0, depth=nz, cell=cell, structured=True)
-    x = [np.interp(joint.points[:, k], np.arange(len(one)), one) for k, one in enumerate(places)]
+    x = [np.interp(joint.points[:, k], np.arange(len(nodes)), nodes) for k, nodes in enumerate(places)]
     return replace(joint, points=np.stack(x, axis=1))
 
 
@@ -122,8 +122,8 @@ def edge(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
         wave = ufl.cos(pi * x[2])
         return [0.3 * (1 - x[0]) + 0.2 * wave, -1 + 0.6 * x[0] * wave, 0.5 * ufl.sin(pi * x[2])]
 
-    held = {"RIGHT": {"x": 0}, "FRONT": {"z": 0}, "BACK": {"z": 0}}
-    return Structure(joint, body=FOURIER_BODY, supports=held, tractions={"TOP": load})
+    supports = {"RIGHT": {"x": 0}, "FRONT": {"z": 0}, "BACK": {"z": 0}}
+    return Structure(joint, body=FOURIER_BODY, supports=supports, tractions={"TOP": load})
 
 
 EDGE = EndCase("edge in 3D", edge, LinearElastic.shear(8.0, 0.3), inner=lambda x: x[0] > 0.5, lowest=1.85)
@@ -140,8 +140,8 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
     """
     table = record.table("table.csv")
     for ratio in track(nu[::2] if quick else nu, "free_ends", "nu = {:g}"):
-        found = half_strip(float(ratio))
-        table.append(_row(found) | {"from_table": _difference(found)})
+        end = half_strip(float(ratio))
+        table.append(_row(end) | {"from_table": _difference(end)})
     record.check("largest difference from the package's table", np.nanmax(table["from_table"]), high=1e-8)
     if not quick:
         _nodes(record)
@@ -160,10 +160,10 @@ def _row(end: FreeEnd) -> dict[str, float]:
     return {"nu": end.nu, **finite, "c_T": end.c_T, "m_T/c_T": end.m_T / end.c_T, "kappa": end.kappa}
 
 
-def _difference(found: FreeEnd) -> float:
+def _difference(end: FreeEnd) -> float:
     """Largest relative difference of the constants from those of the package's table."""
-    table = free_end(found.nu)
-    pairs = [(getattr(found, name), getattr(table, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
+    table = free_end(end.nu)
+    pairs = [(getattr(end, name), getattr(table, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
     return max(abs(a / b - 1) for a, b in pairs if 0 < b < math.inf)
 
 
@@ -171,24 +171,24 @@ def _nodes(record: Record) -> None:
     """Solve for the rows of the package's table, and write them as it has them."""
     table = record.table("nodes.csv")
     for ratio in track(list(chebyshev_ratios(ROWS)), "free_ends", "row of the table, nu = {:g}"):
-        found = half_strip(float(ratio))
-        table.append({name: getattr(found, name) for name in TABLE_COLUMNS})
-    known = shipped_table()
-    error = max(float(np.abs(table[name] / known[name] - 1).max()) for name in TABLE_COLUMNS[1:])
+        end = half_strip(float(ratio))
+        table.append({name: getattr(end, name) for name in TABLE_COLUMNS})
+    reference = shipped_table()
+    error = max(float(np.abs(table[name] / reference[name] - 1).max()) for name in TABLE_COLUMNS[1:])
     record.check("largest difference of a row from the package's table", error, high=1e-9)
 
 
 def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, float]:
     """Errors of laws of order 1 on the inner part of S, and of the work of loads on top, by kind of ends."""
-    structure, found, law = case.structure(eps, cells), {"eps": eps}, case.law
+    structure, errors, law = case.structure(eps, cells), {"eps": eps}, case.law
     full = record.solved(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
     for kind, edges in KINDS.items():
         with warnings.catch_warnings(action="ignore", category=RangeWarning):  # that ends are ignored
             limit = record.solved(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
         traction = by_reaction(full, limit, case.inner)["error_reaction"]
         jump, work = compare(full, limit, where=case.inner)["error_jump"], _work_on_top(limit) / _work_on_top(full)
-        found |= dict(zip((_column(what, kind) for what in WHAT), (traction, jump, abs(work - 1)), strict=True))
-    return found
+        errors |= dict(zip((_column(what, kind) for what in WHAT), (traction, jump, abs(work - 1)), strict=True))
+    return errors
 
 
 def _work_on_top(state: State) -> float:
@@ -229,9 +229,9 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
     def row(nu: float, eps: float, contrast: float) -> dict[str, float]:
         soft = EndCase("", _blocks, LinearElastic.shear(100.0 / contrast, nu).scaled(1 / eps))  # E of the blocks is 100
         errors = _errors(record, soft, CELLS_RUBBER, eps)
-        known, ignored = ({what: errors[_column(what, kind)] for what in WHAT} for kind in KINDS)
-        factors = {f"{what}_factor": known[what] / ignored[what] for what in WHAT}
-        return {"nu": nu, "eps": eps, "E_over_mu": contrast, **known, **factors}
+        corrected, ignored = ({what: errors[_column(what, kind)] for what in WHAT} for kind in KINDS)
+        factors = {f"{what}_factor": corrected[what] / ignored[what] for what in WHAT}
+        return {"nu": nu, "eps": eps, "E_over_mu": contrast, **corrected, **factors}
 
     with patch.object(applicability, "MIN_STIFFNESS_CONTRAST", 0.0):
         table = record.rows("contrasts.csv", cases, row, "nu, eps, E/mu = {}")

@@ -78,8 +78,8 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
         The component `odd` of displacements is zero on the middle line.
         """
         load = fem.assemble_vector(fem.form(ufl.inner(traction, v) * end)).array
-        held = np.union1d(faces, dofs(W.sub(0).sub(odd), lambda x: np.isclose(x[1], MIDDLE)))
-        free, w = np.setdiff1d(np.arange(len(load)), held), fem.Function(W)
+        bc_dofs = np.union1d(faces, dofs(W.sub(0).sub(odd), lambda x: np.isclose(x[1], MIDDLE)))
+        free, w = np.setdiff1d(np.arange(len(load)), bc_dofs), fem.Function(W)
         w.x.array[free] = splu(K[free][:, free].tocsc()).solve(load[free])
         s = stress(*ufl.split(w))
         return float(load @ w.x.array), lambda f: float(fem.assemble_scalar(fem.form(f(s) * dx)))

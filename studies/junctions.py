@@ -166,16 +166,16 @@ def differences(case: Case, full: State, by_law: State) -> dict[str, float]:
         "inner_jump": (Surface.jump, inner),
         "inner_traction": (Surface.traction, inner),
     }
-    found = {name: difference(surface, field, full, by_law, part) for name, (field, part) in fields.items()}
+    errors = {name: difference(surface, field, full, by_law, part) for name, (field, part) in fields.items()}
     full_energy, limit_energy = (stored_in(state) for state in (full, by_law))
     energies = {"energy": abs(full_energy / limit_energy - 1), "in_junctions": in_junctions(case, full) / full_energy}
-    return found | energies
+    return errors | energies
 
 
 def stored_in(state: State) -> float:
     """All stored energy; that of "layer" has those of the seams."""
     energies = state.energies().items()
-    return sum(one for name, one in energies if name != "loads" and not name.startswith(f"{LAYER.lower()} "))
+    return sum(energy for name, energy in energies if name != "loads" and not name.startswith(f"{LAYER.lower()} "))
 
 
 def check(record: Record, name: str, rows: Sequence[Mapping[str, Any]]) -> None:

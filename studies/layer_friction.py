@@ -62,9 +62,9 @@ def run(record: Record, *, quick: bool = False) -> None:
         columns = {name: history.table[name] for name in history.table.columns}
         table.extend(Table.of({"path": name, "shear": shear, "friction": friction, **columns}))
 
-    held = curves[HELD_JUMP]
-    exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, held.jumps[:, 0])
-    error = np.abs(held.tractions - exact).max()
+    fixed_opening = curves[HELD_JUMP]
+    exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, fixed_opening.jumps[:, 0])
+    error = np.abs(fixed_opening.tractions - exact).max()
     record.check("largest error against the closed form, opening held", error, high=6 / steps)
     maximum = float(np.nanmax(ratio(curves[UNLOADED])))
     record.check_near("largest friction while the normal stress is taken away", maximum, tangent(), 1e-5)

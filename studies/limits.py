@@ -46,13 +46,13 @@ def run(record: Record, *, quick: bool = False) -> None:
     last = record.rows("table.csv", KAPPA[:: 2 if quick else 1], stiff, "kappa = {:g}").rows[-1]
     slid = record.rows("sliding.csv", SLIDING[:: 3 if quick else 1], sliding, "K_T = {:g}").rows[-1]
     tolerance = 1e-4 if quick else 1e-5
-    for what, found, known, near in (
+    for what, value, expected, near in (
         ("|[u]| kappa at the largest kappa", last["jump_times_kappa"], BONDED_JUMP, 2e-4),
         ("|t - t_bonded| kappa at the largest kappa", last["traction_difference_times_kappa"], BONDED_TRACTION, 2e-4),
         ("amplitude of [u_T] at the smallest K_T", slid["jump_T"], SLIDING_JUMP, tolerance),
         ("amplitude of t_N at the smallest K_T", slid["traction_N"], SLIDING_TRACTION, tolerance),
     ):
-        record.check_near(what, float(found or 0), known, near)
+        record.check_near(what, float(value or 0), expected, near)
 
 
 def _amplitudes(surface: Surface, state: State) -> dict[str, float]:

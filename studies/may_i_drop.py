@@ -60,13 +60,13 @@ def _effectivities(record: Record, *, quick: bool) -> None:
     cases = [(case, eps) for case in chosen for eps in THICKNESSES]
     table, goals = record.table("effectivities.csv"), record.table("goals.csv")
     for case, eps in track(cases, "may_i_drop", "{0[0].name}, {0[1]:g}"):
-        one = Dropped.of(case, eps, record)
-        row, asked = effectivities(one)
+        dropped = Dropped.of(case, eps, record)
+        row, asked = effectivities(dropped)
         here: dict[str, float | str] = {"case": case.name, "eps": eps}
-        table.append({**here, "unknowns": one.found.better.model.unknowns, **row})
+        table.append({**here, "unknowns": dropped.estimate.better.model.unknowns, **row})
         goals.extend(here | goal for goal in asked)
         if (case.name, eps) == (DRAWN, COARSE):
-            record.write("along.csv", along(one))
+            record.write("along.csv", along(dropped))
     _check(record, table, goals)
 
 
@@ -75,9 +75,9 @@ def _check(record: Record, table: Table, goals: Table) -> None:
     for name in ESTIMATED_FIELDS:
         off = np.abs(table[name] - 1).max()
         record.check(f"largest distance of the {name}'s effectivity from 1", off, high=CLOSE)
-    told = np.abs(goals["effectivity"] - 1)[goals["told"] > 0]
-    record.check("median distance of a told goal's effectivity from 1", np.median(told), high=1e-6)
-    record.check("largest distance of a told goal's effectivity from 1", told.max(), high=1e-4)
+    deviations = np.abs(goals["effectivity"] - 1)[goals["told"] > 0]
+    record.check("median distance of a told goal's effectivity from 1", np.median(deviations), high=1e-6)
+    record.check("largest distance of a told goal's effectivity from 1", deviations.max(), high=1e-4)
     record.check("goals that are not between their bounds", np.sum(goals["outside"]), high=0)
 
 
@@ -100,13 +100,13 @@ class Dropped:
 
     Attributes:
         case, eps: the case and its thickness.
-        found: the estimate.
+        estimate: the estimate.
         full: state with meshed layers.
     """
 
     case: Case
     eps: float
-    found: Estimate
+    estimate: Estimate
     full: State
 
     @classmethod
@@ -115,29 +115,29 @@ class Dropped:
         structure = case.structure(eps)
         zero = solved(case, structure.interface(case.layers(eps), bodies=case.bodies))
         with unwarned():
-            found = estimate(zero, goals=case.asked)
+            result = estimate(zero, goals=case.asked)
         # a nearly incompressible layer is meshed with a pressure, as its better law has one
-        layers = {name: replace(one.layer, order=0, edges=None) for name, one in found.layers.items()}
+        layers = {name: replace(error.layer, order=0, edges=None) for name, error in result.layers.items()}
         full = last(solved(case, structure.full(layers, bodies=case.bodies)))
         if record:
-            for state in (found.state, found.better, full):
+            for state in (result.state, result.better, full):
                 record.solved(state)
-        return cls(case, eps, found, full)
+        return cls(case, eps, result, full)
 
     @property
     def truth(self) -> dict[str, float]:
         """Changes of traction and jump to meshed layers, relative; of goals, absolute."""
-        model = self.found.better.model
+        model = self.estimate.better.model
         assert isinstance(model, InterfaceModel)
-        before = self.found.goals
+        before = self.estimate.goals
         changes = {goal.name: goal.value(self.full, model) - before[goal.name].value for goal in self.case.asked}
         return self._on_s(self.full, lambda _: 1.0) | changes
 
     @property
     def estimated(self) -> dict[str, float]:
         """The same changes, estimated."""
-        on_s = {name: float(getattr(self.found, name)) for name in ESTIMATED_FIELDS}
-        return on_s | {name: goal.change for name, goal in self.found.goals.items()}
+        on_s = {name: float(getattr(self.estimate, name)) for name in ESTIMATED_FIELDS}
+        return on_s | {name: goal.change for name, goal in self.estimate.goals.items()}
 
     def inner(self, state: State) -> dict[str, float]:
         """Relative changes of traction and jump to a state on the inner half of S, from x = 1/4 to 3/4."""
@@ -151,11 +151,11 @@ class Dropped:
         self, state: State, part_of: Callable[[Surface], Any], traction: Field = Surface.traction
     ) -> dict[str, float]:
         squares = np.zeros((2, 2))
-        for name in self.found.layers:
-            surface = Surface(self.found.better.model, name)
+        for name in self.estimate.layers:
+            surface = Surface(self.estimate.better.model, name)
             part = part_of(surface)
             for row, field in zip(squares, (traction, Surface.jump), strict=True):
-                before = field(surface, self.found.state)
+                before = field(surface, self.estimate.state)
                 row += surface.norm(field(surface, state) - before, part) ** 2, surface.norm(before, part) ** 2
         return {name: math.sqrt(change / size) for name, (change, size) in zip(ESTIMATED_FIELDS, squares, strict=True)}
 
@@ -166,13 +166,13 @@ def solved(case: Case, model: Model) -> State | History:
         return march(model, [case.step]) if case.step else solve(model)
 
 
-def effectivities(one: Dropped) -> tuple[dict[str, float], list[dict[str, float | str]]]:
+def effectivities(dropped: Dropped) -> tuple[dict[str, float], list[dict[str, float | str]]]:
     """True changes and estimated over true ones: of traction and jump, and a row for each goal."""
-    truth, estimated = one.truth, one.estimated
+    truth, estimated = dropped.truth, dropped.estimated
     row = {f"true_{name}": truth[name] for name in ESTIMATED_FIELDS}
     row |= {name: estimated[name] / truth[name] for name in ESTIMATED_FIELDS}
     asked: list[dict[str, float | str]] = []
-    for name, goal in one.found.goals.items():
+    for name, goal in dropped.estimate.goals.items():
         changes = {"true": truth[name] / goal.value, "effectivity": estimated[name] / truth[name]}
         true, least = goal.value + truth[name], ROUNDING * abs(goal.value)
         outside = goal.bounded and not goal.lower - least <= true <= goal.upper + least
@@ -185,7 +185,7 @@ def effectivities(one: Dropped) -> tuple[dict[str, float], list[dict[str, float 
 ROUND = 9  # digits of places
 
 
-def along(one: Dropped) -> Table:
+def along(dropped: Dropped) -> Table:
     """Changes of the normal components of t and [u] along S, and densities of the change of the compliance.
 
     Bodies, loads and supports are linear and fixed. With L the loads, t_0, u_0 of the law of order 0 and u with meshed
@@ -193,30 +193,33 @@ def along(one: Dropped) -> Table:
     linear between them. Of the estimate the density is its own.
 
     Args:
-        one: two bodies in 2D, S between them on y = 0, elastic laws without a pressure, loads alone.
+        dropped: two bodies in 2D, S between them on y = 0, elastic laws without a pressure, loads alone.
     """
-    found, surface = one.found, Surface(one.found.better.model)
+    estimate, surface = dropped.estimate, Surface(dropped.estimate.better.model)
     columns = {}
     for name, field in zip(ESTIMATED_FIELDS, (surface.traction, surface.jump), strict=True):
-        before = field(found.state)
-        for which, state in (("true", one.full), ("estimated", found.inside if name == "traction" else found.better)):
+        before = field(estimate.state)
+        for which, state in (
+            ("true", dropped.full),
+            ("estimated", estimate.inside if name == "traction" else estimate.better),
+        ):
             x, values = surface.profile(field(state) - before)
             columns[f"{which}_{name}"] = values[:, 1]
-    _, on_s = surface.profile((surface.traction(found.state) * surface.jump(one.full)).sum(axis=0))
-    columns["density"] = found.density()
-    columns["true_density"] = on_s - _of_layer(one, x[:, 0]) / surface.areas
+    _, on_s = surface.profile((surface.traction(estimate.state) * surface.jump(dropped.full)).sum(axis=0))
+    columns["density"] = estimate.density()
+    columns["true_density"] = on_s - _of_layer(dropped, x[:, 0]) / surface.areas
     in_order = np.argsort(x[:, 0])
     return Table.of({"x": x[in_order, 0], **{name: column[in_order] for name, column in columns.items()}})
 
 
-def _of_layer(one: Dropped, at: Array) -> Array:
+def _of_layer(dropped: Dropped, at: Array) -> Array:
     """Work of the meshed layer's stress in what it does if its faces are at u_0, spread over the places x of columns."""
-    model, state, layers = one.full.model, one.full, one.found._layers
+    model, state, layers = dropped.full.model, dropped.full, dropped.estimate._layers
     V, Q, comm = model.V, fem.functionspace(model.domain.mesh, ("Lagrange", 1)), model.comm
     v, q = fem.Function(V), ufl.TestFunction(Q)
     x = V.tabulate_dof_coordinates()[:, :2]
-    inner = np.flatnonzero(np.abs(x[:, 1]) <= one.eps / 2 * (1 + 1e-9))
-    faces = layers.at_faces(one.found.state.u.x.array)
+    inner = np.flatnonzero(np.abs(x[:, 1]) <= dropped.eps / 2 * (1 + 1e-9))
+    faces = layers.at_faces(dropped.estimate.state.u.x.array)
     bent = Probe(layers.state(layers.inside(faces, layers.load, layers.values)))
     everywhere = comm.allgather(x[inner])  # a probe has the same places on all ranks
     begin = sum(len(there) for there in everywhere[: comm.rank])

@@ -57,8 +57,8 @@ class Formula(TractionLaw):
     @classmethod
     def of(cls, layer: NonMonotone, **changed: float) -> Formula:
         """The interface law of a layer, with some coefficients changed."""
-        given = layer.parameters()
-        same = {name: given[name] for name in ("mu", "alpha", "G")} | {"C": given["transformation_energy"]}
+        parameters = layer.parameters()
+        same = {name: parameters[name] for name in ("mu", "alpha", "G")} | {"C": parameters["transformation_energy"]}
         same |= {"K_N": layer.lmbda + 2 * layer.mu, "chi_12": layer.chi[0, 1], "chi_22": layer.chi[1, 1]}
         return cls(**same | changed)
 
@@ -102,7 +102,7 @@ def along_s(state: State, _: Surface) -> dict[str, Array]:
 def shares(full: Solution, limit: Solution) -> dict[str, float]:
     """Shares of S in phase 1, in -1, and where they are mixed; columns whose phase in the meshed layer is another one."""
     state = last(limit)
-    (_, on_s), (_, meshed) = (phases_on_s(last(one)) for one in (limit, full))
+    (_, on_s), (_, meshed) = (phases_on_s(last(solution)) for solution in (limit, full))
     mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)
     (row,), differ = Surface(state.model).table(state).rows, abs(meshed - on_s) > 0.5
     pure = {name: float(row[name] or 0.0) for name in ("plus", "minus")}
@@ -121,7 +121,7 @@ def snaps(full: Solution, limit: Solution) -> dict[str, float]:
     assert isinstance(full, History)
     assert isinstance(limit, History)
     row = shares(full, limit) | {"snaps": len(limit.snaps), "error_times": np.nan, "error_lost": np.nan}
-    meshed, on_s = (np.array([(snap.t, snap.lost) for snap in one.snaps]).reshape(-1, 2) for one in (full, limit))
+    meshed, on_s = (np.array([(snap.t, snap.lost) for snap in march.snaps]).reshape(-1, 2) for march in (full, limit))
     if len(meshed) == len(on_s) > 0:
         row["error_times"] = float(abs(meshed - on_s)[:, 0].max() / on_s[-1, 0])
         row["error_lost"] = float(abs(meshed[:, 1].sum() / on_s[:, 1].sum() - 1))

@@ -51,8 +51,8 @@ def half_space(n: int) -> Joint:
     """Half of a block, 4 wide and 2 high, with n cells over the half-width 1 of the punch, graded towards its edge."""
     grid = block(4.0, 2.0, 1 / n, structured=True, arrangement="AlternateLeft")
     x, y = grid.points.T
-    below, beside = 1 - np.abs(1 - x) ** GRADING, 1 + 3 * (np.abs(x - 1) / 3) ** GRADING
-    points = np.column_stack([np.where(x < 1, below, beside), 2 - 2 * ((2 - y) / 2) ** GRADING])
+    below, outside = 1 - np.abs(1 - x) ** GRADING, 1 + 3 * (np.abs(x - 1) / 3) ** GRADING
+    points = np.column_stack([np.where(x < 1, below, outside), 2 - 2 * ((2 - y) / 2) ** GRADING])
     outer = dict(grid.facets)
     top = outer.pop("TOP")
     under = grid.points[top].mean(axis=1)[:, 0] < 1
@@ -123,8 +123,8 @@ def inflated(record: Record, h: float) -> None:
             table.append(row)
             record.solved(state)
     for name in ("stress", "u_inside", "u_outside"):
-        apart = float(np.abs(table[name] / table[f"{name}_exact"] - 1).max())
-        record.check(f"cylinder: largest relative error of {name}", apart, high=0.01)
+        error = float(np.abs(table[name] / table[f"{name}_exact"] - 1).max())
+        record.check(f"cylinder: largest relative error of {name}", error, high=0.01)
 
 
 def moved(state: State, name: str, r: float) -> float:

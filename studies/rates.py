@@ -51,25 +51,25 @@ def early(_: Solution, limit: Solution) -> dict[str, float]:
     """L2 norms on S of the interface law's traction and jump at the time EARLY."""
     assert isinstance(limit, History)
     state, surface = limit.at(EARLY), Surface(limit.model)
-    return {f"early_{one.__name__}": surface.norm(one(state)) for one in (surface.traction, surface.jump)}
+    return {f"early_{field.__name__}": surface.norm(field(state)) for field in (surface.traction, surface.jump)}
 
 
 def spectral(record: Record, tables: Tables) -> None:
     """Norms on S are those of a spectral solution."""
     for name, value in SPECTRAL.items():
-        found, tolerance = tables["norton"][f"early_{name}"][-1], 5e-4 if record.options.get("quick") else 1e-4
-        record.check(f"{name} at t = {EARLY:g}, from a spectral solution", abs(found / value - 1), high=tolerance)
+        norm, tolerance = tables["norton"][f"early_{name}"][-1], 5e-4 if record.options.get("quick") else 1e-4
+        record.check(f"{name} at t = {EARLY:g}, from a spectral solution", abs(norm / value - 1), high=tolerance)
 
 
 def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
     """L2 norm on S of [u_N], projected to the multiplier's degree 1, over that of the interface model's [u]."""
     surface = Surface(last(limit).model)
     size = surface.norm(surface.jump(last(limit)))
-    found = {}
+    norms = {}
     for name, solution in {"full": full, "interface": limit}.items():
         projected = surface.at_points(surface.nodal(surface.jump(last(solution))))
-        found[f"normal_jump_{name}"] = surface.norm(surface.frame(projected)[1]) / size
-    return found
+        norms[f"normal_jump_{name}"] = surface.norm(surface.frame(projected)[1]) / size
+    return norms
 
 
 def no_normal_jump(record: Record, tables: Tables) -> None:
@@ -190,8 +190,8 @@ ROWS: dict[str, Row] = {
     "elastic": still(of(FOURIER_LAYER)),
     "extended": still(of(FOURIER_LAYER), bodies="extended"),
     "tapered": still(of(FOURIER_LAYER, profile=wedge), bodies="extended", orders=(0.9, 1.1)),
-    "order1": order_1(of(FOURIER_LAYER, order=1), beside={"_order0": of(FOURIER_LAYER)}, more=by_reaction),
-    "order1_stack": order_1(of(SUBLAYERS, order=1), beside=BESIDE),
+    "order1": order_1(of(FOURIER_LAYER, order=1), other_layers={"_order0": of(FOURIER_LAYER)}, more=by_reaction),
+    "order1_stack": order_1(of(SUBLAYERS, order=1), other_layers=BESIDE),
     "hard_layer": hard(of(HARD["hard_layer"], None, order=1), "harder than the bodies"),
     "hard_layer softer": hard(of(HARD["hard_layer softer"], None, order=1), "softer than the bodies", check=third_order),
     "rubber": rubber(of(Rubber.shear(40.0, 0.3), order=1), "nu = 0.3"),
@@ -275,7 +275,7 @@ ROWS: dict[str, Row] = {
     "bar monodirectional": in_bar(of(PLANES), "monodirectional, h = 0.01", long=True),
 }
 LAWS = tuple(dict.fromkeys(name.split()[0] for name in ROWS))
-ORDERS = {f"{name}, order {k}": f"{one}{'' if k else '_order0'}" for k in (0, 1) for name, one in ERROR_COLUMNS.items()}
+ORDERS = {f"{name}, order {k}": f"{key}{'' if k else '_order0'}" for k in (0, 1) for name, key in ERROR_COLUMNS.items()}
 DRAWN: dict[str, dict[str, Any]] = {
     "order1": {"errors": ORDERS, "reference": 2.0},
     "order1_stack": {"errors": ORDERS | {"jump, mirrored": "error_jump_mirrored"}, "reference": 2.0},

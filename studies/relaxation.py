@@ -56,9 +56,9 @@ def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -
 
 def check(record: Record, table: Table) -> None:
     """Known counts, and the failures of one omega everywhere."""
-    own = table["omega_contact"] == 1.0
+    unit_contact = table["omega_contact"] == 1.0
     for (n, lmbda, omega), expected in EXPECTED.items():
-        at = own & (table["squares"] == n) & (table["lmbda"] == lmbda) & (table["omega"] == omega)
+        at = unit_contact & (table["squares"] == n) & (table["lmbda"] == lmbda) & (table["omega"] == omega)
         if at.any():
             ratio, what = table["sweeps"][at][0] / expected, f"sweeps / {expected}, n = {n}, lmbda = {lmbda:g}"
             record.check(f"{what}, omega = {omega}", ratio, low=0.9, high=1.1)
@@ -67,7 +67,7 @@ def check(record: Record, table: Table) -> None:
     longest = table["sweeps"][same & (table["converged"] == 0)].max(initial=0)
     record.check("one omega everywhere: cases that fail", failed, low=1)
     record.check("one omega everywhere: sweeps until a failure is found", longest, high=MAX_SWEEPS)
-    stiff = own & (table["lmbda"] == STIFFNESS[0][0]) & (table["converged"] == 1)
+    stiff = unit_contact & (table["lmbda"] == STIFFNESS[0][0]) & (table["converged"] == 1)
     best = {n: table["sweeps"][stiff & (table["squares"] == n)].min() for n in np.unique(table["squares"])}
     record.results["best_sweeps"] = {int(n): int(sweeps) for n, sweeps in best.items()}
     sizes = sorted(best)
@@ -80,8 +80,8 @@ def draw(record: Record) -> None:
     parts: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
     for lmbda, part in record.load("table.csv").split("omega_contact")[1].split("lmbda").items():
         parts[in_tens(lmbda)] = {
-            f"{n:.0f} squares": (own["omega"], np.where(own["converged"] == 1, own["sweeps"], np.nan))
-            for n, own in part.split("squares").items()
+            f"{n:.0f} squares": (table["omega"], np.where(table["converged"] == 1, table["sweeps"], np.nan))
+            for n, table in part.split("squares").items()
         }
     look = {"title": f"sweeps of relaxation; none: above {MAX_SWEEPS:,}", "save": record.path("sweeps.svg")}
     plotting.curves(parts, "omega (1 at the contact nodes)", "sweeps", styles=("o-", "s--", "^:"), log="y", **look)

@@ -51,15 +51,15 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
     load = {"TOP": (0.0, STRESS)}
     tension = Structure(section, body=STEEL, supports={"BOTTOM": 0.0}, tractions=load, plane="axisymmetric")
     limit_there = solve(tension.interface(layer))
-    found = {}
+    means = {}
     for name, state, there in (("meshed", full, solve(tension.full(layer))), ("law", limit, limit_there)):
-        for where, one, model in ("", last(state), last(limit).model), ("_axisymmetric", there, limit_there.model):
+        for where, final, model in ("", last(state), last(limit).model), ("_axisymmetric", there, limit_there.model):
             surface = Surface(model)
-            found[f"rise_{name}{where}"] = _rise(one)
+            means[f"rise_{name}{where}"] = _rise(final)
             part = 1 - _radius(surface.x) ** 2 / RADIUS**2
-            normal = surface.frame(surface.traction(one))[-1]
-            found[f"traction_{name}{where}"] = surface.integral(part * normal) / surface.integral(part)
-    return found
+            normal = surface.frame(surface.traction(final))[-1]
+            means[f"traction_{name}{where}"] = surface.integral(part * normal) / surface.integral(part)
+    return means
 
 
 def _rise(state: State) -> float:
@@ -69,5 +69,5 @@ def _rise(state: State) -> float:
 def in_section(record: Record, tables: Tables) -> None:
     """Means in three dimensions are those in the section through the axis."""
     for name in (f"{what}_{model}" for what in ("rise", "traction") for model in ("meshed", "law")):
-        apart = np.abs(tables["butt_joint"][name] / tables["butt_joint"][f"{name}_axisymmetric"] - 1).max()
-        record.check(f"{name} in 3D against the axisymmetric section", apart, high=SAME)
+        difference = np.abs(tables["butt_joint"][name] / tables["butt_joint"][f"{name}_axisymmetric"] - 1).max()
+        record.check(f"{name} in 3D against the axisymmetric section", difference, high=SAME)

@@ -54,9 +54,9 @@ def _errors(reports: dict[float, Contact]) -> Table:
         return float(np.sqrt(reports[LIMIT].areas @ (field**2).sum(axis=1)))
 
     columns: dict[str, list[Any]] = {"K_T": [*STIFFNESS]}
-    for name, known in limit.items():
-        found = [fields(reports[K])[name] for K in STIFFNESS]
-        columns[f"error_{name}"] = [norm(field - known) / norm(known) for field in found]
+    for name, limit_field in limit.items():
+        by_stiffness = [fields(reports[K])[name] for K in STIFFNESS]
+        columns[f"error_{name}"] = [norm(field - limit_field) / norm(limit_field) for field in by_stiffness]
     table = Table.of(columns | {"compliance": [1 / K for K in STIFFNESS]})
     return Table.of(columns | {f"order_{name}": table.orders(f"error_{name}", of="compliance") for name in limit})
 

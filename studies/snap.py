@@ -47,8 +47,8 @@ def followed(
         return delta(x, t) * (1 + TILT * (x[0] - MIDDLE))
 
     def force(state: State) -> float:
-        given = state.reaction("TOP")
-        return float(given.force[1] + TILT * given.moment)
+        reaction = state.reaction("TOP")
+        return float(reaction.force[1] + TILT * reaction.moment)
 
     layer = ThinLayer(law(**SNAPPING, **choices), eps or THIN, at=1.0)
     supports: dict[str, Support] = {"LEFT": {"x": 0}, "TOP": {"y": top}}
@@ -91,8 +91,8 @@ def switches(history: History) -> Array:
 def distance(points: Array, vertices: Array) -> Array:
     """Distances (n,) of points (n, d) from a polygon (m, d), over the size of its components."""
     size = np.ptp(vertices, axis=0)
-    apart = vectors_from_segments(points / size, vertices[:-1] / size, vertices[1:] / size)
-    return np.asarray(np.linalg.norm(apart, axis=2).min(axis=1))
+    vectors = vectors_from_segments(points / size, vertices[:-1] / size, vertices[1:] / size)
+    return np.asarray(np.linalg.norm(vectors, axis=2).min(axis=1))
 
 
 # ---------------------------------------------------------------- the study

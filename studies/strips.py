@@ -123,13 +123,13 @@ def curvature(surface: Surface, state: State) -> float:
 def bending(record: Record, h: float) -> None:
     """Strips that are free to bend, with layers that are stiffer and stiffer."""
     table, supports = record.table("bending.csv"), {(0.0, -HEIGHTS["LOWER"]): {"y": 0.0}}
-    apart = {"meshed layer": EPS, "interface law": 0.0}  # the interface law leaves the layer's part of the arm out
+    gaps = {"meshed layer": EPS, "interface law": 0.0}  # the interface law leaves the layer's part of the arm out
     for mu in STIFFENING:
         models = strips(h, mu, supports)
         surface = Surface(models["interface law"])
-        found = {name: curvature(surface, record.solved(solve(model))) for name, model in models.items()}
-        table.append({"mu": mu, **found, **{f"{name}, closed form": bent(mu, eps) for name, eps in apart.items()}})
-    for name in apart:
+        curvatures = {name: curvature(surface, record.solved(solve(model))) for name, model in models.items()}
+        table.append({"mu": mu, **curvatures, **{f"{name}, closed form": bent(mu, eps) for name, eps in gaps.items()}})
+    for name in gaps:
         ratio = table[name] / table[f"{name}, closed form"]
         record.check(f"curvature with a shear lag, {name}: largest relative error", abs(ratio - 1).max(), high=0.02)
         ratio = table[name][-1] / timoshenko()
@@ -146,7 +146,7 @@ def draw(record: Record) -> None:
         grid = np.linspace(0, LENGTH, 200)
         lines[f"closed form, G = {mu:g} MPa"] = grid, lag(mu, grid)
     title, save = "two strips of unequal expansion, cooled by 80 K, held flat", record.path("shear_lag.svg")
-    look = {"styles": ("s", ".", "-", "s", ".", "--"), "colours": [one for one in COLOURS[:2] for _ in range(3)]}
+    look = {"styles": ("s", ".", "-", "s", ".", "--"), "colours": [colour for colour in COLOURS[:2] for _ in range(3)]}
     plotting.curves(lines, "x from the middle (mm)", "shear stress on S (MPa)", title=title, save=save, **look)
     table, grid = record.load("bending.csv"), np.geomspace(min(STIFFENING), max(STIFFENING), 200)
     lines = {name: (table["mu"], 1e3 * table[name]) for name in ("meshed layer", "interface law")}

@@ -32,7 +32,7 @@ ON_S = "interface law"
 
 def halves(k: int, n: int = 4) -> tuple[float, ...]:
     """n thicknesses, 2^-k and half of it again and again; blocks are 0.5 high."""
-    return tuple(2.0**-one for one in range(k, k + n))
+    return tuple(2.0**-exponent for exponent in range(k, k + n))
 
 
 SQUARES, EIGHTHS = partial(fourier, cell="quadrilateral"), halves(3)
@@ -55,7 +55,7 @@ class Row:
         instead: a law in place of the layer's in the interface model alone, to show the error of a wrong law.
         bodies, cells_through: of the meshed layer, see `Structure.full`; `bodies` also of interface models of order 1.
         where: part of S to measure on, see `thinlayer.compare`.
-        beside: end of a column's name -> thickness -> the layer of a further law, whose errors are columns of the table.
+        other_layers: end of a column's name -> thickness -> the layer of a further law, whose errors are columns.
         more: full and interface model's solutions -> further columns of the table.
         along: state and S -> places x along S, and what is drawn of both models there.
         floors: what a wrong law leaves, see `check_floors`; the right law is that of the row with a word less.
@@ -77,7 +77,7 @@ class Row:
     bodies: str = "kept"
     cells_through: int = 4
     where: Where | None = None
-    beside: Mapping[str, Callable[[float], ThinLayer]] = field(default_factory=dict)
+    other_layers: Mapping[str, Callable[[float], ThinLayer]] = field(default_factory=dict)
     more: Callable[[Solution, Solution], dict[str, Any]] | None = None
     along: Callable[[State, Surface], dict[str, Array]] | None = None
     floors: Floors = field(default_factory=dict)
@@ -118,7 +118,7 @@ class Row:
                 title, save = ", ".join(filter(None, (what, self.label))), record.path(f"deformed_{case}.png")
                 plotting.deformed(states, plotting.View(unit=self.unit), save=save, title=title)
             row = compare(full, limit, where=self.where) | elastic_fraction(layer.law)
-            for end, further in self.beside.items():
+            for end, further in self.other_layers.items():
                 errors = compare(full, by_law(further(e), f"interface{end}_{e:g}"), where=self.where)
                 row |= {f"{column}{end}": errors[column] for column in ERROR_COLUMNS.values()}
             return row | (self.more(full, limit) if self.more else {})
@@ -135,8 +135,8 @@ class Row:
 
 def elastic_fraction(law: Law) -> dict[str, float]:
     """The column h of a law that has an elastic fraction, for a table; of a stack the largest."""
-    laws = [one for _, one in law.sublayers]
-    fractions = [one.parameters()["elastic_fraction"] for one in laws if "elastic_fraction" in one.parameters()]
+    laws = [sublayer for _, sublayer in law.sublayers]
+    fractions = [law.parameters()["elastic_fraction"] for law in laws if "elastic_fraction" in law.parameters()]
     return {"h": max(fractions)} if fractions else {}
 
 
@@ -167,9 +167,9 @@ def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> 
     return {"error_reaction": difference(surface, Surface.reaction, last(full), last(limit), where or 1.0)}
 
 
-def difference(surface: Surface, field: Field, state: State, known: State, where: Any = 1.0) -> float:
-    """L2 norm on a part of S of the difference of a field in two states, over that of the field in the known one."""
-    wanted = field(surface, known)
+def difference(surface: Surface, field: Field, state: State, reference: State, where: Any = 1.0) -> float:
+    """L2 norm on a part of S of the difference of a field in two states, over that of the field in the reference."""
+    wanted = field(surface, reference)
     return surface.norm(field(surface, state) - wanted, where) / surface.norm(wanted, where)
 
 

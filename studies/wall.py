@@ -100,8 +100,8 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
         # steps that failed were parted: the models are compared at the times that they have in common
         forces[name] = [beds.integral(beds.reaction(history.at(t))[0]) / length for t in SHIFTS]
         table.extend(Table.of({"model": name, "shift_mm": SHIFTS, "shear_MPa": forces[name]}))
-    by_law, *meshed = (np.array(one) for one in forces.values())
-    errors = [float(np.abs(one - by_law).max() / by_law.max()) for one in meshed]
+    by_law, *meshed = (np.array(curve) for curve in forces.values())
+    errors = [float(np.abs(curve - by_law).max() / by_law.max()) for curve in meshed]
     for eps, error in zip(thicknesses, errors, strict=True):
         record.check(f"force of the panel, joints of {eps:g} mm, meshed and not", error, high=0.003 * eps)
     if len(errors) > 1:
@@ -142,6 +142,6 @@ def draw(record: Record) -> None:
     ):
         parts = record.load(file).split(column)
         columns = "shift_mm", "shear_MPa"
-        lines = {name: tuple(np.insert(part[one], 0, 0) for one in columns) for name, part in parts.items()}
+        lines = {name: tuple(np.insert(part[key], 0, 0) for key in columns) for name, part in parts.items()}
         look = {"title": f"{title}, under a pressure of {PRESSURE:g} MPa", "styles": ("o-", "s-", "^--", "v--", "d--")}
         plotting.curves(lines, "shift of the top (mm)", "shear stress (MPa)", save=record.path(picture), **look)

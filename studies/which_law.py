@@ -71,16 +71,16 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
     lmbda = 2 * nu / (1 - 2 * nu) * mu if nu < 0.5 else math.inf
     compared, structure = set_up.against(record, lmbda, mu, eps), set_up.structure(eps)
     errors: dict[str, float | None] = {f"{quantity}_{law}": None for law in LAWS for quantity in QUANTITIES}
-    told: dict[str, float | None] = dict.fromkeys(["too_stiff", *(f"warned_{law}" for law in LAWS)])
+    reported: dict[str, float | None] = dict.fromkeys(["too_stiff", *(f"warned_{law}" for law in LAWS)])
     for law, layer in set_up.layers(lmbda, mu, eps).items():
-        with warnings.catch_warnings(record=True, action="always") as found:
+        with warnings.catch_warnings(record=True, action="always") as caught_warnings:
             state = record.solved(solve(structure.interface(layer)))
-        warned = any(issubclass(one.category, RangeWarning) for one in found)
-        told[f"warned_{law}"] = float(default_comm().bcast(warned))  # rank 0 warns
+        warned = any(issubclass(warning.category, RangeWarning) for warning in caught_warnings)
+        reported[f"warned_{law}"] = float(default_comm().bcast(warned))  # rank 0 warns
         errors |= {f"{quantity}_{law}": error for quantity, error in zip(QUANTITIES, compared(state), strict=True)}
         if law == "order_0" and nu < 0.5:
-            told["too_stiff"] = Surface(state.model).table(state)["too_stiff"][0]
-    return errors | told
+            reported["too_stiff"] = Surface(state.model).table(state)["too_stiff"][0]
+    return errors | reported
 
 
 def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
@@ -125,11 +125,11 @@ class Rollers:
             surface = Surface(state.model)
             x = surface.x[0]
             shape = np.sin(np.pi * x), np.cos(np.pi * x)
-            found = []
+            relative_errors = []
             for field, wanted in zip((surface.reaction(state), surface.jump(state)), exact, strict=True):
                 amplitudes = [2 * surface.integral(field[k] * shape[k]) for k in range(2)]
-                found.append(float(np.linalg.norm(amplitudes - wanted) / np.linalg.norm(wanted)))
-            return (*found, abs(state.energies()["loads"] / work - 1))
+                relative_errors.append(float(np.linalg.norm(amplitudes - wanted) / np.linalg.norm(wanted)))
+            return (*relative_errors, abs(state.energies()["loads"] / work - 1))
 
         return errors
 
@@ -151,8 +151,8 @@ class FreeEnds:
         """The laws that take a material; ends are corrected where Poisson's ratio and the bodies' stiffness allow it."""
         layers = _layers(lmbda, mu, eps)
         corrected = {name: replace(layers[law], edges=None) for name, law in CORRECTED.items() if law in layers}
-        legal = {name: self.structure(eps).interface(one).free_ends("S") is None for name, one in corrected.items()}
-        return layers | {name: one for name, one in corrected.items() if legal[name]}
+        legal = {name: self.structure(eps).interface(layer).free_ends("S") is None for name, layer in corrected.items()}
+        return layers | {name: layer for name, layer in corrected.items() if legal[name]}
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
         """Relative errors of the traction, the jump (both L2 on the inner half of S) and the compliance of a state."""
@@ -199,7 +199,7 @@ def draw(record: Record) -> None:
                 worst, warned = (values.reshape(len(nus), -1).T for values in columns)
                 errors[f"{LAWS[law]}; E/mu = {contrast:,.0f}"] = worst, np.vectorize(_percent)(worst, warned > 0)
         title = f"errors in per cent, the larger of traction and jump; {what}\n{SIGNS}"
-        seen = {panel: one for panel, one in errors.items() if np.isfinite(one[0]).any()}
+        seen = {panel: pair for panel, pair in errors.items() if np.isfinite(pair[0]).any()}
         maps(seen, *axes, RANGES, title=title, save=record.path(f"errors_{name}.svg"))
         parts, names = _cheapest(drawn, {panel: worst for panel, (worst, _) in errors.items()})
         ranges = {f"{letter}: {law}": k + 0.5 for k, (letter, law) in enumerate(names.items())}
@@ -224,8 +224,8 @@ def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, t
     parts = {}
     for contrast in CONTRASTS:
         both = (laws, [corrected.get(law, law) for law in laws])
-        plain, known = (np.array([errors[f"{LAWS[law]}; E/mu = {contrast:,}"] for law in some]) for some in both)
-        stack = np.where(np.isfinite(known), known, plain)
+        plain, improved = (np.array([errors[f"{LAWS[law]}; E/mu = {contrast:,}"] for law in some]) for some in both)
+        stack = np.where(np.isfinite(improved), improved, plain)
         for wanted in WANTED:
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0).argmax(axis=0)
             parts[f"error < {100 * wanted:.0f} %; E/mu = {contrast:,}"] = good, np.array(list(names))[good]

@@ -72,17 +72,17 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
 
 def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
     """Relative errors of stresses at the ends and inside, root mean squares over the places, and of H, the largest."""
-    eps, found = zoom.eps, []
+    eps, samples = zoom.eps, []
     for end, (start, *_) in zoom.ends:
-        d, y = (one.ravel() for one in np.meshgrid(DISTANCES[DISTANCES * eps <= 0.5], HEIGHTS))
+        d, y = (grid.ravel() for grid in np.meshgrid(DISTANCES[DISTANCES * eps <= 0.5], HEIGHTS))
         x = start - d[:, None] * eps * end.m
-        known = full.stress(x, y)
-        found.append((d, known, zoom.stress(x, y) - known))
-    distance, known, error = (np.concatenate(one) for one in zip(*found, strict=True))
+        stress = full.stress(x, y)
+        samples.append((d, stress, zoom.stress(x, y) - stress))
+    distance, stress, error = (np.concatenate(arrays) for arrays in zip(*samples, strict=True))
     near = distance <= AT_END
     parts = {"end": near, "inside": ~near}
-    errors = {name: float(np.sqrt(np.mean(error[at] ** 2) / np.mean(known[at] ** 2))) for name, at in parts.items()}
-    zoomed, meshed = (np.array([one.H[0] for one in of.corners]) for of in (zoom, full))
+    errors = {name: float(np.sqrt(np.mean(error[at] ** 2) / np.mean(stress[at] ** 2))) for name, at in parts.items()}
+    zoomed, meshed = (np.array([corner.H[0] for corner in of.corners]) for of in (zoom, full))
     return errors | {"H": float(np.abs(zoomed - meshed).max() / np.abs(meshed).max())}
 
 

@@ -32,9 +32,9 @@ def _ratios(one: Dropped, state) -> tuple[float, float]:
 
 def _with_layer(one: Dropped, **choices):
     """The state with another law of order 1 in place of the better one."""
-    layer = one.found.state.model.layers["S"].thin_layer
+    layer = one.estimate.state.model.layers["S"].thin_layer
     with warnings.catch_warnings(action="ignore", category=RangeWarning):
-        return solved(one.case, one.found.state.model.with_layer(replace(layer, order=1, **choices)))
+        return solved(one.case, one.estimate.state.model.with_layer(replace(layer, order=1, **choices)))
 
 
 def test_between_rollers_changes_are_those_to_the_meshed_layer():
@@ -83,7 +83,7 @@ def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
     (goal,) = case.asked
     shifted = goals.Displacement((0.3, 0.4 + COARSE / 2), (0.0, 1.0))
     there = shifted.value(replace(one.full, model=one.full.model), one.full.model)  # the same point, by its own place
-    assert goal.value(one.full, one.found.better.model) == pytest.approx(there, rel=1e-9)
+    assert goal.value(one.full, one.estimate.better.model) == pytest.approx(there, rel=1e-9)
 
 
 def test_where_there_is_no_number_a_sentence_says_why():

@@ -261,7 +261,7 @@ def test_thin_enough_does_not_depend_on_where_it_begins():
     found = [thin_enough(made, ThinLayer(glue, eps), 0.04).eps for eps in (0.05, 0.003)]
     assert found[0] == pytest.approx(found[1], rel=1e-9)
     widest = thin_enough(made, ThinLayer(glue, 0.05), 0.9)
-    assert not widest.found
+    assert not widest.at_tolerance
     assert widest.eps == pytest.approx(0.4)  # as high as the thinner body
 
 

@@ -214,7 +214,7 @@ def test_weights_of_the_other_sign_contradict(monkeypatch):
 
     def turned(self, at_rest, q, one, z):
         found, weighed = bounds(self, at_rest, q, one, z), z.v @ self.residual(one)
-        return global_local.GoalBounds(*(x - 2 * weighed for x in (found.told, found.lower, found.upper)))
+        return global_local.GoalBounds(*(x - 2 * weighed for x in (found.estimate, found.lower, found.upper)))
 
     structure, layers, wanted = CASES["moved"]
     monkeypatch.setattr(global_local.GlobalLocal, "bounds", turned)

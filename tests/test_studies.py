@@ -30,7 +30,7 @@ def test_figure_8_on_one_mesh_fails_its_checks_with_other_numbers(tmp_path, monk
 
 def test_a_sweep_has_the_errors_of_further_laws(tmp_path):
     """Those of order 0 beside those of order 1."""
-    row = Row(of(FOURIER_LAYER, order=1), h=(1 / 8, 1 / 8), beside={"_order0": of(FOURIER_LAYER)})
+    row = Row(of(FOURIER_LAYER, order=1), h=(1 / 8, 1 / 8), other_layers={"_order0": of(FOURIER_LAYER)})
     with Record("rates", tmp_path, {}) as record:
         table = row.sweep(record, "elastic", [1 / 16], quick=True, pictured=False)
     for name in ("error_traction", "error_jump"):
@@ -68,7 +68,7 @@ def test_arrays_for_other_programs(dim):
     rows, columns, values = blocks.spring_entries(numbers)
     assert np.sum(lift[rows] * values * lift[columns]) == pytest.approx(K_N, rel=1e-12)
     assert blocks.load.sum(axis=0) == pytest.approx(LOAD[:dim], rel=1e-12)
-    assert blocks.held.sum(axis=0).tolist() == [(5 + 2 * 5) * 5 ** (dim - 2), *[5 ** (dim - 1)] * (dim - 1)]
+    assert blocks.is_fixed.sum(axis=0).tolist() == [(5 + 2 * 5) * 5 ** (dim - 2), *[5 ** (dim - 1)] * (dim - 1)]
 
 
 def test_benchmark_runs(monkeypatch):

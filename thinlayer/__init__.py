@@ -24,7 +24,7 @@ from thinlayer.system.version import VERSION as __version__
 
 _STUB_TEXT = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
 _STUB_IMPORTS = [line for line in ast.parse(_STUB_TEXT).body if isinstance(line, ast.ImportFrom)]
-_MODULE_OF_NAME = {one.name: str(line.module) for line in _STUB_IMPORTS for one in line.names}
+_MODULE_OF_NAME = {alias.name: str(line.module) for line in _STUB_IMPORTS for alias in line.names}
 _SUBMODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}
 __all__ = sorted(_MODULE_OF_NAME)
 
@@ -35,9 +35,9 @@ logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by def
 def _refuse_others() -> None:
     """Raise ImportError where a file or package of a user has the name of one of ours, and Python would import it."""
     for name in ("forms", "geometry"):
-        spec, own = find_spec(name), join(_PACKAGE_FOLDER, name)
-        if spec and spec.origin and dirname(realpath(spec.origin)) != own:
-            raise ImportError(f"{spec.origin} hides thinlayer's own package {name!r}, {own}; rename the former")
+        spec, folder = find_spec(name), join(_PACKAGE_FOLDER, name)
+        if spec and spec.origin and dirname(realpath(spec.origin)) != folder:
+            raise ImportError(f"{spec.origin} hides thinlayer's own package {name!r}, {folder}; rename the former")
 
 
 _refuse_others()

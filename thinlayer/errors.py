@@ -146,9 +146,9 @@ class LimitLoad(SolveError):
         loads = ", ".join(f"{force:.6g}" for force in resultant)
         most = ", ".join(f"{name!r} {share:.0%}" for name, share in shares.items() if share >= MIN_NAMED_SHARE)
         seams = f", with jumps at the seams {most}" if most else ""  # which part or slide most, where there are several
-        found = f"the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to ({loads})"
+        last = f"the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to ({loads})"
         none = f"at t = {failed_at:.10g} none was found (last attempt: {reason})"
         away = f"displacements run away, {growth:.3g} times as far as with an elastic layer{seams}"
-        super().__init__(f"limit load: {found}; {none}: {away}. The states before it are kept", history)
+        super().__init__(f"limit load: {last}; {none}: {away}. The states before it are kept", history)
         self.t, self.failed_at, self.resultant, self.growth = t, failed_at, tuple(resultant), growth
         self.shares = dict(shares)

@@ -60,7 +60,7 @@ class TwoBlocks:
         self.jump = np.kron([[1, -1], [-1, 1]], np.kron(mass, K))
 
     @cached_property
-    def held(self) -> npt.NDArray[np.bool_]:
+    def is_fixed(self) -> npt.NDArray[np.bool_]:
         """Displacements (nodes, dim) that are zero: all at the bottom, the first one at the sides."""
         at_sides = np.isclose(self.points[:, 0] * (1 - self.points[:, 0]), 0.0)
         return np.isclose(self.points[:, 1], -0.5)[:, None] | np.outer(at_sides, np.arange(self.points.shape[1]) == 0)
@@ -120,10 +120,10 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, Any]:
     A = dolfinx.cpp.la.petsc.create_matrix(mesh.comm, pattern)
     assemble_matrix(A, a, bcs=supports)
     A.assemble(PETSc.Mat.AssemblyType.FLUSH)
-    held = np.zeros((len(x), dim), bool)
-    held[bottom], held.ravel()[sides[0]] = True, True
+    is_fixed = np.zeros((len(x), dim), bool)
+    is_fixed[bottom], is_fixed.ravel()[sides[0]] = True, True
     for nodes in springs:
-        free = ~held[nodes].ravel()
+        free = ~is_fixed[nodes].ravel()
         A.setValuesBlockedLocal(nodes, nodes, jump * free * free[:, None], PETSc.InsertMode.ADD_VALUES)
     A.assemble()
     b = assemble_vector(load)
@@ -156,9 +156,9 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, Any]:
 
 def _simplices(numbers: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Simplices that fill the boxes of a grid of numbered points, along the same diagonal of each."""
-    d, found = numbers.ndim, []
+    d, simplices = numbers.ndim, []
     for way in permutations(range(d)):
         offsets = np.array([[int(axis in way[:k]) for axis in range(d)] for k in range(d + 1)])
         places = [tuple(slice(o, o + n - 1) for o, n in zip(at, numbers.shape, strict=True)) for at in offsets.tolist()]
-        found.append(np.column_stack([numbers[place].ravel() for place in places]))
-    return np.concatenate(found)
+        simplices.append(np.column_stack([numbers[place].ravel() for place in places]))
+    return np.concatenate(simplices)

@@ -105,8 +105,8 @@ class Bench:
             with faster_products(serial=True):
                 return finder, finder.find(start)
 
-        seconds, (finder, found) = timed(work)
-        u = found.x.copy()
+        seconds, (finder, solution) = timed(work)
+        u = solution.x.copy()
         finder.close()
         return seconds, u
 

@@ -37,7 +37,7 @@ def ngsolve(n: int, dim: int) -> dict[str, Any]:
     if dim == 2:  # the factorisation takes one matrix
         entries = map(np.concatenate, zip(a.mat.COO(), entries, strict=True))
     A = ngs.la.SparseMatrixd.CreateFromCOO(*entries, V.ndof, V.ndof)
-    b, free = w.vec.CreateVector(), ngs.BitArray((~blocks.held).T.ravel().tolist())
+    b, free = w.vec.CreateVector(), ngs.BitArray((~blocks.is_fixed).T.ravel().tolist())
     b.FV().NumPy()[:] = blocks.load.T.ravel()
     stages.end("model")
     if dim == 2:
@@ -61,7 +61,7 @@ def scikit_fem(n: int, dim: int) -> dict[str, Any]:
     rows, columns, values = blocks.spring_entries(numbers)
     A = K + scipy.sparse.csr_matrix((values, (rows, columns)), K.shape)
     u, b = np.zeros(basis.N), np.zeros(basis.N)
-    b[numbers], free = blocks.load, numbers[~blocks.held]
+    b[numbers], free = blocks.load, numbers[~blocks.is_fixed]
     stages.end("model")
     u[free] = spsolve(A[free][:, free].tocsc(), b[free], permc_spec="MMD_AT_PLUS_A")
     stages.end("solve")

@@ -255,8 +255,8 @@ def marches(n: int, repeats: int) -> Iterable[Row]:
         ours: Any = partial(march, model, times, keep="last")
         ours = ours if times else partial(estimate, linear(), goals=[goals.Compliance()])
         runs = in_turn({work: partial(timed, ours), "linear": partial(timed, linear)}, repeats, FIRST)
-        (took, found), (reference, _) = runs.values()
-        row = {"dim": 2, "unknowns": soft.unknowns, "seconds": took / (len(found.t) - 1 if times else 1)}
+        (took, result), (reference, _) = runs.values()
+        row = {"dim": 2, "unknowns": soft.unknowns, "seconds": took / (len(result.t) - 1 if times else 1)}
         yield compared(work, row, "linear solve", {"seconds": reference}, limit)
 
 

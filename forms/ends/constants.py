@@ -74,8 +74,8 @@ def free_end(nu: float) -> FreeEnd:
         InputError: nu out of range.
     """
     lmbda, s = lame_over_mu(nu), math.sqrt(1 - 2 * nu)
-    found: Array = np.asarray(chebyshev.chebval(2 * s - 1, _coefficients()), float)
-    growth, moment, mean, c_T, m_T = map(float, found)
+    values: Array = np.asarray(chebyshev.chebval(2 * s - 1, _coefficients()), float)
+    growth, moment, mean, c_T, m_T = map(float, values)
     if s == 0:
         return FreeEnd(nu, math.inf, math.inf, math.inf, c_T, m_T, 1 / (1 - math.sqrt(3) * growth))
     root = math.sqrt(1 / 12 + s * growth)

@@ -66,9 +66,9 @@ class CornerField:
     def _mode(self, power: float) -> Array:
         """Coefficients (4,) of the field that is zero on the face and free of tractions on the side."""
         rows = np.empty((4, 4))
-        for k, one in enumerate(np.eye(4)):
-            on_face, _ = self._values(power, one, np.array(1.0), np.array(0.0))
-            _, on_side = self._values(power, one, np.array(1.0), np.array(np.pi / 2))
+        for k, unit in enumerate(np.eye(4)):
+            on_face, _ = self._values(power, unit, np.array(1.0), np.array(0.0))
+            _, on_side = self._values(power, unit, np.array(1.0), np.array(np.pi / 2))
             rows[:, k] = [*on_face, on_side[0], on_side[2]]
         return np.asarray(np.linalg.svd(rows)[2][-1])
 

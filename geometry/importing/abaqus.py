@@ -46,7 +46,7 @@ def load(path: Path) -> meshio.Mesh:
                 nodes |= {int(number): k for k, (number, *_) in enumerate(rows, len(points))}
                 points += [[float(c or 0) for c in (*x, "", "")][:3] for _, *x in rows]
             elif keyword == "ELEMENT":
-                shapes = next((known for start, known in CELL_NAMES.items() if re.match(start, kind)), {})
+                shapes = next((cell_types for start, cell_types in CELL_NAMES.items() if re.match(start, kind)), {})
                 if {len(row) - 1 for row in rows} - {*shapes}:
                     raise ValueError(f"elements {kind} of {len(rows[0]) - 1} nodes are not read")
                 elements |= {int(k): (shapes[len(ends)], [nodes[int(n)] for n in ends]) for k, *ends in rows}
@@ -67,9 +67,9 @@ def load(path: Path) -> meshio.Mesh:
             why = f"there is no {error} before it" if isinstance(error, KeyError) else error
             raise InputError(f"*{keyword} in {place}: {why}") from None
     kinds = dict.fromkeys(kind for kind, _ in elements.values())
-    of_kind = {kind: [k for k, (own, _) in elements.items() if own == kind] for kind in kinds}
-    cells = [(kind, np.array([elements[k][1] for k in own])) for kind, own in of_kind.items()]
-    parts = {name: [np.flatnonzero(np.isin(own, [*its])) for own in of_kind.values()] for name, _, its in sets.values()}
+    of_kind = {kind: [k for k, (cell_type, _) in elements.items() if cell_type == kind] for kind in kinds}
+    cells = [(kind, np.array([elements[k][1] for k in ids])) for kind, ids in of_kind.items()]
+    parts = {name: [np.flatnonzero(np.isin(ids, [*its])) for ids in of_kind.values()] for name, _, its in sets.values()}
     return import_optional("meshio").Mesh(np.array(points), cells, cell_sets=parts)
 
 
@@ -82,7 +82,7 @@ def _blocks(path: Path) -> Iterator[tuple[str, dict[str, str], list[list[str]], 
         head, _, data = re.sub(r"\A(.*,)[ \t]*\n", r"\1", block).partition("\n")
         first, *others = head.split(",")
         keyword = first.strip().upper()
-        options = {key.strip().upper(): value.strip(' \t"') for key, _, value in (one.partition("=") for one in others)}
+        options = {key.strip().upper(): value.strip(' \t"') for key, _, value in (arg.partition("=") for arg in others)}
         if keyword == "INCLUDE":
             yield from _blocks(path.parent / options.get("INPUT", ""))
         if keyword == "ELEMENT":  # whose data go on after a comma

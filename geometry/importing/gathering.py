@@ -77,8 +77,8 @@ class _Part(NamedTuple):
         owned = topology.index_map(dim).size_local
         region, tagged = np.zeros(owned, np.int64), np.full(owned, cell_tags is None)
         numbers, values = _tags(mesh, cell_tags, dim, "cell_tags")
-        own = numbers < owned
-        region[numbers[own]], tagged[numbers[own]] = values[own], True
+        is_owned = numbers < owned
+        region[numbers[is_owned]], tagged[numbers[is_owned]] = values[is_owned], True
         facets, tags = _tags(mesh, facet_tags, dim - 1, "facet_tags")
         whole = np.reshape(geometry.index_map().local_to_global(cells.ravel()), cells.shape)
         points = np.asarray(geometry.x[: geometry.index_map().size_local, : geometry.dim], float)
@@ -139,12 +139,12 @@ def _by_dimension(names: Any) -> dict[int, dict[str, list[int]]]:
 
 def _groups(names: dict[str, list[int]] | None, values: IntArray, tagged: BoolArray, what: str) -> Groups:
     """Name -> which entities have one of its tags; all tags by their numbers if there are no names."""
-    found = [int(number) for number in np.unique(values[tagged])]
+    tags = [int(number) for number in np.unique(values[tagged])]
     groups: Groups = {}
-    for name, numbers in ({str(number): [number] for number in found} if names is None else names).items():
+    for name, numbers in ({str(number): [number] for number in tags} if names is None else names).items():
         for number in numbers:
-            if number not in found:
-                known = ", ".join(map(str, found)) or "none"
-                raise InputError(f"names: no {what} has the tag {number}, named {name!r}; tags: {known}")
+            if number not in tags:
+                text = ", ".join(map(str, tags)) or "none"
+                raise InputError(f"names: no {what} has the tag {number}, named {name!r}; tags: {text}")
         groups[name] = tagged & np.isin(values, numbers)
     return groups

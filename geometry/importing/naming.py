@@ -75,13 +75,13 @@ class FileCells:
         if used[0] < 0 or used[-1] >= len(points) or not np.isfinite(points[used]).all():
             raise InputError("the cells have nodes without coordinates")
         dim = lagrange(cell_type, 1).points.shape[1]
-        own = points[used]
-        height = own[:, dim:]
-        if height.size and np.ptp(height) > NODE_TOLERANCE * np.ptp(own, axis=0).max():
+        x = points[used]
+        height = x[:, dim:]
+        if height.size and np.ptp(height) > NODE_TOLERANCE * np.ptp(x, axis=0).max():
             where = f"at z = {height.min():g} to {height.max():g}, not in a plane z = const"
             remedy = "for a solid save the cells of the volume too (gmsh: name them with Physical Volume)"
             raise InputError(f"2D mesh in 3D: {what} {where}; {remedy}")
-        return cls(own[:, :dim].copy(), numbers.reshape(nodes.shape), cell_type, used)
+        return cls(x[:, :dim].copy(), numbers.reshape(nodes.shape), cell_type, used)
 
     @property
     def corners(self) -> IntArray:
@@ -243,9 +243,9 @@ class NamedGroups:
             if not upper or not lower or set(upper) & set(lower):
                 raise InputError(f"S=None is all that is between two bodies; give upper and lower; {regions}")
             return self._boundary(upper, lower), Seam(lower, upper)
-        facets, beside = self.facets[name], self.adjacent_cells(name)
-        touched = self.touched(beside)
-        if (beside[:, 1] < 0).all() and not lower:
+        facets, cells = self.facets[name], self.adjacent_cells(name)
+        touched = self.touched(cells)
+        if (cells[:, 1] < 0).all() and not lower:
             other = [region for region in touched if region not in (upper or whole)]
             if other:
                 where = f"{name!r} lies on the outer boundary of {' and '.join(other)}"
@@ -267,19 +267,19 @@ class NamedGroups:
         rows = table.index(facets)
         return table.cells[rows[rows >= 0]]
 
-    def touched(self, beside: IntArray) -> list[str]:
+    def touched(self, cells: IntArray) -> list[str]:
         """Names of the regions of cells; those < 0 are none."""
-        return [region for region, member in self.regions.items() if member[beside[beside >= 0]].any()]
+        return [region for region, member in self.regions.items() if member[cells[cells >= 0]].any()]
 
     def _boundary(self, upper: Names, lower: Names) -> IntArray:
         """All facets between the bodies."""
         above, below = (np.any([self.regions[name] for name in side], axis=0) for side in (upper, lower))
         table = self.cells.facets_among(np.intersect1d(self.cells.corners[above], self.cells.corners[below]))
         first, second = table.cells[table.cells[:, 1] >= 0].T
-        found = table.vertices[table.cells[:, 1] >= 0][above[first] & below[second] | below[first] & above[second]]
-        if not len(found):
+        facets = table.vertices[table.cells[:, 1] >= 0][above[first] & below[second] | below[first] & above[second]]
+        if not len(facets):
             raise InputError(f"{'+'.join(lower)} and {'+'.join(upper)} have no facet in common")
-        return found
+        return facets
 
 
 def _require_whole(joint: Joint) -> None:
@@ -291,9 +291,9 @@ def _require_whole(joint: Joint) -> None:
     sides = [np.linalg.det(np.stack([*others, centre], axis=1) - first[:, None]) for centre in centres.swapaxes(0, 1)]
     what = "{bad} facets have both of their cells on one side, the first at {at}: the mesh overlaps itself"
     refuse(np.sign(sides[0]) == np.sign(sides[1]), points[facets[inner]], f"{what}; move its nodes apart, or mesh anew")
-    found = points[_hanging_nodes(points, facets[~inner])]
+    hanging = points[_hanging_nodes(points, facets[~inner])]
     what = "{bad} nodes hang on facets of cells that do not have them, the first at {at}: these cells are not connected"
-    refuse(np.ones(len(found), bool), found, f"{what}; make the mesh conforming")
+    refuse(np.ones(len(hanging), bool), hanging, f"{what}; make the mesh conforming")
 
 
 def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:

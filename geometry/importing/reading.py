@@ -143,10 +143,10 @@ def _require_single_names(path: Path) -> None:
     with path.open("rb") as file:
         lines = (line.decode(errors="replace") for line in file)
         head = "".join(takewhile(lambda line: not line.startswith(end), lines))
-    found = re.findall(r'^\s*(\d)\s+(\d+)\s+"(.*)"\s*$', head.partition("$PhysicalNames")[2], re.MULTILINE)
-    for name, count in Counter(name for *_, name in found).items():
+    matches = re.findall(r'^\s*(\d)\s+(\d+)\s+"(.*)"\s*$', head.partition("$PhysicalNames")[2], re.MULTILINE)
+    for name, count in Counter(name for *_, name in matches).items():
         if count > 1:
-            groups = " and ".join(f"{number} of dimension {dim}" for dim, number, other in found if other == name)
+            groups = " and ".join(f"{number} of dimension {dim}" for dim, number, other in matches if other == name)
             raise InputError(f"the physical name {name!r} stands for the groups {groups}; each needs its own name")
 
 
@@ -177,8 +177,8 @@ def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
         return "families", "cell_tags"
     if any(not name.startswith("gmsh:") for name in mesh.cell_sets):
         return "cell sets", None
-    own = {name: data for name, data in mesh.cell_data.items() if name != "gmsh:geometrical"}
-    arrays = [name for name, data in own.items() if all(np.ndim(x) == 1 and x.dtype.kind in "iu" for x in data)]
+    cell_data = {name: data for name, data in mesh.cell_data.items() if name != "gmsh:geometrical"}
+    arrays = [name for name, data in cell_data.items() if all(np.ndim(x) == 1 and x.dtype.kind in "iu" for x in data)]
     if len(arrays) > 1:
         raise InputError(f"several arrays of integers could number the groups: {', '.join(arrays)}; keep one")
     return (f"numbers in the cell data {arrays[0]!r}", arrays[0]) if arrays else ("no cell sets, no numbers", None)
@@ -206,8 +206,8 @@ def _names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str
         return tuple(families.get(number, ()))
     if array == GMSH_PHYSICAL:
         number = abs(number) or -1  # negative where gmsh turned the cells round; zero: no group
-        known = [name for name, value in mesh.field_data.items() if tuple(np.ravel(value)) == (number, dim)]
-        return known or ([str(number)] if number > 0 else ())
+        names = [name for name, value in mesh.field_data.items() if tuple(np.ravel(value)) == (number, dim)]
+        return names or ([str(number)] if number > 0 else ())
     return [str(number)] if number >= 0 else ()
 
 

@@ -51,8 +51,8 @@ class NodeCopies:
         on_s[nodes] = True
         where = np.nonzero(on_s[joint.cells])
         keys = joint.cells[where] * (on_base + 1) + split[where]
-        found = np.unique(np.concatenate([keys, sides[0].ravel()]))
-        new = np.setdiff1d(found, sides[1].ravel()[first], assume_unique=True)
+        copy_keys = np.unique(np.concatenate([keys, sides[0].ravel()]))
+        new = np.setdiff1d(copy_keys, sides[1].ravel()[first], assume_unique=True)
 
         def number(keys: IntArray) -> IntArray:
             at = np.minimum(np.searchsorted(new, keys), len(new) - 1)
@@ -91,7 +91,7 @@ class NodeLines:
     @cached_property
     def top(self) -> IntArray:
         """(n,) the last level of each post."""
-        return np.array([len(one) - 1 for one in self.heights])[self.kind]
+        return np.array([len(heights) - 1 for heights in self.heights])[self.kind]
 
     @cached_property
     def start(self) -> IntArray:
@@ -159,11 +159,11 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
     seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])
     cases, example = np.unique(np.column_stack([seam[first][at], seam, turned]), axis=0, return_index=True)
     names, places = list(joint.seams), joint.points[joint.surface.ravel()[example]]
-    for (one, other, way), x in zip(cases, places, strict=True):
-        own, beside = heights[one], 1 - heights[other][::-1] if way else heights[other]
-        if len(own) != len(beside) or np.abs(own - beside).max() > HEIGHT_TOLERANCE:
-            continued = f"{names[one]!r} and {names[other]!r} continue one another"
-            what = continued if one != other else "the upper side changes"
+    for (number, other, way), x in zip(cases, places, strict=True):
+        levels, other_levels = heights[number], 1 - heights[other][::-1] if way else heights[other]
+        if len(levels) != len(other_levels) or np.abs(levels - other_levels).max() > HEIGHT_TOLERANCE:
+            continued = f"{names[number]!r} and {names[other]!r} continue one another"
+            what = continued if number != other else "the upper side changes"
             remedy = "give them the same ones, and an upper side on the same body"
             raise InputError(f"at {place_text(x)} {what}, and their sublayers do not meet: {remedy}")
         if way and joint.dim == 3:

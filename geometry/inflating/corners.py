@@ -96,8 +96,8 @@ def _junction_lines(joint: Joint, posts: NodeLines, footing: FacetLines) -> tupl
 
 def _unique_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
     """Different rows in lexicographic order, and the number of each given one among them."""
-    found, number = np.unique(rows, axis=0, return_inverse=True)
-    return found, number.ravel()
+    unique, number = np.unique(rows, axis=0, return_inverse=True)
+    return unique, number.ravel()
 
 
 def _polygons(sides: IntArray, of: IntArray) -> IntArray:
@@ -112,9 +112,9 @@ def _polygons(sides: IntArray, of: IntArray) -> IntArray:
     for m in np.unique(count):
         here = np.flatnonzero(count[of] == m)
         here = here[np.argsort(of[here], kind="stable")].reshape(-1, m)
-        found, number = _unique_rows(np.sort(sides[here].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2])
+        polygons, number = _unique_rows(np.sort(sides[here].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2])
         out[here] = first + number.reshape(-1, 1, k)
-        first += len(found)
+        first += len(polygons)
     return out
 
 

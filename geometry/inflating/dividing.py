@@ -62,9 +62,9 @@ def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> Re
         new, at = middle[edges[rows[:, None], which]], rows[:, None]
         new_X = (X[at, first] + X[at, last]) / 2
         upper, upper_X = cells[rows], X[rows]
-        own = np.arange(len(rows))[:, None]
+        index = np.arange(len(rows))[:, None]
         cells[at, last], X[at, last] = new, new_X
-        upper[own, first], upper_X[own, first] = new, new_X
+        upper[index, first], upper_X[index, first] = new, new_X
         cells, X, parent = (np.concatenate(both) for both in ((cells, upper), (X, upper_X), (parent, parent[rows])))
 
 
@@ -81,9 +81,9 @@ def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, wanted: BoolA
     """
     first, last = np.array(basix.topology(basix.CellType[kind])[1]).T
     direction = last - first if is_tensor(kind) else np.arange(len(first))  # parallel edges have one
-    parallel, none = [np.flatnonzero(direction == one) for one in np.unique(direction)], len(far)
+    parallel, none = [np.flatnonzero(direction == label) for label in np.unique(direction)], len(far)
     if is_tensor(kind):
-        links = np.concatenate([edges[:, [some[0], one]] for some in parallel for one in some[1:]])
+        links = np.concatenate([edges[:, [some[0], edge]] for some in parallel for edge in some[1:]])
         group = connected(links[:, 0], links[:, 1], none)
     else:
         group = np.argsort(np.lexsort([np.arange(none), -far]))
@@ -118,15 +118,15 @@ def _refined_joint(layers: Joint, parent: IntArray, corners: FloatArray) -> Refi
     director = linear @ band.director[parent]
     director /= np.linalg.norm(director, axis=2, keepdims=True)
 
-    own = local_facets(kind)
-    off = np.array([np.isin(np.arange(linear.shape[2]), facet, invert=True) for facet in own])
-    beyond = np.einsum("nqk,fk->nqf", linear, off)[:, own]  # (n, its facets, their vertices, the parent's facets)
+    local = local_facets(kind)
+    off = np.array([np.isin(np.arange(linear.shape[2]), facet, invert=True) for facet in local])
+    beyond = np.einsum("nqk,fk->nqf", linear, off)[:, local]  # (n, its facets, their vertices, the parent's facets)
     on = (beyond < LENGTH_TOLERANCE).all(axis=2)
-    vertices = cells[:, : own.max() + 1][:, own]
+    vertices = cells[:, : local.max() + 1][:, local]
     facets = {}
-    for name, given in layers.facets.items():
-        rows = layers.table.index(given)
-        named = np.zeros((len(layers.cells), len(own)), bool)
+    for name, parent_facets in layers.facets.items():
+        rows = layers.table.index(parent_facets)
+        named = np.zeros((len(layers.cells), len(local)), bool)
         named[layers.table.cells[rows, 0], layers.table.local[rows, 0]] = True
         facets[name] = vertices[(on & named[parent][:, None]).any(axis=2)]
     points, region = x[chosen], layers.region[parent]

@@ -42,10 +42,10 @@ def face_motion(
     at = np.concatenate([copies.above, copies.below[there]])
     normals = np.concatenate([upper, -upper[there]])
     g = np.concatenate([given_up[1], given_up[0][there]])
-    known, first, index = np.unique(at, return_index=True, return_inverse=True)
+    face_nodes, first, index = np.unique(at, return_index=True, return_inverse=True)
     index = index.reshape(at.shape)
     x = joint.points[np.concatenate([joint.surface, joint.surface[there]]).ravel()[first]]
-    n, count = len(known), np.bincount(index.ravel())
+    n, count = len(face_nodes), np.bincount(index.ravel())
     total, along_n = sum_by_number(index, g[..., None] * normals, n), sum_by_number(index, normals, n)
     moment = sum_by_number(index, normals[..., :, None] * normals[..., None, :], n)
     overlap = "S is folded at {at}: a layer there would overlap itself"
@@ -57,7 +57,7 @@ def face_motion(
     uniform = thick - thin <= THICKNESS_TOLERANCE * thick
     least = np.where(uniform, MIN_COSINE, MIN_FACET_ANGLE)[:, None] ** 2
     outer, faces = _outer_moments(joint, copies.cells)
-    values, vectors = np.linalg.eigh(outer[known] / np.maximum(faces[known], 1)[:, None, None])
+    values, vectors = np.linalg.eigh(outer[face_nodes] / np.maximum(faces[face_nodes], 1)[:, None, None])
     slip = (vectors * (values < SMOOTH_SQUARED_SINE)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     values, vectors = np.linalg.eigh(slip @ moment @ slip / count[:, None, None])
     inverse = np.where(values > least, 1 / np.maximum(values, least), 0.0)
@@ -74,7 +74,7 @@ def face_motion(
         sizes = f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side"
         why = "the body between them has no corner there; give them one thickness"
         raise InputError(f"{sizes}, meet nearly in line at {place_text(x[at])}: {why}")
-    return known, motion
+    return face_nodes, motion
 
 
 def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]:
@@ -93,7 +93,7 @@ def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]
 
 
 def extended_motion(
-    joint: Joint, body_cells: IntArray, n_nodes: int, known: IntArray, values: FloatArray, fixed: IntArray
+    joint: Joint, body_cells: IntArray, n_nodes: int, face_nodes: IntArray, values: FloatArray, fixed: IntArray
 ) -> FloatArray:
     """Motion (n_nodes, d) of the bodies' nodes: given at the layer's faces, harmonic inside, sliding along outer faces.
 
@@ -101,15 +101,15 @@ def extended_motion(
         joint: the joint before inflating.
         body_cells: (n_cells, k) nodes of its cells, numbered as in the inflated joint.
         n_nodes: number of nodes of the inflated joint.
-        known: nodes of the faces.
+        face_nodes: nodes of the faces.
         values: (n, d) their motion.
         fixed: nodes of the joint that do not move, as those of periodic sides.
     """
     d, k = joint.dim, joint.corners.shape[1]
     corners = body_cells[:, :k]
     motion = np.zeros((n_nodes, d))
-    motion[known] = values
-    free = np.setdiff1d(np.unique(corners), np.concatenate([known, fixed]))
+    motion[face_nodes] = values
+    free = np.setdiff1d(np.unique(corners), np.concatenate([face_nodes, fixed]))
 
     moments, count = _outer_moments(joint, body_cells)
     eigenvalues, vectors = np.linalg.eigh(moments[free] / np.maximum(count[free], 1)[:, None, None])
@@ -124,7 +124,7 @@ def extended_motion(
         motion[free] = (directions @ _solve(matrix.tocsr(), directions.T @ load)).reshape(-1, d)
     if body_cells.shape[1] > k:
         motion[body_cells[:, k:]] = np.einsum("qn,cnd->cqd", weights_between(joint.cell_type), motion[corners])
-        motion[known] = values
+        motion[face_nodes] = values
     return motion
 
 

@@ -59,14 +59,14 @@ def junction_cells(
     weights = np.stack([(half - p) * (half - q), p * (half - q), (half - p) * q, p * q], axis=-1)
     base = half**2 + 1
     codes = np.where(weights > 0, keys[:, None, None] * base + weights, -1)
-    found, inverse = np.unique(np.sort(codes.reshape(-1, 4), axis=1), axis=0, return_inverse=True)
-    at, number = inverse.reshape(codes.shape[:3]), np.full(len(found), -1)
+    unique_codes, inverse = np.unique(np.sort(codes.reshape(-1, 4), axis=1), axis=0, return_inverse=True)
+    at, number = inverse.reshape(codes.shape[:3]), np.full(len(unique_codes), -1)
     for side, on_side in zip(sides.T, (at[:, :, 0], at[:, 0]), strict=True):
         first = (posts.ends[side, 0] == copies)[:, None]
         number[on_side] = posts.number(side[:, None], np.where(first, level, 2 * half - level))
     new = np.flatnonzero(number < 0)
     number[new] = posts.first_new + posts.size + np.arange(len(new))
-    key, weight = np.divmod(found[new], base)
+    key, weight = np.divmod(unique_codes[new], base)
     added = np.einsum("nk,nkd->nd", np.where(key < 0, 0, weight) / half**2, key_values[key])
 
     grid = number[at]

@@ -154,8 +154,8 @@ def without_bodies(inflated: Joint) -> Joint:
         if len(rows := rows[table.index(rows) >= 0]):
             facets[name] = facets[name.removesuffix(f"/{LAYER}")] = rows
     points, region = inflated.points[used], inflated.region[mine] - first
-    own = replace(band, reference=band.reference[used])
-    return Joint(points, cells, inflated.cell_type, region, band.regions, facets, inflated.seams, own)
+    new_band = replace(band, reference=band.reference[used])
+    return Joint(points, cells, inflated.cell_type, region, band.regions, facets, inflated.seams, new_band)
 
 
 class _BandCells(NamedTuple):
@@ -210,7 +210,7 @@ def _bands(
     joint: Joint, posts: NodeLines, footing: FacetLines, layers: Layering
 ) -> tuple[_BandCells, dict[str, tuple[str, ...]]]:
     """Cells of the bands, and the names of their regions, by seam, from the lower to the upper face; not of gaps."""
-    found: list[_BandCells] = []
+    bands: list[_BandCells] = []
     names: dict[str, tuple[str, ...]] = {}
     first = len(joint.regions)
     for number, seam in enumerate(joint.seams):
@@ -220,9 +220,9 @@ def _bands(
         cells, sublayer, director = band_cells(joint, posts, footing, rows, layers.heights[number], fractions)
         whole = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
         names[seam] = tuple(f"{whole}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (whole,)
-        found.append(_BandCells(cells, first + sublayer, director))
+        bands.append(_BandCells(cells, first + sublayer, director))
         first += len(names[seam])
-    return _BandCells(*map(np.concatenate, zip(*found, strict=True))), names
+    return _BandCells(*map(np.concatenate, zip(*bands, strict=True))), names
 
 
 def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str, fixed: IntArray) -> FloatArray:
@@ -231,11 +231,11 @@ def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str
     if bodies == "extended":
         on_base = (joint.surface_cells[:, 0] < 0)[:, None]
         up, down = np.where(on_base, thickness, thickness / 2), np.where(on_base, 0.0, thickness / 2)
-        known, values = face_motion(joint, copies, (down, up))
-        return extended_motion(joint, copies.cells, n_nodes, known, values, fixed)
+        face_nodes, values = face_motion(joint, copies, (down, up))
+        return extended_motion(joint, copies.cells, n_nodes, face_nodes, values, fixed)
     for number, name in enumerate(joint.seams):
-        own = thickness[joint.seam_numbers == number]
-        if np.ptp(own) > THICKNESS_TOLERANCE * own.max():
+        eps = thickness[joint.seam_numbers == number]
+        if np.ptp(eps) > THICKNESS_TOLERANCE * eps.max():
             raise InputError(f"the thickness varies along {name}: {NOT_KEPT_MESSAGE}")
     translation, motion = kept_motion(joint, thickness[:, 0]), np.zeros((n_nodes, joint.dim))
     require_room(joint, translation)
@@ -285,7 +285,7 @@ def points_on_middle(joint: Joint) -> FloatArray:
 def offset_to_middle(joint: Joint) -> FloatArray:
     """(n_cells, k, d) how far the nodes of each cell on its facets of S are from the middle; zero at other nodes."""
     out, both = np.zeros_like(joint.cell_points), joint.faces()
-    for cells, own in zip(joint.surface_cells.T, both, strict=True):
+    for cells, face in zip(joint.surface_cells.T, both, strict=True):
         at = np.flatnonzero(cells >= 0)
-        out[cells[at, None], joint.on_surface(cells)[at]] = (both.mean(axis=0) - own)[at]
+        out[cells[at, None], joint.on_surface(cells)[at]] = (both.mean(axis=0) - face)[at]
     return out

@@ -134,12 +134,12 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
     np.minimum.at(low, piece, x.min(axis=1))
     np.maximum.at(high, piece, x.max(axis=1))
     least = FLAT_GAP_TOLERANCE * np.abs(translation).max()  # motion of bodies that move together, at most
-    for one in range(len(translation) - 1):
-        lengths = np.linalg.norm(translation[one] - translation[one + 1 :], axis=1)
-        apart = np.maximum(low[one + 1 :] - high[one], low[one] - high[one + 1 :]).max(axis=1)  # of their boxes
-        for other in one + 1 + np.flatnonzero((apart <= lengths) & (lengths > least)):
-            way, eps = translation[one] - translation[other], float(lengths[other - one - 1])
-            for moving, fixed, sign in ((one, other, 1.0), (other, one, -1.0)):
+    for body in range(len(translation) - 1):
+        lengths = np.linalg.norm(translation[body] - translation[body + 1 :], axis=1)
+        gap = np.maximum(low[body + 1 :] - high[body], low[body] - high[body + 1 :]).max(axis=1)  # of their boxes
+        for other in body + 1 + np.flatnonzero((gap <= lengths) & (lengths > least)):
+            way, eps = translation[body] - translation[other], float(lengths[other - body - 1])
+            for moving, fixed, sign in ((body, other, 1.0), (other, body, -1.0)):
                 corners = table.vertices[outer[piece == moving]]
                 weights = RAY_OFFSETS[: corners.shape[1]] / RAY_OFFSETS[: corners.shape[1]].sum()
                 probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])

@@ -22,21 +22,21 @@ ValueType = TypeVar("ValueType")
 
 
 def value_by_seam(
-    joint: Joint, given: ValueType | Mapping[str, ValueType], what: str, *default: ValueType
+    joint: Joint, value: ValueType | Mapping[str, ValueType], what: str, *default: ValueType
 ) -> dict[str, ValueType]:
     """A value for each seam, from one for all, or from {name of a seam: value}; others get the default, if one is given.
 
     Raises:
         InputError: a value for an unknown seam, or none for a seam.
     """
-    if not isinstance(given, Mapping):
-        return dict.fromkeys(joint.seams, given)
-    for name in given:
+    if not isinstance(value, Mapping):
+        return dict.fromkeys(joint.seams, value)
+    for name in value:
         require_known("seam", name, joint.seams, what)
-    missing = [name for name in joint.seams if name not in given]
+    missing = [name for name in joint.seams if name not in value]
     if missing and not default:
         raise InputError(f"the seam {missing[0]!r} has no {what}; give {what}={{{missing[0]!r}: ..., ...}}")
-    return {name: given[name] if name in given else default[0] for name in joint.seams}
+    return {name: value[name] if name in value else default[0] for name in joint.seams}
 
 
 def check_layering(cells_through: int, bodies: str) -> None:

@@ -100,11 +100,11 @@ class CutRectangle(Shape):
         size, lines, near = self.sizes[2], self.lines, DISTANCE_TOLERANCE * self.extent.span
         ends = lines.reshape(-1, 2)
         points = ends[self.inside(ends, -near)]
-        apart = vectors_from_segments(points, lines[:, 0], lines[:, 1])
-        distance = np.linalg.norm(apart, axis=2)
+        vectors = vectors_from_segments(points, lines[:, 0], lines[:, 1])
+        distance = np.linalg.norm(vectors, axis=2)
         distance[distance <= 2 * near] = np.inf
         point, line = np.unravel_index(distance.argmin(), distance.shape)
-        at, least = points[point] - apart[point, line] / 2, distance[point, line]
+        at, least = points[point] - vectors[point, line] / 2, distance[point, line]
         touch = (
             f"{what} nearly touch each other or a side at {{at}}: {least:.3g}, less than {MIN_LINE_DISTANCE:g} cells"
         )
@@ -117,19 +117,19 @@ def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: M
     cells.check({"width": width, "height": height}, 2)
     if not isinstance(faults, Mapping) or not faults:
         raise InputError(f"faults is {faults!r}; it must be {{name: points of the fault}}, one or more")
-    given = {name: _path(name, points) for name, points in faults.items()}
-    ways = {name: x[-1] - x[0] for name, x in given.items()}
+    paths = {name: _path(name, points) for name, points in faults.items()}
+    ways = {name: x[-1] - x[0] for name, x in paths.items()}
     seams = {name: Seam(direction=(-float(way[1]), float(way[0]))) for name, way in ways.items()}
-    names = [name for name, x in given.items() for _ in x[1:]]
-    cuts = np.concatenate([np.stack([x[:-1], x[1:]], axis=1) for x in given.values()])
+    names = [name for name, x in paths.items() for _ in x[1:]]
+    cuts = np.concatenate([np.stack([x[:-1], x[1:]], axis=1) for x in paths.values()])
     shape = CutRectangle(cells, width, height, min(width, height), cuts, names, seams, "BLOCK")
     return shape.require_apart("faults", "let them meet, draw them farther apart, or use smaller cells")
 
 
-def _points(given: Any, what: str) -> FloatArray:
+def _points(points: Any, what: str) -> FloatArray:
     """(n, 2) points; raises InputError."""
-    if (x := finite_values(given, (-1, 2))) is None or len(x) < 2:
-        raise InputError(f"{what} is {given!r}; it must be two points (x, y) or more")
+    if (x := finite_values(points, (-1, 2))) is None or len(x) < 2:
+        raise InputError(f"{what} is {points!r}; it must be two points (x, y) or more")
     return x
 
 
@@ -164,9 +164,9 @@ def grain_rectangle(
     return shape.require_apart("boundaries of grains", "use smaller cells, another seed or other points")
 
 
-def _grain_points(given: Any, width: float, height: float) -> FloatArray:
+def _grain_points(points: Any, width: float, height: float) -> FloatArray:
     """(n, 2) points of grains; raises InputError."""
-    x = _points(given, "grains")
+    x = _points(points, "grains")
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"
     refuse(~((x > 0) & (x < (width, height))).all(axis=1), x, f"the point {{at}} of a grain is not inside {box}")
     same = cKDTree(x).query_pairs(DISTANCE_TOLERANCE * max(width, height), output_type="ndarray")
@@ -210,23 +210,23 @@ def _relaxed_points(points: FloatArray, box: FloatArray) -> FloatArray:
         short = (pairs.min(axis=1) < n) & (np.linalg.norm(x[:, 1] - x[:, 0], axis=1) < MIN_GRAIN_SIDE * size)
         if not short.any():
             break
-        one, other = pairs[short].T
-        way = cells.points[other] - cells.points[one]
+        first, other = pairs[short].T
+        way = cells.points[other] - cells.points[first]
         way *= MIN_GRAIN_SIDE * size / 2 / np.linalg.norm(way, axis=1)[:, None]
         count = len(cells.points)
-        points = points + (sum_by_number(one, way, count) - sum_by_number(other, way, count))[:n]
+        points = points + (sum_by_number(first, way, count) - sum_by_number(other, way, count))[:n]
     return points
 
 
 def _centres(points: FloatArray, box: FloatArray) -> FloatArray:
     """(n, 2) centres of the areas of the Voronoi cells of points."""
     cells, n = _voronoi(points, box), len(points)
-    one, other = cells.ridge_points.T
+    first, other = cells.ridge_points.T
     ends = np.array(cells.ridge_vertices)
-    own, ends = np.concatenate([one, other]), np.concatenate([ends, ends])
-    kept = (own < n) & (ends >= 0).all(axis=1)
-    own, x = own[kept], cells.vertices[ends[kept]]
-    to = x - points[own][:, None]
+    cell, ends = np.concatenate([first, other]), np.concatenate([ends, ends])
+    kept = (cell < n) & (ends >= 0).all(axis=1)
+    cell, x = cell[kept], cells.vertices[ends[kept]]
+    to = x - points[cell][:, None]
     area = np.abs(to[:, 0, 0] * to[:, 1, 1] - to[:, 0, 1] * to[:, 1, 0])  # twice that of a triangle over the point
     moment = area[:, None] * to.sum(axis=1) / 3
-    return np.asarray(points + sum_by_number(own, moment, n) / np.bincount(own, area, n)[:, None])
+    return np.asarray(points + sum_by_number(cell, moment, n) / np.bincount(cell, area, n)[:, None])

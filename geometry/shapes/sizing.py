@@ -85,11 +85,11 @@ class MeshOptions:
     arrangement: str = "Right"
 
     @classmethod
-    def of(cls, h: float | None, given: Mapping[str, Any], allowed: type[SizeArgs]) -> Self:
+    def of(cls, h: float | None, options: Mapping[str, Any], allowed: type[SizeArgs]) -> Self:
         """From what a builder is given; raises InputError for a keyword that is not one of those of `allowed`."""
-        for name in given.keys() - (known := get_type_hints(allowed)):
-            raise InputError(unknown_name_message("keyword", name, known))
-        return cls(h, **given)
+        for name in options.keys() - (keywords := get_type_hints(allowed)):
+            raise InputError(unknown_name_message("keyword", name, keywords))
+        return cls(h, **options)
 
     def check(self, lengths: Mapping[str, float], dim: int) -> None:
         """Raise InputError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""

@@ -39,12 +39,12 @@ class Applicability:
     """The interface law of a layer on its seam: of the joint, the layer and the structure's data, without a mesh or forms.
 
     Attributes:
-        one: the layer on its seam.
+        seam_layer: the layer on its seam.
         bodies: "kept" or "extended", as of its model.
     """
 
-    def __init__(self, one: SeamLayer, bodies: str = "kept") -> None:
-        self.seam_layer, self.bodies = one, bodies
+    def __init__(self, seam_layer: SeamLayer, bodies: str = "kept") -> None:
+        self.seam_layer, self.bodies = seam_layer, bodies
 
     def why_not(self, question: str) -> Violation | None:
         """The first condition of a question (`CONDITIONS_OF_USE`) that does not hold; None: all do. The same on all ranks.
@@ -164,45 +164,45 @@ class Applicability:
         return None if self.why_not("ends") or not len(self.free.vertices) else self.all_weights
 
 
-def softest_body(one: SeamLayer) -> float:
+def softest_body(seam_layer: SeamLayer) -> float:
     """The least Young's modulus at rest of the bodies on a seam, at the mean over all directions."""
-    joint, n, found = one.structure.joint, one.sheet.mean_normal, [np.inf]
-    sides = joint.surface_cells[one.sheet.facets]
+    joint, n, moduli = seam_layer.structure.joint, seam_layer.sheet.mean_normal, [np.inf]
+    sides = joint.surface_cells[seam_layer.sheet.facets]
     cells = np.unique(sides[sides >= 0])
     for number in np.unique(joint.region[cells]):
-        law = one.structure.body_laws[joint.regions[number]]
+        law = seam_layer.structure.body_laws[joint.regions[number]]
         centres = joint.points[joint.corners[cells[joint.region[cells] == number]]].mean(axis=1)
-        for known in law.samples(centres.T) if law.fields else [law]:
-            C = declared_or_computed_tangent(known, n)
+        for sample in law.samples(centres.T) if law.fields else [law]:
+            C = declared_or_computed_tangent(sample, n)
             if C is not None:
                 lmbda, mu = average_lame(C)
-                found.append(mu * (3 * lmbda + 2 * mu) / (lmbda + mu))
-    return float(min(found))
+                moduli.append(mu * (3 * lmbda + 2 * mu) / (lmbda + mu))
+    return float(min(moduli))
 
 
 # ---------------------------------------------------------------- conditions, each group in its order
 def _law_conditions(r: Applicability) -> Iterator[Violation]:
     """Of a law of order 0, and of a meshed layer."""
-    one, layer, setup = r.seam_layer, r.seam_layer.layer, r.seam_layer.structure
+    seam_layer, layer, setup = r.seam_layer, r.seam_layer.layer, r.seam_layer.structure
     if not isinstance(layer, ThinLayer | SurfaceLaw):
         yield Violation("no layer", f"the layer is {layer!r}", "give ThinLayer(law, eps), or a law of jumps or contact")
-    one.law.check_dimension(setup.joint.dim)
-    if one.contact:
+    seam_layer.law.check_dimension(setup.joint.dim)
+    if seam_layer.contact:
         others = {"S2": ("unknowns have no places", "element='Q2'")}
         if setup.joint.dim == 3:
             others["P2"] = ("vertices bear no uniform pressure", "element='P1', or hexahedra with element='Q2'")
         if setup.element in others:
             reason, remedy = others[setup.element]
             yield Violation("element", f"a contact law acts at nodes, and in {setup.element} {reason}", f"use {remedy}")
-        one.contact.check_threshold()
+        seam_layer.contact.check_threshold()
         return
-    if one.law.traits.constrained and setup.element not in ("P2", "Q2"):
+    if seam_layer.law.traits.constrained and setup.element not in ("P2", "Q2"):
         yield Violation("element", f"an incompressible layer needs elements P2 or Q2, not {setup.element}", "give them")
-    if one.thin_layer:
+    if seam_layer.thin_layer:
         setup.joint.relative_thickness(
-            one.thin_layer.profile, one.name
+            seam_layer.thin_layer.profile, seam_layer.name
         )  # a user's function, may fail on one rank alone
-    for sample in one.samples:
+    for sample in seam_layer.samples:
         sample.at_rest.require_stable()
 
 
@@ -241,7 +241,7 @@ def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
         )
     n, sublayers = (
         r.seam_layer.sheet.mean_normal,
-        [one for sample in r.seam_layer.samples for one in sample.at_rest.sublayers],
+        [sublayer for sample in r.seam_layer.samples for sublayer in sample.at_rest.sublayers],
     )
     for law in (law for _, law, _ in sublayers if law.traits.softens):
         C = tangent_at_rest(law, n)
@@ -274,7 +274,7 @@ def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
     """Of an interface law that knows its free ends, or has none."""
-    one, thin = r.seam_layer, r.seam_layer.thin_layer
+    seam_layer, thin = r.seam_layer, r.seam_layer.thin_layer
     if thin.order == 0:
         yield Violation("order 0", "the interface law is of order 0", "use order=1")
     if not len(r.free.vertices):
@@ -287,8 +287,8 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
         yield Violation(
             "apart", "bodies are not kept, but apart: ends of the layer may be oblique", "use bodies='kept'"
         )
-    if one.structure.plane == "axisymmetric":
-        radius = float(one.structure.joint.points[r.free.vertices, 0].min()) / float(thin.eps)
+    if seam_layer.structure.plane == "axisymmetric":
+        radius = float(seam_layer.structure.joint.points[r.free.vertices, 0].min()) / float(thin.eps)
         if radius < MIN_RADIUS_RATIO * (1 - MODULUS_RATIO_TOLERANCE):
             yield Violation(
                 "radius", f"free ends have a radius of {radius:.3g} thicknesses; allowed: {MIN_RADIUS_RATIO:g}"
@@ -303,12 +303,12 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
     """Of fields and constants of free ends, which are those of straight ones between rigid faces."""
-    one, sheet = r.seam_layer, r.seam_layer.sheet
+    seam_layer, sheet = r.seam_layer, r.seam_layer.sheet
     if r.strips is None:
-        known = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
-        yield Violation("no constants", f"free ends are not known of this {one.kind}: they are of {known}")
+        allowed = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
+        yield Violation("no constants", f"free ends are not known of this {seam_layer.kind}: they are of {allowed}")
     yield from _straight_end_conditions(r, r.contrast)
-    if one.has_pressure_flow and r.coarse.any():
+    if seam_layer.has_pressure_flow and r.coarse.any():
         at, fall = place_text(sheet.joint.points[r.loose[r.coarse].vertices[0, 0]]), r.falls.min()
         reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
         yield Violation("coarse", reason, "make them shorter (h_ends=...)")
@@ -333,15 +333,15 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
 
 def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
     """Of a pressure whose excess is known (`thinlayer.surface.pressure_excess`)."""
-    one = r.seam_layer
-    if one.thin_layer and one.thin_layer.eigenstrain is not None:
+    seam_layer = r.seam_layer
+    if seam_layer.thin_layer and seam_layer.thin_layer.eigenstrain is not None:
         yield Violation("eigenstrain", "the layer has an eigenstrain")
-    if one.law.fields:
+    if seam_layer.law.fields:
         yield Violation("functions", "the layer's parameters are functions")
-    if one.has_pressure_flow:
+    if seam_layer.has_pressure_flow:
         return
-    tangents = [C for _, _, C in one.at_rest.sublayers]
-    if not one.law.traits.linear or one.remembers or len(tangents) != 1 or tangents[0] is None:
+    tangents = [C for _, _, C in seam_layer.at_rest.sublayers]
+    if not seam_layer.law.traits.linear or seam_layer.remembers or len(tangents) != 1 or tangents[0] is None:
         yield Violation("not elastic", "the layer is not one linear elastic material")
         return
     if not is_isotropic(tangents[0]):

@@ -41,15 +41,15 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
         if on[joint.table.vertices[joint.rows_of(name)]].all(axis=1).any():
             raise InputError(f"plane={kinematics.name!r}: the seam {name!r} lies on the axis, where it has no area")
     if joint.periods:
-        held = np.delete(joint.periods.vectors(joint.points), kinematics.translations(joint.dim), axis=1)
-        if np.abs(held).max(initial=0.0) > AXIS_TOLERANCE * joint.size:
+        radial = np.delete(joint.periods.vectors(joint.points), kinematics.translations(joint.dim), axis=1)
+        if np.abs(radial).max(initial=0.0) > AXIS_TOLERANCE * joint.size:
             raise InputError(f"plane={kinematics.name!r}: a structure repeats along the axis (y) alone")
 
 
 def lies_across_axis(kinematics: Kinematics, normals: Array) -> bool:
     """Whether S, with these normals (n, d), lies across the axis: translations along them are rigid motions."""
-    held = np.delete(normals, kinematics.translations(normals.shape[1]), axis=1)
-    return bool(np.abs(held).max(initial=0.0) <= RIGID_NORMAL_TOLERANCE)
+    radial = np.delete(normals, kinematics.translations(normals.shape[1]), axis=1)
+    return bool(np.abs(radial).max(initial=0.0) <= RIGID_NORMAL_TOLERANCE)
 
 
 def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
@@ -77,8 +77,8 @@ def boundary_values(
     """
     joint = domain.joint
     base = joint.band.base if joint.band else joint
-    known = ", ".join(sorted(base.facets.keys() - {S}))
-    require(isinstance(name, str), f"{what}: a place", name, f"it must be the name of a facet set; known: {known}")
+    names = ", ".join(sorted(base.facets.keys() - {S}))
+    require(isinstance(name, str), f"{what}: a place", name, f"it must be the name of a facet set; known: {names}")
     whole = str(name).split("/")[0]
     refuse_periodic(joint, name, what)
     if name in base.seams or whole == S or not (inside or domain.is_outer(name)):
@@ -173,10 +173,10 @@ def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
 
 def _weights(x: Array, k: int) -> Array:
     """Weights (n,) of facets, given by their corners (n, m, 3), at the k-th corner."""
-    beside = [k ^ 1, k ^ 2] if x.shape[1] == 4 else [j for j in range(x.shape[1]) if j != k]
-    edges = x[:, beside] - x[:, k : k + 1]
+    adjacent = [k ^ 1, k ^ 2] if x.shape[1] == 4 else [j for j in range(x.shape[1]) if j != k]
+    edges = x[:, adjacent] - x[:, k : k + 1]
     squares = (edges**2).sum(axis=2)
-    if len(beside) == 1:
+    if len(adjacent) == 1:
         return np.asarray(1 / np.sqrt(squares[:, 0]))
     return np.asarray(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / squares.prod(axis=1))
 
@@ -196,8 +196,8 @@ def smooth_surfaces(normals: Array) -> tuple[IntArray, Array]:
     Facets whose normals differ by less than CORNER are one surface with their mean normal; others meet in a corner.
     """
     unit = normals / np.linalg.norm(normals, axis=1)[:, None]
-    one, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER_ANGLE_DEGREES)))
-    _, surface = np.unique(connected(one, other, len(unit)), return_inverse=True)
+    facet, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER_ANGLE_DEGREES)))
+    _, surface = np.unique(connected(facet, other, len(unit)), return_inverse=True)
     mean = sum_by_number(surface.ravel(), normals, surface.max() + 1)
     mean /= np.linalg.norm(mean, axis=1)[:, None]
     mean[np.abs(mean) < NORMAL_COMPONENT_TOLERANCE] = 0.0

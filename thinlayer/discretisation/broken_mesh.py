@@ -154,8 +154,8 @@ class BrokenMesh:
         law.check_dimension(self._dim)
         eps, profile, order = (thin.eps, thin.profile, thin.order) if thin else (1.0, None, 0)
         if thin and (thin.edges == "free" or thin.eigenstrain is not None):
-            given = "edges='free'" if thin.edges == "free" else "eigenstrain=..."
-            raise InputError(f"{given} of a layer on a mesh of one's own is not known here; use it in a Model")
+            option = "edges='free'" if thin.edges == "free" else "eigenstrain=..."
+            raise InputError(f"{option} of a layer on a mesh of one's own is not known here; use it in a Model")
         if order and profile is not None:
             need = "bodies at their true places: Structure.interface(layer, bodies='extended')"
             raise InputError(f"order=1 of a thickness that varies needs {need}")
@@ -198,8 +198,8 @@ class BrokenMesh:
         """Raise InputError if a law of order 1 would lock somewhere."""
         _, _, x = self._at_vertices(tag)
         with errors_on_all(self.comm):
-            for one in law.at_places(x) if law.fields else [law]:
-                if refused := InitialTangents(one, np.eye(self._dim)[-1]).locks():
+            for local_law in law.at_places(x) if law.fields else [law]:
+                if refused := InitialTangents(local_law, np.eye(self._dim)[-1]).locks():
                     raise refused.error()
 
     def _at_vertices(self, tag: int) -> tuple[fem.Function, Indices, Array]:
@@ -229,15 +229,15 @@ class BrokenMesh:
         return np.sort(facets[facets < self.mesh.topology.index_map(self._dim - 1).size_local])
 
     def _known(self) -> str:
-        found = {int(tag) for tags in self.comm.allgather(np.unique(self.facet_tags.values)) for tag in tags}
-        return ", ".join(map(str, sorted(found))) or "none"
+        all_tags = {int(tag) for tags in self.comm.allgather(np.unique(self.facet_tags.values)) for tag in tags}
+        return ", ".join(map(str, sorted(all_tags))) or "none"
 
     def _bodies(self) -> Indices:
         """Body of each local cell, ghosts included."""
         imap = self.mesh.topology.index_map(self._dim)
-        body, own = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
-        body.array[self.bodies.indices[own]] = self.bodies.values[own]
-        (lost,) = self._sum(imap.size_local - len(np.unique(self.bodies.indices[own])))
+        body, owned = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
+        body.array[self.bodies.indices[owned]] = self.bodies.values[owned]
+        (lost,) = self._sum(imap.size_local - len(np.unique(self.bodies.indices[owned])))
         if lost:
             raise InputError(f"bodies: {lost} cells have no tag; each cell belongs to a body")
         body.scatter_forward()
@@ -254,10 +254,10 @@ class BrokenMesh:
             raise InputError(f"the mesh has no ghost cells across {lost} facets between ranks; {remedy}")
         pairs, to_facets = interior_facet_entities(self.mesh, inner), topology.connectivity(self._dim, self._dim - 1)
         number = to_facets.array[to_facets.offsets[pairs[:, 0]] + pairs[:, 1]]
-        apart = self._body[pairs[:, 0]] != self._body[pairs[:, 2]]
+        border = self._body[pairs[:, 0]] != self._body[pairs[:, 2]]
         cut = np.isin(number, cuts)
-        self._refuse(number[apart & ~cut], "where two bodies meet are not in S: tag them, or give both one value")
-        self._refuse(number[cut & ~apart], "of S lie inside a body: give the bodies on its two sides different values")
+        self._refuse(number[border & ~cut], "where two bodies meet are not in S: tag them, or give both one value")
+        self._refuse(number[cut & ~border], "of S lie inside a body: give the bodies on its two sides different values")
 
     def _refuse(self, facets: Indices, what: str) -> None:
         (count,) = self._sum(len(facets))

@@ -54,7 +54,7 @@ class Coordinates:
         x: (d,) UFL coordinates.
         clock: the model's.
         places: (n, d) some vertices of the joint, extreme ones among them.
-        known: what was given for these coordinates.
+        cache: coefficients that were made for these coordinates.
         planned: the break times that the last march has asked for; empty: none has yet.
     """
 
@@ -94,14 +94,14 @@ class Coordinates:
         """What a value gives here, checked once. Collective. Arguments and errors as in `Coefficient`."""
         key = (id(value), what, shapes, id(self.x))
         if key not in self.cache:
-            self.cache[key] = given = Coefficient(value, what, shapes, self, of_place=of_place)
-            if self.planned and (late := sorted(given.breaks - self.planned[0])):
+            self.cache[key] = coefficient = Coefficient(value, what, shapes, self, of_place=of_place)
+            if self.planned and (late := sorted(coefficient.breaks - self.planned[0])):
                 why = f"given after a march has begun, and changes its slope at t = {late[0]:g}, where no step ends"
                 raise InputError(f"{what} is {why}; a part gives it in check(model)")
         return self.cache[key]
 
     def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
-        """A traction on facets of the outward normal n, (d,) UFL; errors as of `prescribed_strain`."""
+        """A traction on facets of the outward normal n, (d,) UFL; errors as of `coefficient`."""
         if isinstance(load, Pressure):
             return -self.coefficient(load.p, what, ()).expression * n
         return self.coefficient(load, what, (self.mesh.geometry.dim,)).expression
@@ -109,7 +109,7 @@ class Coordinates:
     @property
     def breaks(self) -> set[float]:
         """The break times of all that was given here."""
-        self.planned[:] = [set[float]().union(*(given.breaks for given in self.cache.values()))]
+        self.planned[:] = [set[float]().union(*(coefficient.breaks for coefficient in self.cache.values()))]
         return self.planned[0]
 
 
@@ -213,10 +213,10 @@ class Coefficient:
         """The same with functions on other meshes replaced by functions on this one. Collective if there are any."""
         fields = {f for c in components.flat for f in _fields(c) if isinstance(f, fem.Function)}
         others = sorted((f for f in fields if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
-        own = {f: sampled_function(f, self.at.mesh, self.at.x, self.what) for f in others}
+        replacements = {f: sampled_function(f, self.at.mesh, self.at.x, self.what) for f in others}
         for index in np.ndindex(*components.shape):
             if _fields(components[index]):
-                components[index] = ufl_replace(components[index], own)
+                components[index] = ufl_replace(components[index], replacements)
         return components
 
     def _compare(self, components: npt.NDArray[Any]) -> None:
@@ -289,13 +289,13 @@ class Pressure:
     p: Value
 
 
-def values_by_body(given: Any, joint: Joint, what: str = "", others: Sequence[str] = ()) -> dict[str, Any]:
+def values_by_body(values: Any, joint: Joint, what: str = "", others: Sequence[str] = ()) -> dict[str, Any]:
     """What is given for bodies, one for all or by name, in the same order on all ranks.
 
     Raises:
         InputError: a name, after some words, that is none of a body nor one of others.
     """
-    each = given if isinstance(given, Mapping) else dict.fromkeys(joint.bodies, given)
+    each = values if isinstance(values, Mapping) else dict.fromkeys(joint.bodies, values)
     for name in (name for name in each if name not in others):
         require_known("body", name, joint.bodies, what)
     return {name: each[name] for name in joint.bodies if name in each}

@@ -98,7 +98,7 @@ class Constraints:
         ties: displacements that follow motions.
 
     Attributes:
-        held: (h,) local numbers of the entries of y that are prescribed or stand for nothing, increasing.
+        bc_dofs: (h,) local numbers of the entries of y that are prescribed or stand for nothing, increasing.
 
     Raises:
         InputError: two ties have a node in common; a tie has too few nodes; conditions of numbers contradict each other.
@@ -110,8 +110,8 @@ class Constraints:
         self.d, self.n = prescribed.d, prescribed.size
         self.first = int(self.comm.scan(self.n) - self.n)
         self._require_apart()
-        self.masters = {one.key: self._slots_of(one) for one in self.mpcs}
-        rows = [np.flatnonzero(np.diff(one.R.indptr)) for one in self.mpcs]
+        self.masters = {mpc.key: self._slots_of(mpc) for mpc in self.mpcs}
+        rows = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
         self.slaves = np.unique(np.concatenate([np.empty(0, np.int64), *rows])).astype(np.int64)
         self._T0 = self._tie()
         self._rows = self._conditions()
@@ -125,10 +125,10 @@ class Constraints:
     # ---------------------------------------------------------------- who follows whom
     def _require_apart(self) -> None:
         """Raise InputError if a displacement follows two ties."""
-        of = {one.key: np.diff(one.R.indptr) > 0 for one in self.mpcs}
+        of = {mpc.key: np.diff(mpc.R.indptr) > 0 for mpc in self.mpcs}
         both = sum((rows.astype(int) for rows in of.values()), np.zeros(self.n, int)) > 1
         names = [key for key, rows in of.items() if (rows & both).any()]
-        if several := [one for one in self.comm.allgather(names) if one]:
+        if several := [keys for keys in self.comm.allgather(names) if keys]:
             raise InputError(f"{' and '.join(several[0])} share a node: their motions would not be independent")
 
     def _slots_of(self, tie: MultiPointConstraint) -> np.ndarray:
@@ -145,10 +145,10 @@ class Constraints:
             return None
         free = np.setdiff1d(np.arange(self.n), self.slaves)
         rows, columns, values = [free], [self.first + free], [np.ones(len(free))]
-        for one in self.mpcs:
-            entries = one.R.tocoo()
+        for mpc in self.mpcs:
+            entries = mpc.R.tocoo()
             rows.append(entries.row)
-            columns.append(self.masters[one.key][entries.col])
+            columns.append(self.masters[mpc.key][entries.col])
             values.append(entries.data)
         return self._matrix(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
 
@@ -168,16 +168,16 @@ class Constraints:
         rows, total = self.prescribed.conditions.tocoo(), int(self.comm.allreduce(self.n))
         A = self._matrix(rows.row, self.first + rows.col, rows.data, rows.shape[0])
         on_y = A if self._T0 is None else A.matMult(self._T0)
-        found = local_csr(on_y)
+        conditions = local_csr(on_y)
         destroy(A, on_y)
-        self._motions = [(one, k, value) for one in self.mpcs for k, value in one.motion.items() if self.comm.rank == 0]
-        columns = [self.masters[one.key][k] for one, k, _ in self._motions]
+        self._motions = [(mpc, k, value) for mpc in self.mpcs for k, value in mpc.motion.items() if self.comm.rank == 0]
+        columns = [self.masters[mpc.key][k] for mpc, k, _ in self._motions]
         k = len(columns)
         more = scipy.sparse.csr_matrix((np.ones(k), (np.arange(k), columns)), (k, total))
-        found = scipy.sparse.vstack([found, more], format="csr")
-        found.data[np.abs(found.data) < COEFFICIENT_TOLERANCE] = 0.0
-        found.eliminate_zeros()
-        return found
+        conditions = scipy.sparse.vstack([conditions, more], format="csr")
+        conditions.data[np.abs(conditions.data) < COEFFICIENT_TOLERANCE] = 0.0
+        conditions.eliminate_zeros()
+        return conditions
 
     def of_supports(self, forces: Array, motions: Callable[[IntArray], Array]) -> Array:
         """Work (entries, k) of the supports' forces in k motions, a function of the displacements, by number of support."""
@@ -206,33 +206,33 @@ class Constraints:
         at = A.indptr[self._single]
         self._columns, self._coefficient = A.indices[at] - self.first, A.data[at]
         self._groups = _connected_rows(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
-        held = np.concatenate([self._columns, *(self._mine(one.columns[: one.rank])[1] for one in self._groups)])
+        fixed = np.concatenate([self._columns, *(self._mine(group.columns[: group.rank])[1] for group in self._groups)])
         slots = np.concatenate([*self.masters.values(), np.empty(0, np.int64)]) - self.first
-        self.bc_dofs = np.union1d(held, np.setdiff1d(self.slaves, slots)).astype(np.int32)
+        self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, slots)).astype(np.int32)
 
     def _frames(self) -> PETSc.Mat | None:
         """Q; None: the identity."""
-        turned = [one for one in self._groups if one.turned]
+        turned = [group for group in self._groups if group.turned]
         if not turned:
             return None
         same = np.arange(self.n)
         i, j, v = [same], [self.first + same], [np.ones(self.n)]
-        for one in turned:
-            own, places = self._mine(one.columns)
-            rows, columns = np.meshgrid(places, one.columns, indexing="ij")
+        for group in turned:
+            owned, places = self._mine(group.columns)
+            rows, columns = np.meshgrid(places, group.columns, indexing="ij")
             i.append(rows.ravel())
             j.append(columns.ravel())
-            v.append((one.frame - np.eye(len(one.columns)))[own].ravel())  # beside the identity
+            v.append((group.frame - np.eye(len(group.columns)))[owned].ravel())  # beside the identity
         return self._matrix(np.concatenate(i), np.concatenate(j), np.concatenate(v))
 
     def _mine(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which global numbers of displacements are of this rank, and their local numbers."""
-        own = np.flatnonzero((columns >= self.first) & (columns < self.first + self.n))
-        return own, columns[own] - self.first
+        owned = np.flatnonzero((columns >= self.first) & (columns < self.first + self.n))
+        return owned, columns[owned] - self.first
 
     # ---------------------------------------------------------------- values
     def values(self, t: float) -> Array:
-        """(h,) values of `constrained_values` at a time. Collective.
+        """(h,) values of `bc_dofs` at a time. Collective.
 
         Raises:
             InputError: two conditions prescribe different values of a displacement, or one that is not finite.
@@ -243,33 +243,33 @@ class Constraints:
         self._require_agreement(c, when=f" at t = {t:g}")
         y = np.zeros(self.n)
         y[self._columns] = c[self._single] / self._coefficient
-        for one, values in self._with_values(c):
-            own, places = self._mine(one.columns[: one.rank])
-            y[places] = one.constrained_values(values)[own]
+        for group, values in self._with_values(c):
+            owned, places = self._mine(group.columns[: group.rank])
+            y[places] = group.constrained_values(values)[owned]
         return y[self.bc_dofs]
 
     def _with_values(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
         """Groups, each with the values of its conditions; those of this rank's are given."""
         every = np.concatenate(self.comm.allgather(c[self._grouped]))
-        return [(one, every[one.rows]) for one in self._groups]
+        return [(group, every[group.rows]) for group in self._groups]
 
     def _by_rows(self, of_groups: Sequence[Array]) -> Array:
         """(r,) numbers for this rank's conditions from those of each group."""
-        out, every = np.zeros(self._rows.shape[0]), np.zeros(sum(len(one.rows) for one in self._groups))
-        for one, numbers in zip(self._groups, of_groups, strict=True):
-            every[one.rows] = numbers
+        out, every = np.zeros(self._rows.shape[0]), np.zeros(sum(len(group.rows) for group in self._groups))
+        for group, numbers in zip(self._groups, of_groups, strict=True):
+            every[group.rows] = numbers
         last = int(self.comm.scan(len(self._grouped)))
         out[self._grouped] = every[last - len(self._grouped) : last]
         return out
 
     def _require_agreement(self, c: Array, when: str = "") -> None:
         """Raise InputError if values (r,) of conditions contradict each other."""
-        apart = self._by_rows([one.residual(values) for one, values in self._with_values(c)])
+        residual = self._by_rows([group.residual(values) for group, values in self._with_values(c)])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
         limit, message = max(AGREEMENT_TOLERANCE * largest, LENGTH_TOLERANCE * self.prescribed.extent), ""
-        if apart.max(initial=0.0) > limit:
-            message = self._contradiction(int(apart.argmax()), c) + when
-        if messages := [one for one in self.comm.allgather(message) if one]:
+        if residual.max(initial=0.0) > limit:
+            message = self._contradiction(int(residual.argmax()), c) + when
+        if messages := [text for text in self.comm.allgather(message) if text]:
             raise InputError(f"{messages[0]}; where supports overlap, their values must agree")
 
     def _contradiction(self, row: int, c: Array) -> str:
@@ -298,9 +298,9 @@ class Constraints:
         """y (n,) of displacements u (n,) that follow the ties, or nearest to them."""
         y = u.copy()
         y[self.slaves] = 0.0
-        for one in self.mpcs:
-            own, places = self._mine(self.masters[one.key])
-            y[places] = self.motion(one, u)[own]
+        for mpc in self.mpcs:
+            owned, places = self._mine(self.masters[mpc.key])
+            y[places] = self.motion(mpc, u)[owned]
         return self._times(self.Q, y, transposed=True)
 
     def forces(self, f: Array) -> Array:
@@ -314,9 +314,9 @@ class Constraints:
         x, b = (b, x) if transposed else (x, b)
         x.array[:] = values
         (matrix.multTranspose if transposed else matrix.mult)(x, b)
-        found = b.array_r.copy()
+        product = b.array_r.copy()
         destroy(x, b)
-        return np.asarray(found)
+        return np.asarray(product)
 
     def motion(self, tie: MultiPointConstraint, u: Array) -> Array:
         """Motions (m,) of a tie, on every rank, that are nearest to displacements u (n,)."""
@@ -324,7 +324,7 @@ class Constraints:
 
     def loads_at(self, t: float) -> Array:
         """(n,) the least nodal forces with the given resultants of the ties at a time."""
-        return sum((one.R @ self._solved(one, one.resultant(t)) for one in self.mpcs), np.zeros(self.n))
+        return sum((mpc.R @ self._solved(mpc, mpc.resultant(t)) for mpc in self.mpcs), np.zeros(self.n))
 
     def _solved(self, tie: MultiPointConstraint, b: Array) -> Array:
         """R'R x = b, of all ranks."""
@@ -334,12 +334,12 @@ class Constraints:
     def support_forces(self, r: Array) -> Array:
         """(k,) the least forces of the supports' conditions, along their directions, that balance nodal forces r (n,)."""
         f = self._times(self._T0, r, transposed=True)
-        columns = np.concatenate([np.empty(0, np.int64), *(one.columns for one in self._groups)])
-        own, places = self._mine(columns)
+        columns = np.concatenate([np.empty(0, np.int64), *(group.columns for group in self._groups)])
+        owned, places = self._mine(columns)
         every = np.zeros(len(columns))
-        every[own] = f[places]
-        parts = np.split(self.comm.allreduce(every), np.cumsum([len(one.columns) for one in self._groups]))
-        out = self._by_rows([one.shares @ part for one, part in zip(self._groups, parts, strict=False)])
+        every[owned] = f[places]
+        parts = np.split(self.comm.allreduce(every), np.cumsum([len(group.columns) for group in self._groups]))
+        out = self._by_rows([group.shares @ part for group, part in zip(self._groups, parts, strict=False)])
         out[self._single] = f[self._columns] / self._coefficient
         return out[: len(self.prescribed.entry)]
 
@@ -365,12 +365,12 @@ class Constraints:
         along = np.append(along, [shifts[tie.key][k] for tie, k, _ in self._motions])
         g = np.zeros(self.n)
         for tie in self.mpcs:  # of motions that are not prescribed: what balances their resultants
-            own, places = self._mine(self.masters[tie.key])
-            g[places] = shifts[tie.key][own]
+            owned, places = self._mine(self.masters[tie.key])
+            g[places] = shifts[tie.key][owned]
         g[self._columns] = along[self._single] / self._coefficient
-        for one, values in self._with_values(along):
-            own, places = self._mine(one.columns)
-            g[places] = (one.shares.T @ values)[own]
+        for group, values in self._with_values(along):
+            owned, places = self._mine(group.columns)
+            g[places] = (group.shares.T @ values)[owned]
         return self._times(self.Q, g, transposed=True)
 
     # ---------------------------------------------------------------- motions
@@ -384,17 +384,17 @@ class Constraints:
             Motions (n, c + m) of displacements, of those given and of all ties, without what conditions hold; and the Gram
             matrix (c + m, c + m) of what conditions prevent: it is zero for a motion that they allow.
         """
-        c, m = motions.shape[1], sum(one.count for one in self.mpcs)
-        first = dict(zip(self.masters, np.cumsum([0, *(one.count for one in self.mpcs)]).tolist(), strict=False))
+        c, m = motions.shape[1], sum(mpc.count for mpc in self.mpcs)
+        first = dict(zip(self.masters, np.cumsum([0, *(mpc.count for mpc in self.mpcs)]).tolist(), strict=False))
         wide, y = motions, _without_rows(motions, self.slaves)
         if m:
-            own, places = self._mine(np.concatenate([*self.masters.values()]))
-            of_ties = scipy.sparse.csr_matrix((np.ones(len(own)), (places, own)), (self.n, m))
+            owned, places = self._mine(np.concatenate([*self.masters.values()]))
+            of_ties = scipy.sparse.csr_matrix((np.ones(len(owned)), (places, owned)), (self.n, m))
             y = scipy.sparse.hstack([y, of_ties], format="csr")
             wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
-        given = np.zeros(c + m)
-        given[[c + first[tie.key] + k for tie, k, _ in self._motions]] = 1.0
-        gram = scipy.sparse.diags(given, format="csr")
+        diagonal = np.zeros(c + m)
+        diagonal[[c + first[tie.key] + k for tie, k, _ in self._motions]] = 1.0
+        gram = scipy.sparse.diags(diagonal, format="csr")
         for rows in (self.prescribed.conditions @ wide, (distributed_product(self._T0, y) - wide)[self.slaves]):
             gram = gram + rows.T @ rows
         z = _without_rows(distributed_product(self.Q, y, transposed=True), self.bc_dofs)
@@ -411,8 +411,8 @@ class Constraints:
 
     def _along_conditions(self, motions: Callable[[IntArray], Array]) -> Array:
         """(r, k) values of k motions along the conditions of this rank."""
-        held = np.unique(self.prescribed.conditions.indices)
-        return np.asarray(self.prescribed.conditions[:, held] @ motions(held))
+        dofs = np.unique(self.prescribed.conditions.indices)
+        return np.asarray(self.prescribed.conditions[:, dofs] @ motions(dofs))
 
 
 def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
@@ -420,9 +420,9 @@ def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed
     if matrix is None:
         return columns
     wide = create_aij(columns, matrix.comm, ((columns.shape[0], None), (None, columns.shape[1])))
-    found = matrix.transposeMatMult(wide) if transposed else matrix.matMult(wide)
-    rows = local_csr(found)
-    destroy(wide, found)
+    product = matrix.transposeMatMult(wide) if transposed else matrix.matMult(wide)
+    rows = local_csr(product)
+    destroy(wide, product)
     return rows
 
 
@@ -441,14 +441,14 @@ def _connected_rows(A: Sparse) -> list[_ConditionGroup]:
     B = scipy.sparse.csr_matrix((A.data, local, A.indptr), (A.shape[0], len(columns)))
     label = connected_components(scipy.sparse.bmat([[None, B], [B.T, None]]), directed=False)[1]
     of_rows, of_columns = label[: A.shape[0]], label[A.shape[0] :]
-    found = []
+    groups = []
     for r, c in zip(_rows_by_label(of_rows), _rows_by_label(of_columns), strict=True):
         N = B[r][:, c].toarray()
         _, sizes, right = np.linalg.svd(N)
         rank = int((sizes > INDEPENDENCE_TOLERANCE * max(1.0, sizes[0])).sum())
         frame = np.eye(len(c)) if rank == len(c) else right.T
-        found.append(_ConditionGroup(r, columns[c].astype(np.int64), N, frame, rank))
-    return found
+        groups.append(_ConditionGroup(r, columns[c].astype(np.int64), N, frame, rank))
+    return groups
 
 
 def _rows_by_label(labels: np.ndarray) -> list[np.ndarray]:

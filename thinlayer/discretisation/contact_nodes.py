@@ -87,17 +87,17 @@ class ContactNodes:
         x: (n, d) places.
         weights: (n,) areas (lengths in 2D).
         frames: (n, d, d) rows are the axes of the node's frame: tangents as in `Surface.frame`, then the normal.
-        held: (n, d) components of the jump (global axes) that supports prescribe.
-        held_upper: (n, d) components of the upper side's displacement that supports prescribe.
+        is_fixed: (n, d) components of the jump (global axes) that supports prescribe.
+        is_fixed_upper: (n, d) components of the upper side's displacement that supports prescribe.
         gap: (n,) initial gap between the sides; < 0: interference.
     """
 
-    def __init__(self, surface: ContactSurface, held: Indices = NO_NODES, *, gap: Callable[[Array], Array]) -> None:
+    def __init__(self, surface: ContactSurface, bc_dofs: Indices = NO_NODES, *, gap: Callable[[Array], Array]) -> None:
         """Make the nodes of a surface.
 
         Args:
             surface: the facets.
-            held: displacements of this rank that supports prescribe (local, unrolled).
+            bc_dofs: displacements of this rank that supports prescribe (local, unrolled).
             gap: initial gaps (n,) at places (d, n).
         """
         self.surface, self.comm, self.dim = surface, surface.comm, surface.V.mesh.topology.dim
@@ -124,18 +124,18 @@ class ContactNodes:
         if self.comm.allreduce(int((size <= 0).any())):
             raise InputError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
         self.frames = np.ascontiguousarray(normal_frames(vectors / size[:, None]))
-        self._note_held(held)
+        self._note_held(bc_dofs)
         with errors_on_all(self.comm):
             self.gap = gap(np.ascontiguousarray(self.x.T))
 
     @classmethod
     def joined(cls, several: Sequence[ContactNodes]) -> ContactNodes:
         """The pairs of several seams, one seam after the other: their places, areas, frames and gaps."""
-        out = copy(next((one for one in several if one.surface.lower is not None), several[0]))
+        out = copy(next((nodes for nodes in several if nodes.surface.lower is not None), several[0]))
         for cached in ("dofs", "lower"):
             vars(out).pop(cached, None)
         for name in ("upper", "_lower", "x", "weights", "frames", "gap"):
-            setattr(out, name, np.concatenate([getattr(one, name) for one in several]))
+            setattr(out, name, np.concatenate([getattr(nodes, name) for nodes in several]))
         return out
 
     @property
@@ -151,10 +151,10 @@ class ContactNodes:
         each.set(1.0)
         self.lower.multTranspose(each, count)
         here = self._lower - self._first
-        own = np.bincount(here[(here >= 0) & (here < self._size)], minlength=self._size)
-        found = np.flatnonzero(count.array_r[:: self.dim] > own + 0.5)
+        local_count = np.bincount(here[(here >= 0) & (here < self._size)], minlength=self._size)
+        nodes = np.flatnonzero(count.array_r[:: self.dim] > local_count + 0.5)
         destroy(each, count)
-        return found
+        return nodes
 
     @property
     def lines(self) -> IntArray:
@@ -194,8 +194,8 @@ class ContactNodes:
         for e in range(d if simpson else 1):  # nodes at vertices, edges and facets
             here = vertices if e == 0 else facets[:, None] if e == d - 1 else self._entities(d - 1, e)[facets]
             ends = vertices[:, None] if e == d - 1 else self._entities(e, 0)[here] if e else vertices[..., None]
-            beside = (ends[..., None] == vertices[:, None, None]).any(axis=2)  # (n, nodes, k)
-            shares = beside / beside.sum(axis=2, keepdims=True)
+            adjacent = (ends[..., None] == vertices[:, None, None]).any(axis=2)  # (n, nodes, k)
+            shares = adjacent / adjacent.sum(axis=2, keepdims=True)
             around = kinematics.node_areas(corners, areas)
             if simpson:
                 factors = 4**e / 3 ** (d - 1) * kinematics.factor_at(shares @ corners)
@@ -203,17 +203,17 @@ class ContactNodes:
             above = self._nodes(upper, here, e).ravel()
             below = np.full(above.size, -1.0) if lower is None else self._global(self._nodes(lower, here, e).ravel())
             vectors = (around[:, :, None] * normals[:, None]).reshape(-1, d)
-            number = (beside * bits[:, None]).sum(axis=2)
+            number = (adjacent * bits[:, None]).sum(axis=2)
             if len(self.surface.rows):
                 number += self.surface.rows[:, None] << vertices.shape[1]
-            apart = (below != self._global(above)) & (around.ravel() > 0)  # at a tip of S there is no jump
-            rows.append(np.column_stack([above, below, around.ravel(), vectors, number.ravel()])[apart])
+            has_jump = (below != self._global(above)) & (around.ravel() > 0)  # at a tip of S there is no jump
+            rows.append(np.column_stack([above, below, around.ravel(), vectors, number.ravel()])[has_jump])
         return np.concatenate(rows)
 
     def _entities(self, a: int, b: int) -> Indices:
         """(all, m) entities of dimension b of those of dimension a."""
-        found = self.surface.V.mesh.topology.connectivity(a, b)
-        return np.asarray(found.array.reshape(found.num_nodes, -1))
+        connectivity = self.surface.V.mesh.topology.connectivity(a, b)
+        return np.asarray(connectivity.array.reshape(connectivity.num_nodes, -1))
 
     def _nodes(self, cells: Indices, entities: Indices, e: int) -> Indices:
         """Local nodes of V at entities (n, k) of dimension e of cells (n,)."""
@@ -224,10 +224,10 @@ class ContactNodes:
         return np.asarray(np.take_along_axis(np.asarray(V.dofmap.list)[cells], places[which], axis=1), np.int32)
 
     # ---------------------------------------------------------------- supports
-    def _note_held(self, held: Indices) -> None:
-        """Set `constrained_values` and `is_fixed_upper` from the held displacements of this rank (local, unrolled)."""
+    def _note_held(self, bc_dofs: Indices) -> None:
+        """Set `is_fixed` and `is_fixed_upper` from the held displacements of this rank (local, unrolled)."""
         mark = self.zero()
-        mark.array[held] = 1.0
+        mark.array[bc_dofs] = 1.0
         self.is_fixed_upper = mark.array_r.reshape(-1, self.dim)[self.upper] > 0
         self.is_fixed = self.is_fixed_upper & (self.lower is None or self.lower_side(mark) > 0)
         mark.destroy()

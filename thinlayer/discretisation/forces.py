@@ -38,7 +38,7 @@ class LoadRegion:
         weight: factor of the measure, times the thickness on S.
         value: how a function of place and time is taken there.
         mean: what the load does work in, of displacements; of a layer their mean over the thickness.
-        on_base: the part of this mean that is of a rigid base, for motions that move it as well; None: there is no base.
+        base_test: the part of this mean that is of a rigid base, for motions that move it as well; None: there is no base.
     """
 
     measure: ufl.Measure
@@ -59,7 +59,7 @@ class Forces:
 
     Attributes:
         at: coordinates for loads that are functions.
-        given: description of kind and place -> the load as given.
+        user_loads: description of kind and place -> the load as given.
 
     Raises:
         InputError: unknown names, a traction on S or inside, loads that are no vectors.
@@ -74,7 +74,7 @@ class Forces:
         self._form: tuple[fem.FunctionSpace, fem.Form] | None = None  # of the work in a space
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
-        tractions, body_force = ({} if one is None else one for one in (setup.tractions, setup.body_force))
+        tractions, body_force = ({} if loads is None else loads for loads in (setup.tractions, setup.body_force))
         require(isinstance(tractions, Mapping), "tractions", tractions, "give {name: traction}")
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
@@ -90,10 +90,10 @@ class Forces:
             what = f"body force in {name!r}"
             require(not isinstance(load, Pressure), what, load, "there is no normal inside a body; give a vector")
             self._add(what, load, dx(domain.cell_values(name)))
-        for one in setup.loads:
-            self.user_loads[f"{one.what}, {len(self.user_loads)}"] = one
-            for density, measure in points.terms(one):  # whole forces: their measures have no factor
-                self.add_weighted("", one.what, density, LoadRegion(measure, 1))
+        for concentrated_load in setup.loads:
+            self.user_loads[f"{concentrated_load.what}, {len(self.user_loads)}"] = concentrated_load
+            for density, measure in points.terms(concentrated_load):  # whole forces: their measures have no factor
+                self.add_weighted("", concentrated_load.what, density, LoadRegion(measure, 1))
         self._everywhere = dx
 
     def add_layer(self, name: str, load: Load, place: LoadRegion, at: Coordinates) -> None:
@@ -151,9 +151,9 @@ class Forces:
             return 0.0
         joint, sheet = band.base, Sheet(band.base)
         ends = sheet.rim[sheet.rim.on(joint.facets[whole])]
-        beside = [side for side in joint.surface_cells[sheet.parts[0][ends.simplex]].T if (side >= 0).all()]
-        loaded = [joint.regions.index(one) for one in ([region] if region else joint.bodies)]
-        covered = [np.isin(joint.region[side], loaded) for side in beside]
+        sides = [side for side in joint.surface_cells[sheet.parts[0][ends.simplex]].T if (side >= 0).all()]
+        loaded = [joint.regions.index(body) for body in ([region] if region else joint.bodies)]
+        covered = [np.isin(joint.region[side], loaded) for side in sides]
         if any(some.any() and not some.all() for some in covered):
             less = "which carries no part of it; the load is smaller than the interface model's"
             what = f"traction on {name!r}: other bodies than {region!r} end at the layer's side too, {less}"
@@ -163,15 +163,15 @@ class Forces:
     def work(self, v: Expr, *, layers: bool = False) -> Expr:
         """Virtual work of the loads, or of those on layers alone, a UFL form linear in v that reads the clock."""
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
-        loads = [one for one in self._loads if one[3] or not layers]
-        return sum((ufl.inner(load, one.mean(v)) * one.measure for _, load, one, _ in loads), form)
+        loads = [entry for entry in self._loads if entry[3] or not layers]
+        return sum((ufl.inner(load, region.mean(v)) * region.measure for _, load, region, _ in loads), form)
 
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
         """Virtual work of what goes to rigid bases by itself, in motions v that move them, by seam; see `work`."""
         works: dict[str, Expr] = {}
-        for _, load, one, name in self._loads:
-            if one.base_test:
-                works[name] = works.get(name, ufl.Form([])) + ufl.inner(load, one.base_test(v)) * one.measure
+        for _, load, region, name in self._loads:
+            if region.base_test:
+                works[name] = works.get(name, ufl.Form([])) + ufl.inner(load, region.base_test(v)) * region.measure
         return works
 
     def nodal_at(self, V: fem.FunctionSpace, t: float, *, layers: bool = False) -> PETSc.Vec:
@@ -193,9 +193,9 @@ class Forces:
     def _not_finite(self, t: float) -> list[str]:
         """The loads that are not finite at a time. Collective."""
         names = []
-        for what, load, one, _ in self._loads:
+        for what, load, region, _ in self._loads:
             with self.at.clock.at(t):
-                total = fem.assemble_scalar(compiled(ufl.inner(load, load) * one.measure))
+                total = fem.assemble_scalar(compiled(ufl.inner(load, load) * region.measure))
             if self.domain.comm.allreduce(int(not np.isfinite(total))):
                 names.append(what)
         return names

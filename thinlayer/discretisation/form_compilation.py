@@ -62,12 +62,12 @@ def whole_structure_form(form: Any, model: Any, what: str = "a form") -> ufl.For
         if any(isinstance(tag, bool) for tag in asked):
             raise InputError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
         data = form.subdomain_data()[integral.ufl_domain()][kind]
-        present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(one, kind, model) for one in data)))
+        present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(item, kind, model) for item in data)))
         missing = [str(tag) for tag in asked if tag not in set[Any]().union(*present)]
         if missing:
             where = f"{name}({', '.join(missing)})"
-            known = TAGS_OF_INTEGRAL.get(name, TAGS_OF_INTEGRAL["ds"])
-            raise InputError(f"{what} integrates over {where}, which is nothing here; tags: {known}")
+            tags = TAGS_OF_INTEGRAL.get(name, TAGS_OF_INTEGRAL["ds"])
+            raise InputError(f"{what} integrates over {where}, which is nothing here; tags: {tags}")
     factor = model.kinematics.factor
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])
 
@@ -96,10 +96,10 @@ def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     same, across = ufl.inner(u, v), ufl.inner(u("+") + u("-"), v("+") + v("-"))
     parts = {}
-    for one in form.integrals():
-        integrand = across if one.integral_type() == "interior_facet" else same
-        key = one.integral_type(), id(one.subdomain_data()), one.subdomain_id()
-        parts[key] = one.reconstruct(integrand=integrand, metadata={})
+    for integral in form.integrals():
+        integrand = across if integral.integral_type() == "interior_facet" else same
+        key = integral.integral_type(), id(integral.subdomain_data()), integral.subdomain_id()
+        parts[key] = integral.reconstruct(integrand=integrand, metadata={})
     A = assemble_matrix(compiled(ufl.Form(list(parts.values()))))
     A.zeroEntries()
     return A
@@ -183,12 +183,12 @@ def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
 
     Several of one key are numbered in their order (sublayers from below): "layer 1", "layer 2", ..., "layer BED/1", ...
     """
-    found: dict[str, list[Term]] = {}
+    by_key: dict[str, list[Term]] = {}
     for p in terms:
         if p.law.traits.compiled:
-            found.setdefault(p.key or (BODY_KIND if p.n is None else LAYER_KIND), []).append(p)
+            by_key.setdefault(p.key or (BODY_KIND if p.n is None else LAYER_KIND), []).append(p)
     keys: dict[str, Term] = {}
-    for name, some in found.items():
+    for name, some in by_key.items():
         start = f"{name} " if name in (BODY_KIND, LAYER_KIND) else f"{name}/"
         keys |= {f"{start}{k}" if len(some) > 1 else name: p for k, p in enumerate(some, 1)}
     return keys

@@ -63,12 +63,14 @@ class FullModel(Model):
         gaps, first = self.gaps, () if self._junctions is None else (self._junctions,)
         for name in first:
             require_known("seam", name, self.layers, "junctions")
-        thin = {name: one.thin_layer for name, one in self.layers.items()}
+        thin = {name: seam_layer.thin_layer for name, seam_layer in self.layers.items()}
         eps = {name: layer.eps for name, layer in (thin | gaps).items()}
         if (thickest := max(eps.values(), default=0.0)) > MAX_THICKNESS * self.joint.size:
             sizes = f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}"
             raise InputError(f"{sizes}: their shape is lost in rounding; is eps in the unit of the mesh?")
-        profile, fractions = ({name: getattr(one, of) for name, one in thin.items()} for of in ("profile", "fractions"))
+        profile, fractions = (
+            {name: getattr(layer, of) for name, layer in thin.items()} for of in ("profile", "fractions")
+        )
         shapes: dict[str, Any] = {"profile": profile, "fractions": fractions, "cells_through": self._cells_through}
         shapes |= {"bodies": self._bodies, "junctions": (*first, *thin), "gaps": tuple(gaps)}
         inflated = on_root(self.structure.comm, lambda: inflate(self.joint, eps, **shapes))
@@ -81,7 +83,7 @@ class FullModel(Model):
         """Check each layer by itself."""
         for name in self.bonds:
             raise InputError(f"the seam {name!r} has a Bond, for interface models: make a joint without it")
-        for name in (name for name, given in self.on_seams.items() if given is None):
+        for name in (name for name, layer in self.on_seams.items() if layer is None):
             remedy = "give it a Gap(eps), or use structure.interface"
             raise InputError(f"the seam {name!r} is open, and its width is not known: {remedy}")
         self.require("mesh")
@@ -107,8 +109,8 @@ class FullModel(Model):
     def _layer_terms(self) -> list[forms.Term]:
         mesh, band, n = self.domain.mesh, self._band, director(self.domain)
         terms = []
-        for name, one in self.layers.items():
-            sublayers = law_with_numbers(one.layer, self.kinematics).sublayers
+        for name, seam_layer in self.layers.items():
+            sublayers = law_with_numbers(seam_layer.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 rule = self._rule(self.dx)
                 if law.traits.softens:  # it is run at points that are as dense along S as those there
@@ -120,11 +122,11 @@ class FullModel(Model):
                 law = law if law.traits.compiled else law_with_constants(law, mesh)
                 cells = self.dx(self.domain.cell_values(region, *self._shared(name)), **rule)
                 term = forms.band(law, cells, n, self.kinematics)
-                terms.append(replace(term, key=one.key, prescribed_strain=self.layer_strains[name]))
+                terms.append(replace(term, key=seam_layer.key, prescribed_strain=self.layer_strains[name]))
         return terms
 
-    def _place_of(self, one: SeamLayer) -> LoadRegion:
-        cells = self.dx(self.domain.cell_values(*self._band.of_seam[one.name], *self._shared(one.name)))
+    def _place_of(self, layer: SeamLayer) -> LoadRegion:
+        cells = self.dx(self.domain.cell_values(*self._band.of_seam[layer.name], *self._shared(layer.name)))
         return LoadRegion(cells, self.kinematics.factor)
 
     @property
@@ -160,24 +162,24 @@ class LayerModel(FullModel):
     def __init__(
         self, model: InterfaceModel, layers: Mapping[str, ThinLayer], cells_through: int, at_ends: float | None = None
     ) -> None:
-        given, joint = copy.copy(model.structure), model.joint
+        setup, joint = copy.copy(model.structure), model.joint
         if at_ends is not None:
             require(is_finite(at_ends) and at_ends > 0, "at_ends", at_ends, "allowed: > 0, over the thickness")
             at_ends *= min(float(layer.eps) for layer in layers.values())
-        vars(given).pop("sheet", None)
+        vars(setup).pop("sheet", None)
         seams = {name: seam for name, seam in joint.seams.items() if name in layers}
         if replace(joint, seams=seams).tip is not None and (refused := meeting_layers(joint, seams)):
             raise refused.error()
         # fields on S of divided cells are not those of the model's facets: with other points they are refused
         points = joint.points if at_ends is None else joint.points.copy()
-        given.joint = replace(joint, points=points, seams=seams)
-        given.comm, given.parts, given.loads, given.body_laws, given.eigenstrains = MPI.COMM_SELF, (), (), {}, {}
-        given.tractions = {name: load for name, load in (given.tractions or {}).items() if name.endswith(f"/{LAYER}")}
-        force = given.body_force
-        given.body_force = {k: v for k, v in force.items() if k in (*layers, S)} if isinstance(force, Mapping) else None
+        setup.joint = replace(joint, points=points, seams=seams)
+        setup.comm, setup.parts, setup.loads, setup.body_laws, setup.eigenstrains = MPI.COMM_SELF, (), (), {}, {}
+        setup.tractions = {name: load for name, load in (setup.tractions or {}).items() if name.endswith(f"/{LAYER}")}
+        force = setup.body_force
+        setup.body_force = {k: v for k, v in force.items() if k in (*layers, S)} if isinstance(force, Mapping) else None
         free = [model.applicability[name].free.vertices.ravel() for name in layers]
         self._ends, self._at_ends = joint.points[np.unique(np.concatenate([*free, joint.meetings]))], at_ends
-        super().__init__(given, layers, bodies=model._bodies, cells_through=cells_through, junctions=None)
+        super().__init__(setup, layers, bodies=model._bodies, cells_through=cells_through, junctions=None)
 
     def _checked(self) -> Joint:
         layers = without_bodies(super()._checked())
@@ -195,7 +197,7 @@ class LayerModel(FullModel):
                 return place in layers.facets
             return bool((layers.reference == self.joint.points[self.joint.nearest_point(place)]).all(axis=1).any())
 
-        self.structure.supports = {place: held for place, held in self.structure.supports.items() if has(place)}
+        self.structure.supports = {place: support for place, support in self.structure.supports.items() if has(place)}
         return layers
 
     def require_supported(self) -> None:

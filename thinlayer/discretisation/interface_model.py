@@ -57,20 +57,20 @@ class InterfaceModel(Model):
             return self.joint
         if self.joint.seams_meet:
             raise InputError("bodies='extended': seams meet or branch, where S has no middle; use bodies='kept'")
-        thin = {name: one.thin_layer for name, one in self.layers.items() if one.thin_layer}
+        thin = {name: layer.thin_layer for name, layer in self.layers.items() if layer.thin_layer}
         for name in (name for name in self.joint.seams if name not in thin):
             reason = f"{name!r} has no ThinLayer, so that no thickness tells where bodies are; use bodies='kept'"
             raise InputError(f"bodies='extended' of an interface model: {reason}")
-        eps, profiles = ({name: getattr(one, of) for name, one in thin.items()} for of in ("eps", "profile"))
+        eps, profiles = ({name: getattr(layer, of) for name, layer in thin.items()} for of in ("eps", "profile"))
         joint = with_gaps(self.joint, eps, profile=profiles)
         require_revolution(self.structure.kinematics, joint)
         return joint
 
     def _forces(self, structure: Setup) -> Forces:
         forces = super()._forces(structure)  # raises errors of bad data
-        for one in self.layers.values():
-            if one.thin_layer and one.thin_layer.order == 1:
-                add_side_loads(forces, self, one, self.sides_of(one.name))
+        for layer in self.layers.values():
+            if layer.thin_layer and layer.thin_layer.order == 1:
+                add_side_loads(forces, self, layer, self.sides_of(layer.name))
         return forces
 
     @property
@@ -100,13 +100,13 @@ class InterfaceModel(Model):
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
         return at.moved(at.x + self._middle.offset) if self._middle else at
 
-    def _given_on(self, one: SeamLayer) -> Expr | None:
-        given = one.prescribed_strain(self._coordinates_on(self.coordinates))
-        if given is None or not (self._middle or extract_coefficients(given)):
-            return given
-        sides = self.sides_of(one.name)
-        both = not (self._middle or one.name in self.joint.base_seams)
-        return (sides.upper(given) + sides.lower(given)) / 2 if both else sides.upper(given)
+    def _given_on(self, layer: SeamLayer) -> Expr | None:
+        strain = layer.prescribed_strain(self._coordinates_on(self.coordinates))
+        if strain is None or not (self._middle or extract_coefficients(strain)):
+            return strain
+        sides = self.sides_of(layer.name)
+        both = not (self._middle or layer.name in self.joint.base_seams)
+        return (sides.upper(strain) + sides.lower(strain)) / 2 if both else sides.upper(strain)
 
     @cached_property
     def dS(self) -> ufl.Measure:
@@ -124,13 +124,13 @@ class InterfaceModel(Model):
         joint, to_s = self.joint, self._middle.offset if self._middle else None
         joint.rows_of(name)
         names = tuple(joint.seams) if name == S else (name,)
-        based = [one in joint.base_seams for one in names]
+        based = [seam in joint.base_seams for seam in names]
         if all(based):
             measure = self.ds(self.domain.values(name))
             return Interface.on_rigid_base(measure, self.kinematics, to_s)
         if any(based):
             raise InputError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
-        numbers = tuple(list(joint.seams).index(one) + 1 for one in names)
+        numbers = tuple(list(joint.seams).index(seam) + 1 for seam in names)
         measure = self.dS(numbers if len(numbers) > 1 else numbers[0])
         return Interface.between_bodies(measure, self.kinematics, to_s)
 
@@ -141,27 +141,27 @@ class InterfaceModel(Model):
 
     def _layer_terms(self) -> list[forms.Term]:
         with errors_on_all(self.comm):
-            for name, one in self.layers.items():
-                if self.applicability[name].weights is None and one.thin_layer and one.thin_layer.edges == "free":
-                    self.applicability[name].require("ends", f"edges='free' of {one}: ")
-        return [term for one in self.layers.values() if not one.contact for term in self.terms_of(one)]
+            for name, layer in self.layers.items():
+                if self.applicability[name].weights is None and layer.thin_layer and layer.thin_layer.edges == "free":
+                    self.applicability[name].require("ends", f"edges='free' of {layer}: ")
+        return [term for layer in self.layers.values() if not layer.contact for term in self.terms_of(layer)]
 
     @property
     def remarks(self) -> list[str]:
         """What was chosen at the free ends of layers of order 1."""
         ordered = [
-            known
-            for known in self.applicability.values()
-            if known.seam_layer.thin_layer and known.seam_layer.thin_layer.order
+            reduction
+            for reduction in self.applicability.values()
+            if reduction.seam_layer.thin_layer and reduction.seam_layer.thin_layer.order
         ]
-        return [f"free ends of {known.seam_layer}: {known.known_ends}" for known in ordered]
+        return [f"free ends of {reduction.seam_layer}: {reduction.known_ends}" for reduction in ordered]
 
     def shifts(self) -> FloatArray | None:
         """As in `Model`: by layers of order 1, whose law knows that faces stand apart, between bodies that meet on S."""
         eps = np.zeros(len(self.joint.surface_rows))
-        for one in self.layers.values():
-            if one.thin_layer and one.thin_layer.order:
-                eps[one.sheet.facets] = np.nan if one.thin_layer.profile else float(one.thin_layer.eps)
+        for layer in self.layers.values():
+            if layer.thin_layer and layer.thin_layer.order:
+                eps[layer.sheet.facets] = np.nan if layer.thin_layer.profile else float(layer.thin_layer.eps)
         if self._middle or not eps.any() or np.isnan(eps).any():
             return None
         try:
@@ -178,9 +178,9 @@ class InterfaceModel(Model):
         require_known("layer", name, self.applicability)
         return self.applicability[name].why_not("ends")
 
-    def terms_of(self, one: SeamLayer) -> list[forms.Term]:
+    def terms_of(self, layer: SeamLayer) -> list[forms.Term]:
         """The terms of a layer without contact on its seam."""
-        mesh, law, sides = self.domain.mesh, law_with_numbers(one.layer, self.kinematics), self.sides_of(one.name)
+        mesh, law, sides = self.domain.mesh, law_with_numbers(layer.layer, self.kinematics), self.sides_of(layer.name)
         measure = sides.measure.reconstruct(**self._rule(sides.measure))
         if self._middle:  # whose slopes and lengths UFL takes for functions of a high degree
             degree = quadrature_degree(self.V, measure) + self.kinematics.degree
@@ -188,50 +188,50 @@ class InterfaceModel(Model):
         sides = replace(
             sides,
             measure=measure,
-            law_on_surface=partial(_law_on_surface, self.domain, self.joint, one.name, sides.upper),
+            law_on_surface=partial(_law_on_surface, self.domain, self.joint, layer.name, sides.upper),
         )
-        if one.thin_layer is None:
+        if layer.thin_layer is None:
             terms = [forms.jump_terms(law, sides)]
         else:
-            eps = self._thickness(one, sides)
-            slope = self._middle.slope(sides) if self._middle and one.thin_layer.profile else None
-            weights = self.applicability[one.name].weights
+            eps = self._thickness(layer, sides)
+            slope = self._middle.slope(sides) if self._middle and layer.thin_layer.profile else None
+            weights = self.applicability[layer.name].weights
             ends = weights.expressions(self.domain, sides) if weights else None
             if ends is not None:
                 finer = {"quadrature_degree": quadrature_degree(self.V, measure) + END_DEGREE_INCREASE}
                 sides = replace(sides, measure=measure.reconstruct(metadata=finer))
-            terms = forms.surface(law, sides, eps, one.thin_layer.order, self.layer_strains[one.name], slope, ends)
-        return [replace(term, key=one.key, law=law_of_terms(term.law, mesh)) for term in terms]
+            terms = forms.surface(law, sides, eps, layer.thin_layer.order, self.layer_strains[layer.name], slope, ends)
+        return [replace(term, key=layer.key, law=law_of_terms(term.law, mesh)) for term in terms]
 
-    def _thickness(self, one: SeamLayer, sides: Interface) -> Expr:
+    def _thickness(self, layer: SeamLayer, sides: Interface) -> Expr:
         if self._middle:
             return self._middle.thickness(sides)
-        eps: Expr = fem.Constant(self.domain.mesh, float(one.thin_layer.eps))
-        if one.thin_layer.profile is None:
+        eps: Expr = fem.Constant(self.domain.mesh, float(layer.thin_layer.eps))
+        if layer.thin_layer.profile is None:
             return eps
-        return eps * sides.upper(relative_thickness(self.domain, one.thin_layer.profile, one.name))
+        return eps * sides.upper(relative_thickness(self.domain, layer.thin_layer.profile, layer.name))
 
     def _data(self) -> dict[str, Any]:
-        known = [name for name, reduction in self.applicability.items() if reduction.weights]
-        return super()._data() | ({"free ends": known} if known else {})
+        names = [name for name, reduction in self.applicability.items() if reduction.weights]
+        return super()._data() | ({"free ends": names} if names else {})
 
-    def _place_of(self, one: SeamLayer) -> LoadRegion:
+    def _place_of(self, layer: SeamLayer) -> LoadRegion:
         """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""
-        sides = self.sides_of(one.name)
+        sides = self.sides_of(layer.name)
 
         def on_base(v: Expr) -> Expr:  # which moves as at the facets of the body above it, and as these turn
             return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.offset) if self._middle else v) / 2
 
-        based = on_base if one.name in self.joint.base_seams else None
-        weight = self._thickness(one, sides) * sides.factor
+        based = on_base if layer.name in self.joint.base_seams else None
+        weight = self._thickness(layer, sides) * sides.factor
         return LoadRegion(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, based)
 
 
 def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:
     """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
     on_s, vertices = {}, np.unique(joint.table.vertices[joint.rows_of(name)])
-    for key, found in law.fields_at(joint.points[vertices].T).items():
-        values = np.full(len(joint.points), found[0])  # elsewhere without meaning
-        values[vertices] = found
+    for key, vertex_values in law.fields_at(joint.points[vertices].T).items():
+        values = np.full(len(joint.points), vertex_values[0])  # elsewhere without meaning
+        values[vertices] = vertex_values
         on_s[key] = upper(cellwise_function(domain, ("Lagrange", 1), values[joint.corners][..., None]))
     return law_with_expressions(law, domain.mesh, on_s)

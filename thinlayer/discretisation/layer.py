@@ -84,8 +84,8 @@ class ThinLayer:
         _check_thickness("layer's thickness eps", self.eps)
         if self.at is not None:
             _check_thickness("thickness at which the law's parameters hold, at,", self.at)
-        known = is_number(self.order) and self.order in (0, 1)
-        require(known, "the order of the interface law", self.order, "allowed: 0, 1")
+        is_valid = is_number(self.order) and self.order in (0, 1)
+        require(is_valid, "the order of the interface law", self.order, "allowed: 0, 1")
         object.__setattr__(self, "order", int(self.order))
         if self.order == 1:
             self.law.stations()  # raises errors of laws without one of order 1
@@ -172,7 +172,9 @@ class InitialTangents:
 
     def __init__(self, law: BulkLaw, n: Array) -> None:
         self.law, self.n, self._over = law, n, dict[float, list[Array | None]]()
-        self.sublayers = [(share, one, declared_or_computed_tangent(one, n)) for share, one in law.sublayers]
+        self.sublayers = [
+            (share, material, declared_or_computed_tangent(material, n)) for share, material in law.sublayers
+        ]
 
     def over(self, dt: float) -> list[Array | None]:
         """Tangents of the sublayers under loads that have lasted dt > 0; None: it is not known, or that at rest."""
@@ -299,8 +301,8 @@ class SeamLayer:
     @property
     def profile(self) -> Any:
         """Description of the profile, as JSON; None: the thickness is uniform."""
-        given = self.thin_layer.profile if self.thin_layer else None
-        return describe(self.structure.joint.relative_thickness(given, self.name)) if given else None
+        profile = self.thin_layer.profile if self.thin_layer else None
+        return describe(self.structure.joint.relative_thickness(profile, self.name)) if profile else None
 
     @property
     def shape(self) -> tuple[Any, ...]:
@@ -318,13 +320,13 @@ class SeamLayer:
         }
 
 
-def loads_of_layers(given: Any, joint: Joint, layers: Mapping[str, SeamLayer], bonds: Sequence[str]) -> dict[str, Load]:
+def loads_of_layers(force: Any, joint: Joint, layers: Mapping[str, SeamLayer], bonds: Sequence[str]) -> dict[str, Load]:
     """Name of a seam -> force per volume of its layer, among the body forces as given; a bond leaves it out.
 
     Raises:
         InputError: a load of a seam without a layer that has a thickness.
     """
-    named = given if isinstance(given, Mapping) else {}
+    named = force if isinstance(force, Mapping) else {}
     loads = [(seam, named[name]) for name in named for seam in joint.seams if name in (S, seam) and seam not in bonds]
     for seam, _ in loads:
         if seam not in layers or not layers[seam].thin_layer:

@@ -67,7 +67,7 @@ class MidSurface:
         domain: the mesh.
 
     Attributes:
-        to_s: (d,) how far S is from the places of its facets, on either side.
+        offset: (d,) how far S is from the places of its facets, on either side.
     """
 
     def __init__(self, domain: Domain) -> None:
@@ -93,16 +93,16 @@ def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Fun
         InputError: it is not known at a place; `what` are the first words.
     """
     degree = min(2, f.function_space.element.basix_element.degree)
-    own = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
-    places = places_in_cells(own.function_space, x)
+    interpolant = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
+    places = places_in_cells(interpolant.function_space, x)
     places = (places + INWARD_SHARE * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
     values = _values(f, places)
     missing = communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1])
     if any(map(len, missing)):
         first = place_text(np.concatenate(missing)[0])
         raise InputError(f"{what}: a function is unknown at {first}; its mesh must cover all")
-    own.x.array.reshape(values.shape)[np.asarray(own.function_space.dofmap.list).ravel()] = values
-    return own
+    interpolant.x.array.reshape(values.shape)[np.asarray(interpolant.function_space.dofmap.list).ravel()] = values
+    return interpolant
 
 
 def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
@@ -205,17 +205,17 @@ def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace
     used = np.zeros(len(keys), np.int64)
     used[unknowns.of_cells[:n_cells]] = 1
     owner = ask(comm, meeting, np.column_stack([keys, used]), lambda q, src: _elect_owners(q, src, rank))
-    own = owner == rank
-    n_own = int(own.sum())
+    owned = owner == rank
+    n_own = int(owned.sum())
     first = comm.exscan(n_own) or 0
     number = np.full(len(keys), -1, np.int64)
-    number[own] = first + np.arange(n_own)
-    order = np.argsort(keys[own])
-    known, numbers = keys[own][order], number[own][order]
-    foreign = ~own
-    number[foreign] = ask(comm, owner[foreign], keys[foreign], lambda q, _: numbers[np.searchsorted(known, q)])
+    number[owned] = first + np.arange(n_own)
+    order = np.argsort(keys[owned])
+    owned_keys, numbers = keys[owned][order], number[owned][order]
+    foreign = ~owned
+    number[foreign] = ask(comm, owner[foreign], keys[foreign], lambda q, _: numbers[np.searchsorted(owned_keys, q)])
     local = np.empty(len(keys), np.int32)
-    local[own] = np.arange(n_own)
+    local[owned] = np.arange(n_own)
     local[foreign] = n_own + np.arange(len(keys) - n_own)
     return space_with_dofmap(whole, local[unknowns.of_cells], index_map(comm, n_own, number[foreign], owner[foreign]))
 
@@ -251,7 +251,7 @@ def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fe
     used = [any(map(len, of_dim)) for of_dim in element.basix_element.entity_dofs]
     none = np.empty((0, 0), np.int64)
     of_cells = [(cut.components(k) if k else cut.of_vertices) if used[k] else None for k in range(dim)]
-    components = [none if found is None else domain.on_cells(found) for found in of_cells]
+    components = [none if numbers is None else domain.on_cells(numbers) for numbers in of_cells]
     return broken_space(comm, SharedDofs.of_components(comm, mesh, element, components))
 
 

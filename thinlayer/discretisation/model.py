@@ -105,7 +105,7 @@ class Model(ABC):
             Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
         bodies, layer_terms: terms of the laws of the bodies and of the layer, with given strains that may depend on the
             time; `State.bodies` and `State.layers` are those at the time of a state.
-        given, given_on: name of a body, and of a seam -> the strain (3, 3) that is added there to that of the
+        body_strains, layer_strains: name of a body, and of a seam -> the strain (3, 3) that is added there to that of the
             displacements, minus the eigenstrain; None: there is none.
         supports: prescribed displacements.
         prescribed: the same as conditions at the nodes of V.
@@ -146,7 +146,7 @@ class Model(ABC):
         with errors_on_all(self.comm):
             self.supports = self._supports(structure.supports)
             self.body_strains = {name: self._given(name) for name in self.body_laws}
-            self.layer_strains = {name: self._given_on(one) for name, one in self.layers.items()}
+            self.layer_strains = {name: self._given_on(seam_layer) for name, seam_layer in self.layers.items()}
             if not (structure.strain is None and structure.stress is None):
                 self.require("mean strain")
             strain, stress = structure.strain, structure.stress
@@ -185,10 +185,12 @@ class Model(ABC):
         structure = self.structure
         with errors_on_all(structure.comm):
             self.on_seams: dict[str, SeamContent] = value_by_seam(self.joint, layer, "layer")
-            layers = {name: one for name, one in self.on_seams.items() if not isinstance(one, Gap | Bond | None)}
-            self.layers = {name: SeamLayer(name, one, structure) for name, one in layers.items()}
-            self.contacts = {name: one.contact for name, one in self.layers.items() if one.contact}
-            self.applicability = {name: Applicability(one, self._bodies) for name, one in self.layers.items()}
+            layers = {name: value for name, value in self.on_seams.items() if not isinstance(value, Gap | Bond | None)}
+            self.layers = {name: SeamLayer(name, content, structure) for name, content in layers.items()}
+            self.contacts = {name: seam_layer.contact for name, seam_layer in self.layers.items() if seam_layer.contact}
+            self.applicability = {
+                name: Applicability(seam_layer, self._bodies) for name, seam_layer in self.layers.items()
+            }
             checked = check()
         self.mark = structure.mark + require_same(structure.comm, model=self.name, layer=layer, options=self._options)
         return checked
@@ -199,29 +201,29 @@ class Model(ABC):
         body = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
         return prescribed_strain(self.structure.eigenstrains.get(name), body)
 
-    def _given_on(self, one: SeamLayer) -> Expr | None:
+    def _given_on(self, layer: SeamLayer) -> Expr | None:
         """The strain that is added to that of the displacements in a layer."""
-        return one.prescribed_strain(self.coordinates)
+        return layer.prescribed_strain(self.coordinates)
 
     def _alike(self) -> list[list[str]]:
         """Names of the bodies, those of one law and one eigenstrain together."""
-        found: dict[tuple[int, int], list[str]] = {}
+        groups: dict[tuple[int, int], list[str]] = {}
         for name, law in self.body_laws.items():
-            found.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
-        return [*found.values()]
+            groups.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
+        return [*groups.values()]
 
     def _body_terms(self, names: Sequence[str]) -> list[forms.Term]:
         """Terms of bodies with one law and one eigenstrain: one if they are parts of forms, else one a body, with a key."""
-        law, given = self.kinematics.law(self.body_laws[names[0]]), self.body_strains[names[0]]
+        law, strain = self.kinematics.law(self.body_laws[names[0]]), self.body_strains[names[0]]
         if not law.traits.compiled:
             law, some = law_with_constants(law, self.domain.mesh), {"": names}
         else:
             some = {f"{BODY_KIND} {name}": (name,) for name in names}
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         volume = self.volume_degree(law)
-        each = {key: forms.body(law, one, self.kinematics, volume) for key, one in cells.items()}
+        each = {key: forms.body(law, measure, self.kinematics, volume) for key, measure in cells.items()}
         return [
-            checked_term(replace(term, key=key, prescribed_strain=given), self.V, self.origin)
+            checked_term(replace(term, key=key, prescribed_strain=strain), self.V, self.origin)
             for key, term in each.items()
         ]
 
@@ -229,8 +231,8 @@ class Model(ABC):
         terms = [checked_term(term, self.V, self.origin) for term in self._layer_terms()]
         return terms if self.broken else self._strained(terms)
 
-    def _supports(self, given: ByPlace) -> Supports:
-        return Supports(self.domain, given, self.coordinates.detached, self._clamped, self.kinematics)
+    def _supports(self, supports: ByPlace) -> Supports:
+        return Supports(self.domain, supports, self.coordinates.detached, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
     def _forces(self, structure: Setup) -> Forces:
@@ -246,7 +248,7 @@ class Model(ABC):
         return at
 
     @abstractmethod
-    def _place_of(self, one: SeamLayer) -> LoadRegion:
+    def _place_of(self, layer: SeamLayer) -> LoadRegion:
         """Where a layer's volume is."""
 
     @property
@@ -262,12 +264,12 @@ class Model(ABC):
     @property
     def bonds(self) -> tuple[str, ...]:
         """Names of the seams whose bodies are bonded."""
-        return tuple(name for name, given in self.on_seams.items() if isinstance(given, Bond))
+        return tuple(name for name, content in self.on_seams.items() if isinstance(content, Bond))
 
     @property
     def gaps(self) -> dict[str, Gap]:
         """Name of a seam -> its gap, of those that have some width."""
-        return {name: given for name, given in self.on_seams.items() if isinstance(given, Gap)}
+        return {name: content for name, content in self.on_seams.items() if isinstance(content, Gap)}
 
     @abstractmethod
     def _checked(self) -> Joint:
@@ -300,7 +302,7 @@ class Model(ABC):
         """This copy of another model, with its layers. Collective."""
         self._lay(layer, partial(self._check_beside, other))
         with errors_on_all(self.comm):
-            self.layer_strains = {name: self._given_on(one) for name, one in self.layers.items()}
+            self.layer_strains = {name: self._given_on(seam_layer) for name, seam_layer in self.layers.items()}
         self.layer_terms = self._terms_of_layers()
         with errors_on_all(self.comm):
             self.forces = self._forces(self.structure)
@@ -322,7 +324,7 @@ class Model(ABC):
         count = 2 if self.broken else 3  # sublayers have cells in meshed layers alone
         needed, made = (
             {name: ("a gap", gap.eps) for name, gap in model.gaps.items()}
-            | {name: one.shape[:count] for name, one in model.layers.items()}
+            | {name: layer.shape[:count] for name, layer in model.layers.items()}
             for model in (self, other)
         )
         for name in (name for name in needed if needed[name] != made.get(name)):
@@ -349,19 +351,19 @@ class Model(ABC):
         changed: dict[str, Any] = {"tractions": tractions, "body_force": body_force, "supports": supports}
         with errors_on_all(self.comm):
             changed["loads"] = None if loads is None else check_loads(loads)
-        given = {name: value for name, value in changed.items() if value is not None}
+        updates = {name: value for name, value in changed.items() if value is not None}
         new = self._derived()
         new.said = set()
-        new.structure = structure = self.structure.with_loads(given)
+        new.structure = structure = self.structure.with_loads(updates)
         new.mark = digest([self.mark, structure.mark])
         with errors_on_all(self.comm):
             if supports is not None:
                 new.supports = self._supports(supports)
                 new.supports.anchored = self.supports.anchored
                 both = self.supports, new.supports
-                own, other = ([(place, sorted(given)) for place, given in one.entries] for one in both)
-                if own != other:
-                    raise InputError(f"supports hold {other}, those of the model {own}; build another structure")
+                expected, other = ([(place, sorted(components)) for place, components in bcs.entries] for bcs in both)
+                if expected != other:
+                    raise InputError(f"supports hold {other}, those of the model {expected}; build another structure")
             new.forces = new._forces(structure)
         if supports is not None:
             new.constraints = new._constrained()
@@ -469,15 +471,17 @@ class Model(ABC):
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Sums of values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
-        return {name: sum(value for key, value in values.items() if one.owns_key(key)) for name, one in several.items()}
+        return {
+            name: sum(value for key, value in values.items() if layer.owns_key(key)) for name, layer in several.items()
+        }
 
     def bc_dofs_in(self, V: fem.FunctionSpace) -> Indices:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which supports and plates act. Collective.
 
         Without those that a rigid base holds.
         """
-        found = [part.bc_dofs_in(self, V) for part in self.parts]
-        return np.unique(np.concatenate([self.supports.bc_dofs_in(V, clamped=False), *found]))
+        part_dofs = [part.bc_dofs_in(self, V) for part in self.parts]
+        return np.unique(np.concatenate([self.supports.bc_dofs_in(V, clamped=False), *part_dofs]))
 
     def holder_rows(self, place: Place) -> list[int]:
         """Numbers of the rows of `holders` that are a place, or parts of it."""
@@ -511,8 +515,8 @@ class Model(ABC):
     @property
     def break_times(self) -> set[float]:
         """The break times of all loads, supports and temperatures of the model."""
-        given = (self.coordinates, self.forces.at, self.supports.at)
-        return set().union(*(at.breaks for at in given), *(p.law.break_times for p in self.terms))
+        coordinates = (self.coordinates, self.forces.at, self.supports.at)
+        return set().union(*(at.breaks for at in coordinates), *(p.law.break_times for p in self.terms))
 
     def external_work(self, v: Expr, t: float) -> Expr:
         """Virtual work of the loads at a fixed time, a UFL form linear in v."""
@@ -545,11 +549,11 @@ class Model(ABC):
     def _data(self) -> dict[str, Any]:
         return {
             "plane": self.plane,
-            "law": {name: describe(one.law) for name, one in self.layers.items()},
+            "law": {name: describe(layer.law) for name, layer in self.layers.items()},
             "bodies": {name: describe(law) for name, law in self.body_laws.items()},
-            "layers": {name: one.identity() for name, one in self.layers.items()},
+            "layers": {name: layer.identity() for name, layer in self.layers.items()},
             **({"bonds": list(self.bonds)} if self.bonds else {}),
-            "supports": [[str(place), describe(given)] for place, given in self.supports.entries],
+            "supports": [[str(place), describe(components)] for place, components in self.supports.entries],
             "loads": describe(self.forces.user_loads),
             "parts": describe(list(self.parts)),
             **({"strain": describe(self.structure.strain)} if self.strain else {}),

@@ -128,11 +128,11 @@ class PartDefinition:
 
         By default that of the resultants of what it ties.
         """
-        found, constraints = 0.0, model.constraints
+        work, constraints = 0.0, model.constraints
         for tie in constraints.mpcs:
             if tie.key == self.key:
-                found += float(tie.resultant(state.t) @ constraints.motion(tie, state.u.x.array[: constraints.n]))
-        return found
+                work += float(tie.resultant(state.t) @ constraints.motion(tie, state.u.x.array[: constraints.n]))
+        return work
 
     def part(self, model: HostModel) -> Any:
         """The part, a `thinlayer.parts.part.Part` with this key; None: it has no forces. Collective."""

@@ -160,10 +160,10 @@ ConcentratedLoad = PointLoad | LineLoad
 def check_loads(loads: Any) -> tuple[ConcentratedLoad, ...]:
     """Loads as a tuple; raises InputError if one of them is none."""
     require(isinstance(loads, Iterable) and not isinstance(loads, str), "loads", loads, "it must be a list of loads")
-    given = tuple(loads)
-    for one in given:
-        require(isinstance(one, ConcentratedLoad), "one of loads", one, "allowed: PointLoad, LineLoad")
-    return given
+    checked = tuple(loads)
+    for load in checked:
+        require(isinstance(load, ConcentratedLoad), "one of loads", load, "allowed: PointLoad, LineLoad")
+    return checked
 
 
 class ConcentratedForms:
@@ -191,7 +191,7 @@ class ConcentratedForms:
 
     def terms(self, load: ConcentratedLoad) -> list[tuple[Expr, ufl.Measure]]:
         """Pairs of a load per volume (d,) and a measure. Collective."""
-        nodes, d, joint, found = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
+        nodes, d, joint, terms = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
         lengths = np.ones(nodes.points.shape[:2])
         if nodes.along is not None:
             lengths = np.linalg.norm(nodes.in_space(self.joint, joint.cell_points)[1], axis=2)
@@ -203,13 +203,13 @@ class ConcentratedForms:
         bodies = self._dx(self.domain.cell_values(*self.joint.bodies))
         parts = [(r, slice(j, j + 1)) for r in _disjoint_groups(nodes.cells) for j in range(lengths.shape[1])]
         for some, column in parts if split else [(np.arange(len(nodes.cells)), slice(None))]:
-            one = LoadNodes(nodes.cells[some], nodes.points[some, column])
-            g = cellwise_function(self.domain, self._ufl, self._densities(one, lengths[some, column])) / self._jacobian
+            part = LoadNodes(nodes.cells[some], nodes.points[some, column])
+            g = cellwise_function(self.domain, self._ufl, self._densities(part, lengths[some, column])) / self._jacobian
             places = np.zeros((len(joint.cells), 1, d))
-            places[one.cells] = x[some, column][:, :1]
+            places[part.cells] = x[some, column][:, :1]
             at = self.at.moved(cellwise_function(self.domain, ("DG", 0, (d,)), places)) if split else self.at
-            found.append((at.coefficient(load.force, load.what, (d,)).expression * g, bodies))
-        return found
+            terms.append((at.coefficient(load.force, load.what, (d,)).expression * g, bodies))
+        return terms
 
     def _densities(self, nodes: LoadNodes, weights: Array) -> Array:
         """(n_cells, m, 1) degrees of freedom of g times weights (n, k), summed over the nodes of each cell."""

@@ -39,7 +39,7 @@ class MeanStrain:
     """A mean strain as a function of time.
 
     Args:
-        given: (d, d) symmetric numbers, or a function (x, t) that returns them and does not depend on x.
+        value: (d, d) symmetric numbers, or a function (x, t) that returns them and does not depend on x.
         at: coordinates and time.
         joint: the periodic joint.
 
@@ -52,11 +52,11 @@ class MeanStrain:
 
     what: ClassVar[str] = "the mean strain"
 
-    def __init__(self, given: Strain, at: Coordinates, joint: Joint) -> None:
+    def __init__(self, value: Strain, at: Coordinates, joint: Joint) -> None:
         if joint.periods is None:
             raise InputError(f"{self.what} is for a periodic cell, and this joint is none; see geometry.periodic")
         self._dim = d = joint.dim
-        self._given, self.size = at.coefficient(given, self.what, (d, d)).once("the whole cell"), joint.size
+        self._given, self.size = at.coefficient(value, self.what, (d, d)).once("the whole cell"), joint.size
         if not self._given.varies:
             self.at(0.0)
 
@@ -81,8 +81,8 @@ class MeanStress(MeanStrain):
 
     what = "the mean stress"
 
-    def __init__(self, given: Strain, at: Coordinates, joint: Any, bodies: Sequence[Term]) -> None:
-        super().__init__(given, at, joint)
+    def __init__(self, value: Strain, at: Coordinates, joint: Any, bodies: Sequence[Term]) -> None:
+        super().__init__(value, at, joint)
         d = joint.dim
         if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < d:
             raise InputError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
@@ -132,10 +132,10 @@ class EigenstrainContext:
             InputError: another shape, components that are no finite numbers, or a table that is not symmetric.
         """
         what, d = f"{what} of {self.name}", len(self.n)
-        given = self.at.coefficient(value, what, (), (d, d), (3, 3))
-        if not given.shape:
-            return [[given.components[()] if i == j else 0.0 for j in range(3)] for i in range(3)]
-        rows: Rows = given.components.tolist()
+        coefficient = self.at.coefficient(value, what, (), (d, d), (3, 3))
+        if not coefficient.shape:
+            return [[coefficient.components[()] if i == j else 0.0 for j in range(3)] for i in range(3)]
+        rows: Rows = coefficient.components.tolist()
         require_symmetric(rows, what)
         return rows
 
@@ -199,8 +199,8 @@ class ThermalExpansion(Eigenstrain):
         require(alpha is not None, "alpha", self.alpha, "allowed: a finite number, three, or a symmetric (3, 3)")
         if np.ndim(self.alpha) == 2:
             require_symmetric(np.array(self.alpha, float).tolist(), "alpha")
-        for name, given in (("the change of temperature T", self.T), ("factor", self.factor)):
-            require(callable(given) or is_finite(given), name, given, "allowed: a finite number or a function (x, t)")
+        for name, value in (("the change of temperature T", self.T), ("factor", self.factor)):
+            require(callable(value) or is_finite(value), name, value, "allowed: a finite number or a function (x, t)")
 
     def components(self, matter: EigenstrainContext) -> Rows:
         """As in `Eigenstrain`."""
@@ -238,11 +238,11 @@ class Prestress(Eigenstrain):
             raise InputError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
         slots = [slot for slot, (_, j) in enumerate(MANDEL_PAIRS) if j < len(sigma)]
         pairs = [(*MANDEL_PAIRS[slot], 1.0 if slot < 3 else SQRT2) for slot in slots]
-        found: Rows = [[0.0] * 3 for _ in range(3)]
+        strain: Rows = [[0.0] * 3 for _ in range(3)]
         for row, (i, j, scale) in zip(self._compliance(matter, slots), pairs, strict=True):
             summands = [-float(c) * s / scale * sigma[k][m] for c, (k, m, s) in zip(row, pairs, strict=True) if c]
-            found[i][j] = found[j][i] = sum(summands, 0.0)
-        return found
+            strain[i][j] = strain[j][i] = sum(summands, 0.0)
+        return strain
 
     def _compliance(self, matter: EigenstrainContext, slots: Sequence[int]) -> Array:
         """Strains per stress in some Mandel components, the others of the strain being zero."""
@@ -265,44 +265,44 @@ class Prestress(Eigenstrain):
         sizes = np.linalg.svd(C, compute_uv=False)
         if sizes[-1] <= SINGULARITY_TOLERANCE * sizes[0]:
             raise refused(f"no strain of {type(law).__name__} causes some stresses")
-        found = np.asarray(np.linalg.inv(C))
+        compliance = np.asarray(np.linalg.inv(C))
         if law.traits.constrained and not law.volume_compliance:
             volume = np.array(slots) < 3  # the pressure bears what would change it
             shear = np.eye(len(slots)) - np.outer(volume, volume) / volume.sum()
-            found = shear @ found @ shear
-        return found
+            compliance = shear @ compliance @ shear
+        return compliance
 
 
 EigenstrainInput = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
 
 
-def eigenstrains(given: Any) -> list[Eigenstrain]:
+def eigenstrains(eigenstrain: Any) -> list[Eigenstrain]:
     """What a user gives as eigenstrain, one or a list of several that add up; a table of numbers is one."""
-    if isinstance(given, Eigenstrain):
-        return [given]
-    if isinstance(given, (list, tuple)) and not _is_table(given):
+    if isinstance(eigenstrain, Eigenstrain):
+        return [eigenstrain]
+    if isinstance(eigenstrain, (list, tuple)) and not _is_table(eigenstrain):
         allowed = "a number, a table, a function (x, t), ThermalExpansion, Prestress, a list of these that add up"
-        require(not all(map(is_number, given)), "the eigenstrain", given, f"allowed: {allowed}")
-        return [found for one in given for found in eigenstrains(one)]
-    return [PrescribedEigenstrain(given)]
+        require(not all(map(is_number, eigenstrain)), "the eigenstrain", eigenstrain, f"allowed: {allowed}")
+        return [strain for summand in eigenstrain for strain in eigenstrains(summand)]
+    return [PrescribedEigenstrain(eigenstrain)]
 
 
-def _is_table(given: Sequence[Any]) -> bool:
+def _is_table(rows: Sequence[Any]) -> bool:
     """Whether a list is one of rows of numbers."""
-    return bool(given) and all(isinstance(row, (list, tuple, np.ndarray)) and np.ndim(row[0]) == 0 for row in given)
+    return bool(rows) and all(isinstance(row, (list, tuple, np.ndarray)) and np.ndim(row[0]) == 0 for row in rows)
 
 
-def prescribed_strain(given: Any, matter: EigenstrainContext) -> Expr | None:
+def prescribed_strain(eigenstrain: Any, matter: EigenstrainContext) -> Expr | None:
     """Minus the eigenstrain, (3, 3) UFL, which is added to the strain of the displacements; None: it is zero.
 
     Raises:
         InputError: an eigenstrain that is none, or not of this body or layer.
     """
-    if given is None:
+    if eigenstrain is None:
         return None
-    strains = (_negative_tensor(one.components(matter), matter) for one in eigenstrains(given))
-    found = matter.kinematics.restricted(sum_strains(*strains))
-    return None if all(isinstance(found[i, j], ufl.classes.Zero) for i in range(3) for j in range(3)) else found
+    strains = (_negative_tensor(summand.components(matter), matter) for summand in eigenstrains(eigenstrain))
+    strain = matter.kinematics.restricted(sum_strains(*strains))
+    return None if all(isinstance(strain[i, j], ufl.classes.Zero) for i in range(3) for j in range(3)) else strain
 
 
 class VaryingStrainIntegrals:

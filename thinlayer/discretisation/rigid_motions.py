@@ -55,10 +55,10 @@ def motion_fields(x: npt.NDArray[Any], about: Array) -> Array:
 
 def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
     """(k,) 1 for the motions of `motion_fields` in which forces have a resultant, 0 for those that revolution cancels."""
-    found = np.zeros(motion_count(dim))
-    found[[*kinematics.translations(dim)]] = 1.0
-    found[dim:] = float(kinematics.turns)
-    return found
+    mask = np.zeros(motion_count(dim))
+    mask[[*kinematics.translations(dim)]] = 1.0
+    mask[dim:] = float(kinematics.turns)
+    return mask
 
 
 def moment_centre(kinematics: Kinematics, x: Array) -> Array:
@@ -89,16 +89,16 @@ def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
     Translations, then rotations. In periodic joints a rotation is one only if it does not move one side against the other:
     about the one period in 3D.
     """
-    d, size, one = joint.dim, joint.size, np.eye(motion_count(joint.dim))
-    shares = {f"translation {AXIS_NAMES[i]}": one[i] for i in kinematics.translations(d)}
+    d, size, basis = joint.dim, joint.size, np.eye(motion_count(joint.dim))
+    shares = {f"translation {AXIS_NAMES[i]}": basis[i] for i in kinematics.translations(d)}
     if joint.periods:
         vectors = joint.periods.vectors(joint.points)
         if d == 3 and np.linalg.matrix_rank(vectors) == 1:
             axis = vectors[0] / np.linalg.norm(vectors[0])
-            shares[f"rotation about ({', '.join(f'{c:.3g}' for c in axis)})"] = axis @ one[d:] / size
+            shares[f"rotation about ({', '.join(f'{c:.3g}' for c in axis)})"] = axis @ basis[d:] / size
     elif kinematics.turns:
         for k, (i, j, sense) in reversed([*enumerate(ROTATION_PLANES[d])]):
-            shares[f"rotation {AXIS_NAMES[i]}{AXIS_NAMES[j]}"] = one[d + k] * sense / size
+            shares[f"rotation {AXIS_NAMES[i]}{AXIS_NAMES[j]}"] = basis[d + k] * sense / size
     return shares
 
 
@@ -127,14 +127,14 @@ def resistance_matrices(model: Any, resistances: Sequence[Resistance]) -> Array:
         model: the model.
         resistances: functions of the m motions, see `Addition.resistance`.
     """
-    found = model.constraints.resistance(partial(model_motion_values, model))
+    matrix = model.constraints.resistance(partial(model_motion_values, model))
     motions = [*model_motions(model).values()] if resistances else []
     for resistance in resistances:
         work = resistance(motions)
         size = np.abs(work).max()
         if np.isfinite(size) and size > 0:
-            found = found + (work + work.T) / (2 * size)
-    return np.asarray(found, float)
+            matrix = matrix + (work + work.T) / (2 * size)
+    return np.asarray(matrix, float)
 
 
 def free_translations(names: Sequence[str], resistance: Array) -> tuple[str, ...]:
@@ -204,8 +204,8 @@ def centroid(domain: Domain, name: str) -> Array:
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)(domain.values(name, layer_sides=True))
     chosen = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
     sums = per_unit(domain.comm, ufl.dot(chosen, ufl.as_vector([*ufl.SpatialCoordinate(mesh), 1.0])) * ds, chosen)
-    found = sums[:-1] / sums[-1]
-    return np.asarray(np.where(np.abs(found) > COMPONENT_TOLERANCE * domain.joint.size, found, 0.0))
+    centre = sums[:-1] / sums[-1]
+    return np.asarray(np.where(np.abs(centre) > COMPONENT_TOLERANCE * domain.joint.size, centre, 0.0))
 
 
 def resultants_of_loads(model: Any, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:

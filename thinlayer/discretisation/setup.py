@@ -82,7 +82,7 @@ class Setup:
             self.degree = int(self.element[1])
             self.body_laws = self._laws_of(body)
             strains = values_by_body(eigenstrain, joint, "eigenstrain")
-            self.eigenstrains = {name: given for name, given in strains.items() if given is not None}
+            self.eigenstrains = {name: value for name, value in strains.items() if value is not None}
             for law, C in zip(self.bodies_with_numbers, self.bodies_at_rest, strict=True):
                 require_stable(law, C, slots=self.kinematics.slots(joint.dim))
         self.mark = require_same(
@@ -96,8 +96,8 @@ class Setup:
         new = copy.copy(self)
         for name, value in loads.items():
             setattr(new, name, value)
-        given = {name: _ordered(value) if name == "supports" else value for name, value in loads.items()}
-        new.mark = digest([self.mark, require_same(self.comm, **given)])
+        data = {name: _ordered(value) if name == "supports" else value for name, value in loads.items()}
+        new.mark = digest([self.mark, require_same(self.comm, **data)])
         return new
 
     def __repr__(self) -> str:
@@ -122,11 +122,11 @@ class Setup:
     @cached_property
     def bodies_with_numbers(self) -> list[BulkLaw]:
         """The laws of the bodies; where parameters are functions, those at the cells where one is smallest or largest."""
-        joint, found = self.joint, []
+        joint, laws = self.joint, []
         for name, law in self.body_laws.items():
             cells = joint.corners[joint.region == joint.regions.index(name)] if law.fields else joint.corners[:1]
-            found += law.samples(joint.points[cells].mean(axis=1).T)
-        return found
+            laws += law.samples(joint.points[cells].mean(axis=1).T)
+        return laws
 
     def _check_choices(self) -> None:
         joint, elements = self.joint, ELEMENT_NAMES[is_tensor(self.joint.cell_type)]
@@ -177,6 +177,6 @@ def require_body_law(name: str, law: Law) -> None:
         raise InputError(f"body {name!r}: the stress of {kind} falls as strains grow: {reason}")
 
 
-def _ordered(given: Any) -> Any:
+def _ordered(data: Any) -> Any:
     """Data as pairs in their order, because later supports override earlier ones."""
-    return [list(entry) for entry in given.items()] if isinstance(given, Mapping) else given
+    return [list(entry) for entry in data.items()] if isinstance(data, Mapping) else data

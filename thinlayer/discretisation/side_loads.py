@@ -59,9 +59,9 @@ class SideLoad:
     rim: Rim
 
     @classmethod
-    def of(cls, model: Model, one: SeamLayer) -> Iterator[SideLoad]:
+    def of(cls, model: Model, layer: SeamLayer) -> Iterator[SideLoad]:
         """Those of a layer, but for zeros."""
-        rim = one.sheet.rim
+        rim = layer.sheet.rim
         for name, load in sorted((model.structure.tractions or {}).items()):
             whole, value = name.removesuffix(f"/{LAYER}"), load.p if isinstance(load, Pressure) else load
             zero = not callable(value) and not np.any(np.asarray(value, float))
@@ -69,41 +69,41 @@ class SideLoad:
                 yield cls(f"traction on {name!r}", load, rim[here])
 
 
-def add_side_loads(forces: Forces, model: Model, one: SeamLayer, sides: Interface) -> None:
+def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interface) -> None:
     """Add the tractions on the side of a layer of order 1 to the forces of an interface model.
 
     Raises:
         InputError: it is not known how the force reaches the faces there.
     """
-    reduction = model.applicability[one.name]
+    reduction = model.applicability[layer.name]
     loose = ridge_keys(reduction.loose.vertices)
-    for load in SideLoad.of(model, one):
+    for load in SideLoad.of(model, layer):
         if (
-            one.has_pressure_flow
+            layer.has_pressure_flow
             or reduction.weights is None
             or not np.isin(ridge_keys(load.rim.vertices), loose).all()
         ):
-            refused = None if one.has_pressure_flow else reduction.why_not("ends")
+            refused = None if layer.has_pressure_flow else reduction.why_not("ends")
             why = "a support holds the side" if not refused else refused.reason
-            why = "its pressure of order 1 is zero at free ends" if one.has_pressure_flow else why
-            reason = f"the {load.what} acts on the side of {one}, and how it reaches the faces is not known: {why}"
+            why = "its pressure of order 1 is zero at free ends" if layer.has_pressure_flow else why
+            reason = f"the {load.what} acts on the side of {layer}, and how it reaches the faces is not known: {why}"
             raise Violation("loaded side", reason, "use order=0, which leaves it out, or mesh the layer").error()
-        for force, place in _end_load(load, forces.at, model, one, sides):
-            forces.add_weighted(one.name, load.what, force, place)
+        for force, place in _end_load(load, forces.at, model, layer, sides):
+            forces.add_weighted(layer.name, load.what, force, place)
 
 
-def _end_load(load: SideLoad, at: Coordinates, model: Model, one: SeamLayer, sides: Interface) -> Iterator[LoadPiece]:
+def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, sides: Interface) -> Iterator[LoadPiece]:
     """The load at straight free ends, handed to the faces along strips."""
-    mesh, based = model.domain.mesh, one.name in model.joint.base_seams
-    for end in straight_ends(load.rim, one.sheet):
+    mesh, based = model.domain.mesh, layer.name in model.joint.base_seams
+    for end in straight_ends(load.rim, layer.sheet):
         shares = np.zeros((len(model.joint.cells), 1, 5))
-        upper = model.joint.surface_cells[one.sheet.facets, 1]
-        constants = free_end(poisson_ratio(law_with_numbers(one.layer, one.structure.kinematics)))
-        shares[upper, 0] = _shares(end, load.rim, one.sheet, model.kinematics, float(one.thin_layer.eps), constants)
-        known = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), shares))
+        upper = model.joint.surface_cells[layer.sheet.facets, 1]
+        constants = free_end(poisson_ratio(law_with_numbers(layer.layer, layer.structure.kinematics)))
+        shares[upper, 0] = _shares(end, load.rim, layer.sheet, model.kinematics, float(layer.thin_layer.eps), constants)
+        facet_shares = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), shares))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
         place = at.moved(at.x + (offset - ufl.dot(m, at.x)) * m)
-        yield place.traction(load.load, load.what, m), _transferred_load(known, m, sides, based)
+        yield place.traction(load.load, load.what, m), _transferred_load(facet_shares, m, sides, based)
 
 
 def _shares(

@@ -28,29 +28,29 @@ CURVED_DIRECTION_SHARE = 0.03  # the same where S is curved: straight facets are
 NO_END = 1e3  # distance, over the size of the joint, of ends that there are not
 
 
-def side_kinds(one: SeamLayer) -> npt.NDArray[np.str_]:
+def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
     """(n,) what the layer's side is at each ridge of the rim of its seam.
 
     Its displacements have a component m, outward along S, and one n, across S. Supports, plates and an axis of revolution
     hold both ("held"), m alone ("symmetric": as in a plane of symmetry), n alone ("antisymmetric"), neither ("free"), or
     a direction between them ("oblique"). What is held along the end does not matter.
     """
-    sheet, held = one.sheet, constrained_directions(one)
+    sheet, projectors = layer.sheet, constrained_directions(layer)
     normals = sheet.joint.interface_normals[sheet.parts[0][sheet.rim.simplex]]
-    shares = np.stack([np.einsum("ni,nij,nj->n", way, held, way) for way in (sheet.rim.outward, normals)], axis=1)
+    shares = np.stack([np.einsum("ni,nij,nj->n", way, projectors, way) for way in (sheet.rim.outward, normals)], axis=1)
     slight = FLAT_DIRECTION_SHARE if sheet.planar else CURVED_DIRECTION_SHARE
     along, across = (shares > slight).T
-    found = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[along.astype(int), across.astype(int)]
-    return np.where(((shares <= slight) | (shares >= 1 - slight)).all(axis=1), found, "oblique")
+    kinds = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[along.astype(int), across.astype(int)]
+    return np.where(((shares <= slight) | (shares >= 1 - slight)).all(axis=1), kinds, "oblique")
 
 
-def constrained_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:
+def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArray:
     """(n, d, d) projections onto what holds the layer's side at the rim; `of_layer`: places NAME/LAYER as well."""
-    setup, rim, joint = one.structure, one.sheet.rim, one.sheet.joint
+    setup, rim, joint = layer.structure, layer.sheet.rim, layer.sheet.joint
     d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]
-    held = np.zeros((len(keys), d, d))
-    held[nodes_on_axis(setup.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
-    entries = [(place, tuple(given) if isinstance(given, Mapping) else axes) for place, given in setup.supports.items()]
+    dyads = np.zeros((len(keys), d, d))
+    dyads[nodes_on_axis(setup.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
+    entries = [(place, tuple(value) if isinstance(value, Mapping) else axes) for place, value in setup.supports.items()]
     plates = [part for part in setup.parts if isinstance(part, PartDefinition) and part.ties_nodes]
     for place, components in [*entries, *((part.place, part.components or axes) for part in plates)]:
         name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
@@ -61,16 +61,16 @@ def constrained_directions(one: SeamLayer, of_layer: bool = True) -> FloatArray:
         on = np.isin(keys, continued_ridges(joint, joint.facets[name]))
         for axis in components:
             way = np.eye(d)[axes.index(axis)] if axis in axes else _normals(joint, rim, name)
-            held += np.where(on[:, None], way, 0.0)[:, :, None] * way[..., None, :]
+            dyads += np.where(on[:, None], way, 0.0)[:, :, None] * way[..., None, :]
     return np.asarray(
-        held @ np.linalg.pinv(held, rcond=COSINE_TOLERANCE, hermitian=True)
+        dyads @ np.linalg.pinv(dyads, rcond=COSINE_TOLERANCE, hermitian=True)
     )  # onto all directions that are held
 
 
 def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
     """(n, d) mean unit normal of the facets of a name at each ridge: that of a layer's side if S ends at right angles."""
-    found = side_normals(joint, name, rim.vertices)
-    return np.where(np.isnan(found), rim.outward, found)
+    normals = side_normals(joint, name, rim.vertices)
+    return np.where(np.isnan(normals), rim.outward, normals)
 
 
 def mean_on_facets(sheet: Sheet, values: FloatArray) -> FloatArray:
@@ -131,11 +131,11 @@ class FacetWeights:
         values = np.zeros((len(joint.cells), 4 + joint.dim))
         upper = joint.surface_cells[self.sheet.facets, 1]
         values[upper] = np.column_stack([self.a_N, self.a_T, 1 / (1 + self.resistance), self.offset, self.m])
-        known = sides.upper(cellwise_function(domain, ("DG", 0, (4 + joint.dim,)), values[:, None]))
-        m = ufl.as_vector([known[4 + k] for k in range(joint.dim)])
-        distance = known[3] - ufl.dot(m, sides.upper(ufl.SpatialCoordinate(mesh)))
+        fields = sides.upper(cellwise_function(domain, ("DG", 0, (4 + joint.dim,)), values[:, None]))
+        m = ufl.as_vector([fields[4 + k] for k in range(joint.dim)])
+        distance = fields[3] - ufl.dot(m, sides.upper(ufl.SpatialCoordinate(mesh)))
         f_N, f_T = (
             ufl.max_value(0.0, ufl.min_value(1.0, distance / fem.Constant(mesh, eps * length))) if length else 1.0
             for length in (strips.r_N, strips.r_T)
         )
-        return EndWeights(m, known[0], known[1], f_N, f_T, known[2])
+        return EndWeights(m, fields[0], fields[1], f_N, f_T, fields[2])

@@ -43,8 +43,8 @@ class Report:
         iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation; of all attempts.
         residual: norm of the residual over the size of the forces.
         seconds: wall time of assembling and solving.
-        eased: number of solves by continuation, from easier laws to the layer's own, after Newton's method had failed; 0
-            if it had not.
+        homotopy_steps: number of solves by continuation, from easier laws to the layer's own; 0 where Newton's method
+            had not failed.
     """
 
     method: str
@@ -142,10 +142,10 @@ class State(Configuration):
         In a joint with several seams its name is "pressure NAME", by the seam's. If several of them have one, take
         `fields["pressure NAME"]`; asking for `p` is a InputError.
         """
-        found = [key for key in self.fields if key.split(" ")[0] == PRESSURE_KIND]
-        if len(found) > 1:
-            raise InputError(f"the layers have several pressures; take state.fields[...] of {', '.join(found)}")
-        return self.fields[found[0]] if found else None
+        keys = [key for key in self.fields if key.split(" ")[0] == PRESSURE_KIND]
+        if len(keys) > 1:
+            raise InputError(f"the layers have several pressures; take state.fields[...] of {', '.join(keys)}")
+        return self.fields[keys[0]] if keys else None
 
     def __repr__(self) -> str:
         return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
@@ -176,7 +176,7 @@ class State(Configuration):
         the loads (Clapeyron). NaN where a law declares no energy. Collective.
         """
         model = self.model
-        added = {one.key: self.stored.get(one.key, 0.0) for one in model.parts if not one.ties_nodes}
+        added = {part.key: self.stored.get(part.key, 0.0) for part in model.parts if not part.ties_nodes}
         of_bodies = {p.key: self.stored[p.key] for p in model.bodies if p.key in self.stored}
         of_layers = {key: energy for key, energy in self.stored.items() if key not in {*added, *of_bodies}}
         layers = self.layers
@@ -193,8 +193,8 @@ class State(Configuration):
 
     def load_work(self) -> float:
         """The loads' work in the displacements. Collective."""
-        given = sum(part.load_work(self.model, self) for part in self.model.parts)
-        return self._sum(self.model.external_work(self.u, self.t)) + given
+        part_work = sum(part.load_work(self.model, self) for part in self.model.parts)
+        return self._sum(self.model.external_work(self.u, self.t)) + part_work
 
     def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:
         """What a place gives to the structure: its supports and springs, or the rigid base below a layer. Collective.
@@ -218,8 +218,8 @@ class State(Configuration):
         if place == S or (place in bases and not chosen):
             chosen = [name for name in every if name in bases]
         if not chosen:
-            held = ", ".join(map(repr, every)) or "nothing"
-            raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {held}")
+            holders = ", ".join(map(repr, every)) or "nothing"
+            raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {holders}")
         total = reduce(add, (every[name] for name in chosen))
         return total.at(
             moment_centre(model.kinematics, default_moment_point(model, place, chosen)) if about is None else about
@@ -232,13 +232,13 @@ class State(Configuration):
             raise InputError("this state has no reactions: it is no equilibrium that was solved for")
         of_parts = [row for part in model.parts for row in part.reaction(model, self.u)]
         rows = [*zip(model.holders, self.reactions, strict=True), *of_parts]
-        given = [(place, resultant(model, values)) for place, values in rows]
+        reactions = [(place, resultant(model, values)) for place, values in rows]
         on_bases = resultants_of_loads(model, self.t, model.forces.work_on_bases)
-        given += [(name, -load) for name, load in on_bases.items()]
+        reactions += [(name, -load) for name, load in on_bases.items()]
         total: dict[Place, Resultant] = {}
-        for place, one in given:
-            total[place] = total[place] + one if place in total else one
-        return {place: one.at(model.centre if about is None else about) for place, one in total.items()}
+        for place, reaction in reactions:
+            total[place] = total[place] + reaction if place in total else reaction
+        return {place: reaction.at(model.centre if about is None else about) for place, reaction in total.items()}
 
     def applied(self, about: Sequence[float] | None = None) -> Resultant:
         """Resultant of all loads at the time of the state. Collective.
@@ -305,8 +305,8 @@ class State(Configuration):
         That of a compiled law is known at the quadrature points of the term; integrate it as `work` does. On S see
         `Surface.traction`.
         """
-        ((_, found, _),) = self._stressed([term])
-        return found
+        ((_, sigma, _),) = self._stressed([term])
+        return sigma
 
     def work(self, terms: Iterable[Term], v: Expr) -> Expr:
         """Virtual work of the stresses of terms of bodies or meshed layers in the strains of v, a UFL form. Collective."""
@@ -323,7 +323,7 @@ class State(Configuration):
                     f"the stress of {type(p.law.in_space).__name__} on S is no field; see Surface.traction"
                 )
             rules = self.model.quadratures.items()
-            key, points = next((key, one) for key, one in rules if one.term.measure is p.measure)
+            key, points = next((key, rule) for key, rule in rules if rule.term.measure is p.measure)
             values = self.stresses.get(key, np.zeros((points.count, len(MANDEL_PAIRS))))
             yield p, mandel_tensor(points.function(values)), points.measure
 
@@ -353,15 +353,15 @@ def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
 
     A body's cell has one number in the joint, and one order of its degrees of freedom, in all models.
     """
-    dofmap, own = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
-    nodes, values = dofmap.list[:own], f.x.array.reshape(-1, dofmap.bs)
+    dofmap, n_owned = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
+    nodes, values = dofmap.list[:n_owned], f.x.array.reshape(-1, dofmap.bs)
 
     def at_cells(places: IntArray) -> Array:
         return np.asarray(values[nodes[places]].reshape(len(places), nodes.shape[1] * dofmap.bs))
 
     wanted, at = np.unique(cells, return_inverse=True)
-    found = carry_cell_values(model.comm, model.domain.original_cells[:own], at_cells, wanted)
-    return np.asarray(found.reshape(-1, nodes.shape[1], dofmap.bs)[at.reshape(cells.shape)])
+    cell_data = carry_cell_values(model.comm, model.domain.original_cells[:n_owned], at_cells, wanted)
+    return np.asarray(cell_data.reshape(-1, nodes.shape[1], dofmap.bs)[at.reshape(cells.shape)])
 
 
 def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model) -> fem.Function:

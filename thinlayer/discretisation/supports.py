@@ -40,7 +40,7 @@ class Supports:
 
     Args:
         domain: the domain.
-        given: place -> prescribed components. A place is a facet name (its continuation over the layer's side included;
+        supports: place -> prescribed components. A place is a facet name (its continuation over the layer's side included;
             NAME/REGION and NAME/LAYER narrow it) or the coordinates of a mesh vertex before inflating (on S: both
             sides). Components are {"x": value, ...}, or one number for all of them; a value is a number or a function
             (x, t) of UFL coordinates. {"n": value} prescribes the displacement along the outer normal alone, on any
@@ -52,7 +52,7 @@ class Supports:
     Attributes:
         values: (number of the entry, component) -> what is given; a clamped facet has none.
         moving: places where a component is a function, or a number that is not 0.
-        given: (place, components) as given; `entries` has the clamped ones too.
+        supports: (place, components) as given; `entries` has the clamped ones too.
         anchored: components that one vertex of a periodic joint does not move along, because nothing else would prevent
             that translation; no force acts there.
         on_axis: (n,) which points of the joint lie on an axis of revolution.
@@ -62,13 +62,13 @@ class Supports:
     """
 
     def __init__(
-        self, domain: Domain, given: ByPlace, at: Coordinates, clamped: Sequence[str], kinematics: Kinematics
+        self, domain: Domain, supports: ByPlace, at: Coordinates, clamped: Sequence[str], kinematics: Kinematics
     ) -> None:
-        require(isinstance(given, Mapping), "supports", given, "it must be {place: {component: value}}")
+        require(isinstance(supports, Mapping), "supports", supports, "it must be {place: {component: value}}")
         self.domain, self.at, self.clamped = domain, at, tuple(clamped)
         self.axes = AXIS_NAMES[: domain.joint.dim]
         entries: list[tuple[Place, Components]] = []
-        for place, support in given.items():
+        for place, support in supports.items():
             if isinstance(place, str):
                 boundary_values(domain, kinematics, place, f"support on {place!r}", inside=True, side=True)
             else:
@@ -78,8 +78,8 @@ class Supports:
         self.values, self.moving = dict[tuple[int, str], Coefficient](), list[Place]()
         for number, (place, components) in enumerate(entries):
             for axis, value in components.items():
-                self.values[number, axis] = one = at.coefficient(value, f"support on {place!r}: component {axis}", ())
-                self.moving += [place] if one.varies or one.value != 0 else []
+                self.values[number, axis] = coeff = at.coefficient(value, f"support on {place!r}: component {axis}", ())
+                self.moving += [place] if coeff.varies or coeff.value != 0 else []
         self.anchored: tuple[str, ...] = ()
         self.on_axis = nodes_on_axis(kinematics, domain.joint)
 
@@ -104,7 +104,7 @@ class Supports:
         Of the normal component all that it may hold: all components.
         """
         if axis == NORMAL_COMPONENT:
-            return np.concatenate([self.dofs(V, place, one) for one in self.axes])
+            return np.concatenate([self.dofs(V, place, component) for component in self.axes])
         if isinstance(place, str):
             facets = self.domain.facets(place, layer_sides=True)
             return fem.locate_dofs_topological(V.sub(self.axes.index(axis)), self.domain.joint.dim - 1, facets)
@@ -118,8 +118,8 @@ class Supports:
             clamped: whether those of clamped facets count, and of an anchored vertex.
         """
         entries, anchors = (self.entries, [self.anchors(V)]) if clamped else (self.user_entries, [])
-        found = [self.dofs(V, place, axis) for place, components in entries for axis in components]
-        return np.unique(np.concatenate([*found, *anchors, self.axis(V)]))
+        dofs = [self.dofs(V, place, axis) for place, components in entries for axis in components]
+        return np.unique(np.concatenate([*dofs, *anchors, self.axis(V)]))
 
     def anchors(self, V: fem.FunctionSpace) -> Indices:
         """Local degrees of freedom (unrolled, ghosts included) of the anchored components, at one corner. Collective."""
@@ -209,33 +209,33 @@ class Prescribed:
         self.extent = supports.domain.joint.size
         entries = ((k, place, axis) for k, (place, components) in enumerate(supports.entries) for axis in components)
         self._sources = [self._source(*entry) for entry in entries]
-        if any(one.axis == NORMAL_COMPONENT for one in self._sources) and not self._nodal:
+        if any(source.axis == NORMAL_COMPONENT for source in self._sources) and not self._nodal:
             raise InputError("supports along normals need nodal displacements, not elements S2; use Q2 or P2")
         self._find_conditions()
 
     # ---------------------------------------------------------------- conditions
     def _source(self, entry: int, place: Place, axis: str) -> _Source:
-        value, given = fem.Function(self.V), self.supports.values.get((entry, axis))
-        if given is not None and given.varies:
+        value, coefficient = fem.Function(self.V), self.supports.values.get((entry, axis))
+        if coefficient is not None and coefficient.varies:
             on_mesh = fem.Constant(self.V.mesh, np.zeros(self.d))  # a function may give plain numbers
-            expression = ufl.as_vector([given.expression] * self.d) + on_mesh
+            expression = ufl.as_vector([coefficient.expression] * self.d) + on_mesh
             return _Source(entry, place, axis, value, fem.Expression(expression, interpolation_points(self.V)))
-        if given is not None and given.value:
-            interpolate(value, lambda x: np.full((self.d, x.shape[1]), float(given.value)))
+        if coefficient is not None and coefficient.value:
+            interpolate(value, lambda x: np.full((self.d, x.shape[1]), float(coefficient.value)))
         return _Source(entry, place, axis, value)
 
     def _find_conditions(self) -> None:
         """Find the conditions on this rank: source, the degree of freedom that has the value, and direction."""
         supports, V, d = self.supports, self.V, self.d
-        along_axes = [(k, one) for k, one in enumerate(self._sources) if one.axis != NORMAL_COMPONENT]
-        held = [(k, supports.dofs(V, one.place, one.axis)) for k, one in along_axes]
-        found: list[tuple[np.ndarray, np.ndarray, Array]] = []
-        for number, dofs in (*held, (-1, supports.anchors(V)), (-1, supports.axis(V))):
-            own = np.unique(dofs[dofs < self.size])
-            found.append((np.full(len(own), number), own, np.eye(d)[own % d]))
-        found.append(self._normal_conditions())
-        source, dof, directions = (np.concatenate(column) for column in zip(*found, strict=True))
-        entry = np.array([*(one.entry for one in self._sources), -1])[source]
+        along_axes = [(k, component) for k, component in enumerate(self._sources) if component.axis != NORMAL_COMPONENT]
+        source_dofs = [(k, supports.dofs(V, component.place, component.axis)) for k, component in along_axes]
+        conditions: list[tuple[np.ndarray, np.ndarray, Array]] = []
+        for number, dofs in (*source_dofs, (-1, supports.anchors(V)), (-1, supports.axis(V))):
+            owned = np.unique(dofs[dofs < self.size])
+            conditions.append((np.full(len(owned), number), owned, np.eye(d)[owned % d]))
+        conditions.append(self._normal_conditions())
+        source, dof, directions = (np.concatenate(column) for column in zip(*conditions, strict=True))
+        entry = np.array([*(component.entry for component in self._sources), -1])[source]
         clamped = entry >= len(supports.user_entries)  # all others do not count at a base
         fast = np.zeros(self.size, bool)
         fast[dof[clamped]] = True
@@ -252,9 +252,9 @@ class Prescribed:
         """Conditions along normals: source, degree of freedom, direction."""
         d, domain = self.d, self.supports.domain
         columns: list[Array] = [np.empty((0, d + 2))]  # source, block, normal
-        for number, one in enumerate(self._sources):
-            if one.axis == NORMAL_COMPONENT:
-                nodes, n = node_normals(domain, self.V, str(one.place))
+        for number, component in enumerate(self._sources):
+            if component.axis == NORMAL_COMPONENT:
+                nodes, n = node_normals(domain, self.V, str(component.place))
                 columns.append(np.column_stack([np.full(len(nodes), number), nodes, n]))
         table, rows = np.concatenate(columns), [np.empty((0, d + 2))]
         table = table[np.argsort(table[:, 1], kind="stable")]
@@ -262,32 +262,32 @@ class Prescribed:
             surface, unit = smooth_surfaces(same[:, 2:])
             pairs = np.unique(np.column_stack([same[:, 0], surface]), axis=0).astype(int)
             rows += [np.array([[source, same[0, 1] * d, *unit[k]]]) for source, k in pairs]
-        found = np.concatenate(rows)
-        return found[:, 0].astype(int), found[:, 1].astype(int), found[:, 2:]
+        conditions = np.concatenate(rows)
+        return conditions[:, 0].astype(int), conditions[:, 1].astype(int), conditions[:, 2:]
 
     # ---------------------------------------------------------------- values
     @property
     def varies(self) -> BoolArray:
         """(k,) whether the value of a condition is a function."""
-        return np.array([*(one.expression is not None for one in self._sources), False])[self._source_of]
+        return np.array([*(source.expression is not None for source in self._sources), False])[self._source_of]
 
     def values(self, t: float) -> Array:
         """Values (k,) of the conditions at a time, possibly not finite. Collective."""
         values = np.zeros(len(self.entry))
         with self.supports.at.clock.at(t):
-            for number, one in enumerate(self._sources):
-                if one.expression is not None:
-                    interpolate(one.value, one.expression)
+            for number, source in enumerate(self._sources):
+                if source.expression is not None:
+                    interpolate(source.value, source.expression)
                 rows = self._source_of == number
-                values[rows] = one.value.x.array[self._dof[rows]]
+                values[rows] = source.value.x.array[self._dof[rows]]
         return values
 
     def said(self, row: int, value: float) -> str:
         """Words for a condition and its value."""
         if self._source_of[row] < 0:
             return "on the axis of revolution x = 0"
-        one = self._sources[self._source_of[row]]
-        return f"{one.place!r} prescribes {one.axis} = {value:.6g}"
+        source = self._sources[self._source_of[row]]
+        return f"{source.place!r} prescribes {source.axis} = {value:.6g}"
 
     def place_of(self, row: int) -> Array | None:
         """Place (d,) of the node of a condition; None: displacements are not nodal."""

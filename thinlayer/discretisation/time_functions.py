@@ -67,7 +67,7 @@ class TimeConstant(fem.Constant):
 
     Attributes:
         mesh: the mesh.
-        beside: all that is read of the clock.
+        time_constants: all that is read of the clock.
     """
 
     def __init__(self, mesh: Mesh, time: TimeConstant | None = None, argument: Any = None, table: Any = None) -> None:

@@ -22,13 +22,13 @@ class Studies(SphinxDirective):
     """A gallery of the studies: pictures, what each shows, and how long it takes."""
 
     def run(self) -> list[nodes.Node]:
-        found: list[nodes.Node] = []
+        gallery: list[nodes.Node] = []
         for group in dict.fromkeys(study.group for study in studies().values()):
             cards = nodes.container(classes=["study-cards"])
             members = [study for study in studies().values() if study.group == group]
             cards += [nodes.container("", *self.card(study)) for study in members]
-            found += [nodes.rubric(text=group), cards]
-        return found
+            gallery += [nodes.rubric(text=group), cards]
+        return gallery
 
     def card(self, study: Study) -> list[nodes.Node]:
         """A study's name, picture, summary, and times."""
@@ -43,10 +43,10 @@ class Errata(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         lines = []
-        for one in tomllib.loads((CLONE / "studies/data/paper.toml").read_text())["errata"]:
-            shown = f"Shown by {one['run']}: {one['label']}." if "check" in one else one["evidence"]
-            words = f"*Printed*: {one['printed']}. *Right*: {one['right']} *{shown}*"
-            lines.append(f"- **{one['where']}**. {words}".replace("\n", " "))
+        for entry in tomllib.loads((CLONE / "studies/data/paper.toml").read_text())["errata"]:
+            shown = f"Shown by {entry['run']}: {entry['label']}." if "check" in entry else entry["evidence"]
+            words = f"*Printed*: {entry['printed']}. *Right*: {entry['right']} *{shown}*"
+            lines.append(f"- **{entry['where']}**. {words}".replace("\n", " "))
         return self.parse_text_to_nodes("\n".join(lines))
 
 

@@ -69,35 +69,35 @@ def estimate(
         SolveError: as in `solve`; or the structure with its layers is not found.
     """
     start = time.perf_counter()
-    given = state.last if isinstance(state, History) else state
+    solution = state.last if isinstance(state, History) else state
     require(
-        isinstance(given, State),
+        isinstance(solution, State),
         "estimate: the state",
-        given,
+        solution,
         "it takes what solve or march returns; a description of a mesh file: thinlayer estimate",
     )
-    with errors_on_all(given.model.comm):
+    with errors_on_all(solution.model.comm):
         require(is_finite(width) and width > 0, "estimate: width", width, "allowed: > 0, over the change of a goal")
         checked = _checked_goals(goals)
-    model = _with_layers(given, layer)
+    model = _with_layers(solution, layer)
     if not model.layers:
         raise InputError("estimate: there is no layer whose mesh could be dropped")
     require_known("layer", seam, (S, *model.layers), "estimate")
-    if given.model.bonds and seam not in (S, *given.model.bonds):
-        beside = f"estimate: {seam!r} has a layer beside bonds at {', '.join(given.model.bonds)}"
-        raise InputError(f"{beside}; ask of a bond, or of all, or solve it with layers alone")
+    if solution.model.bonds and seam not in (S, *solution.model.bonds):
+        reason = f"estimate: {seam!r} has a layer beside bonds at {', '.join(solution.model.bonds)}"
+        raise InputError(f"{reason}; ask of a bond, or of all, or solve it with layers alone")
     chosen = [name for name in model.layers if seam in (S, name)]
     with errors_on_all(model.comm):
         _require_subproblem(model, state, [model.layers[name] for name in chosen])
-        for name in given.model.bonds:
+        for name in solution.model.bonds:
             model.applicability[name].require("bonded", "estimate: ")
         for goal in checked.values():
             goal.check(model)
     better = {name: _of_order_1(model.applicability[name]) for name in chosen}
-    meshed = {name: replace(one, order=0, edges=None) for name, one in better.items()}
-    layers = LayerSubproblem(model, meshed, given.t)
-    values = {name: goal.value(given, model) for name, goal in checked.items()}
-    known: dict[str, GoalBounds] = {}
+    meshed = {name: replace(thin_layer, order=0, edges=None) for name, thin_layer in better.items()}
+    layers = LayerSubproblem(model, meshed, solution.t)
+    values = {name: goal.value(solution, model) for name, goal in checked.items()}
+    bounds: dict[str, GoalBounds] = {}
     theirs: State | None = None
     failed: list[SolveError] = []
     bounded = model.linear and model.symmetric and isinstance(state, State)
@@ -106,14 +106,14 @@ def estimate(
         try:
             *earlier, first = _states_of_path(state, laws, order > 0, options)
             before = earlier[-1] if earlier else None
-            theirs = before if given.model.bonds or not order else theirs
+            theirs = before if solution.model.bonds or not order else theirs
             _advance_layers(earlier, first, layers, options)
             with Adjoint(first, before, options) as adjoint:
                 iteration = GlobalLocal(adjoint, layers)
-                one, weights = iteration.run(checked, values, known, narrow)
-                energy = None if model.linear or before else iteration.energy(given, one)
-                (last, inside), failed = iteration.states(one), []
-                if iteration.is_near(one, values, known, narrow):
+                iterate, weights = iteration.run(checked, values, bounds, narrow)
+                energy = None if model.linear or before else iteration.energy(solution, iterate)
+                (last, inside), failed = iteration.states(iterate), []
+                if iteration.is_near(iterate, values, bounds, narrow):
                     break
         except SolveError as error:
             if bounded:
@@ -123,16 +123,16 @@ def estimate(
         raise failed.pop()
     total, errors = np.zeros(4), {}
     for name in chosen:
-        squares = squared_norms(given, last, model.layers[name], inside)
+        squares = squared_norms(solution, last, model.layers[name], inside)
         errors[name] = LayerError(meshed[name], *relative_errors(squares))
         total += squares
-    found = {}
+    goal_errors = {}
     for name, goal in checked.items():
-        at = known.get(name, GoalBounds(goal.value(last, model), math.nan, math.nan))
+        at = bounds.get(name, GoalBounds(goal.value(last, model), math.nan, math.nan))
         scale = goal.scale(last, model)
         has_bounds = bounded and at.upper - at.lower < math.inf
         slack = GOAL_TOLERANCE * max(abs(values[name]), abs(at.estimate)) + at.rounding if has_bounds else math.nan
-        found[name] = GoalError(values[name], at.estimate, scale, at.lower - slack, at.upper + slack)
+        goal_errors[name] = GoalError(values[name], at.estimate, scale, at.lower - slack, at.upper + slack)
         if not math.isfinite(at.estimate):
             raise SolveError(f"estimate: {name} is not finite where a law fails", advice=MESH_REMEDY)
         if at.lower - at.upper > slack + FIXED_GOAL_SHARE * scale:
@@ -142,7 +142,9 @@ def estimate(
             )
     traction, jump = relative_errors(total)
     seconds, by = time.perf_counter() - start, (first, theirs, weights)
-    return Estimate(given, last, errors, found, traction, jump, seconds, inside, energy, layers, *by, checked, options)
+    return Estimate(
+        solution, last, errors, goal_errors, traction, jump, seconds, inside, energy, layers, *by, checked, options
+    )
 
 
 def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
@@ -198,7 +200,7 @@ def _require_subproblem(model: InterfaceModel, state: State | History, dropped: 
         return
     equations = Equations(model)
     try:
-        laws = [part for part in equations.layers if any(one.owns_key(part.key) for one in dropped)]
+        laws = [part for part in equations.layers if any(layer.owns_key(part.key) for layer in dropped)]
         others = PartSum(part for part in equations.parts if part not in laws)
         others.refuse(
             dict.fromkeys(("remembers", "rate"), f"estimate: {{}} remembers steps beside the layers; {whole}")
@@ -211,16 +213,16 @@ def _require_subproblem(model: InterfaceModel, state: State | History, dropped: 
 
 
 def _checked_goals(goals: Any) -> dict[str, Goal]:
-    given = list(goals) if isinstance(goals, Sequence) else [goals]
-    for goal in given:
+    goal_list = list(goals) if isinstance(goals, Sequence) else [goals]
+    for goal in goal_list:
         require(isinstance(goal, Goal), "estimate: a goal", goal, "give those of thinlayer.goals")
-    names = [goal.name for goal in given]
+    names = [goal.name for goal in goal_list]
     for name in names:
         good = isinstance(name, str) and name not in ESTIMATED_FIELDS
         require(good, "estimate: the name of a goal", name, f"allowed: words other than {', '.join(ESTIMATED_FIELDS)}")
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"estimate: two goals have the name {twice[0]!r}")
-    return dict(zip(names, given, strict=True))
+    return dict(zip(names, goal_list, strict=True))
 
 
 def _has_multi_point_constraints(model: InterfaceModel) -> bool:

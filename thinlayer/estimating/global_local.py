@@ -87,7 +87,7 @@ class GoalBounds:
     """Where a goal of the meshed layer lies.
 
     Attributes:
-        told: its value, with the residual at S weighed.
+        estimate: its value, with the residual at S weighed.
         lower, upper: its bounds.
         rounding: by which rounding of forces may move them, as where bodies move far.
     """
@@ -121,7 +121,7 @@ class GlobalLocal:
         self.adjoint, self.equations, self.state, self.layers = adjoint, adjoint.equations, adjoint.state, layers
         self.model, self.n = adjoint.model, adjoint.equations.n_displacements
         dropped = [self.model.layers[name] for name in layers.seams]
-        self._laws = [part for part in self.equations.layers if any(one.owns_key(part.key) for one in dropped)]
+        self._laws = [part for part in self.equations.layers if any(layer.owns_key(part.key) for layer in dropped)]
         others = PartSum(part for part in self.equations.parts if part not in self._laws)
         if others.with_own:
             reason = f"{others.with_own[0].key!r} has unknowns of its own"
@@ -157,9 +157,9 @@ class GlobalLocal:
         self._x.array[:] = d
         out = self._x.duplicate()
         (self._K_b.multTranspose if self.adjoint.transposed else self._K_b.mult)(self._x, out)
-        found = np.asarray(out.array_r.copy())
+        forces = np.asarray(out.array_r.copy())
         out.destroy()
-        return found
+        return forces
 
     def _under(self, r: Array) -> tuple[Array, Array]:
         """Displacements under forces on the faces, and forces that the bodies then hand on to the layers."""
@@ -171,18 +171,18 @@ class GlobalLocal:
 
         A couple is a solve with K_1; only motions that laws resist, or that loads on the layers drive, need one.
         """
-        one = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
+        iterate = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
         for _ in range(len(self._axes) + 1):  # a couple may leave a resultant along other axes
-            left, least = self._resultant(one)
+            left, least = self._resultant(iterate)
             if left <= COUPLE_REDUCTION * least:  # steps add their resultants up
                 break
-            along = self._R.T @ (one.F + load)
+            along = self._R.T @ (iterate.F + load)
             self._add_couple(along)
             resultants = self._axes.T @ self._R.T @ np.column_stack([dF for _, dF in self._couples])
             for share, (d, dF) in zip(-np.linalg.solve(resultants, self._axes.T @ along), self._couples, strict=True):
                 u, F = u + share * d, F + share * dF
-            one = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
-        return one
+            iterate = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
+        return iterate
 
     def _add_couple(self, along: Array) -> None:
         """Solve for the couple along a new axis of motions, if a resultant has one."""
@@ -194,10 +194,10 @@ class GlobalLocal:
             self._couples.append((d, pulled - couple))
             self._axes = np.column_stack([self._axes, axis])
 
-    def _resultant(self, one: BodyEquilibrium) -> tuple[float, float]:
+    def _resultant(self, iterate: BodyEquilibrium) -> tuple[float, float]:
         """The largest resultant of the forces on the layers, and what counts as rounding."""
-        forces, layers = one.F + one.load, self.layers
-        rounding = ROUNDING_SHARE * float(np.abs(layers.K.diagonal()).sum() * np.abs(one.v).max())
+        forces, layers = iterate.F + iterate.load, self.layers
+        rounding = ROUNDING_SHARE * float(np.abs(layers.K.diagonal()).sum() * np.abs(iterate.v).max())
         return np.abs(layers.R.T @ forces).max(initial=0.0), RESULTANT_TOLERANCE * float(
             np.abs(forces).sum()
         ) + rounding
@@ -206,9 +206,9 @@ class GlobalLocal:
     def first(self) -> BodyEquilibrium:
         """The state."""
         u = self.state.u.x.array[: self.n].copy()
-        one = self._balanced(u, self._pulled(self._lack(u)), self.layers.load, self.layers.values)
-        self._start = one.F
-        return self._settled(one)
+        iterate = self._balanced(u, self._pulled(self._lack(u)), self.layers.load, self.layers.values)
+        self._start = iterate.F
+        return self._settled(iterate)
 
     def weights(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
         """Weights q (m,) of a goal at the displacements of this rank, and z."""
@@ -234,44 +234,46 @@ class GlobalLocal:
             self.adjoint.transposed = False
             self._forget()
 
-    def inside(self, one: BodyEquilibrium) -> Array:
+    def inside(self, iterate: BodyEquilibrium) -> Array:
         """What is in the layers."""
-        return self.layers.inside(one.v, one.load, one.values)
+        return self.layers.inside(iterate.v, iterate.load, iterate.values)
 
-    def residual(self, one: BodyEquilibrium) -> Array:
+    def residual(self, iterate: BodyEquilibrium) -> Array:
         """r = F - (E u - l)."""
-        return one.F - self.layers.dirichlet_reactions(one.v, one.load, one.values)
+        return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.values)
 
-    def step(self, one: BodyEquilibrium) -> BodyEquilibrium:
+    def step(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """Toward the meshed layer."""
-        layers, r, no = self.layers, self.residual(one), np.zeros_like(one.v)
+        layers, r, no = self.layers, self.residual(iterate), np.zeros_like(iterate.v)
         d, F = self._under(r)
         new = self._balanced(d, F, no, no)
         d, v, F = new.u, new.v, new.F - r
         Kd = layers.dirichlet_reactions(v, no, no) - F
-        for p, v_p, F_p, Kp in one.directions:
+        for p, v_p, F_p, Kp in iterate.directions:
             c = (v_p @ Kd) / (v_p @ Kp)
             d, v, F, Kd = d - c * p, v - c * v_p, F - c * F_p, Kd - c * Kp
         if not (size := v @ Kd) > 0:  # nothing is missing
-            return one
+            return iterate
         a = (r @ v) / size
-        directions, gained = (*one.directions, (d, v, F, Kd)), one.gained + float(a * (r @ v))
-        return replace(one, u=one.u + a * d, v=one.v + a * v, F=one.F + a * F, directions=directions, gained=gained)
+        directions, gained = (*iterate.directions, (d, v, F, Kd)), iterate.gained + float(a * (r @ v))
+        return replace(
+            iterate, u=iterate.u + a * d, v=iterate.v + a * v, F=iterate.F + a * F, directions=directions, gained=gained
+        )
 
-    def _settled(self, one: BodyEquilibrium) -> BodyEquilibrium:
+    def _settled(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """The iterate, with the layers' tangent at it."""
-        self.layers.settled(one.v)
-        return replace(one, load=self.layers.load, directions=())
+        self.layers.settled(iterate.v)
+        return replace(iterate, load=self.layers.load, directions=())
 
-    def _with_bodies(self, one: BodyEquilibrium) -> BodyEquilibrium:
+    def _with_bodies(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """The iterate, with bodies in equilibrium but for S, to first order, where they are not linear."""
         if not self._nonlinear:
-            return one
-        missing = self._lack(one.u)
-        missing[self.layers.of_faces(one.F)[0]] = 0.0
+            return iterate
+        missing = self._lack(iterate.u)
+        missing[self.layers.of_faces(iterate.F)[0]] = 0.0
         d = self.adjoint.displacements(np.arange(self.n), missing)
-        v, F = one.v + self.layers.at_faces(d), one.F - self._pulled(self._resisted(d))
-        return replace(one, u=one.u + d, v=v, F=F, gained=one.gained + self._work(missing, d))
+        v, F = iterate.v + self.layers.at_faces(d), iterate.F - self._pulled(self._resisted(d))
+        return replace(iterate, u=iterate.u + d, v=v, F=F, gained=iterate.gained + self._work(missing, d))
 
     def _work(self, forces: Array, d: Array) -> float:
         """Of nodal forces (m,) in small displacements (m,); reactions have none, though rounding moves supports."""
@@ -280,28 +282,28 @@ class GlobalLocal:
         forces[constraints.bc_dofs] = 0.0
         return self._product(forces, constraints.unknowns(d))
 
-    def newton_step(self, one: BodyEquilibrium) -> BodyEquilibrium:
+    def newton_step(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """Toward meshed layers whose laws are not linear: conjugate steps with their tangent, while the energy falls."""
-        aim = self._with_bodies(one)
+        aim = self._with_bodies(iterate)
         for _ in range(MAX_CONJUGATE_STEPS):
             before, aim = aim.gained, self.step(aim)
-            if aim.gained - before <= MIN_CONJUGATE_GAIN * (aim.gained - one.gained):
+            if aim.gained - before <= MIN_CONJUGATE_GAIN * (aim.gained - iterate.gained):
                 break
         else:
             too_far = (
                 f"estimate: the interface law is too far from its layer: {MAX_CONJUGATE_STEPS} steps hardly lead to it"
             )
             raise SolveError(too_far, advice=MESH_REMEDY)
-        du, dv, new = aim.u - one.u, aim.v - one.v, one
+        du, dv, new = aim.u - iterate.u, aim.v - iterate.v, iterate
 
         def slope(share: float) -> float:
             nonlocal new
-            u = one.u + share * du
+            u = iterate.u + share * du
             lack = self._lack(u)
-            new = self._settled(replace(aim, u=u, v=one.v + share * dv, F=self._pulled(lack)))
+            new = self._settled(replace(aim, u=u, v=iterate.v + share * dv, F=self._pulled(lack)))
             return self._work(lack, du) - float(self.layers.dirichlet_reactions(new.v, new.load, new.values) @ dv)
 
-        if (start := aim.gained - one.gained) > GAIN_TOLERANCE * abs(one.F @ one.v):
+        if (start := aim.gained - iterate.gained) > GAIN_TOLERANCE * abs(iterate.F @ iterate.v):
             line_search_share(slope, start)
         return new
 
@@ -311,17 +313,17 @@ class GlobalLocal:
         Raises:
             SolveError: it is not found.
         """
-        one, u = self.first(), self.state.u.x.array
+        iterate, u = self.first(), self.state.u.x.array
         moved = self.model.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
         rounding = ROUNDING_SHARE * self.equations.scale.stiffness[0] * moved
-        if norm(one.F) <= rounding:  # supports have moved what bears nothing
-            return one
-        least = RELATIVE_RESIDUAL * norm(self.residual(one)) + RESULTANT_TOLERANCE * norm(one.F)
+        if norm(iterate.F) <= rounding:  # supports have moved what bears nothing
+            return iterate
+        least = RELATIVE_RESIDUAL * norm(self.residual(iterate)) + RESULTANT_TOLERANCE * norm(iterate.F)
         for _ in range(MAX_NEWTON_STEPS):
-            old, one = one, self.newton_step(one)
-            gained, lost = one.gained - old.gained, GAIN_TOLERANCE * abs(float(one.F @ one.v))
-            if gained <= max(ENERGY_TOLERANCE * one.gained, lost) and norm(self.residual(one)) <= least:
-                return one
+            old, iterate = iterate, self.newton_step(iterate)
+            gained, lost = iterate.gained - old.gained, GAIN_TOLERANCE * abs(float(iterate.F @ iterate.v))
+            if gained <= max(ENERGY_TOLERANCE * iterate.gained, lost) and norm(self.residual(iterate)) <= least:
+                return iterate
         not_found = f"estimate: the structure with its layers is not found in {MAX_NEWTON_STEPS} of Newton's steps"
         raise SolveError(f"{not_found}, at t = {self.state.t:g}", advice=MESH_REMEDY)
 
@@ -329,29 +331,29 @@ class GlobalLocal:
         """Of vectors (m,), over all ranks."""
         return float(self.model.comm.allreduce(float(a @ b)))
 
-    def _require_balance(self, one: BodyEquilibrium) -> None:
+    def _require_balance(self, iterate: BodyEquilibrium) -> None:
         """Raise SolveError unless forces on the layers have no resultant, but for rounding."""
-        left, least = self._resultant(one)
+        left, least = self._resultant(iterate)
         if left > 2 * least:
             raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g}; allowed: {least:.2g}")
 
-    def gap(self, one: BodyEquilibrium) -> float:
+    def gap(self, iterate: BodyEquilibrium) -> float:
         """r . E^+ r, at least twice the square of the energy norm of what is missing (Prager and Synge)."""
-        return self.layers.compliance(self.residual(one))[1]
+        return self.layers.compliance(self.residual(iterate))[1]
 
-    def energy(self, given: State, one: BodyEquilibrium) -> GoalBounds | None:
+    def energy(self, state: State, iterate: BodyEquilibrium) -> GoalBounds | None:
         """Of J(u_0) - min J, from a last iterate. Collective.
 
         None: the layers cannot bear the forces on their faces, or an energy is not convex.
         """
         if self._nonlinear or not self.model.symmetric:
             return None
-        u = displacements_of(given, self.model).x.array[: self.n]
-        layers, du = self.layers, one.u - u
+        u = displacements_of(state, self.model).x.array[: self.n]
+        layers, du = self.layers, iterate.u - u
         try:
-            self._require_balance(one)
-            w = layers.settled(one.v)
-            borne = layers.pulled(w, one.F)
+            self._require_balance(iterate)
+            w = layers.settled(iterate.v)
+            borne = layers.pulled(w, iterate.F)
             gap = layers.divergence(w, borne)[1]
             between = layers.divergence(layers.settled(layers.at_faces(u)), borne)
         except SolveError:
@@ -361,42 +363,50 @@ class GlobalLocal:
         return GoalBounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
 
     def is_near(
-        self, one: BodyEquilibrium, values: Mapping[str, float], known: Mapping[str, GoalBounds], width: float | None
+        self,
+        iterate: BodyEquilibrium,
+        values: Mapping[str, float],
+        goal_bounds: Mapping[str, GoalBounds],
+        width: float | None,
     ) -> bool:
         """Whether bounds are narrow, and energies and forces that are missing little beside those of steps; as of `run`."""
         if width is None:
             return True
         narrow, share = (
-            all(bounds.narrow(values[name], width) for name, bounds in known.items()),
+            all(bounds.narrow(values[name], width) for name, bounds in goal_bounds.items()),
             min(width, DEFAULT_WIDTH),
         )
-        if not narrow or self.gap(one) > share**2 * one.gained:
+        if not narrow or self.gap(iterate) > share**2 * iterate.gained:
             return False
         # an energy may hide forces, as in incompressible layers
-        return norm(self.residual(one)) <= share * norm(one.F - self._start) + MISSING_FORCE_SHARE * norm(one.F)
+        return norm(self.residual(iterate)) <= share * norm(iterate.F - self._start) + MISSING_FORCE_SHARE * norm(
+            iterate.F
+        )
 
     # ---------------------------------------------------------------- goals
-    def bounds(self, at_rest: float, q: Array, one: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
+    def bounds(self, at_rest: float, q: Array, iterate: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
         """Of a goal with a value at rest, weights q (m,) on this rank, and z.load in the layers. Collective.
 
         Raises:
             SolveError: forces on the layers are not in equilibrium.
         """
-        r, r_z = self.residual(one), self.residual(z)
-        self._require_balance(one)
+        r, r_z = self.residual(iterate), self.residual(z)
+        self._require_balance(iterate)
         self._require_balance(z)
         (moved, work), (_, work_z) = map(self.layers.compliance, (r, r_z))
         half = math.sqrt(work) * math.sqrt(work_z) / 2 if max(work, work_z) < math.inf else math.inf
-        told = self.goal_estimate(at_rest, q, one, z)
-        middle = float(told + r_z @ moved / 2)
-        rounding = float(self.equations.scale.rounding(np.abs(one.v).max())[0]) * math.sqrt(self._product(z.u, z.u))
-        return GoalBounds(told, middle - half, middle + half, rounding)
+        estimate = self.goal_estimate(at_rest, q, iterate, z)
+        middle = float(estimate + r_z @ moved / 2)
+        rounding = float(self.equations.scale.rounding(np.abs(iterate.v).max())[0]) * math.sqrt(self._product(z.u, z.u))
+        return GoalBounds(estimate, middle - half, middle + half, rounding)
 
-    def goal_estimate(self, at_rest: float, q: Array, one: BodyEquilibrium, z: BodyEquilibrium) -> float:
+    def goal_estimate(self, at_rest: float, q: Array, iterate: BodyEquilibrium, z: BodyEquilibrium) -> float:
         """A goal, as of `bounds`, with the residual at S weighed. Collective."""
-        layers, w, w_z = self.layers, self.inside(one), self.inside(z)
-        of_bodies = self._product(q, self.equations.constraints.unknowns(one.u)) + self._product(z.u, self._lack(one.u))
-        return float(at_rest + of_bodies + z.load @ w - w_z @ (layers.K @ w - one.load))
+        layers, w, w_z = self.layers, self.inside(iterate), self.inside(z)
+        of_bodies = self._product(q, self.equations.constraints.unknowns(iterate.u)) + self._product(
+            z.u, self._lack(iterate.u)
+        )
+        return float(at_rest + of_bodies + z.load @ w - w_z @ (layers.K @ w - iterate.load))
 
     def work_of_laws(self, u: fem.Function, z: BodyEquilibrium, *, bonded: bool = False) -> Array:
         """Work (m,) of the laws in weights at displacements u, less that of loads on the layers, spread over displacements.
@@ -411,35 +421,35 @@ class GlobalLocal:
         adjoint.forces(self._laws, self.state, u, adjoint.interval)
         return adjoint.work(self._laws, Configuration(self._function(z.u), self.state.t)) - z.u * adjoint.of_layers
 
-    def states(self, one: BodyEquilibrium) -> tuple[State, State]:
+    def states(self, iterate: BodyEquilibrium) -> tuple[State, State]:
         """The interface model, and its layers by themselves, at an iterate."""
-        return replace(self.state, u=self._function(one.u)), self.layers.state(self.layers.settled(one.v))
+        return replace(self.state, u=self._function(iterate.u)), self.layers.state(self.layers.settled(iterate.v))
 
     def run(
-        self, goals: Mapping[str, Goal], values: Mapping[str, float], known: dict[str, GoalBounds], width: float | None
+        self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None
     ) -> tuple[BodyEquilibrium, dict[str, BodyEquilibrium]]:
         """The state and the weights of goals, after steps until bounds are narrow, or `MAX_STEPS`. Collective.
 
         Args:
             goals: by name.
             values: those from which changes count.
-            known: bounds that are known before, of goals that are linear; it gets these.
+            bounds: bounds that are known before, of goals that are linear; it gets these.
             width: of bounds that are narrow, over the change; None: there are none, and Newton's steps lead to the end.
         """
-        one = self.newton() if width is None else self.first()
+        iterate = self.newton() if width is None else self.first()
         weights = {name: self.weights(goal) for name, goal in goals.items()}
-        same = [name for name, (_, z) in weights.items() if one.is_near(z)]  # the compliance is its own weight
+        same = [name for name, (_, z) in weights.items() if iterate.is_near(z)]  # the compliance is its own weight
         linear = {name: goal for name, goal in goals.items() if goal.is_linear(self.model)}
         at_rest = {name: goal.at_rest(self.state, self.model) for name, goal in linear.items()}
         for step in range(MAX_STEPS + 1):
             for name, rest in at_rest.items():
                 q, z = weights[name]
                 if width is None:
-                    known[name] = GoalBounds(self.goal_estimate(rest, q, one, z), math.nan, math.nan)
+                    bounds[name] = GoalBounds(self.goal_estimate(rest, q, iterate, z), math.nan, math.nan)
                 else:
-                    known[name] = self.bounds(rest, q, one, z).within(known.get(name, GoalBounds()))
-            if step == MAX_STEPS or self.is_near(one, values, known, width):
+                    bounds[name] = self.bounds(rest, q, iterate, z).within(bounds.get(name, GoalBounds()))
+            if step == MAX_STEPS or self.is_near(iterate, values, bounds, width):
                 break
-            one = self.step(one)
-            weights = {name: (q, one if name in same else self.step(z)) for name, (q, z) in weights.items()}
-        return one, {name: z for name, (_, z) in weights.items()}
+            iterate = self.step(iterate)
+            weights = {name: (q, iterate if name in same else self.step(z)) for name, (q, z) in weights.items()}
+        return iterate, {name: z for name, (_, z) in weights.items()}

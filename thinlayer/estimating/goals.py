@@ -88,10 +88,10 @@ class DirectedGoal(Goal):
     def unit(self, model: Model) -> Array:
         """The direction of unit length; raises InputError if it is none."""
         d = model.joint.dim
-        found: Any = finite_values(self.direction, (d,))
-        good = found is not None and found.any()
+        direction: Any = finite_values(self.direction, (d,))
+        good = direction is not None and direction.any()
         require(good, f"{self.name}: the direction", self.direction, f"give {d} numbers, not all zero")
-        return np.asarray(found / np.linalg.norm(found))
+        return np.asarray(direction / np.linalg.norm(direction))
 
 
 def vector_text(vector: Any) -> str:
@@ -165,10 +165,10 @@ class Reaction(DirectedGoal):
         return float(state.reaction(self.place).force @ self.unit(model))
 
     def scale(self, state: State, model: InterfaceModel) -> float:
-        forces = [one.force for one in state.reactions_by_place().values()]
-        found = float(sum(np.linalg.norm(one) for one in [*forces, state.applied().force]))
+        forces = [reaction.force for reaction in state.reactions_by_place().values()]
+        force_sum = float(sum(np.linalg.norm(force) for force in [*forces, state.applied().force]))
         surfaces = [Surface(model, name) for name in model.layers]  # of moments all resultants are zero
-        return max(found, sum(_rms_traction(one, state) * one.integral(1.0) for one in surfaces))
+        return max(force_sum, sum(_rms_traction(surface, state) * surface.integral(1.0) for surface in surfaces))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model, along = adjoint.model, self.unit(adjoint.model)
@@ -219,7 +219,7 @@ class MeanTraction(DirectedGoal):
         bodies = replace(state, model=model, u=u).bodies  # with what strains are given at its time
         works = [state.work(bodies, v)] if state.model.V is model.V else [forms.work(bodies, u, v)]
         works += [-model.external_work(v, state.t), model.added_work(u, v)]
-        return sum(state.model.comm.allreduce(fem.assemble_scalar(compiled(one))) for one in works if one.integrals())
+        return sum(state.model.comm.allreduce(fem.assemble_scalar(compiled(W))) for W in works if W.integrals())
 
     def scale(self, state: State, model: InterfaceModel) -> float:
         return _rms_traction(Surface(model, self.seam), state)
@@ -245,12 +245,12 @@ class MeanTraction(DirectedGoal):
         e, W, v = self.unit(model), model.space(1), fem.Function(model.V)
         names = [self.seam] if self.seam in model.layers else [*model.layers]
         sides = {name: nodes_of_sides(model, W, name) for name in model.layers}
-        held = fem.Function(W)
-        held.x.array[model.bc_dofs_in(W)] = 1.0
+        is_fixed = fem.Function(W)
+        is_fixed.x.array[model.bc_dofs_in(W)] = 1.0
         total = 0.0
         for name in names:
             others = [nodes for other, both in sides.items() if other != name for nodes in both]
-            mixed = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + held.x.array.reshape(-1, len(e))
+            mixed = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + is_fixed.x.array.reshape(-1, len(e))
             w, whole, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
             w.x.array[:] = (_reaction_shares(W, *sides[name], mixed > 0) * e).ravel()
             whole.interpolate(w)
@@ -278,9 +278,9 @@ def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mix
     shares = np.where(whole, 1.0, 0.5 * (usable & (facing(whole) == 0)))
     # the others at a facet stand for its corners where no reaction is usable
     sides = both or [upper]
-    known = np.sum([shares[nodes] for nodes in sides], axis=0) > 0
-    more = np.broadcast_to(known.shape[1] / np.maximum(known.sum(axis=1, keepdims=True), 1), known.shape)
-    facets = nodal_sums(W, sides, [np.ones(known.shape)] * len(sides))
+    has_share = np.sum([shares[nodes] for nodes in sides], axis=0) > 0
+    more = np.broadcast_to(has_share.shape[1] / np.maximum(has_share.sum(axis=1, keepdims=True), 1), has_share.shape)
+    facets = nodal_sums(W, sides, [np.ones(has_share.shape)] * len(sides))
     shares *= nodal_sums(W, sides, [more] * len(sides)) / np.maximum(facets, 1.0)
     return np.where(above, -shares, shares)
 
@@ -384,9 +384,9 @@ class Functional(Goal):
 
     def _derivative(self, u: fem.Function, model: InterfaceModel) -> Expr:
         v = ufl.TestFunction(model.V)
-        found = expand_derivatives(ufl.derivative(self._form(u, model), u, v))
+        derivative = expand_derivatives(ufl.derivative(self._form(u, model), u, v))
         none = ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.joint.dim)), v) * model.dx
-        return none if found.empty() else found
+        return none if derivative.empty() else derivative
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         return adjoint.of_form(self._derivative(adjoint.state.u, adjoint.model)), adjoint.nothing()

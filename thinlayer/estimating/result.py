@@ -147,10 +147,10 @@ class Estimate:
     def dropped(self) -> str:
         """What the given state has in place of the layers, in words."""
         bonds, layers = self.state.model.bonds, self.state.model.layers
-        orders = sorted({one.thin_layer.order for one in layers.values() if one.thin_layer})
-        found = [f"order {' and '.join(map(str, orders))}"] if layers else []
+        orders = sorted({layer.thin_layer.order for layer in layers.values() if layer.thin_layer})
+        order_text = [f"order {' and '.join(map(str, orders))}"] if layers else []
         of = " of " + ", ".join(bonds) if layers else ""
-        return ", ".join([f"perfect bond{of}", *found] if bonds else found)
+        return ", ".join([f"perfect bond{of}", *order_text] if bonds else order_text)
 
     # ---------------------------------------------------------------- where
     def density(self, goal: str = "compliance") -> npt.NDArray[np.float64]:
@@ -169,15 +169,15 @@ class Estimate:
         of_laws = self._first if self.state.model.bonds else self.state
         with Adjoint(of_laws, self._old, self._options) as adjoint:
             iteration = GlobalLocal(adjoint, self._layers)
-            found = change_density(iteration, self.state, self.better, self._weights[goal])
+            density = change_density(iteration, self.state, self.better, self._weights[goal])
             linear = iteration.model.linear and self._goals[goal].is_linear(iteration.model)
-        total, error = Surface(self.better.model).integral(found), self.goals[goal]
+        total, error = Surface(self.better.model).integral(density), self.goals[goal]
         if abs(total - error.change) > DENSITY_ERROR * abs(error.change) + ZERO_GOAL_SHARE * error.scale:
             reason = f"the density of the change of {goal} adds up to {total:.3g}, not to {error.change:.3g}"
             why = "a support holds one side of a bond's end" if linear else "laws or the goal are not linear"
             remedy = "take it for a picture of where the change comes from"
             warn("density", f"{reason}, as {why}; {remedy}", self.better.model.comm)
-        return found
+        return density
 
     def by_seam(self, goal: str = "compliance") -> dict[str, float]:
         """Name of a seam -> the part of the change of a goal that its layer causes; errors as of `density`. Collective."""
@@ -198,29 +198,29 @@ class Estimate:
         Raises:
             InputError: no such goal, or one that has no bounds; `at_ends` is no number > 0, or too small.
         """
-        bounded = [name for name, one in self.goals.items() if one.bounded]
+        bounded = [name for name, error in self.goals.items() if error.bounded]
         require_known("goal with bounds", goal, bounded, "estimate, of linear laws")
         model: Any = self.better.model
         alone, z = self._layers, self._weights[goal]
-        layers = {name: one.layer for name, one in self.layers.items()}
+        layers = {name: error.layer for name, error in self.layers.items()}
         fine = DirichletLayers(LayerModel(model, layers, alone.through, at_ends), self.state.t)
         inside = alone.inside(alone.at_faces(self.better.u.x.array), alone.load, alone.values)
-        weights, found = alone.inside(z.v, z.load, z.values), []
+        weights, goal_values = alone.inside(z.v, z.load, z.values), []
         finer = alone.in_parts(inside, fine), alone.in_parts(weights, fine)
-        for held, w, w_z in ((alone, inside, weights), (fine, *finer)):
-            load_z, values_z = self._goals[goal].in_layers(held)
-            w, w_z = held.inside(w, held.load, held.values), held.inside(w_z, load_z, values_z)
-            found.append(load_z @ w - w_z @ (held.K @ w - held.load))
-        return float(self.goals[goal].better + found[1] - found[0])
+        for subproblem, w, w_z in ((alone, inside, weights), (fine, *finer)):
+            load_z, values_z = self._goals[goal].in_layers(subproblem)
+            w, w_z = subproblem.inside(w, subproblem.load, subproblem.values), subproblem.inside(w_z, load_z, values_z)
+            goal_values.append(load_z @ w - w_z @ (subproblem.K @ w - subproblem.load))
+        return float(self.goals[goal].better + goal_values[1] - goal_values[0])
 
     # ---------------------------------------------------------------- words
     @property
     def table(self) -> Table:
         """A row for each quantity: values in the given state and with the layer meshed, relative error, bounds."""
         nan, rows = math.nan, []
-        for name, one in self.layers.items():
+        for name, err in self.layers.items():
             of = f" {name}" if len(self.layers) > 1 else ""
-            rows += [(f"traction{of}", nan, nan, one.traction, nan, nan), (f"jump{of}", nan, nan, one.jump, nan, nan)]
+            rows += [(f"traction{of}", nan, nan, err.traction, nan, nan), (f"jump{of}", nan, nan, err.jump, nan, nan)]
         for name, goal in self.goals.items():
             rows.append((name, goal.value, goal.better, goal.relative, goal.lower, goal.upper))
         if energy := self.energy:
@@ -231,16 +231,16 @@ class Estimate:
     @property
     def caveats(self) -> list[str]:
         """What the estimate leaves out, in words."""
-        found = []
+        caveats = []
         laws = [term.law for term in self.better.model.terms]
         if self.state.sudden and any(law.traits.remembers and not law.traits.bounded for law in laws):
-            found.append("at t = 0+, just after sudden loads; for later times march, and give the history")
+            caveats.append("at t = 0+, just after sudden loads; for later times march, and give the history")
         if self.energy:
             between = f"{self.energy.lower:.3g} to {self.energy.upper:.3g}"
-            found.append(f"laws are not linear: goals have no bounds, the energy is {between} above the least")
+            caveats.append(f"laws are not linear: goals have no bounds, the energy is {between} above the least")
         elif not all(goal.bounded for goal in self.goals.values()):
-            found.append("goals without bounds")
-        return found
+            caveats.append("goals without bounds")
+        return caveats
 
     @cached_property
     def sentences(self) -> list[str]:
@@ -248,15 +248,15 @@ class Estimate:
         errors = _fields_sentence(self.traction, self.jump) + [
             _goal_sentence(name, goal) for name, goal in self.goals.items()
         ]
-        found = [f"{self.dropped}: {', '.join(errors)}"]
-        for name, one in self.layers.items():
+        sentences = [f"{self.dropped}: {', '.join(errors)}"]
+        for name, error in self.layers.items():
             where = f" {name}" if len(self.layers) > 1 else ""
-            if math.isnan(one.traction):
-                found.append(f"the layer{where} bears no traction")
+            if math.isnan(error.traction):
+                sentences.append(f"the layer{where} bears no traction")
             elif where:
-                found.append(f"{name}: {', '.join(_fields_sentence(one.traction, one.jump))}")
+                sentences.append(f"{name}: {', '.join(_fields_sentence(error.traction, error.jump))}")
         cells = f"for these cells of the bodies, and {self._layers.through} cells through the layer"
-        return [*found, cells, *self.caveats]
+        return [*sentences, cells, *self.caveats]
 
     def __str__(self) -> str:
         return "; ".join(self.sentences)

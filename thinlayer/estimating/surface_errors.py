@@ -24,42 +24,42 @@ ROUNDING_SHARES = (
 )  # traction over the layer's stiffness times displacements, jump over these: rounding up to here
 
 
-def squared_norms(before: State, better: State, one: SeamLayer, layers: State) -> Array:
+def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: State) -> Array:
     """(4,) squares of norms on a seam: t(u_1) - t(u_0), t(u_0), and so of [u]. Collective.
 
     They are zero where they are rounding. The tractions t(u_1) are those of the meshed `layers`.
     """
-    surface = Surface(better.model, one.name)
-    has_law = one.name in before.model.layers
+    surface = Surface(better.model, seam_layer.name)
+    has_law = seam_layer.name in before.model.layers
     t, w = (surface.traction if has_law else surface.reaction)(before), surface.jump(before)
     fields = [surface.traction(layers) - t, t] + ([surface.jump(better) - w, w] if has_law else [])
-    found = np.array([surface.norm(f) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
+    squares = np.array([surface.norm(f) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
     moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(1.0)
-    least = np.square(ROUNDING_SHARES) * moved * (max(jump_stiffness(one.samples[0])) ** 2, 1.0)
-    found[1::2] *= found[1::2] > least  # rounding of bodies that bear nothing there
-    return np.asarray(found)
+    least = np.square(ROUNDING_SHARES) * moved * (max(jump_stiffness(seam_layer.samples[0])) ** 2, 1.0)
+    squares[1::2] *= squares[1::2] > least  # rounding of bodies that bear nothing there
+    return np.asarray(squares)
 
 
 def relative_errors(squares: Array) -> tuple[float, float]:
     """Relative errors of traction and jump, from `squared_norms`; nan: not known."""
     of_t, t, of_w, w = (float(root) for root in np.sqrt(squares))
-    found = of_t / t if t else math.nan, of_w / w if w else math.nan
-    return found[0] * (found[0] > ROUNDING_SHARES[1]), found[1] * (found[1] > ROUNDING_SHARES[1])
+    errors = of_t / t if t else math.nan, of_w / w if w else math.nan
+    return errors[0] * (errors[0] > ROUNDING_SHARES[1]), errors[1] * (errors[1] > ROUNDING_SHARES[1])
 
 
-def change_density(iteration: GlobalLocal, given: State, better: State, z: BodyEquilibrium) -> Array:
+def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyEquilibrium) -> Array:
     """(m,) density, at the nodes of S, of the change of a goal from a state to a better one. Collective.
 
     It is the work of the interface laws in weights z, less that of the layers by themselves whose faces move as in the
     state; what z lack, in the change of the faces; and, of the compliance, the change of the loads on the layers.
     """
     model, layers = iteration.model, iteration.layers
-    u, surface = displacements_of(given, model), SurfaceMesh(model)
+    u, surface = displacements_of(state, model), SurfaceMesh(model)
     sums, areas = np.zeros((2, len(model.joint.points)))
-    _add_nodal(sums, model, iteration.work_of_laws(u, z, bonded=bool(given.model.bonds)))
+    _add_nodal(sums, model, iteration.work_of_laws(u, z, bonded=bool(state.model.bonds)))
     if z.load.any():
-        loads = given.model.forces.nodal_at(given.model.V, given.t, layers=True)
-        _add_nodal(sums, given.model, -loads.array_r * given.u.x.array[: loads.getLocalSize()])
+        loads = state.model.forces.nodal_at(state.model.V, state.t, layers=True)
+        _add_nodal(sums, state.model, -loads.array_r * state.u.x.array[: loads.getLocalSize()])
         loads.destroy()
     v, moved = layers.at_faces(u.x.array), layers.at_faces(better.u.x.array)
     layers.settled(moved)

@@ -46,7 +46,7 @@ class ThinEnough:
         tolerance: the relative error that is allowed.
         quantity: "traction", "jump", or the name of a goal.
         table: a row for each thickness that was tried: eps, error (at most, where there are bounds).
-        found: whether the error is equal to the tolerance at `eps`, to one percent of the thickness.
+        at_tolerance: whether the error is equal to the tolerance at `eps`, to one percent of the thickness.
         lacks: the caveats of the estimate.
         bonded: whether the layer is ignored altogether.
     """
@@ -55,7 +55,7 @@ class ThinEnough:
     tolerance: float
     quantity: str
     table: Table
-    found: bool
+    at_tolerance: bool
     lacks: str = ""
     bonded: bool = False
 
@@ -63,7 +63,7 @@ class ThinEnough:
         tried = f"at the {len(self.table)} thicknesses tried{f' ({self.lacks})' if self.lacks else ''}"
         allowed = f"{100 * self.tolerance:.3g} % in {self.quantity} on this mesh, {tried}"
         layer = "the layer may be ignored" if self.bonded else "the layer's mesh may be dropped"
-        if self.found:
+        if self.at_tolerance:
             return f"thinner than {self.eps:.3g} {layer}: at most {allowed}"
         return f"up to {self.eps:.3g} {layer}: at most {allowed}; thicker ones were not tried"
 
@@ -105,9 +105,9 @@ def thin_enough(
         InputError: arguments out of range; a layer of which nothing can be estimated; no thickness is thin enough.
         SolveError: as in `solve`.
     """
-    given = _checked(structure, layer, tolerance, goal, seam, bonded)
-    thin: Any = layer if isinstance(layer, ThinLayer) else given[seam]
-    chosen = list(given) if seam == S else [seam]
+    on_seams = _checked(structure, layer, tolerance, goal, seam, bonded)
+    thin: Any = layer if isinstance(layer, ThinLayer) else on_seams[seam]
+    chosen = list(on_seams) if seam == S else [seam]
 
     def solved(model: Model) -> State | History:
         return solve(model, t, options=options) if times is None else march(model, times, options=options)
@@ -115,9 +115,9 @@ def thin_enough(
     goals = (goal,) if isinstance(goal, Goal) else ()
     quantity = goal if isinstance(goal, str) else goal.name
 
-    begun = structure.interface(given, bodies=bodies)
+    begun = structure.interface(on_seams, bodies=bodies)
     made = begun.with_layer if bodies == "kept" else partial(structure.interface, bodies=bodies)
-    bonds = {**given, **dict.fromkeys(chosen, Bond())}
+    bonds = {**on_seams, **dict.fromkeys(chosen, Bond())}
     for name in chosen if bonded else ():
         begun.applicability[name].require("bonded", "thin_enough: ")
     alone = solved(structure.interface(bonds, bodies=bodies)) if bonded else None
@@ -128,17 +128,17 @@ def thin_enough(
         with warnings.catch_warnings(record=True) as heard[eps]:  # those of the answer are passed on
             warnings.simplefilter("always", RangeWarning)
             layers = dict.fromkeys(chosen, replace(thin, eps=eps, law=thin.material, at=None))
-            state = alone or solved(made({**given, **layers}))
-            found = estimate(state, layers if bonded else None, goals, seam=seam, options=options)
-        caveats[eps] = found.caveats
-        return _error(found, quantity)
+            state = alone or solved(made({**on_seams, **layers}))
+            error_estimate = estimate(state, layers if bonded else None, goals, seam=seam, options=options)
+        caveats[eps] = error_estimate.caveats
+        return _error(error_estimate, quantity)
 
     rows: dict[float, float] = {}
-    eps, found = _search(error, min(min(begun.layers[name].sheet.heights) for name in chosen), tolerance, rows)
-    for one in heard[eps]:
-        warnings.warn(one.message, stacklevel=3)
-    table = Table([{"eps": one, "error": rows[one]} for one in sorted(rows, reverse=True)])
-    return ThinEnough(eps, tolerance, quantity, table, found, "; ".join(caveats[eps]), bonded)
+    eps, at_tolerance = _search(error, min(min(begun.layers[name].sheet.heights) for name in chosen), tolerance, rows)
+    for warning in heard[eps]:
+        warnings.warn(warning.message, stacklevel=3)
+    table = Table([{"eps": thickness, "error": rows[thickness]} for thickness in sorted(rows, reverse=True)])
+    return ThinEnough(eps, tolerance, quantity, table, at_tolerance, "; ".join(caveats[eps]), bonded)
 
 
 def _checked(
@@ -147,27 +147,27 @@ def _checked(
     """What is on each seam; raises InputError for arguments out of range."""
     require(isinstance(structure, Structure), "thin_enough: the structure", structure, "it takes a Structure")
     with errors_on_all(structure.comm):
-        given = value_by_seam(structure.joint, layer, "layer")
+        on_seams = value_by_seam(structure.joint, layer, "layer")
         if not (seam == S and isinstance(layer, ThinLayer)):
-            require_known("seam", seam, given, "thin_enough: seam=... names the layer that becomes thinner")
-        sought, known = given.get(seam, layer), isinstance(goal, Goal) or goal in ESTIMATED_FIELDS
+            require_known("seam", seam, on_seams, "thin_enough: seam=... names the layer that becomes thinner")
+        sought, is_goal = on_seams.get(seam, layer), isinstance(goal, Goal) or goal in ESTIMATED_FIELDS
         require(isinstance(sought, ThinLayer), "thin_enough: the layer", sought, "give a ThinLayer")
         in_range = is_number(tolerance) and 0 < tolerance < 1
         require(in_range, "thin_enough: the tolerance", tolerance, "allowed: between 0 and 1")
         require(
-            known, "thin_enough: the goal", goal, f"allowed: {', '.join(ESTIMATED_FIELDS)}, or one of thinlayer.goals"
+            is_goal, "thin_enough: the goal", goal, f"allowed: {', '.join(ESTIMATED_FIELDS)}, or one of thinlayer.goals"
         )
         if bonded and goal == "jump":
             raise InputError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
-    return given
+    return on_seams
 
 
-def _error(found: Estimate, quantity: str) -> float:
+def _error(error_estimate: Estimate, quantity: str) -> float:
     """The largest error of a quantity that the estimate allows; infinite where the layer bears nothing."""
     if quantity in ESTIMATED_FIELDS:
-        error = found.traction if quantity == "traction" else found.jump
+        error = error_estimate.traction if quantity == "traction" else error_estimate.jump
         return error if math.isfinite(error) else math.inf
-    goal = found.goals[quantity]
+    goal = error_estimate.goals[quantity]
     if goal.zero:
         raise InputError(f"thin_enough: {quantity} is zero, and so has no relative error")
     return goal.at_most
@@ -192,7 +192,7 @@ def _search(
     while passed < ALLOWED_IN_TURN:
         passed = passed + 1 if excess(low) <= 0 else 0
         tried.append(low)
-        _require_falling([rows[one] for one in tried], low, passed)
+        _require_falling([rows[eps] for eps in tried], low, passed)
         low /= THICKNESS_RATIO
     low = tried[-ALLOWED_IN_TURN]
     if low == thickest:

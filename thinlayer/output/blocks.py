@@ -86,8 +86,8 @@ def _named_variables(sublayers: list[dict[str, Array]], before: int, *, several:
     """Names and values of internal variables; where a facet has several points of one name they are numbered from below."""
     for number, variables in enumerate(sublayers, before + 1):
         for name, values in variables.items():
-            own = f"internal {name}" if name in RESERVED_FIELDS else name
-            yield f"{own} {number}" if several or len(sublayers) > 1 else own, values
+            field_name = f"internal {name}" if name in RESERVED_FIELDS else name
+            yield f"{field_name} {number}" if several or len(sublayers) > 1 else field_name, values
 
 
 class _Means:
@@ -113,8 +113,8 @@ class _Means:
             return
         entities, means = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
         at = np.searchsorted(self._numbers, entities)
-        known = self.found.setdefault(name, np.full((len(self._numbers), *means.shape[1:]), np.nan))
-        known[at] = np.where(np.isnan(known[at]), means, known[at] + means)  # several laws may share cells of junctions
+        total = self.found.setdefault(name, np.full((len(self._numbers), *means.shape[1:]), np.nan))
+        total[at] = np.where(np.isnan(total[at]), means, total[at] + means)  # several laws may share cells of junctions
 
 
 def von_mises(stress: Array) -> Array:
@@ -170,11 +170,11 @@ def _surface_block(
         model: an interface model.
         of_facets: name -> means (n_S, components), on rank 0.
     """
-    joint, d, surface, own = model.joint, model.joint.dim, Surface(model), state.model is model
+    joint, d, surface, same_model = model.joint, model.joint.dim, Surface(model), state.model is model
     lower, upper = surface.displacements(state)
     fields = {"x": surface.x, "n": surface.n, "traction": surface.traction(state), "upper": upper, "lower": lower}
-    status = surface.status(state)[:, 0] if own else None
-    contact = contact_values(surface, state) if own else {}
+    status = surface.status(state)[:, 0] if same_model else None
+    contact = contact_values(surface, state) if same_model else {}
     if model.comm.rank:
         return None
     degree = max(joint.degree, model.structure.degree)
@@ -191,11 +191,11 @@ def _surface_block(
     block.cell_data["seam"] = joint.seam_numbers
     _add_texts(block, "seams", joint.seams)
     if status is not None:
-        block.cell_data["status"] = [STATUS_CODES[one] for one in status]
+        block.cell_data["status"] = [STATUS_CODES[name] for name in status]
         block.field_data["status codes"] = _legend(STATUS_CODES)
     if contact:
         slip = np.einsum("mk,mkj->mj", contact["slip"], contact["frames"][:, :-1])
-        codes = np.array([CONTACT_CODES[one] for one in contact["status"]])
+        codes = np.array([CONTACT_CODES[name] for name in contact["status"]])
         at_corners = lagrange(surface.kind, 1).tabulate(0, lagrange(surface.kind, degree).points)[0, :, :, 0]
         codes = codes[surface.nodes][:, at_corners.argmax(axis=1)]  # of nodes between corners, that of one of these
         slip = at_corners @ slip[surface.nodes]
@@ -216,7 +216,7 @@ def _add_texts(mesh: pyvista.UnstructuredGrid, name: str, texts: Iterable[str]) 
 
 
 def _legend(codes: Mapping[str, int]) -> list[str]:
-    return [f"{code} {name}" for name, code in sorted(codes.items(), key=lambda one: one[1])]
+    return [f"{code} {name}" for name, code in sorted(codes.items(), key=lambda item: item[1])]
 
 
 def _three_components(values: Array) -> Array:
@@ -231,11 +231,11 @@ def _nodal_data(at: Mapping[str, Array], d: int) -> dict[str, Array]:
     n = at["n"] / np.linalg.norm(at["n"], axis=2, keepdims=True)
     jump = upper - lower
     data = {"traction": t, "jump": jump, "normal": n, "u": (upper + lower) / 2, "u_upper": upper, "u_lower": lower}
-    found = {name: _three_components(values) for name, values in data.items()}
+    fields = {name: _three_components(values) for name, values in data.items()}
     for name, vector in (("t", t), ("w", jump)):
         along_n = np.einsum("fki,fki->fk", vector, n)
         tangential = vector - along_n[..., None] * n
-        found[f"{name}_N"] = along_n.ravel()
+        fields[f"{name}_N"] = along_n.ravel()
         signed = n[..., 1] * vector[..., 0] - n[..., 0] * vector[..., 1]
-        found[f"{name}_T"] = signed.ravel() if d == 2 else _three_components(tangential)
-    return found
+        fields[f"{name}_T"] = signed.ravel() if d == 2 else _three_components(tangential)
+    return fields

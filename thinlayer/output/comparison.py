@@ -53,10 +53,10 @@ def compare(
             plane, element, thickness), or are of two times; `where` is no function of places, or holds nowhere on S;
             unknown seam.
     """
-    for one in (full, interface):
-        require(isinstance(one, (State, History)), "compare: a state", one, "give what solve or march returns")
+    for result in (full, interface):
+        require(isinstance(result, (State, History)), "compare: a state", result, "give what solve or march returns")
     require(at is None or is_finite(at), "compare: at", at, "give a time, a finite number")
-    full, interface = (_state_at(one, at) for one in (full, interface))
+    full, interface = (_state_at(result, at) for result in (full, interface))
     meshed, limit = full.model, interface.model
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):
         raise InputError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
@@ -64,7 +64,7 @@ def compare(
         raise InputError(f"compare needs two models of the same joint and element, not {meshed} and {limit}")
     if abs(full.t - interface.t) > TIME_TOLERANCE * max(abs(full.t), abs(interface.t)):
         raise InputError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
-    opened = ([name for name in one.joint.seams if name not in one.layers] for one in (meshed, limit))
+    opened = ([name for name in model.joint.seams if name not in model.layers] for model in (meshed, limit))
     is_open = [", ".join(names) or "none" for names in opened]
     if is_open[0] != is_open[1]:
         raise InputError(f"compare needs the same open or bonded joints, not {is_open[0]} and {is_open[1]}")
@@ -77,31 +77,37 @@ def compare(
         _require_same_structure(meshed, limit)
     surface = Surface(limit, seam)
     part = _part(surface, where)
-    row = {"eps": max(float(one.thin_layer.eps) for one in meshed.layers.values() if one.thin_layer)}
+    row = {"eps": max(float(layer.thin_layer.eps) for layer in meshed.layers.values() if layer.thin_layer)}
     moved = float(interface.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) * math.sqrt(surface.integral(part))
     sizes = {}
     for name, field in (("traction", surface.traction), ("jump", surface.jump)):
         by_law = field(interface)
         sizes[name] = surface.norm(by_law, part)
-        known = sizes[name] > (JUMP_ROUNDING_SHARE * moved if name == "jump" else 0.0)
-        row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if known else math.nan
+        is_nonzero = sizes[name] > (JUMP_ROUNDING_SHARE * moved if name == "jump" else 0.0)
+        row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if is_nonzero else math.nan
     return row | sizes | (_too_stiff(interface, seam) if interface.model is limit else {})
 
 
 def _too_stiff(state: State, seam: str) -> dict[str, float]:
     """Column "too_stiff" of each layer that has one, "too_stiff NAME" if the joint has several seams. Collective."""
     several = len(state.model.joint.seams) > 1
-    layers = {name: one for name, one in state.model.layers.items() if seam in (S, name) and not one.has_pressure_flow}
-    factors = {name: times_too_stiff(state, one) for name, one in layers.items()}
-    return {f"too_stiff {name}" if several else "too_stiff": one for name, one in factors.items() if one is not None}
+    layers = {
+        name: layer for name, layer in state.model.layers.items() if seam in (S, name) and not layer.has_pressure_flow
+    }
+    factors = {name: times_too_stiff(state, layer) for name, layer in layers.items()}
+    return {
+        f"too_stiff {name}" if several else "too_stiff": factor
+        for name, factor in factors.items()
+        if factor is not None
+    }
 
 
-def _state_at(one: Solution, at: float | None) -> State:
-    if isinstance(one, State):
-        if at is not None and not abs(one.t - at) <= TIME_TOLERANCE * max(abs(one.t), abs(at)):
-            raise InputError(f"compare: a state is of t = {one.t:g}, not of at = {at:g}; give its history, or no at")
-        return one
-    return one.last if at is None else one.at(at)
+def _state_at(result: Solution, at: float | None) -> State:
+    if isinstance(result, State):
+        if at is not None and not abs(result.t - at) <= TIME_TOLERANCE * max(abs(result.t), abs(at)):
+            raise InputError(f"compare: a state is of t = {result.t:g}, not of at = {at:g}; give its history, or no at")
+        return result
+    return result.last if at is None else result.at(at)
 
 
 def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
@@ -109,7 +115,7 @@ def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
     band = full.domain.joint.band
     here = "kept" if interface.domain.joint.parted is None else "extended"
     assert band is not None
-    if band.bodies != here and any(one.thin_layer and one.thin_layer.order for one in interface.layers.values()):
+    if band.bodies != here and any(layer.thin_layer and layer.thin_layer.order for layer in interface.layers.values()):
         models = f"bodies are {band.bodies} in the full model and {here} in the interface model"
         why = "which is a difference of order 1 by itself; give both the same bodies='...'"
         raise InputError(f"compare, order=1: {models}, {why}")
@@ -123,10 +129,10 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
         for model in (full, interface)
     )
     if there != here:
-        found = [*differences(there, here)]
-        raise InputError(f"compare needs the same {found[0][0][0]}: {differences_text(found)}")
+        changes = [*differences(there, here)]
+        raise InputError(f"compare needs the same {changes[0][0][0]}: {differences_text(changes)}")
     for name, layer in interface.layers.items():
-        both = [one.thin_layer.profile for one in (full.layers[name], layer) if one.thin_layer]
+        both = [seam_layer.thin_layer.profile for seam_layer in (full.layers[name], layer) if seam_layer.thin_layer]
         shapes = [full.joint.relative_thickness(profile, name) for profile in both]  # a law on S has no thickness
         if not np.allclose(shapes[0], shapes[-1], rtol=PROFILE_TOLERANCE, atol=0.0):
             raise InputError("compare needs the same profile of the thickness in both models")

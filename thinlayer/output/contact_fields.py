@@ -153,8 +153,8 @@ def contact_result(surface: SurfaceMesh, state: State) -> Contact:
     """Contact of a state on a surface. Collective; raises InputError."""
     values = contact_values(surface, state)
     if not values:
-        known = ", ".join(state.model.contacts)
-        hint = f"; seams with one: {known}" if known else ""
+        seams = ", ".join(state.model.contacts)
+        hint = f"; seams with one: {seams}" if seams else ""
         raise InputError(f"no contact law is on {surface.seam!r} in this state's model, {state.model!r}{hint}")
     equilibrium, clapeyron = _balance(state)
     return Contact(surface=surface, **values, equilibrium=equilibrium, clapeyron=clapeyron)
@@ -166,17 +166,17 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, Any]:
     parts = [part for name in seams for part in state.model.comm.allgather(_rank_values(state, name))]
     if not parts:
         return {}
-    found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    at, m, own, areas = (surface.find(found.pop("number")), len(surface.numbers), *map(found.pop, ("own", "areas")))
+    nodal = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    at, m, vertex, areas = (surface.find(nodal.pop("number")), len(surface.numbers), *map(nodal.pop, ("own", "areas")))
     around = sum_by_number(at, areas, m)
     values: dict[str, Any] = {"areas": around}
-    for name, array in found.items():
+    for name, array in nodal.items():
         if name in ("p", "t_T", "threshold"):  # vertices have the forces of nodes between them
             values[name] = (sum_by_number(at, (array.T * areas).T, m).T / np.where(around > 0, around, 1.0)).T
             continue
         values[name] = np.zeros((m, *array.shape[1:])) if name != "status" else np.full(m, NO_CONTACT_STATUS)
         values[name][at] = array  # of a neighbour, where a vertex has no area: on the axis of a solid of revolution
-        values[name][at[own]] = array[own]
+        values[name][at[vertex]] = array[vertex]
     return values
 
 
@@ -192,16 +192,16 @@ def _rank_values(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
         kind = np.where((kind == Status.STICK) & at_limit, Status.SLIDING, kind)
     largest = model.comm.allreduce(float(p.max(initial=0.0)), max)
     kind = np.where(p <= ZERO_PRESSURE_SHARE * largest, Status.SEPARATED, kind)
-    status = np.array([STATUS_NAMES[Status(int(one))] for one in kind], dtype="<U9")
+    status = np.array([STATUS_NAMES[Status(int(code))] for code in kind], dtype="<U9")
     status[nodes.is_fixed.all(axis=1)] = PINNED_STATUS
     node, number = body_pairs(model.joint, seam, nodes.file_numbers)
-    beside = np.bincount(node, minlength=len(w))
-    found: dict[str, npt.NDArray[Any]] = {
-        "own": beside == 1, "status": status, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],
-        "threshold": threshold, "slip": slip, "areas": nodes.weights / beside, "frames": nodes.frames,
+    vertex_count = np.bincount(node, minlength=len(w))
+    values: dict[str, npt.NDArray[Any]] = {
+        "own": vertex_count == 1, "status": status, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],
+        "threshold": threshold, "slip": slip, "areas": nodes.weights / vertex_count, "frames": nodes.frames,
     }  # fmt: skip
     nodes.destroy()
-    return {"number": number} | {name: array[node] for name, array in found.items()}
+    return {"number": number} | {name: array[node] for name, array in values.items()}
 
 
 def _balance(state: State) -> tuple[float, float]:
@@ -209,8 +209,8 @@ def _balance(state: State) -> tuple[float, float]:
     model, comm, d = state.model, state.model.comm, state.model.joint.dim
     if any(p.law.traits.compiled for p in model.layer_terms):
         return math.nan, math.nan
-    held = np.union1d(model.supports.bc_dofs_in(model.V), model.bc_dofs_in(model.V))
-    held = held[held < model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs]
+    bc_dofs = np.union1d(model.supports.bc_dofs_in(model.V), model.bc_dofs_in(model.V))
+    bc_dofs = bc_dofs[bc_dofs < model.V.dofmap.index_map.size_local * model.V.dofmap.index_map_bs]
     v = ufl.TestFunction(model.V)
     stresses = nodal_forces(model.V, state.work(state.bodies + state.layers, v) + model.added_work_in(state, v))
     loads, of_contact = nodal_forces(model.V, model.external_work(v, state.t)), contact_forces(state)
@@ -218,8 +218,8 @@ def _balance(state: State) -> tuple[float, float]:
     on_s.scale(-1.0)
     spent, tractions, supplied = float(u.dot(inner)), float(u.dot(on_s)), float(u.dot(outer))
     total = inner.array_r + on_s.array_r - outer.array_r
-    at_supports = comm.allreduce(float(total[held] @ u.array_r[held]))
-    total[held] = 0.0
+    at_supports = comm.allreduce(float(total[bc_dofs] @ u.array_r[bc_dofs]))
+    total[bc_dofs] = 0.0
     sums = comm.allreduce(total.reshape(-1, d).sum(axis=0))
     sizes = comm.allreduce(sum(float(np.abs(f.array_r).sum()) for f in (inner, outer, on_s)))
     largest = max(map(abs, (spent, tractions, supplied, at_supports)))

@@ -68,7 +68,7 @@ def ensemble(
         comm = default_comm()
         require(callable(make), "make", make, "it must be a function that returns a function of a case")
         require_csv(out, resume)
-        known = _checked_cases(cases)
+        inputs = _checked_cases(cases)
         ranks = comm.size if ranks is None else ranks
         dividing = [n for n in range(1, comm.size + 1) if comm.size % n == 0]
         require(ranks in dividing, "ranks", ranks, f"allowed: a number that divides the number of ranks, {comm.size}")
@@ -76,32 +76,32 @@ def ensemble(
         require(good, "part", part, "allowed: (k, n), the k-th of n parts, 0 <= k < n")
         shared = part[1] == 1 or (out is not None and resume)
         require(shared, "part", part, "parts of an ensemble share a table: give out=... and resume=True")
-    require_same(None, cases=known, out=out and str(out), resume=resume, ranks=ranks, part=list(part))
+    require_same(None, cases=inputs, out=out and str(out), resume=resume, ranks=ranks, part=list(part))
     group, groups = comm.rank // ranks, comm.size // ranks
     first, step = part[0] * groups + group, part[1] * groups
     path = None if out is None else Path(out)
-    own: Any = comm.Split(group)
+    subcomm: Any = comm.Split(group)
     try:
         with own_folder(path and path.parent, name=f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK_FILE}"):
-            there = {} if path is None else on_root(None, lambda: _existing_rows(path, make, known, resume))
-            left = [k for k in range(first, len(known), step) if k not in there]
-            file = _file(path, f"{first}-of-{step}", make) if path and own.rank == 0 else None
+            there = {} if path is None else on_root(None, lambda: _existing_rows(path, make, inputs, resume))
+            left = [k for k in range(first, len(inputs), step) if k not in there]
+            file = _file(path, f"{first}-of-{step}", make) if path and subcomm.rank == 0 else None
             rows, error = dict[int, Row](), None
             try:
                 if left:
                     if file:
                         file.read(resume)
-                    with use_comm(own):
-                        _compute(own, make, known, left, rows, file, alone=step == 1, keep_failures=keep_failures)
+                    with use_comm(subcomm):
+                        _compute(subcomm, make, inputs, left, rows, file, alone=step == 1, keep_failures=keep_failures)
             except Exception as problem:  # the other groups go on
                 error = problem
             done = there | {k: row for some in comm.allgather(rows) for k, row in some.items()}
             if path is not None:
-                done |= on_root(None, lambda: _merged(path, known))
+                done |= on_root(None, lambda: _merged(path, inputs))
             _raise_together(comm, group, error)
-            return _table(known, done)
+            return _table(inputs, done)
     finally:
-        own.Free()
+        subcomm.Free()
 
 
 def _compute(
@@ -117,16 +117,16 @@ def _compute(
             file.watch((make, run))
     states = random_states((make, run))
     for k in track(left, "ensemble", "run {}"):
-        case, found, failure = cases[k], Row(), None
+        case, row, failure = cases[k], Row(), None
         try:
             with errors_on_all(comm):
-                given: Any = {**case}
-                found = checked_row(run(given), f"the row of run {k}", (RUN_COLUMN, FAILURE_COLUMN, *case))
+                arguments: Any = {**case}
+                row = checked_row(run(arguments), f"the row of run {k}", (RUN_COLUMN, FAILURE_COLUMN, *case))
         except SolveError as error:
             if not keep_failures:
                 raise
             failure = str(error)
-        rows[k] = {RUN_COLUMN: float(k), **case, **found} | ({FAILURE_COLUMN: failure} if keep_failures else {})
+        rows[k] = {RUN_COLUMN: float(k), **case, **row} | ({FAILURE_COLUMN: failure} if keep_failures else {})
         with errors_on_all(comm):
             if not alone and random_states((make, run)) != states:
                 raise InputError(f"groups and parts of an ensemble draw the same numbers, as from {GENERATOR_MESSAGE}")
@@ -147,7 +147,7 @@ def _file(path: Path, name: str, make: Callable[[], RunFunction]) -> RowFile:
 def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
     """The rows of all files; those of an earlier ensemble are moved away first unless it is resumed."""
     make_room(path, _parts(path), resume)
-    files = [_file(path, one.stem, make) for one in sorted(_parts(path).glob("*-of-*.json"))]
+    files = [_file(path, part_path.stem, make) for part_path in sorted(_parts(path).glob("*-of-*.json"))]
     rows = _by_run([row for file in files for row in file.read(resume)])
     for k, row in rows.items():
         case = cases[k] if k < len(cases) else {}
@@ -162,7 +162,7 @@ def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row]
 def _merged(path: Path, cases: list[Row]) -> dict[int, Row]:
     """Write all rows of all files into one table, one job after the other; returns them."""
     with lock_folder(_parts(path), f".merge{LOCK_FILE}", wait=True):
-        rows = _by_run([row for one in _parts(path).glob("*-of-*.json") for row in read_sealed(one)["rows"]])
+        rows = _by_run([row for file in _parts(path).glob("*-of-*.json") for row in read_sealed(file)["rows"]])
         if rows:
             _table(cases, rows).put(path)
     return rows
@@ -185,9 +185,9 @@ def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
 
 def _checked_cases(cases: Any) -> list[Row]:
     """The cases as rows; raises InputError."""
-    if not isinstance(cases, Iterable) or not (known := [*cases]):
+    if not isinstance(cases, Iterable) or not (entries := [*cases]):
         raise InputError(f"cases is {cases!r:.80}; an ensemble needs one case or more")
-    rows = [checked_row(case, f"case {k}", (RUN_COLUMN, FAILURE_COLUMN)) for k, case in enumerate(known)]
+    rows = [checked_row(case, f"case {k}", (RUN_COLUMN, FAILURE_COLUMN)) for k, case in enumerate(entries)]
     for k, row in enumerate(rows):
         if [*row] != [*rows[0]] or None in row.values():
             raise InputError(f"case {k} has {', '.join(row)}, the first one {', '.join(rows[0])}; all need the same")

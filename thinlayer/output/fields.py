@@ -99,14 +99,14 @@ def _make_room(path: Path, folder: Path) -> None:
             old.unlink()
 
 
-def _save(found: pyvista.MultiBlock | None, name: Path) -> None:
+def _save(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
     """Write a file .vtm, and those of its blocks in a folder beside it. VTK composes them in memory, as it can end the
     process where a disk is full."""
-    assert found is not None, "rank 0"
+    assert multiblock is not None, "rank 0"
     rows = []
-    for number, block in enumerate(found.keys()):
+    for number, block in enumerate(multiblock.keys()):
         writer = vtkXMLUnstructuredGridWriter()
-        writer.SetInputData(found[block])
+        writer.SetInputData(multiblock[block])
         writer.SetDataModeToBinary()
         writer.WriteToOutputStringOn()
         writer.Write()

@@ -106,8 +106,8 @@ def gather_grid(state: State) -> VtkGrid | None:
     maps = ((V.dofmap.index_map, here), (W.dofmap.index_map, there))
     numbers = [imap.local_to_global(np.ravel(nodes)).reshape(nodes.shape) for imap, nodes in maps]
     # each cell's own places: nodes of periodic sides have two
-    own = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if joint.periods else V
-    x, values = own.tabulate_dof_coordinates()[own.dofmap.list[:n]][:, order], u.x.array.reshape(-1, d)[here]
+    x_space = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if joint.periods else V
+    x, values = x_space.tabulate_dof_coordinates()[x_space.dofmap.list[:n]][:, order], u.x.array.reshape(-1, d)[here]
     pieces = model.comm.gather((model.domain.original_cells[:n], *numbers, x, values), root=0)
     if pieces is None:
         return None

@@ -60,12 +60,12 @@ def homogenised_stiffness(model: Model) -> Array:
     with Solver(strained) as solver:
         times = map(float, range(len(VOIGT_PAIRS_OF_DIM[model.joint.dim])))
         stresses = [solver.step(solver.rest(t), t).mean_stress() for t in times]
-    found = np.column_stack([[stress[pair] for pair in VOIGT_PAIRS_OF_DIM[len(stress)]] for stress in stresses])
-    apart, size = float(np.abs(found - found.T).max()), float(np.abs(found).max())
+    stiffness = np.column_stack([[stress[pair] for pair in VOIGT_PAIRS_OF_DIM[len(stress)]] for stress in stresses])
+    asymmetry, size = float(np.abs(stiffness - stiffness.T).max()), float(np.abs(stiffness).max())
     stiffest = max(np.abs(C).max() for C in model.structure.bodies_at_rest if C is not None)
-    if model.symmetric and apart > ASYMMETRY_TOLERANCE * size + BODY_STIFFNESS_TOLERANCE * stiffest:
-        raise SolveError(f"the homogenised stiffness is not symmetric: entries of {size:.1e} differ by {apart:.1e}")
-    return found
+    if model.symmetric and asymmetry > ASYMMETRY_TOLERANCE * size + BODY_STIFFNESS_TOLERANCE * stiffest:
+        raise SolveError(f"the homogenised stiffness is not symmetric: entries of {size:.1e} differ by {asymmetry:.1e}")
+    return stiffness
 
 
 def _check(model: Model) -> None:

@@ -81,9 +81,9 @@ class Probe:
         u = np.einsum("kn,knd->kd", basis, cell_values(self.state.u, self.state.model, located.entity))
         largest = self._comm.allreduce(float(np.abs(self.state.u.x.array).max(initial=0.0)), max)
         first = np.searchsorted(located.point, np.arange(len(located.x)))
-        apart = np.abs(u - u[first[located.point]]).max(axis=1) > DISPLACEMENT_TOLERANCE * largest
+        jumps = np.abs(u - u[first[located.point]]).max(axis=1) > DISPLACEMENT_TOLERANCE * largest
         hint = "several bodies meet there; give side= and seam=" if side else "give side="
-        refuse(apart, located.x[located.point], f"displacements jump at {{at}}: {hint}")
+        refuse(jumps, located.x[located.point], f"displacements jump at {{at}}: {hint}")
         return u[first] if np.ndim(x) > 1 else u[first][0]
 
     def stress(self, x: Any, *, side: str | None = None, seam: str = S) -> Array:
@@ -111,12 +111,12 @@ class Probe:
     def _fitted(self, points: LawPoints, values: Array, located: LocatedPoints) -> Array:
         """Values (m, k) at located places of the polynomials nearest to values (points, k) in their cells; else zero."""
         out = np.zeros((len(located.entity), values.shape[1]))
-        own = {int(entity): row for row, entity in enumerate(points.entities)}
+        rows = {int(entity): row for row, entity in enumerate(points.entities)}
         degree = self.state.model.structure.degree - (not is_tensor(self._joint.cell_type))
         for at, cell in enumerate(map(int, located.entity)):
-            if cell not in own:
+            if cell not in rows:
                 continue
-            here = points.quadrature.cells[own[cell]]
+            here = points.quadrature.cells[rows[cell]]
             x = points.quadrature.x[here]
             centre = x.mean(axis=0)
             size = np.ptp(self._joint.points[self._joint.cells[cell]], axis=0).max()
@@ -128,15 +128,15 @@ class Probe:
     # ---------------------------------------------------------------- internal variables
     @cached_property
     def _variables(self) -> dict[str, dict[str, tuple[LawPoints, Array]]]:
-        found: dict[str, dict[str, tuple[LawPoints, Array]]] = {}
+        by_key: dict[str, dict[str, tuple[LawPoints, Array]]] = {}
         for points in law_points(self.state):
             sublayers = points.internal()
             for k, variables in enumerate(sublayers, 1):
                 start = f"{points.key} " if points.key in (BODY_KIND, LAYER_KIND) else f"{points.key}/"
                 key = f"{start}{k}" if len(sublayers) > 1 else points.key
                 if variables:
-                    found[key] = {name: (points, values) for name, values in variables.items()}
-        return found
+                    by_key[key] = {name: (points, values) for name, values in variables.items()}
+        return by_key
 
     @property
     def names(self) -> dict[str, list[str]]:
@@ -163,7 +163,7 @@ class Probe:
         entity = np.empty(quadrature.count, np.int64)
         entity[quadrature.cells] = points.entities[:, None]
         mine = (entity, quadrature.x, quadrature.weights, values)
-        entity, x, weights, values = (np.concatenate(one) for one in zip(*self._comm.allgather(mine), strict=True))
+        entity, x, weights, values = (np.concatenate(parts) for parts in zip(*self._comm.allgather(mine), strict=True))
         order = np.lexsort([np.argsort(by_place(x, self._joint.size)), entity])
         return PointValues(key, x[order], values[order], weights[order], entity[order])
 
@@ -180,8 +180,8 @@ class Probe:
         Raises:
             InputError: as in `points`; places where this law does not act.
         """
-        found = self.points(name, key)
-        if self._variables[found.key][name][0].quadrature.region.dim == self._joint.dim:
+        points = self.points(name, key)
+        if self._variables[points.key][name][0].quadrature.region.dim == self._joint.dim:
             located = self._located(x, None, S)
             entity = located.entity
         else:
@@ -189,22 +189,22 @@ class Probe:
                 located, _ = SurfaceMesh(self.state.model).at(x)
             require_same(self._comm, places=located.x)
             entity = self._joint.surface_rows[located.entity]
-        out = np.empty((len(located.x), *found.values.shape[1:]))
-        for k, one in enumerate(located.x):
-            here = np.flatnonzero(np.isin(found.entity, entity[located.point == k]))
+        out = np.empty((len(located.x), *points.values.shape[1:]))
+        for k, place in enumerate(located.x):
+            here = np.flatnonzero(np.isin(points.entity, entity[located.point == k]))
             if not len(here):
-                raise InputError(f"the law {found.key!r} does not act at {place_text(one)}")
-            out[k] = found.values[here[cKDTree(found.x[here]).query(one)[1]]]
+                raise InputError(f"the law {points.key!r} does not act at {place_text(place)}")
+            out[k] = points.values[here[cKDTree(points.x[here]).query(place)[1]]]
         return out if np.ndim(x) > 1 else out[0]
 
     def _key(self, name: str, key: str | None) -> str:
         """The key of the law with an internal variable."""
-        having = [one for one, variables in self._variables.items() if name in variables]
-        listed = "; ".join(f"{one}: {', '.join(names)}" for one, names in self.names.items())
-        known = listed or "no law remembers anything"
+        having = [law_key for law_key, variables in self._variables.items() if name in variables]
+        listed = "; ".join(f"{law_key}: {', '.join(names)}" for law_key, names in self.names.items())
+        available = listed or "no law remembers anything"
         if not having or key not in (None, *having):
             where = "" if key is None else f" of the law {key!r}"
-            raise InputError(f"there is no internal variable {name!r}{where}; known: {known}")
+            raise InputError(f"there is no internal variable {name!r}{where}; known: {available}")
         if key is None and len(having) > 1:
             raise InputError(f"several laws have an internal variable {name!r}; give key=, one of {', '.join(having)}")
         return key or having[0]

@@ -64,8 +64,8 @@ class RowFile:
             return []
         content, name = read_sealed(self.path), str(self.path)
         self._changing, self._drawn = {*map(tuple, content["changing"])}, content["drawn"]
-        found = differences(content["made from"], self._made_from)
-        other = [one for one in found if _changed_path(*one) not in self._changing]
+        changes = differences(content["made from"], self._made_from)
+        other = [change for change in changes if _changed_path(*change) not in self._changing]
         if self._drawn and resume != "anyway":
             raise InputError(
                 f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR_MESSAGE}; {RESUME_ADVICE}"
@@ -80,7 +80,7 @@ class RowFile:
     def add(self, row: Row) -> None:
         """Add a row, on the disk before this returns."""
         self._rows.append(row)
-        changed = (_changed_path(*one) for one in differences(self._made_from, describe(self._run)))
+        changed = (_changed_path(*change) for change in differences(self._made_from, describe(self._run)))
         self._changing |= {path for path in changed if path}
         self._drawn |= random_states(self._watched, shared=True) != self._states
         about = {"made from": self._made_from, "changing": sorted(self._changing), "drawn": self._drawn}
@@ -95,12 +95,12 @@ def require_csv(out: Any, resume: Any) -> None:
         raise InputError(f"out: {str(out)!r} is a folder; give the name of a csv file")
 
 
-def make_room(table: Path, beside: Path, resume: Resume) -> None:
+def make_room(table: Path, record: Path, resume: Resume) -> None:
     """Move a table that is not resumed away, with what is kept beside it. InputError: it cannot be resumed."""
     if not resume:
-        move_away(table.parent, [table.name, beside.name])
-    elif table.exists() and not beside.exists():
-        reason = f"there is no {beside.name} that tells what it is made from; give another name, or remove it"
+        move_away(table.parent, [table.name, record.name])
+    elif table.exists() and not record.exists():
+        reason = f"there is no {record.name} that tells what it is made from; give another name, or remove it"
         raise InputError(f"{str(table)!r} cannot be resumed: {reason}")
 
 
@@ -111,20 +111,20 @@ def checked_row(row: Any, what: str, taken: Collection[str]) -> Row:
         InputError: the row, which is `what`, has a column that is taken, or entries that are neither numbers nor texts.
     """
     require(isinstance(row, Mapping), what, row, "it needs a mapping of names to numbers or texts")
-    found: Row = {}
+    entries: Row = {}
     for name, value in row.items():
         if not isinstance(name, str) or name in taken:
             raise InputError(f"{what} has {name!r}; names of columns are texts, other than {', '.join(taken)}")
         if not (value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool))):
             raise InputError(f"{what}: {name} = {value!r} is neither a number nor a text")
-        kept = found[name] = value if value is None or isinstance(value, str) else float(value)
+        kept = entries[name] = value if value is None or isinstance(value, str) else float(value)
         if isinstance(value, Integral) and value != kept:
             raise InputError(f"{what}: {name} = {value!r}, of which a table keeps {kept:.17g}; take it below 2^53")
-    return found
+    return entries
 
 
-def _changed_path(path: tuple[str, ...], one: Any, _: Any) -> tuple[str, ...] | None:
+def _changed_path(path: tuple[str, ...], value: Any, _: Any) -> tuple[str, ...] | None:
     """Path of a changed value, with "*" for values that only one description has; None for code."""
     if {CODE_KEY, FILE_KEY, SAME_KEY} & {*path}:
         return None
-    return (*path[:-1], "*") if one is MISSING_VALUE else path
+    return (*path[:-1], "*") if value is MISSING_VALUE else path

@@ -67,11 +67,11 @@ class Surface(SurfaceMesh):
         """
         self._require_same_joint(state)
         whole = SurfaceMesh(self.model)  # forces at junctions are of all seams there
-        found, bonds = reaction_tractions(whole, state), np.isin(whole.seams, state.model.bonds)
+        tractions, bonds = reaction_tractions(whole, state), np.isin(whole.seams, state.model.bonds)
         if bonds.any() and not bonds.all() and state.model.broken:
             of_bonds = whole.sums(np.broadcast_to(bonds[:, None], whole.nodes.shape).astype(float)) > 0
-            found = np.where(of_bonds[:, None], found, reaction_tractions(whole, state, joined=True))
-        return self.at_points(found[whole.find(self.numbers)])
+            tractions = np.where(of_bonds[:, None], tractions, reaction_tractions(whole, state, joined=True))
+        return self.at_points(tractions[whole.find(self.numbers)])
 
     # ---------------------------------------------------------------- what S does
     def status(self, state: State) -> npt.NDArray[np.str_]:
@@ -99,9 +99,9 @@ class Surface(SurfaceMesh):
                 areas[possible[0]][self.seams == name] = 1.0
         for points, rows in layer_points(self, state):
             if _has_plastic_strain(points.term.law):
-                found, weights = _at_points(self, points, rows), self.rule(points.quadrature.degree).weights
+                status, weights = _at_points(self, points, rows), self.rule(points.quadrature.degree).weights
                 for name in YIELD_STATUSES:
-                    np.add.at(areas[name], rows[rows >= 0], (weights[rows[rows >= 0]] * (found == name)).sum(axis=1))
+                    np.add.at(areas[name], rows[rows >= 0], (weights[rows[rows >= 0]] * (status == name)).sum(axis=1))
         if of_contact := contact_values(self, state):
             at_corners = of_contact["status"][self.nodes]
             for name in CONTACT_STATUSES:
@@ -153,7 +153,7 @@ class Surface(SurfaceMesh):
         """
         self._require_same_joint(state)
         model, rows = state.model, []
-        found = self.status(state) if isinstance(model, InterfaceModel) else None
+        status = self.status(state) if isinstance(model, InterfaceModel) else None
         nodes = contact_values(self, state)
         for seam in dict.fromkeys(self.seams.tolist()):
             mine, layer = self.seams == seam, model.layers.get(seam)
@@ -163,15 +163,15 @@ class Surface(SurfaceMesh):
                 areas = nodes["areas"] * np.isin(np.arange(len(self.numbers)), self.nodes[mine])
                 shares = {name: float(areas[nodes["status"] == name].sum() / areas.sum()) for name in CONTACT_STATUSES}
                 row |= shares | {"normal_force": float(areas @ nodes["p"])}
-            elif found is not None:
+            elif status is not None:
                 areas = self.weights.sum(axis=1) * mine / size
-                row |= {name: float(areas @ (found[:, 0] == name)) for name in statuses(model, seam)}
+                row |= {name: float(areas @ (status[:, 0] == name)) for name in statuses(model, seam)}
             if layer and seam in seams_with_phases(model):
                 row |= phase_shares(state, seam)
             if (
                 layer
                 and layer.thin_layer
-                and found is not None
+                and status is not None
                 and (factor := times_too_stiff(state, layer)) is not None
             ):
                 row |= {"delta": float(layer.thin_layer.eps) * resting_sublayers(layer)[0].length, "too_stiff": factor}
@@ -190,13 +190,13 @@ def statuses(model: Model, seam: str) -> tuple[str, ...]:
 
 
 def _has_plastic_strain(law: Law) -> bool:
-    return any(one.internal.get("plastic") == (3, 3) for _, one in law.sublayers)
+    return any(sublayer.internal.get("plastic") == (3, 3) for _, sublayer in law.sublayers)
 
 
 def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.NDArray[np.str_]:
     """(facets, q) statuses at the points of a layer's law, on the facets `rows` that are not -1. Collective."""
     model, q, sublayers = points.state.model, points.quadrature, points.term.law.sublayers
-    (layer,) = (one for one in model.layers.values() if one.key == points.term.key)
+    (layer,) = (seam_layer for seam_layer in model.layers.values() if seam_layer.key == points.term.key)
     rule = surface.rule(q.degree)
     lower, upper = surface.sides(points.state.u, model, rule)[:, :, surface.seams == layer.name]
     opening = np.zeros(rule.weights.shape)

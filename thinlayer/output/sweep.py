@@ -44,9 +44,9 @@ def sweep(
     with errors_on_all(default_comm()):
         require_csv(out, resume)
         require(callable(run), "run", run, "it must be a function of a thickness")
-        given = tuple(eps) if np.iterable(eps) and not isinstance(eps, str) else ()
-        values = sorted({float(e) for e in given if is_finite(e) and e > 0}, reverse=True)
-        require(0 < len(given) == len(values), "eps", eps, "a sweep needs different thicknesses > 0")
+        thicknesses = tuple(eps) if np.iterable(eps) and not isinstance(eps, str) else ()
+        values = sorted({float(e) for e in thicknesses if is_finite(e) and e > 0}, reverse=True)
+        require(0 < len(thicknesses) == len(values), "eps", eps, "a sweep needs different thicknesses > 0")
     require_same(default_comm(), eps=values, out=out and str(out), resume=resume)
     path, rows, file = None if out is None else Path(out), dict[float, Row](), None
     with own_folder(path and path.parent, name=f".{path and path.name}{LOCK_FILE}"):

@@ -61,10 +61,10 @@ class LawPoints:
         """Stresses (points, 3, 3), with the pressure of an incompressible law. Collective."""
         term, points = self.term, self.quadrature
         if term.law.traits.compiled:
-            known = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL_PAIRS))))
+            vectors = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL_PAIRS))))
         else:
-            known = points.values(mandel_vector(stress(term, self.state.u)))
-        return mandel_tensors(known) + self._pressure()[:, None, None] * np.eye(3)
+            vectors = points.values(mandel_vector(stress(term, self.state.u)))
+        return mandel_tensors(vectors) + self._pressure()[:, None, None] * np.eye(3)
 
     def _pressure(self) -> Array:
         """Pressure (points,) of an incompressible law, a part of its stress; else zero."""
@@ -83,33 +83,33 @@ class LawPoints:
             return [{} for _ in sublayers]
         memory = self.state.memory.get(self.key, np.zeros((self.quadrature.count, self.term.law.memory)))
         sizes = [law.memory for law in sublayers]
-        own = np.split(memory[:, self.term.law.memory - sum(sizes) :], np.cumsum(sizes)[:-1], axis=1)
-        return [unpack_memory(law, values) for law, values in zip(sublayers, own, strict=True)]
+        slices = np.split(memory[:, self.term.law.memory - sum(sizes) :], np.cumsum(sizes)[:-1], axis=1)
+        return [unpack_memory(law, values) for law, values in zip(sublayers, slices, strict=True)]
 
 
 def law_points(state: State) -> Iterator[LawPoints]:
     """The points of all laws of a state, bodies first, then layers; without contact laws. Collective."""
     model = state.model
-    keys = {id(one.term): key for key, one in model.quadratures.items()}
+    keys = {id(q.term): key for key, q in model.quadratures.items()}
     if model not in _MODEL_QUADRATURES:  # made once
-        compiled = {id(one.term): one for one in model.quadratures.values()}
+        compiled = {id(q.term): q for q in model.quadratures.values()}
         _MODEL_QUADRATURES[model] = [
             compiled.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms
         ]
-    for own, term, quadrature in zip(model.terms, state.bodies + state.layers, _MODEL_QUADRATURES[model], strict=True):
-        yield LawPoints(state, term, quadrature, keys.get(id(own), ""))
+    for base, term, quadrature in zip(model.terms, state.bodies + state.layers, _MODEL_QUADRATURES[model], strict=True):
+        yield LawPoints(state, term, quadrature, keys.get(id(base), ""))
 
 
 def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
     """The internal variables of a law by name, (points, *shape), from the rows of its memory (points, values)."""
     if sum(VARIABLE_SIZES[shape] for shape in law.internal.values()) != memory.shape[1]:
         return {UNNAMED_MEMORY: memory}
-    found, start = {}, 0
+    variables, start = {}, 0
     for name, shape in law.internal.items():
         part = memory[:, start : start + VARIABLE_SIZES[shape]]
-        found[name] = mandel_tensors(part) if shape == (3, 3) else part if shape else part[:, 0]
+        variables[name] = mandel_tensors(part) if shape == (3, 3) else part if shape else part[:, 0]
         start += VARIABLE_SIZES[shape]
-    return found
+    return variables
 
 
 LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance for the tractions whose forces are the reactions
@@ -183,15 +183,15 @@ def _facet_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
     """For each cell of an inflated joint the facet of the surface that it has become; -1: none, as where layers meet."""
     joint = surface.joint
     numbers, centres = column_numbers(state.model.domain.joint)
-    apart, row = cKDTree(joint.points[surface.corners].mean(axis=1)).query(centres)
-    row = np.where(apart <= CENTRE_DISTANCE * joint.size, row, -1)
+    distance, row = cKDTree(joint.points[surface.corners].mean(axis=1)).query(centres)
+    row = np.where(distance <= CENTRE_DISTANCE * joint.size, row, -1)
     return np.where(numbers >= 0, row[numbers], -1)
 
 
 def _add_cell_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
     """Add the moments of the mean of stress n through a meshed layer; `rows`: facets of its cells, or -1."""
     joint, q, mine = surface.joint, points.quadrature, np.flatnonzero(rows >= 0)
-    layer = next(one for one in points.state.model.layers.values() if one.key == points.term.key)
+    layer = next(seam_layer for seam_layer in points.state.model.layers.values() if seam_layer.key == points.term.key)
     cells, rows = q.cells[mine], rows[mine]
     X, _ = basix.make_quadrature(basix.CellType[joint.cell_type], q.degree)
     shapes, region = lagrange(joint.cell_type, 1).tabulate(0, X)[0, :, :, 0], q.region.mesh
@@ -234,19 +234,19 @@ def reaction_tractions(surface: SurfaceMesh, state: State, *, joined: bool = Fal
     """
     model, d = state.model, surface.joint.dim
     r = layer_forces(state, joined)
-    held = fem.Function(r.function_space)
-    held.x.array[model.bc_dofs_in(r.function_space)] = 1.0
-    held.x.scatter_forward()
-    by_sides = [surface.sides(f, model, surface.corner_points) for f in (r, held)]
+    bc_marker = fem.Function(r.function_space)
+    bc_marker.x.array[model.bc_dofs_in(r.function_space)] = 1.0
+    bc_marker.x.scatter_forward()
+    by_sides = [surface.sides(f, model, surface.corner_points) for f in (r, bc_marker)]
     forces, fixed = (np.moveaxis(f, 1, -1) for f in by_sides)  # (2, n, k, d)
     sides, count = _side_nodes(surface, joined)
-    force, known = np.zeros((count, d)), np.zeros((count, d), bool)
-    force[sides], known[sides] = forces, fixed < 0.5
-    there, apart = np.zeros(count, bool), sides[0] != sides[1]
-    tip = surface.sums(apart.astype(float)) == 0  # both sides are one node there
-    there[sides[1][apart]] = True
-    there[sides[0][apart & (surface.cells[:, :1] >= 0)]] = True  # what a rigid base gives is not known here
-    known &= there[:, None]
+    force, valid = np.zeros((count, d)), np.zeros((count, d), bool)
+    force[sides], valid[sides] = forces, fixed < 0.5
+    there, is_split = np.zeros(count, bool), sides[0] != sides[1]
+    tip = surface.sums(is_split.astype(float)) == 0  # both sides are one node there
+    there[sides[1][is_split]] = True
+    there[sides[0][is_split & (surface.cells[:, :1] >= 0)]] = True  # what a rigid base gives is not known here
+    valid &= there[:, None]
     both = np.stack([sides.ravel(), np.broadcast_to(surface.nodes, sides.shape).ravel()])
     of_one = np.bincount(np.unique(both, axis=1)[0], minlength=count) == 1  # else forces of several seams add up there
     areas = surface.areas
@@ -254,7 +254,7 @@ def reaction_tractions(surface: SurfaceMesh, state: State, *, joined: bool = Fal
     around = np.where(there, np.abs(M) @ np.ones(len(areas)), 1.0)
     out = np.zeros((len(areas), d))
     for k in range(d):
-        guess, rows = _lumped(surface, sides, force[:, k] / around, known[:, k] & of_one), np.flatnonzero(known[:, k])
+        guess, rows = _lumped(surface, sides, force[:, k] / around, valid[:, k] & of_one), np.flatnonzero(valid[:, k])
         guess, scale = np.where(tip, 0.0, [guess, areas**-0.5])
         A = scipy.sparse.diags(around[rows] ** -0.5) @ M[rows] @ scipy.sparse.diags(scale)
         b = (force[rows, k] - M[rows] @ guess) * around[rows] ** -0.5
@@ -274,8 +274,8 @@ def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
     cut = surface.model.splitting if joined else joint.splitting
     of = np.stack([joint.components_at(cells, surface.corners, cut) for cells in surface.cells.T])
     numbers = joint.masters[surface.corners] * (of.max() + 2) + of + 1
-    known, positions = np.unique(numbers, return_inverse=True)
-    return positions.reshape(numbers.shape), len(known)
+    unique, positions = np.unique(numbers, return_inverse=True)
+    return positions.reshape(numbers.shape), len(unique)
 
 
 def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse.csr_matrix:
@@ -288,14 +288,14 @@ def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse
     return scipy.sparse.csr_matrix((values, (np.concatenate(rows), np.tile(columns, 2))), shape=shape)
 
 
-def _lumped(surface: SurfaceMesh, sides: IntArray, means: Array, known: BoolArray) -> Array:
+def _lumped(surface: SurfaceMesh, sides: IntArray, means: Array, valid: BoolArray) -> Array:
     """(m,) tractions from means of forces over areas at the bodies' nodes; where none is known, of the nodes around."""
     signs = np.array([1.0, -1.0])[:, None, None]
-    counts = surface.sums(known[sides].sum(axis=0).astype(float))
-    nodal = surface.sums((signs * means[sides] * known[sides]).sum(axis=0)) / np.maximum(counts, 1.0)
+    counts = surface.sums(valid[sides].sum(axis=0).astype(float))
+    nodal = surface.sums((signs * means[sides] * valid[sides]).sum(axis=0)) / np.maximum(counts, 1.0)
     seen = np.minimum(counts, 1.0)[surface.nodes]
     of_facets = seen.sum(axis=1)
     mean = (nodal[surface.nodes] * seen).sum(axis=1) / np.maximum(of_facets, 1.0)
     around = np.broadcast_to(np.minimum(of_facets, 1.0)[:, None], surface.nodes.shape)
-    beside = surface.sums(mean[:, None] * around) / np.maximum(surface.sums(around), 1.0)
-    return np.where(counts > 0, nodal, beside)
+    neighbour_mean = surface.sums(mean[:, None] * around) / np.maximum(surface.sums(around), 1.0)
+    return np.where(counts > 0, nodal, neighbour_mean)

@@ -155,8 +155,8 @@ class Zoom:
                 corner = f"the corner at {place_text(located.x[near.argmax()])}, height {y[near.argmax()]:g}"
                 why = "is nearer than cells can tell, and stresses are infinite there"
                 raise InputError(f"{corner}, {why}; their exponents and strengths are in `corners`")
-        found = self._probe.stress(self._surface.in_layer(located.x, y))
-        return found if np.ndim(x) > 1 else found[0]
+        stresses = self._probe.stress(self._surface.in_layer(located.x, y))
+        return stresses if np.ndim(x) > 1 else stresses[0]
 
     def through(self, x: Any, n: int = 41) -> tuple[Array, Array]:
         """Heights (n,), from -1/2 to 1/2, and the stresses (n, 3, 3) there, at one place x (d,) of S."""
@@ -178,7 +178,7 @@ class Zoom:
             InputError: ends are curved.
         """
         free, points = self._known.free, self.state.model.joint.points
-        ends, found = straight_ends(free, self._one.sheet), []
+        ends, pairs = straight_ends(free, self._one.sheet), []
         every = points[np.unique(free.vertices)]
         for end in ends:
             others = [
@@ -186,8 +186,8 @@ class Zoom:
             ]
             x = every[end.has(every) & (np.sum(others, axis=0) == 1)]
             if len(x):
-                found.append((end, x[np.argsort(x @ end.along)]))
-        return found
+                pairs.append((end, x[np.argsort(x @ end.along)]))
+        return pairs
 
     @cached_property
     def corners(self) -> list[CornerStrength]:
@@ -224,16 +224,16 @@ class Zoom:
         turn = (u[:, -1, 1] - u[:, -2, 1]) / r  # of the face, with its body
         u -= u[:, -2:-1] + turn[:, None, None] * self.eps * np.stack([-at[:, 1], at[:, 0]], axis=1)
         components = np.stack([in_axes[..., 0, 0], in_axes[..., 1, 1], in_axes[..., 0, 1]], axis=2)
-        H = [corner.strength(r, mu * one, two) for one, two in zip(u[:, :-2], components, strict=True)]
+        H = [corner.strength(r, mu * u_arc, two) for u_arc, two in zip(u[:, :-2], components, strict=True)]
         return CornerStrength(x, end.m, "upper" if side > 0 else "lower", corner.exponent, corner.shear, np.array(H))
 
 
 def _layer_of(state: State, seam: str) -> SeamLayer:
     """The layer of a seam of a state of an interface model."""
     if not isinstance(state, State) or not isinstance(state.model, InterfaceModel | FullModel):
-        given = state.model if isinstance(state, State) else state
+        received = state.model if isinstance(state, State) else state
         allowed = "a state of an interface or a full model, as solve returns it"
-        raise InputError(f"a zoom takes {allowed}, not {given!r:.80}")
+        raise InputError(f"a zoom takes {allowed}, not {received!r:.80}")
     model, names = state.model, [*state.model.joint.seams]
     name = names[0] if seam == S and len(names) == 1 else seam
     require_known("seam", name, names)

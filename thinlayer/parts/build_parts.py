@@ -37,12 +37,12 @@ def body_parts(model: Model) -> list[Part]:
     return parts
 
 
-def layer_parts(model: Model, held: Indices, bodies: Sequence[Part]) -> list[Part]:
+def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[Part]:
     """The parts of a model's layers, each with another key. Collective.
 
     Args:
         model: the model.
-        held: displacements of this rank that supports prescribe (local, unrolled).
+        bc_dofs: displacements of this rank that supports prescribe (local, unrolled).
         bodies: those of `body_parts`.
     """
     parts: list[Part] = [*_form_parts(model, model.layer_terms, "forms"), *_compiled_parts(model, model.layer_terms)]
@@ -54,7 +54,7 @@ def layer_parts(model: Model, held: Indices, bodies: Sequence[Part]) -> list[Par
             PressurePart(model.V, p, largest, model.origin, _free_vertices(model, p), masters) for p in constrained
         ]
     for name, law in model.contacts.items():
-        parts.append(ContactPart(law, ContactSurface.of(model, name), held, model.layers[name].key))
+        parts.append(ContactPart(law, ContactSurface.of(model, name), bc_dofs, model.layers[name].key))
     return parts
 
 
@@ -73,7 +73,7 @@ def _form_parts(model: Model, terms: Iterable[Term], end: str) -> list[LawFormPa
     for p in terms:
         if not p.law.traits.compiled:
             of_layers.setdefault(p.key, []).append(p)
-    return [LawFormPart(f"{key}/{end}", model.V, own) for key, own in of_layers.items()]
+    return [LawFormPart(f"{key}/{end}", model.V, layer_terms) for key, layer_terms in of_layers.items()]
 
 
 def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
@@ -86,7 +86,7 @@ def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
     out.set(0.0)  # layers by themselves have no bodies
     of_K = [part.K.getDiagonal() for part in parts if part.K is not None]
     of_parts = (part.diagonal_at_rest() for part in parts if hasattr(part, "diagonal_at_rest"))
-    for diagonal in (*of_K, *(one for one in of_parts if one is not None)):
+    for diagonal in (*of_K, *(vec for vec in of_parts if vec is not None)):
         out.axpy(1.0, diagonal)
         diagonal.destroy()
     return out
@@ -96,6 +96,6 @@ def _free_vertices(model: Model, term: Term) -> Array | None:
     """Vertices of S where the pressure of a layer of order 1 is zero; None for other terms."""
     if not flows_along_surface(term):
         return None
-    one = next(one for one in model.layers.values() if one.key == term.key)
-    known = model.applicability[one.name]
-    return points_on_middle(model.domain.joint)[np.unique(known.loose[~known.coarse].vertices)]
+    layer = next(layer for layer in model.layers.values() if layer.key == term.key)
+    applicability = model.applicability[layer.name]
+    return points_on_middle(model.domain.joint)[np.unique(applicability.loose[~applicability.coarse].vertices)]

@@ -47,9 +47,9 @@ class PointStrains:
     """
 
     def __init__(self, points: CompiledTerm) -> None:
-        given = points.term.prescribed_strain
+        prescribed_strain = points.term.prescribed_strain
         self._points, self._hand = points, TimeLevel()
-        self._form = None if given is None else points.form_of(self._hand.of(given))
+        self._form = None if prescribed_strain is None else points.form_of(self._hand.of(prescribed_strain))
 
     def __call__(self, t: float) -> Array:
         """Strains (points, m) at a time."""
@@ -145,7 +145,7 @@ class CompiledPart(Part):
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY_TOLERANCE:
             raise InputError(ASYMMETRY_MESSAGE.format(type(self.law.in_space).__name__, skew))
         self._tangent = self.points.stiffness(self._response.tangent, relative_residual, self._tangent)
-        return [Block(one, kept=True) for one in (self._tangent, *self.points.constant)]
+        return [Block(matrix, kept=True) for matrix in (self._tangent, *self.points.constant)]
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> StepOutcome:

@@ -22,7 +22,7 @@ class ContactPart(Part):
     Args:
         law: the law.
         surface: the facets where it acts.
-        held: displacements of this rank that supports prescribe (local, unrolled); finders with sweeps need them.
+        bc_dofs: displacements of this rank that supports prescribe (local, unrolled); finders with sweeps need them.
         key: key of the part.
 
     Attributes:
@@ -33,14 +33,14 @@ class ContactPart(Part):
     """
 
     def __init__(
-        self, law: ContactLaw, surface: ContactSurface, held: Indices = NO_NODES, key: str = CONTACT_KIND
+        self, law: ContactLaw, surface: ContactSurface, bc_dofs: Indices = NO_NODES, key: str = CONTACT_KIND
     ) -> None:
         if not isinstance(law, ContactLaw):
             raise InputError(f"{law!r} is no contact law")
         law.check_threshold()
         of_law = {name: getattr(law.traits, name) for name in ("remembers", "softens")}
         self.traits = PartTraits(nonlinear=True, releases=True, has_homotopy=True, **of_law)
-        self.key, self.law, self.nodes, self.cancelling = key, law, ContactNodes(surface, held, gap=law.gaps), 0.0
+        self.key, self.law, self.nodes, self.cancelling = key, law, ContactNodes(surface, bc_dofs, gap=law.gaps), 0.0
         self.now: ContactLaw | ContactHomotopy = law
         self.slip = self.rest()
         law.check_dimension(self.nodes.dim)

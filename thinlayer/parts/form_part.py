@@ -71,9 +71,9 @@ class FormPart(Part):
 
     def _take(self, u: PETSc.Vec, into: fem.Function | None = None) -> None:
         """From now on compute F and its energy at displacements u; or put what they are here into another function."""
-        own = into or self._u
-        u.copy(own.x.petsc_vec)
-        own.x.scatter_forward()
+        target = into or self._u
+        u.copy(target.x.petsc_vec)
+        target.x.scatter_forward()
 
     def add_fixed(self, out: PETSc.Vec) -> None:
         if self._g:
@@ -95,8 +95,8 @@ class FormPart(Part):
 
     def tangents(self, relative_residual: float) -> list[Block]:
         theta = self.interval.theta
-        found = [] if self.K is None else [Block(self.K, theta, kept=True)]
-        return found + [Block(J, theta, kept=True) for J in self._present_tangent()]
+        blocks = [] if self.K is None else [Block(self.K, theta, kept=True)]
+        return blocks + [Block(J, theta, kept=True) for J in self._present_tangent()]
 
     def _present_tangent(self) -> list[PETSc.Mat]:
         """The matrix of F at the present displacements; none without F."""
@@ -174,10 +174,10 @@ class LawFormPart(FormPart):
         key: key of the part.
         V: space of the displacements.
         terms: the terms; those whose laws are compiled are left out.
-        beside: terms of other parts, for whose matrices K has places.
+        other_terms: terms of other parts, for whose matrices K has places.
     """
 
-    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term], beside: Iterable[Term] = ()) -> None:
+    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term], other_terms: Iterable[Term] = ()) -> None:
         terms = list(terms)
         everywhere = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
@@ -193,12 +193,13 @@ class LawFormPart(FormPart):
         stored = None
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
             # what a given strain adds to the energy of the displacements, of a linear law
-            known = _with_strains(strained, over.now)
+            strained_now = _with_strains(strained, over.now)
             beyond = [
-                _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure for p in known
+                _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
+                for p in strained_now
             ]
             stored = energy(_with_strains(others, over.now), u) + sum(beyond)
-        K = _linear_stiffness(V, linear, everywhere, beside) if linear or everywhere else None
+        K = _linear_stiffness(V, linear, everywhere, other_terms) if linear or everywhere else None
         F = work(_with_strains(others, over.balanced), u, v) if others else None
         g = sum(_strain_work(p, v) for p in _with_strains(strained, over.balanced)) if strained else None
         super().__init__(key, u, K, F, stored, g=g)
@@ -246,8 +247,8 @@ class LawFormPart(FormPart):
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
         there = fem.Function(self._u.function_space)
-        for u, own in ((z, there), (self._mid, self._u)):
-            self._take(u.x.petsc_vec, own)
+        for u, target in ((z, there), (self._mid, self._u)):
+            self._take(u.x.petsc_vec, target)
         for p in _with_strains(self._terms, self._over.balanced):
             density = ufl.inner(stress(p, self._u), p.strain(there)) * p.weight
             add_distributed(density, there.function_space, p.measure, out)
@@ -260,12 +261,12 @@ class LawFormPart(FormPart):
     def largest_at_rest(self) -> float:
         """Largest diagonal entry of the tangent at rest of laws that are not linear; 1 if it has no number. Collective."""
         self._u.x.array[:] = 0.0
-        found = 0.0
+        largest = 0.0
         for A in self._present_tangent():
             diagonal = A.getDiagonal()
-            found = float(diagonal.max()[1])
+            largest = float(diagonal.max()[1])
             destroy(diagonal)
-        return found if 0 < found < np.inf else 1.0
+        return largest if 0 < largest < np.inf else 1.0
 
     @cached_property
     def _softening(self) -> list[tuple[CompiledTerm, PointStrains]]:
@@ -273,16 +274,16 @@ class LawFormPart(FormPart):
         terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
         V = self._u.function_space
         points = [CompiledTerm(V, replace(p, law=_compiled_law(p.law))) for p in terms]
-        return [(one, PointStrains(one)) for one in points]
+        return [(compiled_term, PointStrains(compiled_term)) for compiled_term in points]
 
     def undeclared_softening(self) -> tuple[str, str] | None:
         old = self.interval.old
         ends = (self._end, self.interval.t), (old.u, old.t)
-        for points, given in self._softening:
-            e, e_old = (points.strain(u.x.petsc_vec) + given(t) for u, t in ends)
+        for points, point_strains in self._softening:
+            e, e_old = (points.strain(u.x.petsc_vec) + point_strains(t) for u, t in ends)
             response = points.respond(e, e_old, points.rest(), 0.0, 1.0)
-            if found := softening_law(points, e, e_old, points.rest(), response):
-                return found
+            if softening := softening_law(points, e, e_old, points.rest(), response):
+                return softening
         return None
 
     def destroy(self) -> None:
@@ -322,9 +323,9 @@ def _strain_work(p: Term, v: Expr) -> Expr:
 
 def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
     """Work of stresses in their given strains, integral of the squares of these, and volume of the bodies."""
-    one = fem.Constant(u.function_space.mesh, 1.0)
+    unity = fem.Constant(u.function_space.mesh, 1.0)
     densities = [
-        (ufl.inner(stress(p, u), p.prescribed_strain), ufl.inner(p.prescribed_strain, p.prescribed_strain), one)
+        (ufl.inner(stress(p, u), p.prescribed_strain), ufl.inner(p.prescribed_strain, p.prescribed_strain), unity)
         for p in strained
     ]
     rows = [[f * p.weight * p.measure for f in row] for p, row in zip(strained, densities, strict=True)]
@@ -332,14 +333,14 @@ def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.F
 
 
 def _linear_stiffness(
-    V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term], beside: Iterable[Term]
+    V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term], other_terms: Iterable[Term]
 ) -> PETSc.Mat:
     """The assembled matrix of the linear laws; if there are none, zeros in the nonzero pattern of elastic bodies.
 
     Raises:
         InputError: a law declares that it is linear and is not.
     """
-    across = [p for p in beside if p.measure.integral_type() == "interior_facet" and not p.law.traits.compiled]
+    across = [p for p in other_terms if p.measure.integral_type() == "interior_facet" and not p.law.traits.compiled]
     K = zero_matrix(V, sum(1 * p.measure for p in (*(linear or bodies), *across)))
     try:
         form = work((replace(p, prescribed_strain=None) for p in linear), ufl.TrialFunction(V), ufl.TestFunction(V))

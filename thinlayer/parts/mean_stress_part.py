@@ -32,7 +32,7 @@ class MeanStressPart(FieldPart):
     Args:
         V: space of the displacements.
         bodies: terms of the bodies, of linear laws; their eigenstrains are strains given beside E.
-        given: the mean stress.
+        mean_stress: the mean stress.
         volume: of the cell.
         comm: the domain's communicator.
     """
@@ -41,25 +41,25 @@ class MeanStressPart(FieldPart):
     traits = PartTraits(inner=True)  # the mean strain is none of the motions of one body
 
     def __init__(
-        self, V: fem.FunctionSpace, bodies: Sequence[Term], given: MeanStress, volume: float, comm: MPI.Intracomm
+        self, V: fem.FunctionSpace, bodies: Sequence[Term], mean_stress: MeanStress, volume: float, comm: MPI.Intracomm
     ) -> None:
-        self._given, self.unit, self._volume, mesh = given, 1 / given.size, volume, V.mesh
-        whole = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(given.count,)))
+        self._given, self.unit, self._volume, mesh = mean_stress, 1 / mean_stress.size, volume, V.mesh
+        whole = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(mean_stress.count,)))
         same = np.zeros(np.shape(whole.dofmap.list), np.int64)
         W = broken_space(comm, SharedDofs(whole, same[:1, 0], same[:1, 0], same))
         self.field = fem.Function(W)
         v, E, F = ufl.TestFunction(V), ufl.TrialFunction(W), ufl.TestFunction(W)
-        strained = [(p, p.law.stress(Step(three_dimensional(voigt_strain(E)) / given.size, p.n))) for p in bodies]
+        strained = [(p, p.law.stress(Step(three_dimensional(voigt_strain(E)) / mean_stress.size, p.n))) for p in bodies]
         couple = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in strained)
-        tensor = three_dimensional(voigt_strain(F)) / given.size
-        own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained)
-        self.B, self.D = assemble_matrix(fem.form(couple)), assemble_matrix(fem.form(own))
+        tensor = three_dimensional(voigt_strain(F)) / mean_stress.size
+        virtual_work = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained)
+        self.B, self.D = assemble_matrix(fem.form(couple)), assemble_matrix(fem.form(virtual_work))
         self._turned = self.B.transpose(PETSc.Mat())
         of_given = [p for p in bodies if p.prescribed_strain is not None]
         self._over = StepStrains(mesh, of_given)
         stresses = [(p, p.law.stress(Step(self._over.now(p.prescribed_strain), p.n))) for p in of_given]
-        own = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
-        self._own_of_given = fem.form(own) if of_given else None
+        virtual_work = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
+        self._own_of_given = fem.form(virtual_work) if of_given else None
         self._forces, self._own, self._more = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))
 
@@ -109,18 +109,18 @@ class MeanStressPart(FieldPart):
         self._mid.array[:] = self.field.x.array[: self.own_size]
         theta, (new_s, old_s, _) = self.interval.theta, self._strained
         ends = (old, self._old, old_s), (now, self._mid, new_s), (difference, self._change, new_s - old_s)
-        before, after, of_change = (self._energy(*one) for one in ends)
+        before, after, of_change = (self._energy(*arguments) for arguments in ends)
         supplied = self._product(self.load, self._change)
         supplied += theta * self._product(new_s - old_s, self._mid)
         supplied += (1 - theta) * self._product(new_s - old_s, self._old)
         difference.destroy()
         return StepOutcome(before, after, 0.0, (2 * theta - 1) * of_change, kept=False, supplied=supplied)
 
-    def _energy(self, u: PETSc.Vec, E: PETSc.Vec, own: Array) -> float:
+    def _energy(self, u: PETSc.Vec, E: PETSc.Vec, forces: Array) -> float:
         """Energy at displacements and a mean strain, with the own forces of given strains."""
         self.B.mult(E, self._forces)
         self.D.mult(E, self._more)
-        return float(u.dot(self._forces)) + float(E.dot(self._more)) / 2 + self._product(own, E)
+        return float(u.dot(self._forces)) + float(E.dot(self._more)) / 2 + self._product(forces, E)
 
     def _product(self, forces: Array, E: PETSc.Vec) -> float:
         self._more.array[:] = forces

@@ -48,7 +48,7 @@ class PartTraits:
         releases: the part may resist a body in one step and release it in the next, as contact does.
         singular: the tangent may be singular for some strains although there is an energy.
         saddle: the tangent with supports may have eigenvalues of both signs.
-        eases: the part can be replaced by an eased one, by its method `set_homotopy`.
+        has_homotopy: the part can be replaced by an eased one, by its method `set_homotopy`.
         switches: phases stay the same while an equilibrium is found, and change after it.
         inner: rigid motions of a whole body cause no forces.
         unchecked: stresses are not checked point by point: NaNs are found in the summed forces only.
@@ -130,7 +130,7 @@ class FileOrder:
     Attributes:
         numbers: (cells,) original numbers.
         order: (cells, k) local indices of each cell's values, in an order that does not depend on the distribution.
-        own: number of first cells whose values this rank writes; None: all.
+        n_owned: number of first cells whose values this rank writes; None: all.
     """
 
     numbers: IntArray

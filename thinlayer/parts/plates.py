@@ -88,15 +88,15 @@ class RigidPlate(PartDefinition):
         """Its nodes, which follow its motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
         scale = np.where(np.arange(motion_count(d)) < d, 1.0, size)
-        keys, given, at = self.prescribed_motions(model), self._resultants(model), self._motions(model)
-        held = {k: partial(lambda k, t: float(at[k].at_time(t) * scale[k]) if k in at else 0.0, k) for k in keys}
+        keys, loads, at = self.prescribed_motions(model), self._resultants(model), self._motions(model)
+        motion = {k: partial(lambda k, t: float(at[k].at_time(t) * scale[k]) if k in at else 0.0, k) for k in keys}
         R = self._tie(model, self.point(model), size)
-        return MultiPointConstraint(self.key, motion_names(d), R, held, lambda t: self._at(t, given, keys, d) / scale)
+        return MultiPointConstraint(self.key, motion_names(d), R, motion, lambda t: self._at(t, loads, keys, d) / scale)
 
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""
         model: Any = state.model
-        (tie,) = (one for one in model.constraints.mpcs if one.key == self.key)
+        (tie,) = (mpc for mpc in model.constraints.mpcs if mpc.key == self.key)
         q, d = model.constraints.motion(tie, state.u.x.array[: model.constraints.n]), model.joint.dim
         rotation = q[d:] / model.domain.joint.size  # of lengths
         return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
@@ -109,8 +109,8 @@ class RigidPlate(PartDefinition):
         V, d = model.V, model.joint.dim
         facets = model.domain.facets(self.place, layer_sides=True)
         owned = V.dofmap.index_map.size_local
-        found = fem.locate_dofs_topological(V, d - 1, facets)
-        blocks = np.unique(found[found < owned])
+        dofs = fem.locate_dofs_topological(V, d - 1, facets)
+        blocks = np.unique(dofs[dofs < owned])
         try:
             x = V.tabulate_dof_coordinates()[blocks, :d]
         except RuntimeError as error:
@@ -151,9 +151,9 @@ class RigidPlate(PartDefinition):
 
     def _resultants(self, model: HostModel) -> dict[str, Coefficient]:
         """The force and the moment, those that are given."""
-        d, given = model.joint.dim, (("force", self.force), ("moment", self.moment))
+        d, loads = model.joint.dim, (("force", self.force), ("moment", self.moment))
         shapes: dict[str, tuple[int, ...]] = {"force": (d,), "moment": () if d == 2 else (3,)}
-        return {name: self._value(model, name, value, shapes[name]) for name, value in given if value is not None}
+        return {name: self._value(model, name, value, shapes[name]) for name, value in loads if value is not None}
 
     def _motions(self, model: HostModel) -> dict[int, Coefficient]:
         """Number of a motion that is given -> its value."""
@@ -169,12 +169,12 @@ class RigidPlate(PartDefinition):
         """Numbers of the motions that kinematics do not have."""
         return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
 
-    def _at(self, t: float, given: Mapping[str, Coefficient], held: Sequence[int], d: int) -> Array:
+    def _at(self, t: float, loads: Mapping[str, Coefficient], prescribed: Sequence[int], d: int) -> Array:
         """Force and moment (k,) at a time; raises InputError if one of them is along a prescribed motion."""
         out, places = np.zeros(motion_count(d)), {"force": slice(d), "moment": slice(d, None)}
-        for name, value in given.items():
+        for name, value in loads.items():
             out[places[name]] = value.at_time(t)
-        for k in held:
+        for k in prescribed:
             if out[k]:
                 raise InputError(
                     f"{self.what}: the motion {motion_names(d)[k]!r} is prescribed, and {out[k]:g} is given for its force "

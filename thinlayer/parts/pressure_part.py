@@ -103,8 +103,8 @@ class PressurePart(FieldPart):
         p, q = ufl.TrialFunction(space), ufl.TestFunction(space)
         forms = []
         if points:
-            known = {name: points.at_points(values) for name, values in law.fields_at(points.joint_x).items()}
-            law = law.with_parameters({name: region.side(f) for name, f in known.items()})
+            fields = {name: points.at_points(values) for name, values in law.fields_at(points.joint_x).items()}
+            law = law.with_parameters({name: region.side(f) for name, f in fields.items()})
             measure = points.measure
         if not isinstance(volume := ufl.as_ufl(law.volume_compliance), Zero):
             forms.append(volume * region.side(p) * region.side(q) * term.weight * measure)
@@ -122,9 +122,9 @@ class PressurePart(FieldPart):
     def _means(self, f: Expr) -> fem.Function:
         """The mean of an expression on each facet or cell of the region, as which it may jump. Collective."""
         space = fem.functionspace(self.region.mesh, ("DG", 0))
-        q, own = self.region.side(ufl.TestFunction(space)), space.dofmap.index_map.size_local
-        forms = [one * q * self.region.measure for one in (f, fem.Constant(self.region.parent_mesh, 1.0))]
-        of_f, sizes = (assemble_values(self.region.compiled(form), own) for form in forms)
+        q, n_owned = self.region.side(ufl.TestFunction(space)), space.dofmap.index_map.size_local
+        forms = [integrand * q * self.region.measure for integrand in (f, fem.Constant(self.region.parent_mesh, 1.0))]
+        of_f, sizes = (assemble_values(self.region.compiled(form), n_owned) for form in forms)
         return set_owned_values(fem.Function(space), of_f / sizes)
 
     def _end(self) -> Array:
@@ -235,7 +235,7 @@ def dofs_at_vertices(space: fem.FunctionSpace, places: Array) -> IntArray:
     """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d). Collective."""
     x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, : places.shape[1]]
     ends = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
-    low, high = (np.array(one) for one in zip(*ends, strict=True))
+    low, high = (np.array(bounds) for bounds in zip(*ends, strict=True))
     size = float((high.max(axis=0) - low.min(axis=0)).max())
     distance, _ = cKDTree(places).query(x)
     return np.flatnonzero(distance <= VERTEX_TOLERANCE * size).astype(np.int64)

@@ -47,8 +47,8 @@ class UflPart(PartDefinition):
     key: str = "own form"
 
     def __post_init__(self) -> None:
-        given = [function for function in (self.virtual_work, self.energy) if function is not None]
-        if len(given) != 1 or not callable(given[0]):
+        functions = [function for function in (self.virtual_work, self.energy) if function is not None]
+        if len(functions) != 1 or not callable(functions[0]):
             raise InputError(f"{self!r}: give one function, virtual_work(u, v, model) or energy(u, model)")
 
     def check(self, model: HostModel) -> None:
@@ -97,24 +97,24 @@ class UflPart(PartDefinition):
 class _UserFormPart(FormPart):
     """The forces of a `UflPart`: a matrix if they are linear, else a form."""
 
-    def __init__(self, given: UflPart, model: HostModel) -> None:
-        u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), given.is_linear(model)
+    def __init__(self, part: UflPart, model: HostModel) -> None:
+        u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), part.is_linear(model)
         if linear:
             super().__init__(
-                given.key, u, assemble_plain_matrix(given.work(model, ufl.TrialFunction(model.V), v)), kept=True
+                part.key, u, assemble_plain_matrix(part.work(model, ufl.TrialFunction(model.V), v)), kept=True
             )
         else:
-            energy = whole_structure_form(given.energy(u, model), model) if given.energy else None
-            super().__init__(given.key, u, None, given.work(model, u, v), energy, kept=True)
+            energy = whole_structure_form(part.energy(u, model), model) if part.energy else None
+            super().__init__(part.key, u, None, part.work(model, u, v), energy, kept=True)
         K = self.K
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
-            raise InputError(f"the part {given.key!r} has a negative stiffness: no equilibrium need be stable with it")
+            raise InputError(f"the part {part.key!r} has a negative stiffness: no equilibrium need be stable with it")
         self._has_energy = K is None or K.isSymmetric(ASYMMETRY_TOLERANCE * K.norm())
         self.traits = PartTraits(saddle=True, weakens=not (self._has_energy and linear), nonlinear=not linear)
 
     def commit(self) -> StepOutcome:
-        found, nan = super().commit(), float("nan")
-        return found if self._has_energy else replace(found, before=nan, after=nan, remainder=nan)
+        outcome, nan = super().commit(), float("nan")
+        return outcome if self._has_energy else replace(outcome, before=nan, after=nan, remainder=nan)
 
 
 @without_cycles()

@@ -40,7 +40,7 @@ class ColumnTerm(CompiledTerm):
         """Projection on functions of the place on S: of all its points under quadrilaterals, else polynomials."""
         tensor = is_tensor(self.region.mesh.topology.cell_name())
         most = self.degree if tensor else self._V.ufl_element().basix_element.degree
-        powers = [one for one in product(range(most + 1), repeat=self.dim - 1) if sum(one) <= most]
+        powers = [p for p in product(range(most + 1), repeat=self.dim - 1) if sum(p) <= most]
         of, places = self.columns.of[self.cells[:, 0]], self.joint_x.T
         count, bases = np.bincount(of), []
         for k in np.unique(count[of]):  # where layers meet there are other numbers of cells
@@ -49,7 +49,7 @@ class ColumnTerm(CompiledTerm):
             x = places[groups]
             U, size, _ = np.linalg.svd(x - x.mean(axis=1, keepdims=True), full_matrices=False)
             U *= np.sqrt(x.shape[1]) * (size > INDEPENDENCE_TOLERANCE * np.abs(x).max(axis=(1, 2))[:, None])[:, None]
-            bases.append((groups, np.stack([np.prod(U[..., : self.dim - 1] ** one, axis=2) for one in powers], axis=2)))
+            bases.append((groups, np.stack([np.prod(U[..., : self.dim - 1] ** p, axis=2) for p in powers], axis=2)))
         return Projection(self, bases, np.eye(6))
 
     @cached_property
@@ -59,7 +59,7 @@ class ColumnTerm(CompiledTerm):
         laws = list(law.at_places(self.joint_x)) if law.fields else repeat(law)
         n = self.n if law.fields or needs_director(law) else self.n[:1]
         n, at = (n, np.arange(len(n))) if law.fields else np.unique(n.round(12), axis=0, return_inverse=True)
-        C = np.array([tangent_at_rest(one, v[: self.dim]) for one, v in zip(laws, n, strict=False)]).reshape(-1, 6, 6)
+        C = np.array([tangent_at_rest(law, v[: self.dim]) for law, v in zip(laws, n, strict=False)]).reshape(-1, 6, 6)
         return np.broadcast_to(C[at.ravel()][..., self.slots], (self.count, 6, len(self.slots)))
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:

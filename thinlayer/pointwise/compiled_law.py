@@ -39,8 +39,8 @@ class CompiledLaw:
         self.parameters = np.concatenate([k.parameters for k in self._kernels])
         layers = len(self._kernels)
         self.memory = sum(k.values for k in self._kernels) + (3 * layers if layers > 1 else 0)
-        for _, one in law.sublayers:
-            _check_kernel(comm, one.in_space)
+        for _, sublayer in law.sublayers:
+            _check_kernel(comm, sublayer.in_space)
 
     def take(self, law: BulkLaw) -> None:
         """Use the parameters of another law of the same kind from now on; nothing is compiled.
@@ -137,7 +137,7 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
     e = np.array(TRIAL_STRAINS)[:, None] * np.cos(np.arange(6.0 * len(TRIAL_STRAINS))).reshape(-1, 6)
     q, n = np.zeros((len(e), law.memory)), np.tile([0.6, 0.8, 0.0], (len(e), 1))
     usual, *others = (material.update(range(6), e, 0 * e, q, n, dt, 1.0) for dt in TRIAL_STEPS)
-    if law.relaxes == all(np.array_equal(one[k], usual[k], equal_nan=True) for one in others for k in (0, 2)):
+    if law.relaxes == all(np.array_equal(other[k], usual[k], equal_nan=True) for other in others for k in (0, 2)):
         _CHECKED_KERNELS.discard(key)
         does = "does not depend" if law.relaxes else "depends"
         said = f"relaxes = {law.relaxes}, but its answer {does} on dt: write relaxes = {not law.relaxes}"
@@ -147,22 +147,22 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
 def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
     """The parameters of a law that vary, at places x (d, n) and a time: name -> (n,)."""
     asked = f"{type(law).__name__}.at(x, t), for x of shape {x.shape}"
-    known = [name for name, value in law.parameters().items() if np.ndim(value) == 0]
-    given = {name: np.asarray(value, float) for name, value in law.at(x.copy(), t).items()}
-    if not given or not given.keys() <= set(known):
-        allowed = ", ".join(known)
-        raise InputError(f"{asked}, gives {sorted(given)}; allowed: those that vary of {allowed}, scalars")
-    for name, value in given.items():
+    scalars = [name for name, value in law.parameters().items() if np.ndim(value) == 0]
+    varying = {name: np.asarray(value, float) for name, value in law.at(x.copy(), t).items()}
+    if not varying or not varying.keys() <= set(scalars):
+        allowed = ", ".join(scalars)
+        raise InputError(f"{asked}, gives {sorted(varying)}; allowed: those that vary of {allowed}, scalars")
+    for name, value in varying.items():
         if value.shape != x.shape[1:] or not np.isfinite(value).all():
             raise InputError(f"{asked}, gives {name} of shape {value.shape}; allowed: {x.shape[1:]}, finite numbers")
-    return given
+    return varying
 
 
 def _code_identities(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
     """Class and choices of each sublayer, which determine its compiled code."""
-    return [(type(one), repr(one.choices())) for _, one in law.sublayers]
+    return [(type(sublayer), repr(sublayer.choices())) for _, sublayer in law.sublayers]
 
 
 def _parameter_numbers(law: BulkLaw) -> list[Array]:
     """Parameters of each sublayer, one after the other."""
-    return [one.parameter_values() for _, one in law.sublayers]
+    return [sublayer.parameter_values() for _, sublayer in law.sublayers]

@@ -54,9 +54,9 @@ class Response:
     def skew(self) -> float:
         """Largest difference between the tangent at a point of this rank and its transpose, over its size."""
         C = self.tangent
-        apart, size = np.abs(C - C.swapaxes(1, 2)).max(axis=(1, 2)), np.abs(C).max(axis=(1, 2))
-        regular = np.isfinite(apart) & (size > UNDERFLOW_LIMIT)
-        return float((apart[regular] / size[regular]).max(initial=0.0))
+        asymmetry, size = np.abs(C - C.swapaxes(1, 2)).max(axis=(1, 2)), np.abs(C).max(axis=(1, 2))
+        regular = np.isfinite(asymmetry) & (size > UNDERFLOW_LIMIT)
+        return float((asymmetry[regular] / size[regular]).max(initial=0.0))
 
 
 class CompiledTerm(Quadrature):
@@ -138,7 +138,7 @@ class CompiledTerm(Quadrature):
         k = int(at[0])
         what = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
         law = self.term.law
-        plane = any(one.in_space is not one for _, one in law.sublayers)
+        plane = any(sublayer.in_space is not sublayer for _, sublayer in law.sublayers)
         why = ", or no strain out of the plane makes the stresses there zero" if plane else ""
         name = type(law.in_space).__name__
         return f"the {what} of {name} is not finite at x = ({', '.join(f'{c:g}' for c in self.x[k])}){why}"
@@ -153,9 +153,9 @@ class CompiledTerm(Quadrature):
         N = np.einsum("kij,pj->pik", MANDEL_BASIS[self.slots], self.n)[:, : self.dim]  # strains of unit jumps
         A = N @ response.tangent @ N.swapaxes(1, 2)
         size = np.abs(A).max(axis=(1, 2), initial=0.0)
-        known = np.isfinite(size) & (size > UNDERFLOW_LIMIT)
+        valid = np.isfinite(size) & (size > UNDERFLOW_LIMIT)
         down = np.zeros(self.count, bool)
-        down[known] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[known] / 2)[:, 0] < -SOFTENING_TOLERANCE * size[known]
+        down[valid] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[valid] / 2)[:, 0] < -SOFTENING_TOLERANCE * size[valid]
         if not (law.internal or law.traits.varies):
             change = e - e_old
             of_stress = response.stress - self.respond(e_old, e_old, memory, 0.0, 1.0).stress
@@ -262,7 +262,7 @@ class Projection:
             U *= (sizes > INDEPENDENCE_TOLERANCE * sizes[:, :1])[:, None]
             change = (U @ U.swapaxes(1, 2)) * root[:, None, :] / root[:, :, None] - np.eye(root.shape[1])
             kept = np.abs(change) > INDEPENDENCE_TOLERANCE  # under quadrilaterals groups fall apart
-            at = [np.broadcast_to(one, change.shape)[kept] for one in (groups[:, :, None], groups[:, None])]
+            at = [np.broadcast_to(indices, change.shape)[kept] for indices in (groups[:, :, None], groups[:, None])]
             self._change += scipy.sparse.csr_matrix((change[kept], at), self._change.shape)
 
     def __call__(self, values: Array) -> Array:
@@ -272,8 +272,8 @@ class Projection:
 
     def matrix(self, B: PETSc.Mat) -> PETSc.Mat:
         """The matrix of projected strains (m rows a point) for that of strains, B. Collective."""
-        part, own, first = self._part[: self._width, : self._width], B.getLocalSize()[0], B.getOwnershipRange()[0]
-        M = scipy.sparse.kron(self._change, part, format="csr") + scipy.sparse.eye(own, format="csr")
+        part, n_rows, first = self._part[: self._width, : self._width], B.getLocalSize()[0], B.getOwnershipRange()[0]
+        M = scipy.sparse.kron(self._change, part, format="csr") + scipy.sparse.eye(n_rows, format="csr")
         csr = M.indptr.astype(PETSc.IntType), (first + M.indices).astype(PETSc.IntType), M.data
         A = PETSc.Mat().createAIJ((B.getSizes()[0], B.getSizes()[0]), csr=csr, comm=B.getComm())
         out = A.matMult(B)

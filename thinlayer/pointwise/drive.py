@@ -104,7 +104,7 @@ def drive(
     if law.traits.rate and (lengths == 0).any():
         raise InputError(f"dt is 0 in step {np.argmin(lengths) + 1}; {type(law).__name__} lets no jump change at once")
     point = MaterialPoint(law.as_bulk_law(), normal, axes, float(theta))
-    if no_time and any(depends_on_step_length(one) for _, one in point.law.sublayers):
+    if no_time and any(depends_on_step_length(sublayer) for _, sublayer in point.law.sublayers):
         raise InputError(f"dt is missing: {type(law).__name__} depends on the length of the steps in time")
     states = [point.rest()]
     parts: list[int] = []
@@ -160,8 +160,8 @@ def _read_step(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]
         require(is_finite(value), f"step {k + 1}: {name}", value, "it must be a finite number")
     for c in names:
         if (f"w_{c}" in step) == (f"t_{c}" in step):
-            given = "both" if f"w_{c}" in step else "neither"
-            raise InputError(f"step {k + 1} has {given} of w_{c} (jump) and t_{c} (traction); it must have one")
+            quantifier = "both" if f"w_{c}" in step else "neither"
+            raise InputError(f"step {k + 1} has {quantifier} of w_{c} (jump) and t_{c} (traction); it must have one")
     jumps_given = np.array([f"w_{c}" in step for c in names])
     return jumps_given, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
 

@@ -69,21 +69,21 @@ def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
     check(law)
     compiled = []
     for fraction, sublayer in law.sublayers:
-        one: Any = sublayer.in_space
-        address, keep = _compiled_from_c(comm, one) if isinstance(one, KernelLaw) else _compiled_by_ffcx(comm, one)
-        compiled.append(Kernel(address, one.memory, one.parameter_values(), fraction, one is not sublayer, keep))
+        bulk: Any = sublayer.in_space
+        address, keep = _compiled_from_c(comm, bulk) if isinstance(bulk, KernelLaw) else _compiled_by_ffcx(comm, bulk)
+        compiled.append(Kernel(address, bulk.memory, bulk.parameter_values(), fraction, bulk is not sublayer, keep))
     return compiled
 
 
 def memory_slots(law: BulkLaw, name: str) -> list[tuple[float, BulkLaw, int]]:
     """Fraction, law and index of the value of each sublayer with an internal variable of this name, a number."""
-    start, found = law.memory - sum(one.memory for _, one in law.sublayers), []
-    for fraction, one in law.sublayers:
-        if one.internal.get(name) == ():
-            before = list(one.internal)[: list(one.internal).index(name)]
-            found.append((fraction, one, start + sum(VARIABLE_SIZES[one.internal[n]] for n in before)))
-        start += one.memory
-    return found
+    start, slots = law.memory - sum(sublayer.memory for _, sublayer in law.sublayers), []
+    for fraction, sublayer in law.sublayers:
+        if sublayer.internal.get(name) == ():
+            before = list(sublayer.internal)[: list(sublayer.internal).index(name)]
+            slots.append((fraction, sublayer, start + sum(VARIABLE_SIZES[sublayer.internal[n]] for n in before)))
+        start += sublayer.memory
+    return slots
 
 
 # ---------------------------------------------------------------- laws written in UFL
@@ -109,12 +109,12 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
 
 def _outputs(law: BulkLaw, point: SymbolicLaw) -> list[Expr]:
     """Outputs of a law for symbols: stress (6,), internal values, three energies: zero if it declares none."""
-    one, step = point.law, point.step
-    stress, new = mandel_vector(one.stress(one.own_step(step))), one.advance(step)
+    ufl_law, step = point.law, point.step
+    stress, new = mandel_vector(ufl_law.stress(ufl_law.own_step(step))), ufl_law.advance(step)
     memory = [value for name, shape in law.internal.items() for value in _packed_components(new[name], shape)]
     energies: list[Expr] = [0.0, 0.0, 0.0]
     if law.traits.has_energy:
-        energies = [one.energy(Step(step.e, step.n, q=new)), one.dissipated(step), one.remainder(step)]
+        energies = [ufl_law.energy(Step(step.e, step.n, q=new)), ufl_law.dissipated(step), ufl_law.remainder(step)]
     return [stress, *memory, *map(ufl.as_ufl, energies)]
 
 

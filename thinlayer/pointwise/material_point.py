@@ -64,27 +64,27 @@ class MaterialPoint:
         self.stiffness = max(self.stiffness, np.abs(tangent).max())
         return MaterialPointState(old.t + dt, w, self.E.T @ stress[0], tangent, stress[0], memory[0], energies[0])
 
-    def advance(self, old: MaterialPointState, given: Array, goal: Array, dt: float) -> tuple[MaterialPointState, int]:
+    def advance(self, old: MaterialPointState, fixed: Array, goal: Array, dt: float) -> tuple[MaterialPointState, int]:
         """The state after a step, and the number of parts in which it was made; energies are those of all parts.
 
         Args:
             old: the state before the step.
-            given: (d,) whether the jump of a component is prescribed; else its traction is.
+            fixed: (d,) whether the jump of a component is prescribed; else its traction is.
             goal: (d,) prescribed jumps and tractions at the end of the step.
             dt: length of the step.
         """
-        start = np.where(given, old.w, old.traction)
+        start = np.where(fixed, old.w, old.traction)
         done, part, parts = 0.0, 1.0, 0
         state, spent = old, np.zeros(3)
         while done < 1:
             aim = goal if done + part >= 1 else start + (done + part) * (goal - start)
-            found = self._settled(state, given, aim, part * dt)
-            if found is None:
+            trial = self._settled(state, fixed, aim, part * dt)
+            if trial is None:
                 part /= 2
                 if part < MIN_STEP_FRACTION:
-                    raise SolveError(self._stuck(state, given, done))
+                    raise SolveError(self._stuck(state, fixed, done))
                 continue
-            state, done, parts = found, done + part, parts + 1
+            state, done, parts = trial, done + part, parts + 1
             spent += state.energies
             part = min(2 * part, 1 - done)
         spent[0] = state.energies[0]
@@ -93,12 +93,12 @@ class MaterialPoint:
     def _settled(self, old: MaterialPointState, jumps_given: Array, aim: Array, dt: float) -> MaterialPointState | None:
         """The state after a part of a step, after all switches of phases; None if it is not found."""
         while True:
-            found = self._solve(old, jumps_given, aim, dt)
-            if found is None or self.switching is None:
-                return found
-            memory = self.switching.switched(found.memory[None], old.memory[None])
+            state = self._solve(old, jumps_given, aim, dt)
+            if state is None or self.switching is None:
+                return state
+            memory = self.switching.switched(state.memory[None], old.memory[None])
             if memory is None:
-                return found
+                return state
             old = old._replace(memory=memory[0])
 
     def _stuck(self, state: MaterialPointState, jumps_given: Array, done: float) -> str:
@@ -136,18 +136,18 @@ class MaterialPoint:
                 return None
             now = reached
             left, error = (goal - now.traction)[free], missing(now)
-            scale = max(np.abs(one).max() for one in (now.traction, old.traction, goal * free))
+            scale = max(np.abs(traction).max() for traction in (now.traction, old.traction, goal * free))
             if error <= TRACTION_TOLERANCE * scale:
                 return now
-            slope, found = now.tangent[np.ix_(free, free)], None
+            slope, candidate = now.tangent[np.ix_(free, free)], None
             if np.linalg.cond(slope) < 1e13:
                 farther = 1.0
                 step = np.linalg.solve(slope, left)
-                found = along(step, error * (1 - 1e-4))
-            if found is None and error <= STAGNATION_TOLERANCE * scale:
+                candidate = along(step, error * (1 - 1e-4))
+            if candidate is None and error <= STAGNATION_TOLERANCE * scale:
                 return now
-            if found is None:
-                found = along(farther * left / self.stiffness, error)
+            if candidate is None:
+                candidate = along(farther * left / self.stiffness, error)
                 farther *= 2
-            reached = found
+            reached = candidate
         return None

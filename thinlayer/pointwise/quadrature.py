@@ -97,33 +97,33 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     create_connectivity(mesh, dim)
     ids = np.atleast_1d(np.asarray(measure.subdomain_id(), object))
     if "everywhere" in ids:
-        found = _all_entities(mesh, kind)
+        entities = _all_entities(mesh, kind)
     elif data is None:
         measure_name, tags = MEASURE_OF_INTEGRAL[kind], ", ".join(map(str, ids))
         raise InputError(f"the measure {measure_name}({tags}) has no tags; give {measure_name} its subdomain_data")
     elif hasattr(data, "indices"):
-        found = data.indices[np.isin(data.values, ids.astype(int))]
+        entities = data.indices[np.isin(data.values, ids.astype(int))]
     else:
         rows = [np.asarray(entities, np.int32).ravel() for tag, entities in data if tag in ids]
-        found = np.concatenate([np.empty(0, np.int32), *rows])
+        entities = np.concatenate([np.empty(0, np.int32), *rows])
         if kind != "cell":
-            cell, facet = found.reshape(-1, 2)[:: 2 if kind == "interior_facet" else 1].T
+            cell, facet = entities.reshape(-1, 2)[:: 2 if kind == "interior_facet" else 1].T
             to_facets = topology.connectivity(topology.dim, dim)
-            found = to_facets.array[to_facets.offsets[cell] + facet]
+            entities = to_facets.array[to_facets.offsets[cell] + facet]
     imap = topology.index_map(dim)
     marks = la.vector(imap, dtype=np.int8)
-    marks.array[found[found < imap.size_local]] = 1
+    marks.array[entities[entities < imap.size_local]] = 1
     marks.scatter_forward()
     return np.flatnonzero(marks.array).astype(np.int32)
 
 
 def _all_entities(mesh: Mesh, kind: str) -> Indices:
     """All owned entities that a measure of this kind integrates over."""
-    own = np.arange(mesh.topology.index_map(mesh.topology.dim - (kind != "cell")).size_local, dtype=np.int32)
+    owned = np.arange(mesh.topology.index_map(mesh.topology.dim - (kind != "cell")).size_local, dtype=np.int32)
     if kind == "cell":
-        return own
+        return owned
     outer = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
-    return outer if kind == "exterior_facet" else np.setdiff1d(own, outer)
+    return outer if kind == "exterior_facet" else np.setdiff1d(owned, outer)
 
 
 def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
@@ -176,10 +176,10 @@ class Quadrature:
     @cached_property
     def slots(self) -> list[int]:
         """Mandel components that strains may have here; the others are zero."""
-        given, of_strains = self.term.prescribed_strain, self.term.kinematics.slots(self.dim)
+        e_0, of_strains = self.term.prescribed_strain, self.term.kinematics.slots(self.dim)
         if self.term.volume is not None:
             of_strains = (*of_strains, *TRACE_COMPONENTS)
-        of_given = [k for k, pair in enumerate(MANDEL_PAIRS) if given is not None and not isinstance(given[pair], Zero)]
+        of_given = [k for k, pair in enumerate(MANDEL_PAIRS) if e_0 is not None and not isinstance(e_0[pair], Zero)]
         return sorted({*of_strains, *of_given})
 
     def _space(self, shape: tuple[int, ...], mesh: Mesh | None = None) -> fem.FunctionSpace:

@@ -29,7 +29,7 @@ class DescribedCase:
     """A structure with its layer, and goals.
 
     Attributes:
-        given: what it was made of, with times, tolerances and units.
+        description: what it was made of, with times, tolerances and units.
         structure: the structure.
         layer: its layer, or {name of a seam: its layer}, order 0.
         goals: quantities whose change is told.
@@ -41,24 +41,24 @@ class DescribedCase:
     goals: Sequence[Goal]
 
     @classmethod
-    def of(cls, given: Description) -> DescribedCase:
+    def of(cls, description: Description) -> DescribedCase:
         """The case that is described. Collective.
 
         Raises:
             DescriptionError: thicknesses that are nothing beside the bodies, or larger.
             InputError: as `read`, `Structure` and `ThinLayer` raise them.
         """
-        of_file = dict(given.mesh)
-        with given.section.described("mesh"):
+        of_file = dict(description.mesh)
+        with description.section.described("mesh"):
             joint = read(of_file.pop("path"), **of_file)
         size = joint.size
-        for name, one in given.layer.items():
-            if not MIN_THICKNESS * size <= one.eps <= size:
-                what = f"{one.eps:g}; allowed beside bodies of {size:.4g}: {MIN_THICKNESS * size:.2g} to {size:.4g}"
-                given.section.refuse(what, "layer", *([name] if name else []), "eps")
-        layer = _by_name(given.layer, lambda one: ThinLayer(one.law, one.eps, eigenstrain=one.eigenstrain))
-        goals = tuple(_goal(name, **one) for name, one in given.goals.items()) or (kinds.Compliance(),)
-        return cls(given, _structure(given, joint), layer, goals)
+        for name, entry in description.layer.items():
+            if not MIN_THICKNESS * size <= entry.eps <= size:
+                what = f"{entry.eps:g}; allowed beside bodies of {size:.4g}: {MIN_THICKNESS * size:.2g} to {size:.4g}"
+                description.section.refuse(what, "layer", *([name] if name else []), "eps")
+        layer = _by_name(description.layer, lambda m: ThinLayer(m.law, m.eps, eigenstrain=m.eigenstrain))
+        goals = tuple(_goal(name, **goal) for name, goal in description.goals.items()) or (kinds.Compliance(),)
+        return cls(description, _structure(description, joint), layer, goals)
 
     def model(self) -> InterfaceModel:
         """The interface model, which has what the goals ask for. Collective.
@@ -73,26 +73,26 @@ class DescribedCase:
         return model
 
 
-def _structure(given: Description, joint: Joint) -> Structure:
-    supports, loads_on = _timed(given.supports), _timed(given.tractions).items()
-    tractions = {name: Pressure(one["pressure"]) if isinstance(one, Mapping) else one for name, one in loads_on}
-    strains: Any = {name: one.eigenstrain for name, one in given.body.items() if one.eigenstrain is not None}
-    loads: list[Any] = [(LineLoad if "first" in one else PointLoad)(**_timed(one)) for one in given.loads]
-    bodies = {"body": _by_name(given.body, lambda one: one.law), "eigenstrain": strains.get(None, strains) or None}
-    loaded = {"supports": supports, "tractions": tractions, "body_force": given.body_force, "loads": loads}
-    return Structure(joint, plane=given.plane or "strain", element=given.element, **bodies, **loaded)
+def _structure(description: Description, joint: Joint) -> Structure:
+    supports, loads_on = _timed(description.supports), _timed(description.tractions).items()
+    tractions = {name: Pressure(load["pressure"]) if isinstance(load, Mapping) else load for name, load in loads_on}
+    strains: Any = {name: body.eigenstrain for name, body in description.body.items() if body.eigenstrain is not None}
+    loads: list[Any] = [(LineLoad if "first" in load else PointLoad)(**_timed(load)) for load in description.loads]
+    bodies = {"body": _by_name(description.body, lambda m: m.law), "eigenstrain": strains.get(None, strains) or None}
+    loaded = {"supports": supports, "tractions": tractions, "body_force": description.body_force, "loads": loads}
+    return Structure(joint, plane=description.plane or "strain", element=description.element, **bodies, **loaded)
 
 
 def _timed(value: Any) -> Any:
     """A value, or the function of time that a history is, also in a table."""
     if isinstance(value, Mapping):
-        return {name: _timed(one) for name, one in value.items()}
+        return {name: _timed(entry) for name, entry in value.items()}
     return piecewise(value.values) if isinstance(value, TimeSeries) else value
 
 
-def _by_name(given: Mapping[str | None, MaterialEntry], make: Any) -> Any:
+def _by_name(entries: Mapping[str | None, MaterialEntry], make: Any) -> Any:
     """The only entry, or {name: entry}."""
-    made = {name: make(one) for name, one in given.items()}
+    made = {name: make(entry) for name, entry in entries.items()}
     return made.get(None, made)
 
 

@@ -48,16 +48,16 @@ class Study:
 @cache
 def studies() -> dict[str, Study]:
     """All studies by name, in the order of their groups."""
-    found = {}
+    catalogue = {}
     for group, members in STUDY_GROUPS.items():
         for name, seconds in members.items():
             folder = BENCHMARKS_FOLDER if group == "Benchmarks" else STUDIES_FOLDER
             tree = ast.parse((folder / f"{name}.py").read_text(encoding="utf-8"))
             functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
             run, summary = functions["run"], (ast.get_docstring(tree) or "").partition("\n")[0]
-            options = {one.arg: _option(one, ast.get_docstring(run) or "") for one in run.args.kwonlyargs}
-            found[name] = Study(name, summary, options, "draw" in functions, group, *seconds)
-    return found
+            options = {option.arg: _option(option, ast.get_docstring(run) or "") for option in run.args.kwonlyargs}
+            catalogue[name] = Study(name, summary, options, "draw" in functions, group, *seconds)
+    return catalogue
 
 
 def _option(argument: ast.arg, text: str) -> dict[str, Any]:
@@ -68,15 +68,15 @@ def _option(argument: ast.arg, text: str) -> dict[str, Any]:
         text: docstring of `run`, in which its description becomes the help of the option.
     """
     line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
-    found: dict[str, Any] = {"help": line[1].replace("%", "%%") if line else None}
+    keywords: dict[str, Any] = {"help": line[1].replace("%", "%%") if line else None}
     match ast.unparse(argument.annotation) if argument.annotation else "":
         case "bool":
-            return found | {"action": "store_true"}
+            return keywords | {"action": "store_true"}
         case "Sequence[float]":
-            return found | {"nargs": "+", "type": float, "metavar": "E"}
+            return keywords | {"nargs": "+", "type": float, "metavar": "E"}
         case kind:
             allowed = tuple(ast.literal_eval(kind.removeprefix("Literal")))
-            return found | {"choices": allowed, "type": type(allowed[0])}
+            return keywords | {"choices": allowed, "type": type(allowed[0])}
 
 
 def listed() -> str:

@@ -78,10 +78,10 @@ class Parser(argparse.ArgumentParser):
         return options
 
 
-def _unknown(kind: str, name: object, known: Iterable[object]) -> str:
+def _unknown(kind: str, name: object, choices: Iterable[object]) -> str:
     from forms.base import unknown_name_message  # not before it is needed: it takes a second
 
-    return unknown_name_message(kind, name, [one for one in map(str, known) if one != "-h"])
+    return unknown_name_message(kind, name, [choice for choice in map(str, choices) if choice != "-h"])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -134,10 +134,10 @@ def command_line() -> argparse.ArgumentParser:
     run = _command(commands, "run", _run, what, "fig6_stratified --quick")
     names = run.add_subparsers(dest="study", required=True, metavar="STUDY")
     for study in studies().values():
-        one = _computing(_command(names, study.name, _run, study.summary, "--out DIR"))
+        script = _computing(_command(names, study.name, _run, study.summary, "--out DIR"))
         for name, details in study.options.items():
-            one.add_argument(f"--{name}", default=None, **details)
-        one.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
+            script.add_argument(f"--{name}", default=None, **details)
+        script.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
     what = "Say what a layer's mesh changes; thinlayer/docs/reference/description.md has the keys."
     estimate = _computing(_command(commands, "estimate", _estimate, what, "joint.toml --set layer.eps=0.1"))
     file = "a file in TOML; with --new a mesh file"
@@ -177,22 +177,22 @@ def _add_batch(parser: Parser, out: Path) -> None:
 def _command(commands: Any, name: str, work: Command, what: str, example: str) -> Parser:
     """The parser of a command."""
     short, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
-    one: Parser = commands.add_parser(name, help=short[0].lower() + short[1:], description=what, epilog=epilog)
-    one.set_defaults(work=work)
-    return one
+    parser: Parser = commands.add_parser(name, help=short[0].lower() + short[1:], description=what, epilog=epilog)
+    parser.set_defaults(work=work)
+    return parser
 
 
-def _computing(one: Parser) -> Parser:
+def _computing(parser: Parser) -> Parser:
     """The parser of a command that computes, and has a folder."""
-    one.description = f"{one.description} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
-    one.epilog = f"{EXIT_STATUS_HELP} {one.epilog}"
-    said = one.add_mutually_exclusive_group()
+    parser.description = f"{parser.description} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
+    parser.epilog = f"{EXIT_STATUS_HELP} {parser.epilog}"
+    said = parser.add_mutually_exclusive_group()
     said.add_argument("-v", "--verbose", action="count", default=0, help="show attempts of solves; twice: their steps")
     quiet = "print no progress and no tables, only errors, warnings and checks that fail"
     said.add_argument("-q", "--quiet", dest="verbose", action="store_const", const=-1, help=quiet)
     where = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
-    one.add_argument("--out", type=_folder, metavar="DIR", help=where)
-    return one
+    parser.add_argument("--out", type=_folder, metavar="DIR", help=where)
+    return parser
 
 
 def _folder(text: str) -> Path:
@@ -201,8 +201,8 @@ def _folder(text: str) -> Path:
     return Path(text)
 
 
-def _add_json(one: argparse._ActionsContainer) -> None:
-    one.add_argument("--json", action="store_true", help="print the answer as JSON, nothing else on standard output")
+def _add_json(group: argparse._ActionsContainer) -> None:
+    group.add_argument("--json", action="store_true", help="print the answer as JSON, nothing else on standard output")
 
 
 def _print_answer(chosen: argparse.Namespace, answer: Any, words: str) -> int:
@@ -252,20 +252,20 @@ def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
 
 def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
     study = studies()[chosen.study]
-    given = {name: getattr(chosen, name) for name in study.options if getattr(chosen, name) is not None}
+    options = {name: getattr(chosen, name) for name in study.options if getattr(chosen, name) is not None}
 
     def work(record: Record) -> None:
         from thinlayer.running.provenance import constants
 
         module = importlib.import_module(f"studies.{study.name}")
         record.parameters = constants(module)
-        module.run(record, **given)
+        module.run(record, **options)
         record.say_tables()
         if study.drawn:
             module.draw(record)
 
     out = chosen.out or Path("out", study.name)
-    return recorded(study.name, out, work, options=given, petsc=petsc, resume=chosen.resume, verbose=chosen.verbose)
+    return recorded(study.name, out, work, options=options, petsc=petsc, resume=chosen.resume, verbose=chosen.verbose)
 
 
 def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
@@ -297,18 +297,18 @@ def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
     from thinlayer.running.description import Description
 
     try:
-        given = Description.read(chosen.description, chosen.set)
+        description = Description.read(chosen.description, chosen.set)
     except InputError as error:
         return stop(is_first(), BAD_INPUT, error_text(error, chosen.verbose))
     if chosen.check:
-        return ask(partial(_check, chosen, given))
+        return ask(partial(_check, chosen, description))
 
     def work(record: Record) -> None:
         from thinlayer.running.estimation import run
 
         record.quiet |= chosen.json
-        with given.section.described():
-            run(record, given, chosen.description)
+        with description.section.described():
+            run(record, description, chosen.description)
         if chosen.json:
             _print_answer(chosen, record.results, "")
 
@@ -322,9 +322,9 @@ def _new(chosen: argparse.Namespace) -> int:
     return _print_answer(chosen, None, template(chosen.description))
 
 
-def _check(chosen: argparse.Namespace, given: Description) -> int:
+def _check(chosen: argparse.Namespace, description: Description) -> int:
     from thinlayer.running.case import DescribedCase
     from thinlayer.running.summary import summarise
 
-    with given.section.described():
-        return _print_answer(chosen, None, summarise(DescribedCase.of(given)))
+    with description.section.described():
+        return _print_answer(chosen, None, summarise(DescribedCase.of(description)))

@@ -84,34 +84,34 @@ class Description:
         section = read_description(path, settings)
         law = "the parameters of a law, such as E and nu, in a table"
         needed = {"mesh": MESH_HINT, "body": f"{law} [body]", "layer": f"{law} [layer]"}
-        found = cls(section, **section.entries(ENTRY_READERS, needed))
-        moves = [v for one in found.supports.values() for v in (one.values() if isinstance(one, Mapping) else [one])]
-        strained = any(one.eigenstrain for one in (*found.body.values(), *found.layer.values()))
-        if not (found.tractions or found.body_force or found.loads or any(moves) or strained):
+        description = cls(section, **section.entries(ENTRY_READERS, needed))
+        moves = [v for u in description.supports.values() for v in (u.values() if isinstance(u, Mapping) else [u])]
+        strained = any(entry.eigenstrain for entry in (*description.body.values(), *description.layer.values()))
+        if not (description.tractions or description.body_force or description.loads or any(moves) or strained):
             section.refuse("nothing loads the structure; give tractions, body_force, loads, or supports that move")
-        found._require_times()
-        if found.tolerance and None not in found.layer:
+        description._require_times()
+        if description.tolerance and None not in description.layer:
             section.refuse("a thickness is sought of one layer for all seams; give [layer] without names", "tolerance")
-        return found
+        return description
 
     def _require_times(self) -> None:
         """Raise DescriptionError unless histories have times, and reach from 0 to the last one."""
-        for one in self.section.histories:
-            first, last = min(one.values), max(one.values)
+        for history in self.section.histories:
+            first, last = min(history.values), max(history.values)
             if not self.times:
-                self.section.refuse("a history needs times, the ends of time steps", *one.keys)
+                self.section.refuse("a history needs times, the ends of time steps", *history.keys)
             if first > 0 or last < self.times[-1]:
                 reach = f"it is given from {first:g} to {last:g}, and times go from 0 to {self.times[-1]:g}"
-                self.section.refuse(reach, *one.keys)
+                self.section.refuse(reach, *history.keys)
 
 
 def _mesh(section: Section, key: str) -> dict[str, Any]:
     """Arguments of `read_description`. S is all that is between `upper` and `lower` if these are given alone."""
-    given, sides = section.values[key], dict.fromkeys(("upper", "lower"), Section.texts)
-    one = section.inner({"path": given} if isinstance(given, str) else given, "path and arguments of read", key)
+    value, sides = section.values[key], dict.fromkeys(("upper", "lower"), Section.texts)
+    table = section.inner({"path": value} if isinstance(value, str) else value, "path and arguments of read", key)
     readers: dict[str, Reader] = {"path": Section.text, "S": _sides, **sides, "direction": Section.vector}
-    found = one.entries(readers | {"scale": positive_reader("a factor")}, {"path": MESH_HINT})
-    return {"S": None, **found} if sides.keys() <= found.keys() else found
+    arguments = table.entries(readers | {"scale": positive_reader("a factor")}, {"path": MESH_HINT})
+    return {"S": None, **arguments} if sides.keys() <= arguments.keys() else arguments
 
 
 def _sides(section: Section, key: str) -> Any:
@@ -130,17 +130,17 @@ def _units(section: Section, key: str) -> tuple[str, str]:
 
 def _supports(section: Section, key: str) -> dict[Place, Any]:
     """Place -> a number, or components."""
-    places, found = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Any]()
+    places, supports = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Any]()
     for name, value in places.values.items():
         place = _place(name)
         if isinstance(value, Mapping):
             readers = dict.fromkeys("xyzn" if isinstance(place, str) else "xyz", time_series(Section.number))
-            found[place] = places.table(name, "components").entries(readers, kind="component")
+            supports[place] = places.table(name, "components").entries(readers, kind="component")
             if not value:
                 places.refuse("no component is given, such as {x = 0}", name)
         else:
-            found[place] = places.number(name)
-    return found
+            supports[place] = places.number(name)
+    return supports
 
 
 def _place(text: str) -> Place:
@@ -176,46 +176,46 @@ def _body_force(section: Section, key: str) -> Vector | dict[str, Vector]:
 
 def _loads(section: Section, key: str) -> tuple[dict[str, Any], ...]:
     """Forces at points, or per length of edges."""
-    found = []
-    for one in section.tables(key, "place and force, or first, second and force"):
+    loads = []
+    for table in section.tables(key, "place and force, or first, second and force"):
         where: dict[str, Reader] = {"place": Section.vector}
-        if {"first", "second"} & one.values.keys():
+        if {"first", "second"} & table.values.keys():
             where = {"first": Section.text, "second": Section.text}
         needed = {**dict.fromkeys(where, "where the load acts"), "force": "the vector of the force"}
-        found.append(one.entries({**where, "force": time_series(Section.vector), "body": Section.text}, needed))
-    return tuple(found)
+        loads.append(table.entries({**where, "force": time_series(Section.vector), "body": Section.text}, needed))
+    return tuple(loads)
 
 
 def _times(section: Section, key: str) -> tuple[float, ...]:
     wrong = "are no times; give numbers > 0 that grow, such as [0.5, 1]"
-    times = section.checked(key, lambda one: one and is_growing(one) and all(t > 0 for t in one), wrong)
+    times = section.checked(key, lambda values: values and is_growing(values) and all(t > 0 for t in values), wrong)
     return tuple(map(float, times))
 
 
 def _goals(section: Section, key: str) -> dict[str, dict[str, Any]]:
-    goals, found = section.table(key, "names with what they ask for, such as compliance = true"), {}
+    goals, arguments = section.table(key, "names with what they ask for, such as compliance = true"), {}
     for name, value in goals.values.items():
         if name in DEFAULT_QUANTITIES:
             goals.refuse("this quantity is told of every layer; give a goal another name", name)
-        one = goals.inner({} if value is True else value, "arguments of a goal, or is true", name)
-        kind = one.text("kind", GOAL_READERS) if "kind" in one.values else name
+        goal = goals.inner({} if value is True else value, "arguments of a goal, or is true", name)
+        kind = goal.text("kind", GOAL_READERS) if "kind" in goal.values else name
         if kind not in GOAL_READERS:
             goals.refuse(
                 f"what is asked for? give kind, one of {', '.join(GOAL_READERS)}, or one of them as the key", name
             )
         readers = GOAL_READERS[kind]
         needed = {key: f"{kind} has {', '.join(readers)}" for key in readers if key not in ("seam", "side")}
-        found[name] = {"kind": kind, **one.entries({"kind": Section.text, **readers}, needed)}
-    return found
+        arguments[name] = {"kind": kind, **goal.entries({"kind": Section.text, **readers}, needed)}
+    return arguments
 
 
 def _tolerance(section: Section, key: str) -> dict[str, float]:
     """Quantity -> its largest relative change; a number alone is that of the traction."""
     value, what = section.values[key], "the largest relative change that is allowed, between 0 and 1"
-    one = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, key)
+    table = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, key)
     goals = section.values.get("goals") or {"compliance": True}
-    found = one.entries(dict.fromkeys([*DEFAULT_QUANTITIES, *goals], positive_reader(what)), kind="quantity")
-    return {name: one.checked(name, lambda number: number < 1, f"is not < 1; it is {what}") for name in found}
+    tolerances = table.entries(dict.fromkeys([*DEFAULT_QUANTITIES, *goals], positive_reader(what)), kind="quantity")
+    return {name: table.checked(name, lambda number: number < 1, f"is not < 1; it is {what}") for name in tolerances}
 
 
 MESH_HINT = 'the name of a mesh file, mesh = "joint.msh"'
@@ -234,5 +234,5 @@ ENTRY_READERS: dict[str, Reader] = {
     "times": _times,
     "goals": _goals,
     "tolerance": _tolerance,
-    "bonded": lambda section, key: section.checked(key, lambda one: isinstance(one, bool), "is neither true nor false"),
+    "bonded": lambda section, key: section.checked(key, lambda raw: isinstance(raw, bool), "is neither true nor false"),
 }

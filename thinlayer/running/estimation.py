@@ -38,53 +38,53 @@ QUESTION_TEXTS = {
 }
 
 
-def run(record: Record, given: Description, file: Path) -> None:
+def run(record: Record, description: Description, file: Path) -> None:
     """Answer what a description asks: sentences, estimate.csv, pictures of where on S the changes come from. Collective.
 
     Raises:
         InputError, SolveError: as the description, the models and the solves raise them.
     """
-    case = DescribedCase.of(given)
-    files = {str(path): on_root(default_comm(), partial(hash_of, path)) for path in (Path(given.mesh["path"]), file)}
-    record.parameters = {"files": files, "description": given.section.values}
-    found = {LAW: _estimate(record, case, case.model())}
-    if given.bonded:
-        found[BOND] = _estimate(record, case, case.structure.bonded(), layer=case.layer)
-    rows = [{"instead": name, **row} for name, one in found.items() for row in one.table.rows]
+    case = DescribedCase.of(description)
+    files = {str(f): on_root(default_comm(), partial(hash_of, f)) for f in (Path(description.mesh["path"]), file)}
+    record.parameters = {"files": files, "description": description.section.values}
+    estimates = {LAW: _estimate(record, case, case.model())}
+    if description.bonded:
+        estimates[BOND] = _estimate(record, case, case.structure.bonded(), layer=case.layer)
+    rows = [{"instead": name, **row} for name, answer in estimates.items() for row in answer.table.rows]
     # NaN stands where there is no number
     table = Table([{key: None if value != value else value for key, value in row.items()} for row in rows])
     record.write("estimate.csv", table)
-    for name, one in found.items():
+    for name, answer in estimates.items():
         quantities = [row for row in table.rows if row["instead"] == name]
-        record.results[name] = {"sentences": one.sentences, "cost": one.cost, "quantities": quantities}
-    if given.units:
-        record.say("lengths in {}, stresses in {}".format(*given.units))
+        record.results[name] = {"sentences": answer.sentences, "cost": answer.cost, "quantities": quantities}
+    if description.units:
+        record.say("lengths in {}, stresses in {}".format(*description.units))
     thicknesses = []
-    for name, one in found.items():
-        record.say("\n".join([QUESTION_TEXTS[name], *(f"  {sentence}" for sentence in one.sentences)]))
+    for name, answer in estimates.items():
+        record.say("\n".join([QUESTION_TEXTS[name], *(f"  {sentence}" for sentence in answer.sentences)]))
         thicknesses += _thicknesses(record, case, name)
     record.say(f"\n{table}\n")
     if thicknesses:
         record.results["thin_enough"] = thicknesses
         record.write("thin_enough.csv", Table(thicknesses))
-    for name, one in found.items():
-        _draw(record, case, name, one)
+    for name, answer in estimates.items():
+        _draw(record, case, name, answer)
 
 
 def _estimate(record: Record, case: DescribedCase, model: Model, **left_out: Any) -> Estimate:
     state: State | History = march(model, case.description.times) if case.description.times else solve(model)
-    for one in state if isinstance(state, History) else [state]:
-        record.solved(one)
-    found = estimate(state, goals=case.goals, **left_out)
-    record.solved(found.better)
-    return found
+    for step in state if isinstance(state, History) else [state]:
+        record.solved(step)
+    result = estimate(state, goals=case.goals, **left_out)
+    record.solved(result.better)
+    return result
 
 
 def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[dict[str, Any]]:
     """The thickness below which each quantity changes by less than its tolerance; told as soon as it is known."""
     goals, rows = {goal.name: goal for goal in case.goals}, []
     seams = [*case.layer] if isinstance(case.layer, Mapping) else [S]
-    given: dict[str, Any] = {
+    options: dict[str, Any] = {
         "times": case.description.times or None,
         "bodies": case.description.bodies,
         "bonded": name == BOND,
@@ -95,7 +95,7 @@ def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[dict[st
         of = {"seam": seam} if len(seams) > 1 else {}
         try:
             goal = goals.get(quantity, quantity)
-            thin = thin_enough(case.structure, case.layer, tolerance, goal, seam=seam, **given)
+            thin = thin_enough(case.structure, case.layer, tolerance, goal, seam=seam, **options)
             eps, words = thin.eps, str(thin)
         except InputError as error:  # an answer too: no thickness is thin enough
             eps, words = None, str(error).removeprefix("thin_enough: ")
@@ -104,12 +104,12 @@ def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[dict[st
     return rows
 
 
-def _draw(record: Record, case: DescribedCase, name: str, found: Estimate) -> None:
+def _draw(record: Record, case: DescribedCase, name: str, estimate: Estimate) -> None:
     """A picture for each goal whose density on S is known, and how much of its change arises near the ends of S."""
     stems = list[str]()
-    for goal in found.goals:
+    for goal in estimate.goals:
         try:
-            density = found.density(goal)
+            density = estimate.density(goal)
         except InputError as error:
             record.say(f"no picture of {goal}: {error}")
             continue
@@ -117,23 +117,25 @@ def _draw(record: Record, case: DescribedCase, name: str, found: Estimate) -> No
         while stem in stems:  # as of "a b" and "a-b"
             stem += "_"
         stems.append(stem)
-        if shares := _near_ends(found, goal, density):
+        if shares := _near_ends(estimate, goal, density):
             record.say(f"  {goal}: {shares}")
         path, length = record.path(f"{stem}.png"), case.description.units[0] if case.description.units else ""
         shown = goal.replace("$", r"\$")  # no mathematics
-        quantity, surface = f"change of {shown}, per area of S", Surface(found.better.model)
+        quantity, surface = f"change of {shown}, per area of S", Surface(estimate.better.model)
         if surface.joint.dim == 2:
             plotting.along(surface, {quantity: density}, save=path, length=length, log=True)
         else:
-            plotting.on_surface(found.better, density, plotting.View(scale=0.0), save=path, quantity=quantity, log=True)
+            plotting.on_surface(
+                estimate.better, density, plotting.View(scale=0.0), save=path, quantity=quantity, log=True
+            )
 
 
-def _near_ends(found: Estimate, goal: str, density: Array) -> str:
+def _near_ends(estimate: Estimate, goal: str, density: Array) -> str:
     """How much of the change of a goal arises near the ends of S, in words; "" if there are none, or no change."""
-    surface, error, shares = Surface(found.better.model), found.goals[goal], []
+    surface, error, shares = Surface(estimate.better.model), estimate.goals[goal], []
     if error.zero or error.fixed or not np.isfinite(surface.distance_to_ends).any():
         return ""
-    for distance in np.array(END_DISTANCES) * max(layer.layer.eps for layer in found.layers.values()):
+    for distance in np.array(END_DISTANCES) * max(layer.layer.eps for layer in estimate.layers.values()):
         near = surface.integral(surface.at_points(density) * (surface.distance_to_ends < distance))
         shares.append(f"{100 * near / error.change:.2g} % within {distance:.3g} of the ends of S")
     return f"of its change {' and '.join(shares)}"

@@ -48,12 +48,12 @@ def read_materials(section: Section, key: str, *, thin: bool = False) -> dict[st
     if any(inside) and not all(inside):
         whole.refuse(f"it has tables with names beside keys without one; give each name a table with {what}")
     tables = {name: whole.table(name, what) for name in whole.values} if any(inside) else {None: whole}
-    found = {}
-    for name, one in tables.items():
+    materials = {}
+    for name, table in tables.items():
         needed = {"eps": positive_reader(thickness)} if thin else {}
-        law, beside = _law(one, {**needed, "eigenstrain": Section.number}, dict.fromkeys(needed, thickness))
-        found[name] = MaterialEntry(law, beside.get("eps", 0.0), beside.get("eigenstrain"))
-    return found
+        law, entries = _law(table, {**needed, "eigenstrain": Section.number}, dict.fromkeys(needed, thickness))
+        materials[name] = MaterialEntry(law, entries.get("eps", 0.0), entries.get("eigenstrain"))
+    return materials
 
 
 @cache
@@ -63,27 +63,27 @@ def known_laws() -> dict[str, type[BulkLaw]]:
     return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in (BulkLaw, KernelLaw)}
 
 
-def _law(section: Section, beside: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:
+def _law(section: Section, extra: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:
     """The law {law: its name, parameter: value}, or {sublayers: ...}, of a table, and the entries beside it."""
     if "sublayers" in section.values or section.values.get("law") == "Stack":
-        of_stack = {"law": choice_reader("Stack"), "sublayers": _sublayers, **beside}
-        found = section.entries(of_stack, {**needed, "sublayers": "tables with a law"}, "key of Stack")
-        return _made(section, lambda: Stack(*found["sublayers"])), found
+        of_stack = {"law": choice_reader("Stack"), "sublayers": _sublayers, **extra}
+        entries = section.entries(of_stack, {**needed, "sublayers": "tables with a law"}, "key of Stack")
+        return _made(section, lambda: Stack(*entries["sublayers"])), entries
     name = section.text("law", known_laws(), "law of strains") if "law" in section.values else "LinearElastic"
     kind: Any = known_laws()[name]
     parameters = {f.name: f for f in fields(kind) if f.init}
     elastic = ELASTIC_CONSTANTS if "lmbda" in parameters else ("E", "G", "mu") if "mu" in parameters else ()
-    own = [key for key in parameters if key not in elastic]
-    readers: dict[str, Reader] = {"law": Section.text, **beside}
-    readers |= dict.fromkeys(elastic, Section.number) | dict.fromkeys(own, partial(_value, kind))
-    has = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT, *own] if elastic else own)}"
-    words = {**{key: has for key in own if parameters[key].default is MISSING}, **needed}
-    found = section.entries(readers, words, f"key of {name}")
-    moduli = {key: found[key] for key in elastic if key in found}
-    given = {key: found[key] for key in own if key in found}
+    others = [key for key in parameters if key not in elastic]
+    readers: dict[str, Reader] = {"law": Section.text, **extra}
+    readers |= dict.fromkeys(elastic, Section.number) | dict.fromkeys(others, partial(_value, kind))
+    has = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT, *others] if elastic else others)}"
+    words = {**{key: has for key in others if parameters[key].default is MISSING}, **needed}
+    entries = section.entries(readers, words, f"key of {name}")
+    moduli = {key: entries[key] for key in elastic if key in entries}
+    arguments = {key: entries[key] for key in others if key in entries}
     if elastic:
-        given |= _pair(section, name, moduli) if "lmbda" in parameters else _shear(section, name, moduli)
-    return _made(section, lambda: kind(**given)), found
+        arguments |= _pair(section, name, moduli) if "lmbda" in parameters else _shear(section, name, moduli)
+    return _made(section, lambda: kind(**arguments)), entries
 
 
 def _made(section: Section, make: Callable[[], BulkLaw]) -> BulkLaw:
@@ -95,9 +95,9 @@ def _made(section: Section, make: Callable[[], BulkLaw]) -> BulkLaw:
 
 def _sublayers(section: Section, key: str) -> list[tuple[float, BulkLaw]]:
     what, pairs = "share of the thickness", []
-    for one in section.tables(key, "a fraction of the thickness and a law"):
-        law, beside = _law(one, {"fraction": positive_reader(what)}, {"fraction": what})
-        pairs.append((beside["fraction"], law))
+    for table in section.tables(key, "a fraction of the thickness and a law"):
+        law, entries = _law(table, {"fraction": positive_reader(what)}, {"fraction": what})
+        pairs.append((entries["fraction"], law))
     return pairs
 
 
@@ -122,13 +122,13 @@ def _shear(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str
 
 def _pair(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
     """Lame's moduli from a pair of elastic constants."""
-    known = {"G" if key == "mu" and "lmbda" not in moduli else key: value for key, value in moduli.items()}
-    if len(moduli) != 2 or known.keys() not in ({"E", "nu"}, {"G", "nu"}, {"K", "G"}, {"lmbda", "mu"}):
+    constants = {"G" if key == "mu" and "lmbda" not in moduli else key: value for key, value in moduli.items()}
+    if len(moduli) != 2 or constants.keys() not in ({"E", "nu"}, {"G", "nu"}, {"K", "G"}, {"lmbda", "mu"}):
         section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has a pair: {ELASTIC_PAIRS_TEXT}")
-    if "lmbda" in known:
-        return known
-    if "K" in known:
-        return {"lmbda": known["K"] - 2 * known["G"] / 3, "mu": known["G"]}
-    make, first = (LinearElastic.young, "E") if "E" in known else (LinearElastic.shear, "G")
-    law: Any = _made(section, lambda: make(known[first], known["nu"]))
+    if "lmbda" in constants:
+        return constants
+    if "K" in constants:
+        return {"lmbda": constants["K"] - 2 * constants["G"] / 3, "mu": constants["G"]}
+    make, first = (LinearElastic.young, "E") if "E" in constants else (LinearElastic.shear, "G")
+    law: Any = _made(section, lambda: make(constants[first], constants["nu"]))
     return {"lmbda": law.lmbda, "mu": law.mu}

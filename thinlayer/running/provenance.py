@@ -24,15 +24,15 @@ RECORDED_PACKAGES = (
 @cache
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that results depend on; "not installed" for a missing one."""
-    found = {"python": platform.python_version(), "thinlayer": VERSION}
-    found["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
-    return found | {name: version_of(name) for name in RECORDED_PACKAGES.split()}
+    core_versions = {"python": platform.python_version(), "thinlayer": VERSION}
+    core_versions["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
+    return core_versions | {name: version_of(name) for name in RECORDED_PACKAGES.split()}
 
 
 def petsc_options() -> dict[str, Any]:
     """The PETSc options in force, and the environment variable that may have set them."""
-    found = {f"-{name}": value for name, value in sorted(PETSc.Options().getAll().items())}
-    return {"options": found, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", "")}
+    options = {f"-{name}": value for name, value in sorted(PETSc.Options().getAll().items())}
+    return {"options": options, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", "")}
 
 
 @cache
@@ -51,7 +51,7 @@ def constants(module: ModuleType) -> dict[str, Any]:
 
     def plain(value: Any) -> bool:
         if isinstance(value, dict):
-            return all(isinstance(key, str) and plain(one) for key, one in value.items())
+            return all(isinstance(key, str) and plain(entry) for key, entry in value.items())
         return all(map(plain, value)) if isinstance(value, tuple) else isinstance(value, (int, float, str, Law))
 
     return {name: value for name, value in vars(module).items() if name.isupper() and plain(value)}

@@ -174,11 +174,11 @@ class Record:
         run = self._of_study()
         here = {"options": self.identity()[1], "code": code(), "petsc": petsc_options()}
         there = {name: run[name] for name in here}
-        for one in (there, here):
-            one["petsc"] = {k: value for k, value in one["petsc"]["options"].items() if k.startswith(f"-{PREFIX}")}
-        if found := [*differences(there, here)]:
+        for data in (there, here):
+            data["petsc"] = {k: value for k, value in data["petsc"]["options"].items() if k.startswith(f"-{PREFIX}")}
+        if changes := [*differences(there, here)]:
             raise InputError(
-                f"--resume: the run in {self.out} was another one ({differences_text(found)}); run the study anew"
+                f"--resume: the run in {self.out} was another one ({differences_text(changes)}); run the study anew"
             )
         return run
 
@@ -278,14 +278,14 @@ class Record:
                 self.solved(state)
         return history
 
-    def solved(self, found: SolvedType) -> SolvedType:
+    def solved(self, solution: SolvedType) -> SolvedType:
         """Note for run.json how a state, or the last one of a history, was found; returns what it is given."""
-        state = found if isinstance(found, State) else found.last
-        thin = {name: one.thin_layer.eps for name, one in state.model.layers.items() if one.thin_layer}
+        state = solution if isinstance(solution, State) else solution.last
+        thin = {name: layer.thin_layer.eps for name, layer in state.model.layers.items() if layer.thin_layer}
         eps = thin if len(thin) > 1 else next(iter(thin.values()), None)
         self.solves.append({"model": repr(state.model), "eps": eps, "t": state.t} | asdict(state.report))
         STUDY_LOGGER.info("%(model)s, eps = %(eps)s, t = %(t)g: %(method)s, %(iterations)d steps", self.solves[-1])
-        return found
+        return solution
 
     def check(self, name: str, value: float, *, low: float | None = None, high: float | None = None) -> None:
         """Check that a number lies in a range; a failed check makes the run exit with status 1."""

@@ -25,20 +25,20 @@ def summarise(case: DescribedCase) -> str:
     Raises:
         InputError: as the model and the goals raise it.
     """
-    given, model, values = case.description, case.model(), case.description.section.values
-    joint, sizes, t = model.joint, _sizes(model), given.times[-1] if given.times else 0.0
-    of_body, of_layer = ("volume", "area") if joint.dim == 3 or given.plane == "axisymmetric" else ("area", "length")
-    names = {S: given.mesh.get("S") or S}  # the only seam has another name in the file
+    entries, model, values = case.description, case.model(), case.description.section.values
+    joint, sizes, t = model.joint, _sizes(model), entries.times[-1] if entries.times else 0.0
+    of_body, of_layer = ("volume", "area") if joint.dim == 3 or entries.plane == "axisymmetric" else ("area", "length")
+    names = {S: entries.mesh.get("S") or S}  # the only seam has another name in the file
     about = "" if joint.dim == 3 else f", plane {model.plane}"
-    lines = [f"mesh {given.mesh['path']}: {len(joint.cells)} {joint.cell_type} cells, element {model.element}{about}"]
-    lines += ["lengths in {}, stresses in {}".format(*given.units)] if given.units else []
+    lines = [f"mesh {entries.mesh['path']}: {len(joint.cells)} {joint.cell_type} cells, element {model.element}{about}"]
+    lines += ["lengths in {}, stresses in {}".format(*entries.units)] if entries.units else []
     for name in joint.bodies:
-        lines.append(f"body {name}: {_law(values['body'], given.body, name)}, {of_body} = {sizes[name]:.6g}")
+        lines.append(f"body {name}: {_law(values['body'], entries.body, name)}, {of_body} = {sizes[name]:.6g}")
     for name, seam in joint.seams.items():
         sides = f"from {', '.join(seam.lower) or 'a rigid base'} to {', '.join(seam.upper)}"
         size = f"{of_layer} = {sizes[name]:.6g}, {len(joint.rows_of(name))} facets"
-        lines.append(f"layer {names.get(name, name)}: {_law(values['layer'], given.layer, name)}, {size}, {sides}")
-    lines += [f"support {place}: {_shown(one)}" for place, one in values.get("supports", {}).items()]
+        lines.append(f"layer {names.get(name, name)}: {_law(values['layer'], entries.layer, name)}, {size}, {sides}")
+    lines += [f"support {place}: {_shown(support)}" for place, support in values.get("supports", {}).items()]
     lines += [f"{key}: {_shown(values[key])}" for key in ("tractions", "body_force", "loads") if key in values]
     lines.append(f"loads in all, at t = {t:g}: {model.applied(t).at(np.zeros(joint.dim))}")
     return "\n".join([*lines, *(f"goal {goal.name}" for goal in case.goals)])
@@ -54,14 +54,14 @@ def _sizes(model: InterfaceModel) -> dict[str, float]:
     """Measures of the bodies and of the seams. Collective."""
     places = {name: (model.kinematics.factor, model.dx(model.domain.cell_values(name))) for name in model.joint.bodies}
     sides = {name: model.sides_of(name) for name in model.joint.seams}
-    places |= {name: (one.factor, one.measure) for name, one in sides.items()}
+    places |= {name: (interface.factor, interface.measure) for name, interface in sides.items()}
     chosen = fem.Constant(model.domain.mesh, np.zeros(len(places)))
     parts = (chosen[k] * factor * measure for k, (factor, measure) in enumerate(places.values()))
     return dict(zip(places, map(float, per_unit(model.comm, sum(parts, ufl.Form([])), chosen)), strict=True))
 
 
 def _entries(table: Mapping[str, Any]) -> str:
-    return ", ".join(f"{key} = {_shown(one)}" for key, one in table.items())
+    return ", ".join(f"{key} = {_shown(value)}" for key, value in table.items())
 
 
 def _shown(value: Any) -> str:

@@ -26,8 +26,8 @@ def template(mesh: Path) -> str:
 
 
 def _filled(mesh: Path, named: NamedGroups) -> str:
-    beside = {name: named.adjacent_cells(name) for name in named.facets}
-    inside = {name: named.touched(cells) for name, cells in beside.items() if cells.size and (cells >= 0).all()}
+    adjacent = {name: named.adjacent_cells(name) for name in named.facets}
+    inside = {name: named.touched(cells) for name, cells in adjacent.items() if cells.size and (cells >= 0).all()}
     seam, words = _seam(inside, ", ".join(named.facets))
     layers = "\n\n".join(
         f'[layer{name}]\nlaw = "LinearElastic"\nE = "?"\nnu = "?"\neps = "?"  # thickness'
@@ -36,8 +36,8 @@ def _filled(mesh: Path, named: NamedGroups) -> str:
     moduli, vector = 'E = "?"\nnu = "?"', ["?"] * named.cells.points.shape[1]
     sides = [quoted(name) for name in named.facets if name not in inside]
     bodies = "\n\n".join(f"[body.{quoted(name)}]\n{moduli}" for name in named.regions)
-    held, loaded = ("\n".join(f"{name} = {quoted(value)}" for name in sides) for value in ("?", vector))
-    values = {"bodies": bodies, "layers": layers, "held": held, "loaded": loaded, "seam": seam, "words": words}
+    supports, loaded = ("\n".join(f"{name} = {quoted(value)}" for name in sides) for value in ("?", vector))
+    values = {"bodies": bodies, "layers": layers, "held": supports, "loaded": loaded, "seam": seam, "words": words}
     text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8").rstrip()
     return Template(text).substitute(values, path=quoted(str(mesh)))
 

@@ -60,7 +60,7 @@ def read_description(path: Path, settings: Iterable[str] = ()) -> Section:
 
 def _assignment(text: str, option: str) -> tuple[Keys, Any]:
     """Keys and value of a text."""
-    name, equals, given = text.partition("=")
+    name, equals, value_text = text.partition("=")
     try:
         keys: Keys = ()
         inner: Any = tomllib.loads(f"{name}{equals}0")
@@ -70,9 +70,9 @@ def _assignment(text: str, option: str) -> tuple[Keys, Any]:
     except ValueError:
         raise DescriptionError(f"{option} cannot be read; give KEY=VALUE in TOML, such as layer.E=2e3") from None
     try:
-        (value,) = tomllib.loads(f"value={given}").values()
+        (value,) = tomllib.loads(f"value={value_text}").values()
     except ValueError:
-        value = given.strip()
+        value = value_text.strip()
     return keys, value
 
 
@@ -150,7 +150,7 @@ class Section:
     def vector(self, key: str) -> tuple[float, ...]:
         """Components of a vector, 2 or 3 finite numbers."""
         wrong = "is no vector; give 2 components, in 3D 3, such as [0, -50]"
-        return tuple(map(float, self.checked(key, lambda one: _are_finite(one) and len(one) in (2, 3), wrong)))
+        return tuple(map(float, self.checked(key, lambda value: _are_finite(value) and len(value) in (2, 3), wrong)))
 
     def text(self, key: str, allowed: Collection[str] = (), kind: str = "choice") -> str:
         """A text, one of those that are allowed if there are any."""
@@ -164,7 +164,7 @@ class Section:
     def texts(self, key: str) -> str | list[str]:
         """A text or several in a list."""
         value = self.values[key]
-        several = isinstance(value, list) and value and all(isinstance(one, str) for one in value)
+        several = isinstance(value, list) and value and all(isinstance(text, str) for text in value)
         return value if several else self.text(key)
 
     def table(self, key: str, what: str) -> Section:
@@ -179,8 +179,8 @@ class Section:
 
     def tables(self, key: str, what: str) -> list[Section]:
         """The tables in a list."""
-        given = self.checked(key, lambda one: isinstance(one, list), f"is no list of tables; each has {what}")
-        return [self.inner(one, what, key, str(number)) for number, one in enumerate(given, 1)]
+        tables = self.checked(key, lambda value: isinstance(value, list), f"is no list of tables; each has {what}")
+        return [self.inner(table, what, key, str(number)) for number, table in enumerate(tables, 1)]
 
 
 Reader = Callable[[Section, str], Any]
@@ -205,17 +205,17 @@ def time_series(read: Reader) -> Reader:
     """Reader of what `read_description` reads, or of a `TimeSeries` of such values, {times = ..., values = ...}."""
 
     def read_each(section: Section, key: str) -> Any:
-        given, what = section.values[key], "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
-        if not isinstance(given, Mapping) or not {"times", "values"} & given.keys():
+        entry, what = section.values[key], "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
+        if not isinstance(entry, Mapping) or not {"times", "values"} & entry.keys():
             return read(section, key)
-        parts = dict.fromkeys(("times", "values"), lambda one, name: one.values[name])
+        parts = dict.fromkeys(("times", "values"), lambda table, name: table.values[name])
         times, values = section.table(key, what).entries(parts, dict.fromkeys(parts, what)).values()
         if not (isinstance(values, list) and is_growing(times) and len(times) == len(values) >= 2):
             section.refuse(what, key)
         inner = section.inner({str(k): value for k, value in enumerate(values, 1)}, what, key, "values")
-        found = TimeSeries({float(t): read(inner, str(k)) for k, t in enumerate(times, 1)}, (*section.path, key))
-        section.histories.append(found)
-        return found
+        series = TimeSeries({float(t): read(inner, str(k)) for k, t in enumerate(times, 1)}, (*section.path, key))
+        section.histories.append(series)
+        return series
 
     return read_each
 

@@ -130,16 +130,16 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
         Where the goal weighs the forces on `layers`, these are on S in the model, and beside q.
         """
-        equations, held = self.equations, self.equations.bc_dofs
+        equations, bc_dofs = self.equations, self.equations.bc_dofs
         d, residuals, values = equations.vector(), [], []
         size = float(self._x.norm(PETSc.NormType.INFINITY)) or 1.0
         d.array[:] = np.random.default_rng(self.model.comm.rank).uniform(-size, size, d.getLocalSize())
-        d.array[held] = 0.0
+        d.array[bc_dofs] = 0.0
         for share in (1.0, 0.0):  # the last evaluation of the parts is at the state, as before
             x, r = self._x.copy(), equations.vector()
             x.axpy(share, d)
             equations.residual(x, r)
-            work = self.model.comm.allreduce(float(r.array_r[held] @ x.array_r[held]))
+            work = self.model.comm.allreduce(float(r.array_r[bc_dofs] @ x.array_r[bc_dofs]))
             here = replace(self.state, u=equations.u, reactions=equations.reactions(), prescribed_work=work)
             values.append(goal.value(here, self.model))
             residuals.append(r.array_r.copy())
@@ -164,17 +164,17 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
         """The weights z, as displacements and the layers' own fields; q and g are overwritten."""
-        equations, held = self.equations, self.equations.bc_dofs
+        equations, bc_dofs = self.equations, self.equations.bc_dofs
         if self._same and self._are_given(q, g):
             return equations.configuration(self._x)
         z, out = equations.vector(), equations.vector()
-        g.array[np.setdiff1d(np.arange(g.getLocalSize()), held)] = 0.0
+        g.array[np.setdiff1d(np.arange(g.getLocalSize()), bc_dofs)] = 0.0
         if g.norm():
             self._times(g, out)
             q.axpy(-1.0, out)
-        q.array[held] = 0.0
+        q.array[bc_dofs] = 0.0
         self._solve(q, z, transposed=True)
-        z.array[held] = g.array_r[held]
+        z.array[bc_dofs] = g.array_r[bc_dofs]
         return equations.configuration(z)
 
     def _solve(self, q: PETSc.Vec, x: PETSc.Vec, *, transposed: bool) -> None:
@@ -186,12 +186,12 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     def _are_given(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
         """Whether q are the loads, and g the displacements of supports, so that the state itself is the weights."""
-        equations, held, r = self.equations, self.equations.bc_dofs, self._r
+        equations, bc_dofs, r = self.equations, self.equations.bc_dofs, self._r
         equations.residual(equations.vector(), r)  # the loads, from the other side
-        r.array[held] = 0.0
+        r.array[bc_dofs] = 0.0
         size = r.norm()
         r.axpy(1.0, q)
-        r.array[held] = np.where(g.array_r == self._x.array_r, 0.0, np.inf)[held]
+        r.array[bc_dofs] = np.where(g.array_r == self._x.array_r, 0.0, np.inf)[bc_dofs]
         return bool(r.norm() <= LOAD_TOLERANCE * size)
 
     def _times(self, x: PETSc.Vec, out: PETSc.Vec) -> None:

@@ -55,11 +55,11 @@ class Equations(PartSum):
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
         external: these less the parts' forces that do not depend on the unknowns.
-        held: numbers of the unknowns of this rank that are prescribed.
+        bc_dofs: numbers of the unknowns of this rank that are prescribed.
         prescribed: their values at the end of the step.
         constraints: what they leave of the displacements, in whose places the unknowns stand.
         mean_stiffness: mean size of the diagonal entries of K and of the tangents at rest of bodies that are not in K.
-        eased: ease of the parts; 0 is the parts themselves.
+        homotopy_parameter: that of the parts; 0 is the parts themselves.
         factor: linear solver with the factor of a tangent, of this model or of another one of its family.
         scale: the forces that residuals are compared with; it knows the sizes that `Part.add_forces` returns.
     """
@@ -111,20 +111,20 @@ class Equations(PartSum):
         """Write unknowns into the displacements u and the parts' own functions."""
         self._layout.put(x)
         if self._T is not None:
-            own = self.u.x.array[: self.n_displacements]
-            own[:] = self.constraints.displacements(own)
+            owned = self.u.x.array[: self.n_displacements]
+            owned[:] = self.constraints.displacements(owned)
             self.u.x.scatter_forward()
 
     def _prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """Numbers of the held unknowns, increasing, and their values at time t."""
-        held: npt.NDArray[Any] = self.constraints.bc_dofs
-        values = np.zeros(len(held)) if t is None else self.constraints.values(t)
+        bc_dofs: npt.NDArray[Any] = self.constraints.bc_dofs
+        values = np.zeros(len(bc_dofs)) if t is None else self.constraints.values(t)
         first = self.n_displacements
         for part in self.with_own:
-            own, own_values = part.own_prescribed(t)
-            held, values = np.append(held, first + own), np.append(values, own_values)
+            part_dofs, own_values = part.own_prescribed(t)
+            bc_dofs, values = np.append(bc_dofs, first + part_dofs), np.append(values, own_values)
             first += self._layout.sizes[part.key]
-        return held.astype(np.int64), values
+        return bc_dofs.astype(np.int64), values
 
     @property
     def held_rows(self) -> npt.NDArray[PETSc.IntType]:
@@ -239,12 +239,12 @@ class Equations(PartSum):
         """Loads and given forces of parts at a time, as those on the unknowns."""
         return self.on_unknowns(self.loads_at(t), [part.load_at(t) for part in self.with_own])
 
-    def on_unknowns(self, forces: PETSc.Vec, own: Sequence[Array] = ()) -> PETSc.Vec:
+    def on_unknowns(self, forces: PETSc.Vec, part_loads: Sequence[Array] = ()) -> PETSc.Vec:
         """Nodal forces, and forces in own equations, as those on the unknowns, a new vector."""
         out = self.vector()
         rows = self._layout.split(out.array)
         rows[DISPLACEMENT_KEY][:] = forces.array_r
-        for part, load in zip(self.with_own, own, strict=False):
+        for part, load in zip(self.with_own, part_loads, strict=False):
             rows[part.key][:] = load
         rows[DISPLACEMENT_KEY][:] = self.constraints.forces(rows[DISPLACEMENT_KEY])
         return out
@@ -331,22 +331,22 @@ class Equations(PartSum):
             self.require_unique(out)
         self._require_bounded_jumps()
         self.put_state(self.interval.old, old)
-        held, before = out.array_r[self.bc_dofs], self.interval.old.u.x.array
+        bc_forces, before = out.array_r[self.bc_dofs], self.interval.old.u.x.array
         moved, change = (
             x.array_r[self.bc_dofs] - old.array_r[self.bc_dofs],
             (self.u.x.array - before)[: self.n_displacements],
         )
-        works = held @ x.array_r[self.bc_dofs], held @ moved + self.loads.array_r @ change
+        works = bc_forces @ x.array_r[self.bc_dofs], bc_forces @ moved + self.loads.array_r @ change
         prescribed_work, supplied = map(float, self.comm.allreduce(np.array(works)))
-        found, end = self.end_parts(self.u, self.interval.t)
+        outcomes, end = self.end_parts(self.u, self.interval.t)
         end = replace(end, reactions=self.reactions())
         names = ("supplied", "before", "dissipated", "remainder", "after")
-        more, start, lost, remainder, total = (sum(getattr(one, name) for one in found.values()) for name in names)
+        more, start, lost, remainder, total = (sum(getattr(o, name) for o in outcomes.values()) for name in names)
         audit = Audit(supplied + more, total - start, lost, remainder, total)
-        dissipated = self.model.by_place({key: one.dissipated for key, one in found.items()})
+        dissipated = self.model.by_place({key: outcome.dissipated for key, outcome in outcomes.items()})
         sudden = self.interval.dt == 0 and self.interval.old.at_rest
-        known: dict[str, Any] = {"sudden": sudden, "prescribed_work": prescribed_work, "dissipated": dissipated}
-        return State(**vars(end), model=self.model, report=report, audit=audit, **known)
+        attributes: dict[str, Any] = {"sudden": sudden, "prescribed_work": prescribed_work, "dissipated": dissipated}
+        return State(**vars(end), model=self.model, report=report, audit=audit, **attributes)
 
     def reactions(self) -> Array:
         """Forces and moments (n, k) of what holds the model at the end of the step, for the last residual."""
@@ -379,9 +379,9 @@ class Equations(PartSum):
         for share in SAMPLE_FRACTIONS:
             now = self._given_at(start + share * (end - start))
             for a, b, c in zip(first, last, now, strict=True):
-                apart = np.abs((1 - share) * a + share * b - c).max(initial=0.0)
+                error = np.abs((1 - share) * a + share * b - c).max(initial=0.0)
                 size = np.abs([a, b, c]).max(initial=0.0)
-                if self.comm.allreduce(float(apart), max) > LINEARITY_TOLERANCE * self.comm.allreduce(float(size), max):
+                if self.comm.allreduce(float(error), max) > LINEARITY_TOLERANCE * self.comm.allreduce(float(size), max):
                     return False
         return True
 

@@ -128,17 +128,17 @@ def columns(model: Model) -> dict[str, Callable[[State], float]]:
     of laws with an `elastic_fraction`, see `State.elastic_share`.
     """
     names = ("t", "report.iterations", "report.residual", *(f"audit.{name}" for name in ENERGY_COLUMNS))
-    found: dict[str, Callable[[State], float]] = {name.rpartition(".")[2]: attrgetter(name) for name in names}
-    remembering = {BODIES, *(name for name, one in model.layers.items() if one.remembers)}
+    getters: dict[str, Callable[[State], float]] = {name.rpartition(".")[2]: attrgetter(name) for name in names}
+    remembering = {BODIES, *(name for name, layer in model.layers.items() if layer.remembers)}
     for place in (name for name in model.by_place({}) if name in remembering):
-        found[f"dissipated {place}"] = lambda state, place=place: state.dissipated[place]  # type: ignore[misc]
+        getters[f"dissipated {place}"] = lambda state, place=place: state.dissipated[place]  # type: ignore[misc]
     if any("elastic_fraction" in term.law.parameters() for term in model.terms):
-        found["elastic share"] = attrgetter("elastic_share")
+        getters["elastic share"] = attrgetter("elastic_share")
     for seam in seams_with_phases(model):
-        found["energy"] = attrgetter("audit.total")
+        getters["energy"] = attrgetter("audit.total")
         for name, column in phase_columns(model, seam).items():
-            found[column] = lambda state, seam=seam, name=name: phase_shares(state, seam)[name]  # type: ignore[misc]
-    return found
+            getters[column] = lambda state, seam=seam, name=name: phase_shares(state, seam)[name]  # type: ignore[misc]
+    return getters
 
 
 def phase_columns(model: Model, seam: str) -> dict[str, str]:
@@ -150,12 +150,12 @@ def phase_columns(model: Model, seam: str) -> dict[str, str]:
 # ---------------------------------------------------------------- phases of layers
 def seams_with_phases(model: Model) -> list[str]:
     """Names of the seams whose layers have phases."""
-    return [name for name, one in model.layers.items() if one.thin_layer and one.law.traits.phases]
+    return [name for name, layer in model.layers.items() if layer.thin_layer and layer.law.traits.phases]
 
 
 def phase_slots(law: BulkLaw) -> list[tuple[float, int]]:
     """Fraction of the thickness, and index among the internal variables, of each phase of a law."""
-    return [(a, k) for a, one, k in memory_slots(law, "phase") if one.traits.phases]
+    return [(a, k) for a, sublayer, k in memory_slots(law, "phase") if sublayer.traits.phases]
 
 
 def phase_shares(state: State, seam: str) -> dict[str, float]:
@@ -175,6 +175,6 @@ def phase_shares(state: State, seam: str) -> dict[str, float]:
             phase, weights = state.memory[key][:, k], a * quadrature.weights
             sums += [weights @ np.maximum(phase, 0), weights @ np.maximum(-phase, 0), weights.sum()]
     plus, minus, whole = map(float, state.model.comm.allreduce(sums))
-    fraction = sum(a for a, one in layer.thin_layer.law.sublayers if one.traits.phases)
+    fraction = sum(a for a, law in layer.thin_layer.law.sublayers if law.traits.phases)
     boundary = max(1 - (plus + minus) / whole, 0.0) * float(layer.thin_layer.eps) * fraction
     return {"plus": plus / whole, "minus": minus / whole, "boundary": boundary}

@@ -176,8 +176,8 @@ class DirichletLayers:
         V, element = fine.model.V, self.model.V.ufl_element().basix_element
         X = divided.in_parents(interpolation_points(V))
         shapes = element.tabulate(0, X.reshape(-1, d))[0, :, :, 0].reshape(*X.shape[:2], -1)
-        own = self.model.V.dofmap.list[_local_cells(self.model, self.model.domain.joint)[divided.parent]]
-        nodal = w[: self._displacements].reshape(-1, d)[own]
+        parent_dofs = self.model.V.dofmap.list[_local_cells(self.model, self.model.domain.joint)[divided.parent]]
+        nodal = w[: self._displacements].reshape(-1, d)[parent_dofs]
         values = np.einsum("iq,nqk,nkd->nid", element.interpolation_matrix, shapes, nodal)
         out = np.zeros(len(fine.load))
         out[: fine._displacements].reshape(-1, d)[V.dofmap.list] = values[fine.model.domain.original_cells]
@@ -228,19 +228,19 @@ class LayerSubproblem(DirichletLayers):
     def work(self, w: Array, z: Array) -> Array:
         """Work (k,) of the stresses at w in the strains of z, less that of the loads, spread over displacements."""
         self.residual(w)
-        strained, found = fem.Function(self.model.V), fem.Function(self.model.V)
+        strained, nodal_work = fem.Function(self.model.V), fem.Function(self.model.V)
         strained.x.array[:] = z[: self._displacements]
         for part in self._equations.layers:
             if hasattr(part, "add_work_in"):
-                part.add_work_in(strained, found.x.petsc_vec)
-        return np.asarray(found.x.array - (z * self.forces)[: self._displacements])
+                part.add_work_in(strained, nodal_work.x.petsc_vec)
+        return np.asarray(nodal_work.x.array - (z * self.forces)[: self._displacements])
 
     def _motions(self, free: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Motions without energy (n, m), and as many unknowns (n,) that hold them."""
-        model, pins, found = self.model, np.zeros(len(free), bool), []
+        model, pins, null_spaces = self.model, np.zeros(len(free), bool), []
         motions = model_motions(model).values()
         rigid = np.zeros((len(free), len(motions)))
-        rigid[: self._displacements] = np.column_stack([one.x.array[: self._displacements] for one in motions])
+        rigid[: self._displacements] = np.column_stack([motion.x.array[: self._displacements] for motion in motions])
         count, piece = connected_components(self.K, directed=False)
         for k in range(count):
             mine = np.flatnonzero(piece == k)
@@ -251,9 +251,9 @@ class LayerSubproblem(DirichletLayers):
             some = scipy.linalg.orth(some, rcond=INDEPENDENCE_TOLERANCE) if some.any() else some[:, :0]
             _, _, order = scipy.linalg.qr(some[free[mine]].T, pivoting=True)
             pins[mine[free[mine]][order[: some.shape[1]]]] = True
-            found.append(np.zeros((len(free), some.shape[1])))
-            found[-1][mine] = some
-        return np.hstack(found), pins
+            null_spaces.append(np.zeros((len(free), some.shape[1])))
+            null_spaces[-1][mine] = some
+        return np.hstack(null_spaces), pins
 
     # ---------------------------------------------------------------- vectors of the interface model
     def at_faces(self, x: Array) -> Array:

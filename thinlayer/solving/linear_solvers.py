@@ -228,7 +228,7 @@ class SharedMatrices:
         model.family.kept = None
         pattern = (
             [(p.key, type(p.law), p.law.traits, len(p.law.sublayers)) for p in model.layer_terms],
-            [(name, type(one.law), one.thin_layer and one.thin_layer.order) for name, one in model.layers.items()],
+            [(name, type(s.law), s.thin_layer and s.thin_layer.order) for name, s in model.layers.items()],
         )
         if pattern != kept._pattern:
             kept.free()

@@ -87,7 +87,7 @@ class EquilibriumSolver(ABC):
     """Finds the unknowns of the step that its equations have begun; keeps matrices and factors between steps.
 
     Attributes:
-        eases: whether it finds equilibria of eased laws.
+        has_homotopy: whether it finds equilibria of eased laws.
         reused: whether the last step used a solver of an earlier step, and so read no PETSc options.
     """
 

@@ -129,7 +129,7 @@ class PartSum:
         with_own: the parts with own unknowns.
         depends_on_dt: whether the tangent depends on the length of the step.
         failed: number of points where parts failed in the last evaluation.
-        comm, held, scale: communicator, held unknowns of this rank, and the forces that residuals are compared with, of
+        comm, bc_dofs, scale: communicator, held unknowns of this rank, and the forces that residuals are compared with, of
             the equations of a step.
         block_of: (n,) number >= 1 of the block of each of the first unknowns of this rank, see `ForceScale`.
         n_blocks: number of blocks, the whole model's included.
@@ -241,14 +241,14 @@ class PartSum:
 
     def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, StepOutcome], Configuration]:
         """End the step in all parts, at displacements u of the last evaluation: energies by key, new configuration."""
-        found = {part.key: part.commit() for part in self.parts}
-        memory = {key: one.memory for key, one in found.items() if one.memory is not None}
+        outcomes = {part.key: part.commit() for part in self.parts}
+        memory = {key: outcome.memory for key, outcome in outcomes.items() if outcome.memory is not None}
         if lost := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
             raise InputError(f"the part {lost[0]!r} remembers, and its commit returned an Outcome without memory=...")
         fields = {part.key: part.own_result() for part in self.with_own}
-        stored = {key: one.after for key, one in found.items() if one.kept}
-        stresses = {key: one.stress for key, one in found.items() if one.stress is not None}
-        return found, Configuration(u.copy(), t, memory, fields, stored, stresses=stresses)
+        stored = {key: outcome.after for key, outcome in outcomes.items() if outcome.kept}
+        stresses = {key: outcome.stress for key, outcome in outcomes.items() if outcome.stress is not None}
+        return outcomes, Configuration(u.copy(), t, memory, fields, stored, stresses=stresses)
 
     # ---------------------------------------------------------------- tests of balance
     def norms(self, values: Array) -> Array:
@@ -304,7 +304,7 @@ class UnknownLayout:
     def __init__(self, comm: MPI.Intracomm, fields: Mapping[str, fem.Function]) -> None:
         self.comm, self.fields = comm, fields
         dofmaps = {key: f.function_space.dofmap for key, f in fields.items()}
-        maps = {key: (one.index_map, one.index_map_bs) for key, one in dofmaps.items()}
+        maps = {key: (dofmap.index_map, dofmap.index_map_bs) for key, dofmap in dofmaps.items()}
         self.sizes = {key: int(imap.size_local * bs) for key, (imap, bs) in maps.items()}
         self._ends = np.cumsum([*self.sizes.values()])
 
@@ -399,7 +399,7 @@ class TangentMatrix:
 
 @contextmanager
 def augmented_in_place(
-    comm: MPI.Intracomm, K: PETSc.Mat, others: Sequence[Block], held: npt.NDArray[Any], value: float
+    comm: MPI.Intracomm, K: PETSc.Mat, others: Sequence[Block], bc_rows: npt.NDArray[Any], value: float
 ) -> Iterator[PETSc.Mat]:
     """In a `with` block K itself is its sum with other blocks, with supports: a copy would take as much memory again.
 
@@ -409,15 +409,15 @@ def augmented_in_place(
         comm: communicator.
         K: a matrix with symmetric pattern; after the block its entries are the same as before.
         others: the other blocks; those not kept are destroyed.
-        held: rows and columns that become those of `value` times the identity.
+        bc_rows: rows and columns that become those of `value` times the identity.
         value: see `constrained_values`.
     """
-    beside = K.createSubMatrix(
-        _block_indices(K, held)
+    submatrix = K.createSubMatrix(
+        _block_indices(K, bc_rows)
     )  # its columns are rows with held columns: the pattern is symmetric
-    columns = np.unique(beside.getValuesCSR()[1])
-    beside.destroy()
-    rows = [held, send(comm, np.searchsorted(K.getOwnershipRanges(), columns, "right") - 1, columns)]
+    columns = np.unique(submatrix.getValuesCSR()[1])
+    submatrix.destroy()
+    rows = [bc_rows, send(comm, np.searchsorted(K.getOwnershipRanges(), columns, "right") - 1, columns)]
     rows += [K.getOwnershipRange()[0] + np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])) for block in others]
     changed = np.unique(np.concatenate(rows)).astype(PETSc.IntType)
     before = K.createSubMatrix(_block_indices(K, changed))
@@ -430,7 +430,7 @@ def augmented_in_place(
             )
         destroy(*(block.matrix for block in others if not block.kept))
         K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        K.zeroRowsColumns(held, value)
+        K.zeroRowsColumns(bc_rows, value)
         yield K
     finally:
         K.zeroRows(changed, 0.0)
@@ -442,9 +442,9 @@ def augmented_in_place(
 
 def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: npt.NDArray[Any]) -> bool:
     """Whether all entries of a matrix have places in rows of another one, given by their numbers. Collective."""
-    own, known = local_csr(part)[numbers - part.getOwnershipRange()[0]], local_csr(rows)
-    own.data[:], known.data[:] = 1.0, 1.0  # entries may be zero
-    return bool(comm.allreduce(own.multiply(known).nnz == own.nnz, MPI.LAND))
+    pattern, allowed = local_csr(part)[numbers - part.getOwnershipRange()[0]], local_csr(rows)
+    pattern.data[:], allowed.data[:] = 1.0, 1.0  # entries may be zero
+    return bool(comm.allreduce(pattern.multiply(allowed).nnz == pattern.nnz, MPI.LAND))
 
 
 def _block_indices(A: PETSc.Mat, rows: npt.NDArray[Any]) -> PETSc.IS:

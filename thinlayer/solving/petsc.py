@@ -59,19 +59,19 @@ def default_options(options: Options) -> Iterator[None]:
 
 def options_set() -> dict[str, str]:
     """The options under our prefix in PETSc's database, by their names without it."""
-    found = PETSc.Options().getAll().items()
-    return {name.removeprefix(PREFIX): value for name, value in found if name.startswith(PREFIX)}
+    options = PETSc.Options().getAll().items()
+    return {name.removeprefix(PREFIX): value for name, value in options if name.startswith(PREFIX)}
 
 
-def is_set(name: str, given: Options) -> bool:
+def is_set(name: str, user_options: Options) -> bool:
     """Whether the user has set an option, in a script or in PETSc's database."""
-    return name in given or name in options_set()
+    return name in user_options or name in options_set()
 
 
-def value_of(name: str, given: Options) -> str | None:
+def value_of(name: str, user_options: Options) -> str | None:
     """The user's value of an option, in PETSc's database or in a script; None: not set."""
-    found = options_set().get(name, given.get(name))
-    return None if found is None else str(found)
+    value = options_set().get(name, user_options.get(name))
+    return None if value is None else str(value)
 
 
 def database_options() -> str:
@@ -89,22 +89,22 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
 
 
 @contextmanager
-def chosen_options(ours: Options, given: Options | None = None) -> Iterator[None]:
+def chosen_options(ours: Options, user_options: Options | None = None) -> Iterator[None]:
     """Within a `with` block, PETSc's database has our options, and those of a script, which override them.
 
     Raises:
         InputError: PETSc does not take the value of one of the user's options.
         SolveError: PETSc, or a library that it calls, has failed, so that a march can try a shorter step.
     """
-    given = given or {}
-    with default_options({**ours, **given}):
+    user_options = user_options or {}
+    with default_options({**ours, **user_options}):
         try:
             yield
         except PETSc.Error as error:
-            found = options_set()
-            theirs = sorted(found.keys() - _DEFAULT_NAMES.intersection(ours.keys() - given.keys()))
+            options = options_set()
+            theirs = sorted(options.keys() - _DEFAULT_NAMES.intersection(ours.keys() - user_options.keys()))
             if error.ierr in OPTION_ERROR_CODES and theirs:
-                listed = ", ".join(f"-{PREFIX}{name} {found[name]}" for name in theirs)
+                listed = ", ".join(f"-{PREFIX}{name} {options[name]}" for name in theirs)
                 raise InputError(f"PETSc does not take the value of one of these options: {listed}") from error
             said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
             raise SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})") from error
@@ -118,12 +118,12 @@ def c_function(name: str) -> Any:
         ImportError: the library of this PETSc has no such function.
     """
     try:
-        found = getattr(ctypes.CDLL(PETSc.__file__), name)
+        function = getattr(ctypes.CDLL(PETSc.__file__), name)
     except (OSError, AttributeError) as error:
         remedy = "use a petsc4py that is linked to a shared library of PETSc 3.22 or newer"
         raise ImportError(f"PETSc, from {PETSc.__file__}, does not export its function {name}; {remedy}") from error
-    found.argtypes = C_ARGUMENTS[name]
-    return found
+    function.argtypes = C_ARGUMENTS[name]
+    return function
 
 
 def _checked_call(name: str, *arguments: Any) -> None:
@@ -186,11 +186,11 @@ def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
     blocks = scipy.sparse.csr_matrix((values, indices, indptr), shape=shape, copy=False).tobsr((d, d))
     del indptr, indices, values  # which are copies
     csr = (*(a.astype(PETSc.IntType, copy=False) for a in (blocks.indptr, blocks.indices)), blocks.data)
-    found = into or A
-    found.setSizes(A.getSizes(), d)
-    found.setType("baij")
-    found.setPreallocationCSR(csr)
-    return found
+    target = into or A
+    target.setSizes(A.getSizes(), d)
+    target.setType("baij")
+    target.setPreallocationCSR(csr)
+    return target
 
 
 def set_residual(pc: PETSc.PC, level: int, A: PETSc.Mat) -> None:

@@ -65,29 +65,29 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
             solid = model.contact is not None and setup.joint.cell_type == "tetrahedron"
             remedy = "hexahedra with element='Q2'" if solid else f"element='{setup.element[0]}2'"
             model.warn("locking", f"{what}: {why}; use {remedy}", law)
-    for one in _strain_layers(model):
-        for key, remark in _model_remarks(model, one, lasting):
-            model.warn(key, remark, one.name)
-    for name, known in model.applicability.items() if model.broken else ():
-        if known.seam_layer.has_pressure_flow and known.coarse.any():
-            delta, largest = known.falls[known.coarse].min(), known.loose[known.coarse].depth.max()
-            what = f"the pressure of {known.seam_layer} falls to zero at free ends over delta = {delta:.3g}"
+    for layer in _strain_layers(model):
+        for key, remark in _model_remarks(model, layer, lasting):
+            model.warn(key, remark, layer.name)
+    for name, reduction in model.applicability.items() if model.broken else ():
+        if reduction.seam_layer.has_pressure_flow and reduction.coarse.any():
+            delta, largest = reduction.falls[reduction.coarse].min(), reduction.loose[reduction.coarse].depth.max()
+            what = f"the pressure of {reduction.seam_layer} falls to zero at free ends over delta = {delta:.3g}"
             remedy = "it is not set to zero there, as if they were held; make cells there shorter"
             model.warn("coarse ends", f"{what}, and cells there are up to {largest:.3g} long: {remedy}", name)
-        if refused := known.why_not("sides"):
+        if refused := reduction.why_not("sides"):
             model.warn(refused.key, f"{refused.reason}: what it bears is left out; {refused.remedy}", name)
 
 
-def _model_remarks(model: Model, one: SeamLayer, lasting: Sequence[float]) -> Iterator[Remark]:
+def _model_remarks(model: Model, layer: SeamLayer, lasting: Sequence[float]) -> Iterator[Remark]:
     """What a model tells of a layer, before it is solved."""
-    sublayers = resting_sublayers(one)
-    yield from _facet_remarks(model, one)
+    sublayers = resting_sublayers(layer)
+    yield from _facet_remarks(model, layer)
     if not acts_as_springs(sublayers):
-        yield from _thickness_remarks(model, one, sublayers)
-    if one.has_pressure_flow or _jumps_tell_more(one, sublayers):
+        yield from _thickness_remarks(model, layer, sublayers)
+    if layer.has_pressure_flow or _jumps_tell_more(layer, sublayers):
         return
-    at_once = [] if lasting and one.law.traits.rate else [sublayers]
-    yield from free_end_remark(model, one, [*at_once, *(resting_sublayers(one, dt) for dt in lasting)])
+    at_once = [] if lasting and layer.law.traits.rate else [sublayers]
+    yield from free_end_remark(model, layer, [*at_once, *(resting_sublayers(layer, dt) for dt in lasting)])
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -103,25 +103,23 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         return
     model = states[0].model
     warn_of_strains(states)
-    for known in model.applicability.values() if model.broken else ():
-        pulls = [_largest_tension(known, state) for state in states]
+    for reduction in model.applicability.values() if model.broken else ():
+        layer, pulls = reduction.seam_layer, [_largest_tension(reduction, state) for state in states]
         if max(pulls) > CAVITATION_STRESS_RATIO:
-            t, times = states[int(np.argmax(pulls))].t, max(pulls)
-            what = (
-                f"at t = {t:.4g} the pressure of {known.seam_layer} is a tension, {times:.3g} times its shear modulus"
-            )
+            t, ratio = states[int(np.argmax(pulls))].t, max(pulls)
+            what = f"at t = {t:.4g} the pressure of {layer} is a tension, {ratio:.3g} times its shear modulus"
             why = f"from about {CAVITATION_STRESS_RATIO:g} times on small holes in rubber grow and tear it (cavitation)"
             remedy = "which its law does not contain; do not use results under such loads"
-            model.warn("cavitation", f"{what}: {why}, {remedy}", known.seam_layer.name, states[-1].t)
+            model.warn("cavitation", f"{what}: {why}, {remedy}", layer.name, states[-1].t)
     worst = max(states, key=lambda state: state.elastic_share)
     if worst.elastic_share > MIN_SPRING_SHARE:
         what = f"at t = {worst.t:.4g} springs parallel to what yields carry {worst.elastic_share:.2g} of its load"
         why = "they are the elastic_fraction of its stiffness, and hide its limit load"
         remedy = "take a smaller elastic_fraction, 0 if Newton's method then converges"
         model.warn("elastic share", f"{what}: {why}; {remedy}", "", states[-1].t)
-    for one in _strain_layers(model):
-        for key, remark in _state_remarks(states, one, start):
-            model.warn(key, remark, one.name, states[-1].t)
+    for layer in _strain_layers(model):
+        for key, remark in _state_remarks(states, layer, start):
+            model.warn(key, remark, layer.name, states[-1].t)
 
 
 def warn_of_strains(states: Sequence[State]) -> None:
@@ -138,9 +136,9 @@ def warn_of_strains(states: Sequence[State]) -> None:
     model = states[0].model
     for term in (p for p in model.bodies if not p.law.traits.linear):
         u = fem.Function(model.V)
-        e, one = term.strain(u), fem.Constant(model.domain.mesh, 1.0)
+        e, unit = term.strain(u), fem.Constant(model.domain.mesh, 1.0)
         squares = compiled(ufl.inner(e, e) * term.weight * term.measure)
-        volume = model.comm.allreduce(fem.assemble_scalar(compiled(one * term.weight * term.measure)))
+        volume = model.comm.allreduce(fem.assemble_scalar(compiled(unit * term.weight * term.measure)))
         strains = {}
         for state in states:
             u.x.array[:] = state.u.x.array
@@ -156,39 +154,39 @@ def warn_of_strains(states: Sequence[State]) -> None:
         model.warn("strains", f"{what}, {since}: {why}: {remedy}", name, states[-1].t)
 
 
-def _state_remarks(states: Sequence[State], one: SeamLayer, start: float | None) -> Iterator[Remark]:
+def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | None) -> Iterator[Remark]:
     """What states tell of a layer."""
-    model, sublayers = states[0].model, resting_sublayers(one)
+    model, sublayers = states[0].model, resting_sublayers(layer)
     if not (model.linear or acts_as_springs(sublayers)):
         # the mean over S, as jumps are large at single places in any case; not from 1 on, because under one load jumps
         # stay as the thickness tends to zero; not of linear models, whose results are proportional to loads of any size
-        closings = [FaceDisplacements.of(state, one).mean_closing for state in states]
+        closings = [FaceDisplacements.of(state, layer).mean_closing for state in states]
         if max(closings) > MIN_OVERLAP:
-            faces = FaceDisplacements.of(states[int(np.argmax(closings))], one)
+            faces = FaceDisplacements.of(states[int(np.argmax(closings))], layer)
             facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
             x = place_text(faces.surface.corner_points.x[:, facet, corner])
             t, times = faces.state.t, max(closings)
-            what = f"at t = {t:.4g} {one} closes by {times:.3g} times its thickness, on average over S"
+            what = f"at t = {t:.4g} {layer} closes by {times:.3g} times its thickness, on average over S"
             most = f"most near {x}, by {faces.closing.max():.3g} times"
             remedy = "bodies overlap, and the law is for small strains; check loads, thickness and parameters"
             yield "overlap", f"{what} ({most}): {remedy}"
-    if one.law.traits.linear and not one.has_pressure_flow:
-        told = [*stiffness_remark(one, states, start)]
-        yield from told or (free_end_remark(model, one, [sublayers]) if _jumps_tell_more(one, sublayers) else ())
+    if layer.law.traits.linear and not layer.has_pressure_flow:
+        remarks = [*stiffness_remark(layer, states, start)]
+        yield from remarks or (free_end_remark(model, layer, [sublayers]) if _jumps_tell_more(layer, sublayers) else ())
 
 
-def _jumps_tell_more(one: SeamLayer, sublayers: list[RestingSublayer]) -> bool:
+def _jumps_tell_more(layer: SeamLayer, sublayers: list[RestingSublayer]) -> bool:
     """Whether jumps say more of the pressure than free ends do, so that one warning is enough."""
-    of_one = one.law.traits.linear and not one.remembers and len(sublayers) == 1
+    of_one = layer.law.traits.linear and not layer.remembers and len(sublayers) == 1
     return of_one and sublayers[0].length < math.inf
 
 
 def _strain_layers(model: Model) -> list[SeamLayer]:
     """The layers of an interface model whose laws are of strains, several times where parameters are functions."""
-    return [sample for one in model.layers.values() if one.thin_layer for sample in one.samples] if model.broken else []
+    return [s for layer in model.layers.values() if layer.thin_layer for s in layer.samples] if model.broken else []
 
 
-def _facet_remarks(model: Model, one: SeamLayer) -> Iterator[Remark]:
+def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
     """Slip along straight facets of a curved S that is resisted by the angles between the facets.
 
     A slip w opens the layer by w . (N - n), with the facet's normal n and the mean normal N of its neighbours at each
@@ -197,13 +195,13 @@ def _facet_remarks(model: Model, one: SeamLayer) -> Iterator[Remark]:
     """
     if model.joint.degree > 1 or model.joint.planar:
         return
-    surface = surface_of(model, one.name)
+    surface = surface_of(model, layer.name)
     sums = surface.sums(surface.moments(surface.n))
     mean = sums / np.linalg.norm(sums, axis=1, keepdims=True)
     tilt = mean[surface.nodes] - surface.n[:, :, 0].T[:, None]
     tilt[np.linalg.norm(tilt, axis=2) > CORNER_ANGLE] = 0.0
     angle = surface.norm(surface.between(np.moveaxis(tilt, -1, 0))) / math.sqrt(surface.integral(1.0))
-    normal, tangential = jump_stiffness(one)
+    normal, tangential = jump_stiffness(layer)
     if normal * angle**2 > MIN_STIFFNESS_ERROR * tangential:
         share = normal * angle**2 / tangential if tangential else math.inf
         effect = f"is about {1 + share:.3g} times too stiff against it," if tangential else "resists"
@@ -212,50 +210,58 @@ def _facet_remarks(model: Model, one: SeamLayer) -> Iterator[Remark]:
         yield "facets", f"{what}: a slip along S opens the layer there, which {effect} by the mesh alone; {remedy}"
 
 
-def _thickness_remarks(model: Model, one: SeamLayer, sublayers: list[RestingSublayer]) -> Iterator[Remark]:
+def _thickness_remarks(model: Model, seam_layer: SeamLayer, sublayers: list[RestingSublayer]) -> Iterator[Remark]:
     """A layer thicker than a body, whose law is the start of a series in eps over its stresses' length; or a harder one.
 
     Order 0 leaves eps grad_S <u>, about eps t/E_body, out of a jump of about eps t/E_layer.
     """
-    height, layer = on_root(model.comm, lambda: min(one.sheet.heights)), one.thin_layer  # they take memory of all cells
+    height, layer = (
+        on_root(model.comm, lambda: min(seam_layer.sheet.heights)),
+        seam_layer.thin_layer,
+    )  # they take memory of all cells
     assert layer
     if layer.eps > height:
-        what = f"{one} is {layer.eps:.4g} thick, the thinner body {height:.4g} high"
+        what = f"{seam_layer} is {layer.eps:.4g} thick, the thinner body {height:.4g} high"
         remedy = "mesh the layer (structure.full), or check eps"
         yield "thick", f"{what}: the interface law is for thicknesses well below that of the bodies; {remedy}"
     if layer.order == 1 or not sublayers or any(C is None for C in model.structure.bodies_at_rest):
         return
-    softest = min(in_plane_modulus(C, one.at_rest.n) for C in model.structure.bodies_at_rest if C is not None)
-    hardest = max(one.along for one in sublayers)
+    softest = min(in_plane_modulus(C, seam_layer.at_rest.n) for C in model.structure.bodies_at_rest if C is not None)
+    hardest = max(sublayer.along for sublayer in sublayers)
     if hardest > softest > 0:
-        what = f"{one} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S)"
+        what = f"{seam_layer} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S)"
         remedy = "use order=1, mesh the layer (structure.full), or check its parameters"
         yield "hard", f"{what}: its jump is less than what order 0 leaves out; {remedy}"
     length, mean = (
-        float(np.ptp(one.sheet.joint.points[one.sheet.vertices], axis=(0, 1)).max()),
-        np.mean(one.sheet.heights),
+        float(np.ptp(seam_layer.sheet.joint.points[seam_layer.sheet.vertices], axis=(0, 1)).max()),
+        np.mean(seam_layer.sheet.heights),
     )
-    if len(one.sheet.heights) == 2 and one.sheet.planar and length > SLENDERNESS * 2 * mean and softest > 0:
+    if (
+        len(seam_layer.sheet.heights) == 2
+        and seam_layer.sheet.planar
+        and length > SLENDERNESS * 2 * mean
+        and softest > 0
+    ):
         # two beams of one height under a half-wave of load; as one the lever of their forces is mean, not mean + eps
-        slip = 2 * jump_stiffness(one)[1] * (length / math.pi) ** 2 / (softest * mean)
+        slip = 2 * jump_stiffness(seam_layer)[1] * (length / math.pi) ** 2 / (softest * mean)
         error = 6 * slip / (1 + 4 * slip) * layer.eps / mean
         if error > MIN_STIFFNESS_ERROR / 2:
-            what = f"{one} joins plates {mean:.4g} high, and order 0 has them meet on S, without its thickness between"
-            yield "plates", f"{what}: if they bend, they do so about {error:.2g} too much; use order=1"
+            what = f"{seam_layer} joins plates {mean:.4g} high, and order 0 has them meet on S, without its thickness"
+            yield "plates", f"{what} between: if they bend, they do so about {error:.2g} too much; use order=1"
 
 
-def _largest_tension(known: Applicability, state: State) -> float:
+def _largest_tension(reduction: Applicability, state: State) -> float:
     """Largest pressure p (tension > 0) of a layer over its shear modulus, at the vertices of S. Collective.
 
     0 if it has none that flows, or none that pulls.
     """
-    p = state.fields.get(known.seam_layer.pressure_key) if known.seam_layer.has_pressure_flow else None
+    p = state.fields.get(reduction.seam_layer.pressure_key) if reduction.seam_layer.has_pressure_flow else None
     if p is None:
         return 0.0
-    own = p.function_space.dofmap.index_map.size_local
-    x = p.function_space.tabulate_dof_coordinates()[:own, : known.seam_layer.structure.joint.dim]
-    mu = known.law.fields_at(x.T).get("mu", known.law.parameters()["mu"])
-    return float(state.model.comm.allreduce((p.x.array[:own] / mu).max(initial=0.0), MPI.MAX))
+    n_owned = p.function_space.dofmap.index_map.size_local
+    x = p.function_space.tabulate_dof_coordinates()[:n_owned, : reduction.seam_layer.structure.joint.dim]
+    mu = reduction.law.fields_at(x.T).get("mu", reduction.law.parameters()["mu"])
+    return float(state.model.comm.allreduce((p.x.array[:n_owned] / mu).max(initial=0.0), MPI.MAX))
 
 
 # ---------------------------------------------------------------- times of laws
@@ -266,30 +272,30 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
     """
     begun = [start, *(t for t in model.break_times if t > start)]
     steps = (
-        (_step_error((b - a) / own, theta), b - a, a, own, name)
-        for name, own in _law_times(model)
+        (_step_error((b - a) / tau, theta), b - a, a, tau, name)
+        for name, tau in _law_times(model)
         for a, b in pairwise([start, *times])
-        if any(0 <= a - t < own for t in begun)
+        if any(0 <= a - t < tau for t in begun)
     )
     if (worst := max(steps, default=None)) and worst[0] > MAX_STEP_ERROR:
-        error, step, t, own, name = worst
-        what = f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {own:.3g}"
+        error, step, t, tau, name = worst
+        what = f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {tau:.3g}"
         effect = f"such steps leave an error of about {error:.0%} of what creeps or relaxes"
-        remedy = f"take steps below {own / 4:.2g} while this lasts, or Adaptive(end=..., first=..., tolerance=...)"
+        remedy = f"take steps below {tau / 4:.2g} while this lasts, or Adaptive(end=..., first=..., tolerance=...)"
         model.warn("time step", f"{what}: {effect}; {remedy}", start, *times)
 
 
 def warn_of_no_time(model: Model) -> None:
     """Warn that a solve gives what a law that relaxes answers at once. Collective."""
-    for name, own in _law_times(model)[:1]:
-        what = f"{name} relaxes with the time {own:.3g}, and a solve knows no time: this is the answer to sudden loads"
+    for name, tau in _law_times(model)[:1]:
+        what = f"{name} relaxes with the time {tau:.3g}, and a solve knows no time: this is the answer to sudden loads"
         model.warn("no time", f"{what} just after they have come; for a later one march(model, times), or give times")
 
 
 def _law_times(model: Model) -> list[tuple[str, float]]:
     """Names of laws with a time each, where parameters are numbers."""
-    laws = [*model.body_laws.values(), *(law for one in model.layers.values() for _, law in one.law.sublayers)]
-    return [(type(law.in_space).__name__, float(own)) for law in laws if not law.fields for own in law.own_times]
+    laws = [*model.body_laws.values(), *(law for layer in model.layers.values() for _, law in layer.law.sublayers)]
+    return [(type(law.in_space).__name__, float(tau)) for law in laws if not law.fields for tau in law.own_times]
 
 
 def _step_error(x: float, theta: float) -> float:

@@ -70,8 +70,8 @@ class SupportReactions:
 
     def _of_ties(self, new: float, old: float, theta: float) -> Array:
         """Given nodal forces of ties where forces balance, which are no reactions."""
-        found = [share * self.model.constraints.loads_at(t) for t, share in ((new, theta), (old, 1 - theta)) if share]
-        return np.asarray(sum(found))
+        loads = [share * self.model.constraints.loads_at(t) for t, share in ((new, theta), (old, 1 - theta)) if share]
+        return np.asarray(sum(loads))
 
     def _resultants(self, r: PETSc.Vec, of_ties: Array, *, layers: bool = True) -> Array:
         """Forces and moments for nodal forces r less loads; of layers on bases if asked for."""

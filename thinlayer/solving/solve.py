@@ -116,8 +116,8 @@ def comm_of(model: Any) -> MPI.Intracomm:
 
 def _check_like(model: Model, like: Any) -> None:
     if not isinstance(like, State) or like.model.joint is not model.joint:
-        given = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
-        raise InputError(f"like is {given}; it must be a state of a model of the same joint")
+        text = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
+        raise InputError(f"like is {text}; it must be a state of a model of the same joint")
     other = like.model
     if not (model.broken and other.broken) or (model.element, model.bonds) != (other.element, other.bonds):
         raise InputError("like is a state of an interface model for another one, with the same element and bonds")
@@ -134,7 +134,7 @@ class SolveAttempt:
         name: for the log.
         way: the method, and PETSc options of its linear solver, without prefix.
         options: PETSc options of Newton's method, without prefix.
-        eased: whether eased laws are solved first, beginning with an elastic one.
+        uses_homotopy: whether eased laws are solved first, beginning with an elastic one.
     """
 
     name: str
@@ -201,7 +201,8 @@ class Solver(AbstractContextManager["Solver"]):
         if method in METHODS:
             return [(method, {})]
         ways = [
-            (method, one) for one in linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._given))
+            (method, options)
+            for options in linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._given))
         ]
         return ways[:1] if is_set("ksp_type", self._given) or is_set("pc_type", self._given) else ways
 
@@ -251,14 +252,14 @@ class Solver(AbstractContextManager["Solver"]):
         """
         start = time.perf_counter()
         self.equations.begin(TimeStep(old, t, t - old.t, theta))
-        attempts = [one for one in self._attempts() if thorough or not one.uses_homotopy]
+        attempts = [attempt for attempt in self._attempts() if thorough or not attempt.uses_homotopy]
         solves = [self._from_like(attempts[0], old) or self._work_through(attempts)]
         while not keep_phases and self.equations.switch():
             self._log.info("t = %g: columns change their phase; the equilibrium is found again", t)
             solves.append(self._work_through(attempts))
-        found, iterations = solves[-1][0], sum(one.iterations for one, _ in solves)
+        last_solution, iterations = solves[-1][0], sum(solution.iterations for solution, _ in solves)
         seconds, eased = time.perf_counter() - start, sum(eased for _, eased in solves)
-        return self._accept(found.x, Report(self.method, iterations, found.residual, seconds, eased))
+        return self._accept(last_solution.x, Report(self.method, iterations, last_solution.residual, seconds, eased))
 
     def seek(self, old: State, t: float, theta: float = 1.0) -> State:
         """State at the end of a step for which `step` has failed, by weak springs at all nodes. Collective.
@@ -276,10 +277,10 @@ class Solver(AbstractContextManager["Solver"]):
             step = TimeStep(old, end, end - old.t, theta)
             return springs.follow(self.rest(end), step, lambda begin: self._work_through(near, begin))[0]
 
-        found = follow(t)
+        solution = follow(t)
         seconds = time.perf_counter() - start
         try:
-            return self._accept(found.x, Report(self.method, found.iterations, found.residual, seconds))
+            return self._accept(solution.x, Report(self.method, solution.iterations, solution.residual, seconds))
         except LooseBody:  # the loads may be at their limit itself: then displacements run away a little beyond it
             with suppress(InputError):  # what is given as a table may end before
                 follow(2 * t - old.t)
@@ -350,7 +351,7 @@ class Solver(AbstractContextManager["Solver"]):
             if why:
                 self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, why)
             try:
-                found, solves = (
+                solution, solves = (
                     self._through_eased_laws(attempt) if attempt.uses_homotopy else (self._try(attempt, start), 0)
                 )
             except SolveError as error:
@@ -359,7 +360,7 @@ class Solver(AbstractContextManager["Solver"]):
                     errors.append(error.with_traceback(None))  # which has this frame, that has the errors
             else:
                 self.method, self._ways = attempt.way[0], self._ways[self._ways.index(attempt.way) :]
-                return replace(found, iterations=found.iterations + sum(len(e.residuals) for e in errors)), solves
+                return replace(solution, iterations=solution.iterations + sum(len(e.residuals) for e in errors)), solves
         if isinstance(errors[-1], LooseBody) and len(errors) > 1:
             errors[-1].residuals = (*errors[0].residuals, *errors[-1].residuals)
             raise errors.pop()
@@ -375,7 +376,7 @@ class Solver(AbstractContextManager["Solver"]):
         while True:
             try:
                 with chosen_options(ours, self._given), faster_products(serial=self.equations.comm.size == 1):
-                    found = self._finder.find(start)
+                    solution = self._finder.find(start)
                     if not self._finder.reused:
                         require_all_read(attempt.way[0], ours.keys() - self._given.keys())
             except SolveError as error:
@@ -383,9 +384,9 @@ class Solver(AbstractContextManager["Solver"]):
                 if not self._finder.forget():
                     raise
             else:
-                done = attempt.name, found.iterations, found.residual, time.perf_counter() - began
+                done = attempt.name, solution.iterations, solution.residual, time.perf_counter() - began
                 self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *done)
-                return found
+                return solution
 
     def _through_eased_laws(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
         """Lower the ease from 1, an elastic layer, to 0, the law itself; the result, and the number of solves.
@@ -404,18 +405,18 @@ class Solver(AbstractContextManager["Solver"]):
                 solves += 1
                 self.equations.set_homotopy(lower)
                 try:
-                    found = self._try(replace(attempt, name=f"{attempt.name}, ease {lower:g}"), begin)
+                    solution = self._try(replace(attempt, name=f"{attempt.name}, ease {lower:g}"), begin)
                 except SolveError as error:
                     spent, decrement = spent + len(error.residuals), (ease - lower) / 2
                     if begin is None or decrement < MIN_DECREMENT or solves >= MAX_HOMOTOPY_SOLVES:
                         raise
                 else:
-                    spent, size = spent + found.iterations, float(found.x.norm(PETSc.NormType.INFINITY))
-                    found.x.copy(reached)
+                    spent, size = spent + solution.iterations, float(solution.x.norm(PETSc.NormType.INFINITY))
+                    solution.x.copy(reached)
                     if size > limit:
                         raise SolveError(f"displacements are {HOMOTOPY_DIVERGENCE:g} times those of an elastic layer")
                     if not lower:
-                        return replace(found, iterations=spent), solves
+                        return replace(solution, iterations=spent), solves
                     if begin is None:
                         begin, limit = reached, HOMOTOPY_DIVERGENCE * size
                     else:

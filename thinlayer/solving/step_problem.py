@@ -95,8 +95,8 @@ class StepProblem(PartSum):
         self.state = Configuration(u.copy(), 0.0, self.memory_at_rest, stresses=self.stresses_at_rest, at_rest=True)
         self.energies = {part.key: np.zeros(3) for part in self.parts[1:]}
         layout = UnknownLayout(self.comm, {DISPLACEMENT_KEY: u})
-        held = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))
-        self._held = held[held < layout.sizes[DISPLACEMENT_KEY]]
+        bc_dofs = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))
+        self._held = bc_dofs[bc_dofs < layout.sizes[DISPLACEMENT_KEY]]
         self._held_rows = layout.rows(self._held)
         self._forces, self._each = layout.vector(), layout.vector()
         self._matrix = TangentMatrix(self.comm, layout.sizes)
@@ -110,7 +110,7 @@ class StepProblem(PartSum):
         of_parts = [part.tangents(0.0) for part in self.parts]
         of_form = TangentMatrix(self.comm, self._matrix.sizes).fill(of_parts[0]).getDiagonal()
         tangent = self._matrix.fill([block for blocks in of_parts for block in blocks])
-        form, all_parts = (float(one.norm(PETSc.NormType.INFINITY)) for one in (of_form, tangent.getDiagonal()))
+        form, all_parts = (float(diag.norm(PETSc.NormType.INFINITY)) for diag in (of_form, tangent.getDiagonal()))
         return tangent, ForceScale(float(of_form.norm())), form or all_parts
 
     @property
@@ -182,10 +182,10 @@ class StepProblem(PartSum):
         self.require_equilibrium(self._forces)
         if self.excess > EXCESS_TOLERANCE:
             raise SolveError("columns of the layer must change phase: call switch() and solve until it returns False")
-        found, self.state = self.end_parts(self._u, self._interval.t)
-        for key, before in self.energies.items():
-            one = found[key]
-            self.energies[key] = np.array([one.after, before[1] + one.dissipated, before[2] + one.remainder])
+        outcomes, self.state = self.end_parts(self._u, self._interval.t)
+        for key, old in self.energies.items():
+            outcome = outcomes[key]
+            self.energies[key] = np.array([outcome.after, old[1] + outcome.dissipated, old[2] + outcome.remainder])
         self._interval = None
 
     def _self_balanced(self) -> float:

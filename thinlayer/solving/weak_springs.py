@@ -75,8 +75,8 @@ class WeakSprings:
         self.equations.residual(self._x, self._r)
         self._forces = np.maximum(self.equations.scale.forces, self.equations.residual_norms(self._r))
         while self._stiffness > MIN_STIFFNESS * self._unit and distance < MAX_DISTANCE * elastic:
-            found = self._solve(x)
-            if found is None:
+            solution = self._solve(x)
+            if solution is None:
                 if softer < SOFTENING_FACTOR or not distance:
                     break
                 self._stiffness *= softer
@@ -84,7 +84,7 @@ class WeakSprings:
                 self._stiffness /= softer
                 x = kept
                 continue
-            x = kept = found
+            x = kept = solution
             before, distance = distance, self._distance(x)
             settled = distance < before * (1 + (CONVERGED_GROWTH - 1) * math.log10(softer))
             if settled:

@@ -82,14 +82,14 @@ class Segments:
         A line starts at the lower of its ends; a closed one at its lowest place, towards the lower of its neighbours.
         """
         keys = np.unique(self.keys, return_inverse=True)[1].reshape(-1, 2)
-        apart = np.bincount(keys.ravel())[keys] != 2  # lines end there
-        keys[apart] = keys.max(initial=-1) + 1 + np.arange(apart.sum())
+        is_end = np.bincount(keys.ravel())[keys] != 2  # lines end there
+        keys[is_end] = keys.max(initial=-1) + 1 + np.arange(is_end.sum())
         _, first, ends = np.unique(keys, return_index=True, return_inverse=True)
         ends, x = ends.reshape(-1, 2), self.x.reshape(-1, self.x.shape[2])[first]
         line = connected(ends[:, 0], ends[:, 1], len(x))
-        found = [self._line(seam, np.flatnonzero(line[ends[:, 0]] == k), ends, x, size) for k in np.unique(line)]
-        both = np.array([one.x[[0, -1]].ravel() for one in found]).reshape(len(found), 2 * x.shape[1])
-        return [found[k] for k in by_place(both, size)]
+        lines = [self._line(seam, np.flatnonzero(line[ends[:, 0]] == k), ends, x, size) for k in np.unique(line)]
+        both = np.array([polyline.x[[0, -1]].ravel() for polyline in lines]).reshape(len(lines), 2 * x.shape[1])
+        return [lines[k] for k in by_place(both, size)]
 
     def _line(self, seam: str, segments: IntArray, ends: IntArray, x: Array, size: float) -> Line:
         """The line of some segments, whose ends are given by the numbers of places x."""
@@ -104,7 +104,7 @@ class Segments:
         s = np.stack([s[:-1], s[1:]], axis=1).ravel()
         sides = np.stack([turned, ~turned], axis=1).astype(int)[..., None]
         both = self.x[segments], self.values[segments]
-        x, values = (np.take_along_axis(one, sides, axis=1).reshape(len(s), -1) for one in both)
+        x, values = (np.take_along_axis(array, sides, axis=1).reshape(len(s), -1) for array in both)
         largest = np.abs(self.values).max(initial=0.0)
         jumps = np.abs(np.diff(values, axis=0, prepend=np.nan)).max(axis=1) > LINE_TOLERANCE * largest
         kept = jumps | (np.diff(s, prepend=-np.inf) > LINE_TOLERANCE * size)
@@ -135,7 +135,7 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
     else:
         cut = cut_segments(joint, nodes, of_corners, plane)
     lines = cut.lines(seam, joint.size)
-    return lines if values.ndim == 3 else [replace(one, values=one.values[:, 0]) for one in lines]
+    return lines if values.ndim == 3 else [replace(line, values=line.values[:, 0]) for line in lines]
 
 
 def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> Segments:
@@ -148,10 +148,10 @@ def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> 
     height = (x - both[0]) @ both[1] / np.linalg.norm(both[1])
     height[np.abs(height) <= LINE_TOLERANCE * joint.size] = 0.0
     for above in (height >= 0, height > 0):  # a plane along facets: those on one side of it are cut, at their edges
-        found = _cut_polygon(ring, x, values, height, above)
-        if len(found.keys):
-            return found
-    return found
+        segments = _cut_polygon(ring, x, values, height, above)
+        if len(segments.keys):
+            return segments
+    return segments
 
 
 def _cut_polygon(ring: IntArray, x: Array, values: Array, height: Array, above: BoolArray) -> Segments:

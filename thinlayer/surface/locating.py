@@ -50,21 +50,21 @@ class LocatedPoints:
             InputError: no finite numbers of this shape.
         """
         d, degree = nodes.shape[2], geometry_degree(kind, nodes.shape[1])
-        if (given := finite_values(x, (d,), (-1, d))) is None or not given.size:
+        if (query := finite_values(x, (d,), (-1, d))) is None or not query.size:
             raise InputError(f"places are {x!r:.80}; they need {d} finite coordinates each, (n, {d})")
-        given = np.atleast_2d(given)
+        query = np.atleast_2d(query)
         low, high = nodes.min(axis=1), nodes.max(axis=1)
         margin = (high - low).max(axis=1, keepdims=True) * (MAX_BULGE if degree > 1 else REFERENCE_TOLERANCE)
         low, high = low - margin, high + margin
         radius = float(np.linalg.norm(high - low, axis=1).max()) / 2
-        near = cKDTree((low + high) / 2).query_ball_point(given, radius * (1 + REFERENCE_TOLERANCE))
-        point = np.repeat(np.arange(len(given)), [len(one) for one in near])
-        entity = np.array([k for one in near for k in sorted(one)], np.int64)
-        boxed = ((given[point] >= low[entity]) & (given[point] <= high[entity])).all(axis=1)
+        near = cKDTree((low + high) / 2).query_ball_point(query, radius * (1 + REFERENCE_TOLERANCE))
+        point = np.repeat(np.arange(len(query)), [len(candidates) for candidates in near])
+        entity = np.array([k for candidates in near for k in sorted(candidates)], np.int64)
+        boxed = ((query[point] >= low[entity]) & (query[point] <= high[entity])).all(axis=1)
         point, entity = point[boxed], entity[boxed]
-        X = _reference_points(kind, degree, nodes[entity], given[point])
+        X = _reference_points(kind, degree, nodes[entity], query[point])
         last = X.max(axis=1, initial=-np.inf) if is_tensor(kind) else X.sum(axis=1)
-        return cls(given, point, entity, X)[(X >= -REFERENCE_TOLERANCE).all(axis=1) & (last <= 1 + REFERENCE_TOLERANCE)]
+        return cls(query, point, entity, X)[(X >= -REFERENCE_TOLERANCE).all(axis=1) & (last <= 1 + REFERENCE_TOLERANCE)]
 
     @classmethod
     def in_cells(cls, joint: Joint, x: Any) -> LocatedPoints:

@@ -65,37 +65,37 @@ class RestingSublayer:
         """A sublayer from the tangent C at rest; None if the law does not resist shear."""
         lmbda, mu = average_lame(C)
         if law.traits.constrained and not law.parameters().get("lmbda"):
-            held = isotropic_tensor(np.abs(C).max() * INCOMPRESSIBLE_BULK_RATIO, 0.0)
-            return cls(fraction, math.inf, mu, in_plane_modulus(C + held, n))
+            volumetric = isotropic_tensor(np.abs(C).max() * INCOMPRESSIBLE_BULK_RATIO, 0.0)
+            return cls(fraction, math.inf, mu, in_plane_modulus(C + volumetric, n))
         return None if mu <= 0 else cls(fraction, lmbda, mu, in_plane_modulus(C, n))
 
 
-def resting_sublayers(one: SeamLayer, dt: float = 0.0) -> list[RestingSublayer]:
+def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer]:
     """The sublayers of a layer under loads that have lasted dt (0: at rest); [] if tangents are not known."""
-    n, sublayers = one.at_rest.n, one.at_rest.sublayers
-    later = one.at_rest.over(dt) if dt > 0 else [None] * len(sublayers)
-    found: list[RestingSublayer] = []
+    n, sublayers = layer.at_rest.n, layer.at_rest.sublayers
+    later = layer.at_rest.over(dt) if dt > 0 else [None] * len(sublayers)
+    resting: list[RestingSublayer] = []
     for (a, law, C), C_later in zip(sublayers, later, strict=True):
         if C is None and C_later is None:
             return []
-        rest, then = (None if one is None else RestingSublayer.of(a, law, one, n) for one in (C, C_later))
+        rest, then = (None if tangent is None else RestingSublayer.of(a, law, tangent, n) for tangent in (C, C_later))
         if then and not (
             rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=MODULUS_RATIO_TOLERANCE)
         ):
             then = replace(then, when=f" under loads that last {dt:.4g}")
-        found += [one for one in (then or rest,) if one]
-    return found
+        resting += [sublayer for sublayer in (then or rest,) if sublayer]
+    return resting
 
 
 def acts_as_springs(sublayers: list[RestingSublayer]) -> bool:
     """Whether strains along S cause no stress, as in springs: the traction then does not depend on the thickness."""
-    return bool(sublayers) and all(one.along <= NEGLIGIBLE_MODULUS_RATIO * one.mu for one in sublayers)
+    return bool(sublayers) and all(sublayer.along <= NEGLIGIBLE_MODULUS_RATIO * sublayer.mu for sublayer in sublayers)
 
 
-def jump_stiffness(one: SeamLayer) -> tuple[float, float]:
+def jump_stiffness(layer: SeamLayer) -> tuple[float, float]:
     """Normal and least tangential stiffness of the layer at rest, per area; zeros if they are not known."""
-    n, compliances = one.at_rest.n, np.zeros(2)
-    for fraction, _, C in one.at_rest.sublayers:
+    n, compliances = layer.at_rest.n, np.zeros(2)
+    for fraction, _, C in layer.at_rest.sublayers:
         if C is None:
             return 0.0, 0.0
         A = acoustic_tensor(C, n)
@@ -104,7 +104,7 @@ def jump_stiffness(one: SeamLayer) -> tuple[float, float]:
         if min(along, up) <= NEGLIGIBLE_MODULUS_RATIO * size:
             return up, 0.0
         compliances += [fraction / up, fraction / along]
-    normal, tangential = 1 / (compliances * one.thin_layer.eps)
+    normal, tangential = 1 / (compliances * layer.thin_layer.eps)
     return float(normal), float(tangential)
 
 
@@ -123,7 +123,7 @@ class FaceDisplacements:
     Attributes:
         surface: the seam.
         state: of an interface model.
-        one: the layer.
+        layer: the layer.
     """
 
     surface: SurfaceMesh
@@ -131,9 +131,9 @@ class FaceDisplacements:
     layer: SeamLayer
 
     @classmethod
-    def of(cls, state: State, one: SeamLayer) -> FaceDisplacements:
+    def of(cls, state: State, layer: SeamLayer) -> FaceDisplacements:
         """Those of a layer by itself."""
-        return cls(surface_of(state.model, one.name), state, one)
+        return cls(surface_of(state.model, layer.name), state, layer)
 
     @cached_property
     def sides(self) -> FloatArray:
@@ -196,14 +196,14 @@ class PressureExcess:
         return self.opening if self.traction > MIN_STIFFNESS_ERROR else self.work
 
 
-def times_too_stiff(state: State, one: SeamLayer) -> float | None:
+def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
     """1 + opening of `pressure_excess`, 1 of a law with a pressure that flows; None of laws without it. Collective."""
-    if state.model.applicability[one.name].why_not("excess of pressure"):
+    if state.model.applicability[layer.name].why_not("excess of pressure"):
         return None
     return (
         1.0
-        if one.has_pressure_flow
-        else 1 + pressure_excess(FaceDisplacements.of(state, one), resting_sublayers(one)[0]).opening
+        if layer.has_pressure_flow
+        else 1 + pressure_excess(FaceDisplacements.of(state, layer), resting_sublayers(layer)[0]).opening
     )
 
 
@@ -256,7 +256,7 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
 
 
 # ---------------------------------------------------------------- warnings
-def free_end_remark(model: Model, one: SeamLayer, layers: Sequence[list[RestingSublayer]]) -> Iterator[Remark]:
+def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[RestingSublayer]]) -> Iterator[Remark]:
     """Where the pressure of a nearly incompressible layer falls to zero at free ends over a long length delta, in words.
 
     Interface laws do not contain this effect. Between rigid faces a strip of half-width l carries only the share
@@ -264,19 +264,19 @@ def free_end_remark(model: Model, one: SeamLayer, layers: Sequence[list[RestingS
 
     Args:
         model: the interface model.
-        one: the layer.
+        seam_layer: the layer.
         layers: the sublayers at several times.
     """
-    layers, rim = [s for s in layers if any(k.nearly for k in s)], model.applicability[one.name].neglected
+    layers, rim = [s for s in layers if any(k.nearly for k in s)], model.applicability[seam_layer.name].neglected
     if not layers or not len(rim.vertices):
         return
     if any(k.length == math.inf for sublayers in layers for k in sublayers):
-        held = "its law holds the normal jump [u_N] at zero, as if these ends were held"
+        effect = "its law holds the normal jump [u_N] at zero, as if these ends were held"
         remedy = "use order=1, mesh the layer (structure.full), or support its sides if they are held"
-        why = f"{one} is incompressible and S has free ends: {held}; a layer with free ends is squeezed out"
+        why = f"{seam_layer} is incompressible and S has free ends: {effect}; a layer with free ends is squeezed out"
         yield "incompressible", f"{why}; {remedy}"
         return
-    surface, eps = surface_of(model, one.name), one.thin_layer.eps
+    surface, eps = surface_of(model, seam_layer.name), seam_layer.thin_layer.eps
     width = surface.integral(1.0) / surface.lengths(rim).sum()
     lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
     worst = max(layers[lengths.index(max(lengths))], key=lambda k: k.length)
@@ -287,8 +287,8 @@ def free_end_remark(model: Model, one: SeamLayer, layers: Sequence[list[RestingS
         falls = f"its pressure falls to zero at the free ends of S over delta = {delta:.3g}"
         part = f"{y:.2g} of the area of S over the length of its free ends ({width:.3g})"
         stiff = f"between rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps"
-        remedy = f"{_remedy(one)}, or support its sides if they are held"
-        yield "free ends", f"{one} is nearly incompressible{worst.when}: {falls}, {part}; {stiff}; {remedy}"
+        remedy = f"{_remedy(seam_layer)}, or support its sides if they are held"
+        yield "free ends", f"{seam_layer} is nearly incompressible{worst.when}: {falls}, {part}; {stiff}; {remedy}"
 
 
 def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
@@ -306,44 +306,44 @@ def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
     """
     count = 2 * len(sublayers) + 1
     A, b = np.zeros((count, count)), np.zeros(count)
-    for k, one in enumerate(sublayers):
+    for k, ply in enumerate(sublayers):
         at = slice(2 * k, 2 * k + 3)
-        A[at, at] += one.mu / (3 * one.fraction) * SHEAR_MATRIX
-        if one.nearly:
-            b[at] += math.sqrt(one.lmbda / (one.lmbda + 2 * one.mu)) * one.fraction / 6 * np.array([1.0, 4.0, 1.0])
+        A[at, at] += ply.mu / (3 * ply.fraction) * SHEAR_MATRIX
+        if ply.nearly:
+            b[at] += math.sqrt(ply.lmbda / (ply.lmbda + 2 * ply.mu)) * ply.fraction / 6 * np.array([1.0, 4.0, 1.0])
         else:
-            A[at, at] += 3 / width**2 * max(one.along, 0.0) * one.fraction / 30 * STRETCH_MATRIX
+            A[at, at] += 3 / width**2 * max(ply.along, 0.0) * ply.fraction / 30 * STRETCH_MATRIX
     inside = slice(1, -1)  # the bodies do not move
     flow = float(b[inside] @ np.linalg.solve(A[inside, inside], b[inside]))
-    return math.sqrt(flow / sum(one.compliance for one in sublayers))
+    return math.sqrt(flow / sum(ply.compliance for ply in sublayers))
 
 
-def stiffness_remark(one: SeamLayer, states: Sequence[State], start: float | None) -> Iterator[Remark]:
+def stiffness_remark(seam_layer: SeamLayer, states: Sequence[State], start: float | None) -> Iterator[Remark]:
     """How many times a law is too stiff for the openings found, against a layer whose pressure evens out along S, in words.
 
     Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
     or relax become nearly incompressible with time.
     """
-    has_column = not states[0].model.applicability[one.name].why_not("excess of pressure")
-    if not (has_column or one.law.traits.compiled or any(k.nearly for k in resting_sublayers(one))):
+    has_column = not states[0].model.applicability[seam_layer.name].why_not("excess of pressure")
+    if not (has_column or seam_layer.law.traits.compiled or any(k.nearly for k in resting_sublayers(seam_layer))):
         return  # tangents of others do not change
-    openings = [float(np.abs(FaceDisplacements.of(state, one).opening).max()) for state in states]
+    openings = [float(np.abs(FaceDisplacements.of(state, seam_layer).opening).max()) for state in states]
     last = max(k for k, opening in enumerate(openings) if opening >= MIN_LAST_OPENING * max(openings))
-    told = []
+    rows = []
     for state in (states[k] for k in sorted({openings.index(max(openings)), last})):
-        sublayers = resting_sublayers(one, 0.0 if start is None else state.t - start)
+        sublayers = resting_sublayers(seam_layer, 0.0 if start is None else state.t - start)
         if len(sublayers) == 1 and (has_column or sublayers[0].nearly) and sublayers[0].length < math.inf:
-            told.append((pressure_excess(FaceDisplacements.of(state, one), sublayers[0]).reported, sublayers[0]))
-    worst, layer = max(told, key=lambda pair: pair[0], default=(0.0, None))
+            rows.append((pressure_excess(FaceDisplacements.of(state, seam_layer), sublayers[0]).reported, sublayers[0]))
+    worst, layer = max(rows, key=lambda pair: pair[0], default=(0.0, None))
     if layer and worst > MIN_STIFFNESS_ERROR:
-        ratio = f"{one}{layer.when} has lmbda/mu = {layer.lmbda / layer.mu:.4g}"
+        ratio = f"{seam_layer}{layer.when} has lmbda/mu = {layer.lmbda / layer.mu:.4g}"
         stiff = f"with the jumps found, the layer alone is {1 + worst:.4g} times too stiff"
         why = "as its interface law lets no material flow along S"
         less = "the structure is off by less where the bodies are soft"
-        yield "too stiff", f"{ratio}: {stiff}, {why}; {less}; {_remedy(one)}"
+        yield "too stiff", f"{ratio}: {stiff}, {why}; {less}; {_remedy(seam_layer)}"
 
 
-def _remedy(one: SeamLayer) -> str:
-    if one.remembers or len(one.law.sublayers) > 1:
+def _remedy(layer: SeamLayer) -> str:
+    if layer.remembers or len(layer.law.sublayers) > 1:
         return "mesh the layer (structure.full; forms.Rubber has no memory, and is no sublayer)"
     return "use forms.Rubber with order=1, or mesh the layer (structure.full)"

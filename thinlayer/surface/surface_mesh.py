@@ -192,7 +192,7 @@ class SurfaceMesh:
             nodes[0, stands] = inflated.points[on_base[at_s]]
         located, at = self.at(x)
         shapes = tabulated(lagrange(self.kind, self.joint.degree), at.points, len(at.rows))[0]
-        lower, upper = (located.mean(one) for one in np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows]))
+        lower, upper = (located.mean(places) for places in np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows]))
         return np.asarray(lower + (np.asarray(height, float)[..., None] + 0.5) * (upper - lower))
 
     # ---------------------------------------------------------------- states, and functions of models
@@ -406,13 +406,13 @@ class SurfaceMesh:
         Raises:
             InputError: no field; a plane in 2D, none in 3D, one that does not cut S.
         """
-        values, found = self.at_corners(f), list[Line]()
+        values, lines = self.at_corners(f), list[Line]()
         for name in dict.fromkeys(self.seams.tolist()):
             mine = self.seams == name
-            found += lines_on(self.joint, name, self.rows[mine], values[mine], plane)
-        if not found:
+            lines += lines_on(self.joint, name, self.rows[mine], values[mine], plane)
+        if not lines:
             raise InputError(f"the plane {plane!r} does not cut S")
-        return found
+        return lines
 
     def at_corners(self, f: Any) -> Array:
         """(n, k) or (n, k, d) values of a field at the corners of facets."""
@@ -424,10 +424,10 @@ class SurfaceMesh:
         return self.nodal(values)[self.nodes]
 
     # ---------------------------------------------------------------- layers
-    def thickness(self, one: SeamLayer, vertices: IntArray) -> Array:
+    def thickness(self, layer: SeamLayer, vertices: IntArray) -> Array:
         """(...) thickness of a layer with a law of strains at vertices (...) of the joint."""
         return np.asarray(
-            float(one.thin_layer.eps) * self.joint.relative_thickness(one.thin_layer.profile, one.name)[vertices]
+            float(layer.thin_layer.eps) * self.joint.relative_thickness(layer.thin_layer.profile, layer.name)[vertices]
         )
 
     def lengths(self, rim: Rim) -> Array:

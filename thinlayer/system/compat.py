@@ -47,25 +47,25 @@ def _entities(name: str, mesh: Any, entities: npt.NDArray[np.int32]) -> npt.NDAr
     """Local cells or facets as integrals of a type have them, those of other ranks left out."""
     dim = mesh.topology.dim - (name != "cell")
     create_connectivity(mesh, dim)
-    given = getattr(fem.IntegralType, name), getattr(mesh.topology, "_cpp_object", mesh.topology), entities
+    arguments = getattr(fem.IntegralType, name), getattr(mesh.topology, "_cpp_object", mesh.topology), entities
     domains = cpp.fem.compute_integration_domains
-    return np.array(first_accepted(lambda: domains(*given), lambda: domains(*given, dim)), dtype=np.int32)
+    return np.array(first_accepted(lambda: domains(*arguments), lambda: domains(*arguments, dim)), dtype=np.int32)
 
 
 def by_domain(form: ufl.Form) -> dict[Any, list[Any]]:
     """Integrals of a form by type, data and set of tags; integrals of one density over several tags are joined."""
     joined: dict[Any, tuple[Any, list[Any]]] = {}
-    for one in form.integrals():
-        for tag in np.atleast_1d(np.array(one.subdomain_id(), object)).tolist():
-            rule, data = repr(sorted(one.metadata().items())), id(one.subdomain_data())
-            key: Any = (one.integral_type(), data, isinstance(tag, str), one.integrand(), rule)
-            while tag in joined.setdefault(key, (one, []))[1]:
+    for integral in form.integrals():
+        for tag in np.atleast_1d(np.array(integral.subdomain_id(), object)).tolist():
+            rule, data = repr(sorted(integral.metadata().items())), id(integral.subdomain_data())
+            key: Any = (integral.integral_type(), data, isinstance(tag, str), integral.integrand(), rule)
+            while tag in joined.setdefault(key, (integral, []))[1]:
                 key = (*key, "once more")
             joined[key][1].append(tag)
     domains: dict[Any, list[Any]] = {}
-    for (kind, data, *_), (one, tags) in joined.items():
+    for (kind, data, *_), (integral, tags) in joined.items():
         ids = tuple(tags) if len(tags) > 1 else tags[0]
-        domains.setdefault((kind, data, ids), []).append(one.reconstruct(subdomain_id=ids))
+        domains.setdefault((kind, data, ids), []).append(integral.reconstruct(subdomain_id=ids))
     return domains
 
 
@@ -84,17 +84,17 @@ def compiled(form: ufl.Form, maps: Any = None) -> fem.Form:
             if hasattr(data, "indices"):
                 rows = _entities(kind, form.ufl_domain().ufl_cargo(), data.indices[np.isin(data.values, tags)])
             else:
-                own = [np.asarray(rows, np.int32).ravel() for tag, rows in data if tag in tags]
-                rows = np.concatenate([np.empty(0, np.int32), *own])
+                entities = [np.asarray(rows, np.int32).ravel() for tag, rows in data if tag in tags]
+                rows = np.concatenate([np.empty(0, np.int32), *entities])
             ids = len(domain) + 1
             domain.append((ids, rows))
-        for one in some:  # UFL would join integrals of one density and metadata over several numbers
-            metadata = {**one.metadata(), "part": str(ids)}
-            integrals.append(one.reconstruct(subdomain_id=ids, subdomain_data=domain, metadata=metadata))
-    given: Any = copy(maps or {})  # which DOLFINx leaves in a cycle with the form
-    found = fem.form(ufl.Form(integrals), entity_maps=given)
-    given.clear()
-    return found
+        for integral in some:  # UFL would join integrals of one density and metadata over several numbers
+            metadata = {**integral.metadata(), "part": str(ids)}
+            integrals.append(integral.reconstruct(subdomain_id=ids, subdomain_data=domain, metadata=metadata))
+    entity_maps: Any = copy(maps or {})  # which DOLFINx leaves in a cycle with the form
+    compiled_form = fem.form(ufl.Form(integrals), entity_maps=entity_maps)
+    entity_maps.clear()
+    return compiled_form
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:

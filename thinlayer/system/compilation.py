@@ -82,11 +82,11 @@ def _lock(folder: Path, name: str, how: int) -> None:
 @contextmanager
 def workshop(folder: Path, name: str) -> Iterator[Path]:
     """An empty folder to compile in, for the process that has acquired the name; deletes those of killed processes."""
-    own = f".{name}.{os.getpid()}-"
+    prefix = f".{name}.{os.getpid()}-"
     for old in folder.glob(f".{name}.*"):
-        if not old.name.startswith(own):
+        if not old.name.startswith(prefix):
             shutil.rmtree(old, ignore_errors=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=own, ignore_cleanup_errors=True) as work:
+    with tempfile.TemporaryDirectory(dir=folder, prefix=prefix, ignore_cleanup_errors=True) as work:
         yield Path(work)
 
 
@@ -132,13 +132,13 @@ def _mend_ffcx() -> None:
     @functools.wraps(find)
     def get_cached_module(module_name: str, object_names: list[str], cache_dir: Any, timeout: int) -> tuple[Any, Any]:
         folder = Path(cache_dir)
-        found = kept(module_name, object_names, folder)
-        if found[0] is None:
+        cached = kept(module_name, object_names, folder)
+        if cached[0] is None:
             acquire(folder, module_name)
-            found = kept(module_name, object_names, folder)  # another process may have compiled it
-            if found[0] is not None:
+            cached = kept(module_name, object_names, folder)  # another process may have compiled it
+            if cached[0] is not None:
                 release(folder, module_name)
-        return found
+        return cached
 
     @functools.wraps(build)
     def compile_objects(*arguments: Any, **options: Any) -> Any:

@@ -64,14 +64,14 @@ def describe(value: Any) -> Any:
     return _Describer().of(value)
 
 
-def code_of(found: Any, *, known: bool = True) -> Any:
+def code_of(description: Any, *, is_code: bool = True) -> Any:
     """The part of a description that stays as functions collect values: their code, and the numbers they refer to."""
-    if isinstance(found, dict):
-        parts = {key: code_of(one, known=CODE_KEY in found) for key, one in found.items()}
-        return {key: one for key, one in parts.items() if one not in (None, {}, [])}
-    if isinstance(found, list):
-        return [one for one in (code_of(one, known=False) for one in found) if one not in (None, {}, [])]
-    return found if known and PROCESS_LABEL not in str(found) else None
+    if isinstance(description, dict):
+        parts = {key: code_of(value, is_code=CODE_KEY in description) for key, value in description.items()}
+        return {key: part for key, part in parts.items() if part not in (None, {}, [])}
+    if isinstance(description, list):
+        return [item for item in (code_of(item, is_code=False) for item in description) if item not in (None, {}, [])]
+    return description if is_code and PROCESS_LABEL not in str(description) else None
 
 
 def random_states(value: Any, *, shared: bool = False) -> list[Any]:
@@ -82,25 +82,25 @@ def random_states(value: Any, *, shared: bool = False) -> list[Any]:
     describer = _Describer()
     describer.of(value)
     if shared and "seed" not in describer.names:
-        describer.random += [digest(repr(one()).encode()) for one in (random.getstate, np.random.get_state)]
+        describer.random += [digest(repr(get_state()).encode()) for get_state in (random.getstate, np.random.get_state)]
     return describer.random
 
 
-def differences(one: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
+def differences(value: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
     """Differences of two descriptions: path of names, and both values there, or `MISSING_VALUE`."""
-    if isinstance(one, list) and isinstance(other, list):
-        one, other = ({f"{k}": entry for k, entry in enumerate(values)} for values in (one, other))
-    if isinstance(one, dict) and isinstance(other, dict):
-        for key in sorted(one.keys() | other.keys()):
-            yield from differences(one.get(key, MISSING_VALUE), other.get(key, MISSING_VALUE), (*path, key))
-    elif one != other:
-        yield path, one, other
+    if isinstance(value, list) and isinstance(other, list):
+        value, other = ({f"{k}": entry for k, entry in enumerate(values)} for values in (value, other))
+    if isinstance(value, dict) and isinstance(other, dict):
+        for key in sorted(value.keys() | other.keys()):
+            yield from differences(value.get(key, MISSING_VALUE), other.get(key, MISSING_VALUE), (*path, key))
+    elif value != other:
+        yield path, value, other
 
 
-def differences_text(found: list[tuple[tuple[str, ...], Any, Any]]) -> str:
+def differences_text(changes: list[tuple[tuple[str, ...], Any, Any]]) -> str:
     """The first of these differences in words, each pair of values once."""
-    pairs = {(_short(one), _short(other)): ".".join(path) for path, one, other in reversed(found)}
-    words = [f"{path}: {one} there, {other} here" for (one, other), path in reversed(pairs.items())]
+    pairs = {(_short(value), _short(other)): ".".join(path) for path, value, other in reversed(changes)}
+    words = [f"{path}: {value} there, {other} here" for (value, other), path in reversed(pairs.items())]
     return "; ".join(words[:MAX_SHOWN_DIFFERENCES]) + f"; and {len(words) - MAX_SHOWN_DIFFERENCES} more" * (
         len(words) > MAX_SHOWN_DIFFERENCES
     )
@@ -138,17 +138,17 @@ class _Describer:
 
     def of(self, value: Any, at: str = "") -> Any:
         """A value that is met at this place; an object that is met again stands for the first place."""
-        found = None if _is_own(type(value).__module__) else _plain(value)
-        if found is not None or value is None:
-            return found
+        description = None if _is_own(type(value).__module__) else _plain(value)
+        if description is not None or value is None:
+            return description
         if id(value) in self._places:
             return {SAME_KEY: self._places[id(value)][0]}
         self._places[id(value)] = at, value
-        found = self._composed(value, at)
+        description = self._composed(value, at)
         frozen = getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False)
         if frozen or type(value) in EXPANDED_TYPES:  # two that are equal count as one that is there twice
             del self._places[id(value)]
-        return found
+        return description
 
     def _composed(self, value: Any, at: str) -> Any:
         kind, function = type(value), _function_of(value)
@@ -162,8 +162,8 @@ class _Describer:
         if isinstance(value, types.ModuleType):
             return {CODE_KEY: f"module {value.__name__}"} | _file_of(getattr(value, "__file__", None))
         if isinstance(value, type):
-            bases = [one for one in value.__mro__ if _is_own(one.__module__)]
-            members = {f"{one.__qualname__}{k or ''}": _members(one) for k, one in enumerate(bases)}
+            bases = [base for base in value.__mro__ if _is_own(base.__module__)]
+            members = {f"{base.__qualname__}{k or ''}": _members(base) for k, base in enumerate(bases)}
             return self._named(members, at) if value in bases else _name(value)
         if kind is np.ndarray:
             if value.dtype.kind in "biuf" and value.size > MAX_SHOWN_ARRAY:
@@ -172,26 +172,26 @@ class _Describer:
         if kind in (dict, types.MappingProxyType):
             return self._named(value, at)
         if kind in (list, tuple):
-            return [self.of(one, f"{at}.{k}") for k, one in enumerate(value)]
+            return [self.of(item, f"{at}.{k}") for k, item in enumerate(value)]
         if kind in (set, frozenset):
-            return sorted((self.of(one, at) for one in value), key=digest)
+            return sorted((self.of(item, at) for item in value), key=digest)
         if (getattr(getattr(kind, "identity", None), "__module__", None) or "").partition(".")[0] in PACKAGES:
             return self.of(value.identity(), at)
         if dataclasses.is_dataclass(value):
             return self._named(
                 {CLASS_KEY: kind} | {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}, at
             )
-        found = self._copied(value, at)
+        description = self._copied(value, at)
         if isinstance(value, GENERATOR_TYPES) or any(
-            one.__name__ == "QMCEngine" for one in kind.__mro__
+            base.__name__ == "QMCEngine" for base in kind.__mro__
         ):  # of scipy.stats
-            self.random.append(found)
-        return found
+            self.random.append(description)
+        return description
 
     def _named(self, values: Mapping[Any, Any], at: str) -> dict[str, Any]:
         keys = (name if type(name) is str else f"<{json.dumps(self.of(name, at))}>" for name in values)
         texts = dict(zip(keys, values.values(), strict=True))
-        return {name: self.of(one, f"{at}.{name}") for name, one in sorted(texts.items(), key=lambda entry: entry[0])}
+        return {name: self.of(item, f"{at}.{name}") for name, item in sorted(texts.items(), key=lambda entry: entry[0])}
 
     def _copied(self, value: Any, at: str) -> Any:
         """An object, by the data that a copy of it is made from."""
@@ -201,58 +201,58 @@ class _Describer:
         if value is np.random.mtrand._rand or value is random._inst or top == "mpi4py":
             return _name(kind)  # their states are no part of what refers to them
         try:
-            parts = copyreg.dispatch_table.get(kind, lambda one: one.__reduce_ex__(4))(value)
+            parts = copyreg.dispatch_table.get(kind, lambda instance: instance.__reduce_ex__(4))(value)
         except Exception:  # it cannot be copied
             parts = None
         if parts is None or top in OPAQUE_PACKAGES:
             return f"{_name(kind)}{PROCESS_LABEL} ({_number(value)})"
         if isinstance(parts, str):
             return f"{_name(kind)} {parts}"
-        make, given, state, *items = (*parts, None)[: max(len(parts), 3)]
-        found = {CLASS_KEY: kind, "(made of)": [make, *given], "(items)": [[*one] for one in items if one is not None]}
-        for one in state if isinstance(state, tuple) else (state,):  # attributes, and those in slots
-            found |= one if isinstance(one, dict) else {f"(state {len(found)})": one}
-        return self._named(found, at)
+        make, args, state, *items = (*parts, None)[: max(len(parts), 3)]
+        data = {CLASS_KEY: kind, "(made of)": [make, *args], "(items)": [[*item] for item in items if item is not None]}
+        for attributes in state if isinstance(state, tuple) else (state,):  # attributes, and those in slots
+            data |= attributes if isinstance(attributes, dict) else {f"(state {len(data)})": attributes}
+        return self._named(data, at)
 
     def _function(self, function: types.FunctionType, at: str) -> Any:
         code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
         read: dict[str, Any] = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}
         if not _is_own_file(code.co_filename):
             return {CODE_KEY: _name(function), **self._named(read, at)} if read else _name(function)
-        names = {name for one in _codes(code) for name in one.co_names}
+        names = {name for code_object in _codes(code) for name in code_object.co_names}
         self.names |= names
         read = {name: function.__globals__[name] for name in names & function.__globals__.keys()} | read
         read |= {"(defaults)": function.__defaults__, "(keywords)": function.__kwdefaults__} | vars(function)
         read.pop("__wrapped__", None)
-        found = self._named({name: one for name, one in read.items() if one is not None}, at)
-        return found | _file_of(code.co_filename) | {CODE_KEY: f"{function.__qualname__} {digest(_bytecode(code))}"}
+        parts = self._named({name: value for name, value in read.items() if value is not None}, at)
+        return parts | _file_of(code.co_filename) | {CODE_KEY: f"{function.__qualname__} {digest(_bytecode(code))}"}
 
 
 def _number(value: Any) -> int:
     """Number of an object in this process; objects are not kept alive for it, where they allow that."""
-    known = _OBJECT_NUMBERS.get(id(value))
-    if known is None or known[0]() is not value:
+    entry = _OBJECT_NUMBERS.get(id(value))
+    if entry is None or entry[0]() is not value:
         reference = weakref.ref(value) if type(value).__weakrefoffset__ else lambda: value
-        known = _OBJECT_NUMBERS[id(value)] = reference, next(_OBJECT_COUNT)
-    return known[1]
+        entry = _OBJECT_NUMBERS[id(value)] = reference, next(_OBJECT_COUNT)
+    return entry[1]
 
 
 def _members(kind: type) -> dict[str, Any]:
     """What counts of an own class: its functions, its file, and the content of a C source."""
     functions = {name: _function_of(value) for name, value in vars(kind).items()}
     made = {name for name, f in functions.items() if f and name[:2] == "__" and f.__code__.co_filename == "<string>"}
-    found: dict[str, Any] = {name: f for name, f in functions.items() if f and name not in made}  # not by dataclass
+    members: dict[str, Any] = {name: f for name, f in functions.items() if f and name not in made}  # not by dataclass
     source = vars(kind).get("source")
     if isinstance(source, (str, Path)) and Path(source).is_file():
-        found["source"] = source_content(Path(source))
-    return found | _file_of(getattr(sys.modules.get(kind.__module__), "__file__", None))
+        members["source"] = source_content(Path(source))
+    return members | _file_of(getattr(sys.modules.get(kind.__module__), "__file__", None))
 
 
 def _file_of(name: str | None) -> dict[str, str]:
     """The name of a file of one's own, with the hash of its content, if there is one."""
     file = Path(name or "")
-    own = file.is_file() and _is_own_file(str(file))
-    return {FILE_KEY: f"{file.name} {digest(file.read_bytes())}"} if own else {}
+    is_user_file = file.is_file() and _is_own_file(str(file))
+    return {FILE_KEY: f"{file.name} {digest(file.read_bytes())}"} if is_user_file else {}
 
 
 def _function_of(value: Any) -> types.FunctionType | None:
@@ -262,19 +262,19 @@ def _function_of(value: Any) -> types.FunctionType | None:
         if not ready or value is None or isinstance(value, (type, types.MethodType, functools.partial)):
             return None
         wrapped = (getattr(value, name, None) for name in ("__wrapped__", "func", "fget"))
-        value = next((one for one in wrapped if one is not None), None)
+        value = next((candidate for candidate in wrapped if candidate is not None), None)
     return value
 
 
 def _codes(code: types.CodeType) -> list[types.CodeType]:
     """A code and those of functions within it."""
-    return [code, *(one for part in code.co_consts if isinstance(part, types.CodeType) for one in _codes(part))]
+    return [code, *(inner for part in code.co_consts if isinstance(part, types.CodeType) for inner in _codes(part))]
 
 
 def _bytecode(code: Any) -> Any:
     """Bytecode of a function as JSON, without file names and line numbers; of a constant its text."""
     if isinstance(code, types.CodeType):
-        return [code.co_code.hex(), [*code.co_names], [_bytecode(one) for one in code.co_consts]]
+        return [code.co_code.hex(), [*code.co_names], [_bytecode(constant) for constant in code.co_consts]]
     return repr(sorted(code, key=repr) if isinstance(code, frozenset) else code)
 
 
@@ -291,7 +291,7 @@ def _is_own(module: str) -> bool:
 def _is_own_file(file: str) -> bool:
     path = Path(file)
     installed = file.startswith("<frozen") or {"site-packages", "dist-packages"} & {*path.parts}
-    return not (installed or any(path.is_relative_to(one) for one in LIBRARY_FOLDERS))
+    return not (installed or any(path.is_relative_to(folder) for folder in LIBRARY_FOLDERS))
 
 
 def _plain(value: Any) -> Any:
@@ -318,13 +318,13 @@ def source_content(source: Path) -> bytes:
     Raises:
         OSError: the source cannot be read. The compiler reports included files that cannot be read.
     """
-    found, todo = {source: source.read_bytes()}, [source]
+    contents, todo = {source: source.read_bytes()}, [source]
     while todo:
         file = todo.pop()
-        for name in INCLUDED_FILE.findall(found[file]):
+        for name in INCLUDED_FILE.findall(contents[file]):
             with suppress(OSError, ValueError):
                 included = (file.parent / name.decode()).resolve()
-                if included not in found:
-                    found[included] = included.read_bytes()
+                if included not in contents:
+                    contents[included] = included.read_bytes()
                     todo.append(included)
-    return b"\0".join(found.values())
+    return b"\0".join(contents.values())

@@ -102,7 +102,7 @@ def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> I
     made, file = [], -1
     try:
         try:
-            made = [one for one in (folder, *folder.parents) if not one.is_dir()]
+            made = [path for path in (folder, *folder.parents) if not path.is_dir()]
             folder.mkdir(parents=True, exist_ok=True)
             file = _lock(folder / name, wait)
         except InputError:  # a ValueError with a complete message
@@ -114,9 +114,9 @@ def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> I
         if file >= 0:
             (folder / name).unlink(missing_ok=True)
             os.close(file)
-        for one in made:
+        for path in made:
             with suppress(OSError, ValueError):
-                one.rmdir()
+                path.rmdir()
 
 
 def _lock(path: Path, wait: bool) -> int:

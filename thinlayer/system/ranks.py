@@ -92,39 +92,39 @@ def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, pat
                 "learn of it: they may wait for this rank in a collective call. All ranks are ended."
             )
             abort(problem)
-        found = comm.allgather((depth, text))
-        if max(theirs for theirs, _ in found) == depth:
-            return [theirs for _, theirs in found]
+        reports = comm.allgather((depth, text))
+        if max(theirs for theirs, _ in reports) == depth:
+            return [theirs for _, theirs in reports]
 
 
-def require_same(comm: MPI.Intracomm | None, **given: Any) -> str:
+def require_same(comm: MPI.Intracomm | None, **data: Any) -> str:
     """Hash of data that all ranks were given; raises InputError, on all ranks, if they differ. Collective.
 
     Args:
         comm: communicator (default: the world).
-        given: name -> value, see `thinlayer.system.fingerprint.describe`; the same names on all ranks.
+        data: name -> value, see `thinlayer.system.fingerprint.describe`; the same names on all ranks.
             What only one process knows, such as a function on a mesh, counts by its class.
     """
     comm = comm or default_comm()
     if comm.size == 1:
         return ""
     with errors_on_all(comm):
-        texts = {name: json.dumps(describe(one), sort_keys=True) for name, one in given.items()}
+        texts = {name: json.dumps(describe(value), sort_keys=True) for name, value in data.items()}
         texts = {name: re.sub(rf"{PROCESS_LABEL} \(\d+\)", "", text) for name, text in texts.items()}
-    found = comm.allgather({name: digest(text) for name, text in texts.items()})
-    for name, first in found[0].items():
-        for rank, theirs in enumerate(found):
+    digests = comm.allgather({name: digest(text) for name, text in texts.items()})
+    for name, first in digests[0].items():
+        for rank, theirs in enumerate(digests):
             if theirs[name] != first:
                 full = [json.loads(text) for text in comm.allgather(texts[name])]
                 same = (), full[0], full[rank]  # True and 1.0 are equal
                 path, *both = next(differences(full[0], full[rank]), same)
                 here, there = (
-                    "nothing" if one is MISSING_VALUE else json.dumps(one)[:MAX_SHOWN_CHARACTERS] for one in both
+                    "nothing" if value is MISSING_VALUE else json.dumps(value)[:MAX_SHOWN_CHARACTERS] for value in both
                 )
                 at = f"{'.'.join(path)} is " if path else ""
                 what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
                 raise _raised_on_all(InputError(f"{what}; give all ranks the same"))
-    return digest(found[0])
+    return digest(digests[0])
 
 
 def _raised_on_all(error: Exception) -> Exception:
@@ -160,7 +160,7 @@ def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
         return
     if used is not None:
         _SPACES_OF_RANKS.append((ref(used), used.dofmap.index_map))
-    ours = [one for one in _SPACES_OF_RANKS if MPI.Comm.Compare(one[1].comm, comm) in EQUAL_COMMUNICATORS]
+    ours = [entry for entry in _SPACES_OF_RANKS if MPI.Comm.Compare(entry[1].comm, comm) in EQUAL_COMMUNICATORS]
     alive = np.any(comm.allgather([space() is not None for space, _ in ours]), axis=0)
     for each in (comm, MPI.COMM_WORLD, *_COPIED_COMMS, *(imap.comm for _, imap in ours)):
         if MPI.Comm.Compare(each, comm) in EQUAL_COMMUNICATORS:
@@ -226,14 +226,14 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
         out = np.full((len(asked), 2), -1)
         if len(rows):
             at = np.minimum(np.searchsorted(rows[:, 0], asked), len(rows) - 1)
-            held = rows[at, 0] == asked
-            out[held] = rows[at[held], 1:]
+            matches = rows[at, 0] == asked
+            out[matches] = rows[at[matches], 1:]
         return out
 
     holder, at = ask(comm, meeting_rank(wanted), wanted, tell).T
-    known = ask(comm, holder[holder >= 0], at[holder >= 0], lambda places, _: values(places))
-    out = np.full((len(wanted), known.shape[1]), np.nan)
-    out[holder >= 0] = known
+    received = ask(comm, holder[holder >= 0], at[holder >= 0], lambda places, _: values(places))
+    out = np.full((len(wanted), received.shape[1]), np.nan)
+    out[holder >= 0] = received
     return out
 
 

@@ -134,8 +134,8 @@ class Table:
         None in the first row, and where one of the two errors is zero or no number. ColumnError: no such column.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
-            found = np.diff(np.log(self[errors])) / np.diff(np.log(self[of]))
-        return [None, *(order if math.isfinite(order) else None for order in found.tolist())]
+            slopes = np.diff(np.log(self[errors])) / np.diff(np.log(self[of]))
+        return [None, *(order if math.isfinite(order) else None for order in slopes.tolist())]
 
     def split(self, column: str) -> dict[Any, Table]:
         """Each value of a column -> the rows that have it, in their order; ColumnError: no such column."""

@@ -53,11 +53,11 @@ class Checkpoint:
         for part in equations.parts:
             if (order := part.file_order) is not None:
                 self._orders |= {MEMORY_PREFIX + part.key: order, STRESS_PREFIX + part.key: order}
-        own = self.model.domain.mesh.topology.index_map(self.model.joint.dim).size_local
+        n_owned = self.model.domain.mesh.topology.index_map(self.model.joint.dim).size_local
         rest = equations.rest(0.0)
         for name, f in _state_functions(rest).items():
             dofs = np.asarray(f.function_space.dofmap.list)
-            self._orders[name] = FileOrder(self.model.domain.original_cells[: len(dofs)], dofs, own)
+            self._orders[name] = FileOrder(self.model.domain.original_cells[: len(dofs)], dofs, n_owned)
         for name in _state_values(rest).keys() - self._orders.keys():
             what = f"the part {name.removeprefix(MEMORY_PREFIX)!r} remembers values that have no order in files"
             raise InputError(f"{what}: march without out=, or give its class file_order, of the rows of its memory")
@@ -179,12 +179,12 @@ class Checkpoint:
         }
         fields = {key: fem.Function(V) for key, V in spaces.items() if FIELD_PREFIX + key in names}
         report, audit = Report(**about["report"] | {"method": "resumed"}), Audit(**about["audit"])
-        known = {name: about[name] for name in STATE_NUMBERS} | {
+        attributes = {name: about[name] for name in STATE_NUMBERS} | {
             "report": report,
             "audit": audit,
             "reactions": reactions,
         }
-        state = replace(rest, memory=memory, fields=fields, at_rest=False, **known)
+        state = replace(rest, memory=memory, fields=fields, at_rest=False, **attributes)
         for name, values in _state_values(state).items():
             order = self._orders[name]
             order.put(values, self._wanted(row, arrays.get(name), order.numbers, order.width * values.shape[1]))
@@ -195,21 +195,21 @@ class Checkpoint:
     def _wanted(self, row: int, rows: Array | None, numbers: IntArray, width: int) -> Array:
         """The values (len(numbers), width) of these numbers on each rank, from rows (number, values...) on rank 0."""
         rows = rows if rows is not None and rows.shape[1] == width + 1 else np.empty((0, width + 1))
-        found = carry_cell_values(self.comm, rows[:, 0].astype(np.int64), lambda at: rows[at, 1:], numbers)
-        if self.comm.allreduce(int(not np.isfinite(found).all())):
+        values = carry_cell_values(self.comm, rows[:, 0].astype(np.int64), lambda at: rows[at, 1:], numbers)
+        if self.comm.allreduce(int(not np.isfinite(values).all())):
             raise InputError(f"{self._file(row)} is of a march with other unknowns; remove the folder to start anew")
-        return found
+        return values
 
 
 def _state_functions(state: State) -> dict[str, fem.Function]:
     """The functions among what a state has, by their names in its file, except own unknowns of parts."""
-    kept = [(key, one) for key, one in state.memory.items() if isinstance(one, Mapping)]
-    return {"u": state.u, **{f"{MEMORY_PREFIX}{key}/{name}": f for key, one in kept for name, f in one.items()}}
+    kept = [(key, memory) for key, memory in state.memory.items() if isinstance(memory, Mapping)]
+    return {"u": state.u, **{f"{MEMORY_PREFIX}{key}/{name}": f for key, memory in kept for name, f in memory.items()}}
 
 
 def _state_values(state: State) -> dict[str, Array]:
     """Values (n, v) of what a state has, by their names in its file; no copies."""
-    found = {name: f.x.array.reshape(-1, f.function_space.dofmap.bs) for name, f in _state_functions(state).items()}
-    found |= {FIELD_PREFIX + key: f.x.array[:, None] for key, f in state.fields.items()}
-    found |= {MEMORY_PREFIX + key: kept for key, kept in state.memory.items() if not isinstance(kept, Mapping)}
-    return found | {STRESS_PREFIX + key: kept for key, kept in state.stresses.items()}
+    arrays = {name: f.x.array.reshape(-1, f.function_space.dofmap.bs) for name, f in _state_functions(state).items()}
+    arrays |= {FIELD_PREFIX + key: f.x.array[:, None] for key, f in state.fields.items()}
+    arrays |= {MEMORY_PREFIX + key: kept for key, kept in state.memory.items() if not isinstance(kept, Mapping)}
+    return arrays | {STRESS_PREFIX + key: kept for key, kept in state.stresses.items()}

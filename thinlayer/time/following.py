@@ -134,7 +134,7 @@ class PathToTimesController(ArcLengthController):
         return ArcLength(times[-1], first, MIN_LENGTH, largest, steps=UNLIMITED_STEPS)
 
     def _breaks(self, t: float) -> bool:
-        return any(abs(t - one) <= self.near for one in self.solver.model.break_times)
+        return any(abs(t - break_time) <= self.near for break_time in self.solver.model.break_times)
 
     def _aim(self, *, anew: bool = False) -> None:
         super()._aim(anew=self._breaks(self.last.t))

@@ -85,10 +85,10 @@ class Journal:
         Raises:
             InputError: the folder has another march, or files that are damaged and to be resumed.
         """
-        found = self._files.read(resume, 2 if self.keep == "last" else 0) if self._files else None
-        if found is None:
+        saved_march = self._files.read(resume, 2 if self.keep == "last" else 0) if self._files else None
+        if saved_march is None:
             return False
-        self.history.table, states, pace = found
+        self.history.table, states, pace = saved_march
         self.pace, self._written = Pace(**pace), len(self.history)
         last = len(self.history) - 1
         self.before = states.get(last - 1)
@@ -117,8 +117,8 @@ class Journal:
         """Add a row and a state to the history; the next `accept` writes them."""
         history, report = self.history, state.report
         self.before = history.last if history.states else None
-        found = state.t, report.method, report.iterations, report.residual
-        self._log.info("t = %g: %s, %d steps, residual %.1e", *found)
+        summary = state.t, report.method, report.iterations, report.residual
+        self._log.info("t = %g: %s, %d steps, residual %.1e", *summary)
         values = {name: value(state) for name, value in self._columns.items()}
         row: Row = {"t": state.t, "dt": state.t - self.before.t if self.before else 0.0}
         row |= {name: None if math.isnan(value) else value for name, value in values.items()}

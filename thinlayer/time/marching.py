@@ -238,8 +238,8 @@ def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) 
     shares = ErrorEstimate(solver.equations).shares(other, history.last) / gain
     history.step_errors = dict(zip(COMPARED_QUANTITIES, map(float, shares), strict=True))
     if shares.max() > WARN_STEP_ERROR:
-        found = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
-        what = f"the {n} steps of this march leave estimated relative errors of {found} at its end"
+        errors = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
+        what = f"the {n} steps of this march leave estimated relative errors of {errors} at its end"
         solver.model.warn("step error", f"{what} (march with {len(again)} steps); {remedy}", *done.targets)
 
 

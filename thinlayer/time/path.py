@@ -59,8 +59,8 @@ class EquilibriumPath:
 
     def __init__(self, equations: Equations, unit: float, options: Options | None) -> None:
         self.equations, self.unit, self.weight, self.middle = equations, unit, 0.0, 0.0
-        given = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
-        self._options = {**direct_solver(equations.model), **given}
+        user_options = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
+        self._options = {**direct_solver(equations.model), **user_options}
         self._factor = Factor()
         self._x, self._r, self._dR, self._step, self._change = (equations.vector() for _ in range(5))
         self._direction = np.zeros(self._x.getLocalSize() + 1)  # of length 1, at the last state
@@ -92,12 +92,12 @@ class EquilibriumPath:
         Raises:
             SolveError: a law fails, or loads or supports are not finite at t.
         """
-        equations, held = self.equations, self.equations.bc_dofs
+        equations, bc_dofs = self.equations, self.equations.bc_dofs
         self._begin(last, float(point[-1]))
-        point[held] = equations.prescribed
+        point[bc_dofs] = equations.prescribed
         self._x.array[:] = point[:-1]
         self._forces(self._r)
-        self._r.array[held] = 0.0
+        self._r.array[bc_dofs] = 0.0
         return equations.relative(self._r) if equations.is_balanced(self._x, self._r) else None
 
     def _begin(self, last: State, t: float) -> None:
@@ -119,14 +119,14 @@ class EquilibriumPath:
         Raises:
             SolveError: as in `_residual`; or the matrix cannot be factorised.
         """
-        equations, held, dR, change = self.equations, self.equations.bc_dofs, self._dR, self._change
+        equations, bc_dofs, dR, change = self.equations, self.equations.bc_dofs, self._dR, self._change
         prescribed, short = equations.prescribed, math.copysign(TIME_QUOTIENT_STEP * self.unit, self.middle - t)
         self._begin(last, t + short)
         self._forces(dR)
         dR.axpy(-1.0, self._r)
         dR.scale(-1 / short)
         change.set(0.0)
-        change.array[held] = (equations.prescribed - prescribed) / short
+        change.array[bc_dofs] = (equations.prescribed - prescribed) / short
         self._matrix = equations.tangent()
         self._matrix.zeroRowsColumns(equations.held_rows, 1.0, change, dR)
         mark_symmetry(self._matrix, equations.model, saddle=True)
@@ -208,7 +208,7 @@ class EquilibriumPath:
         before = self._r.array_r.copy()
         self._residual(last, point + short * direction)
         across = (before - self._r.array_r) / short  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
-        moved = [float(np.abs(one[:-1]).max(initial=0.0)) for one in (self._direction, point)]
+        moved = [float(np.abs(vector[:-1]).max(initial=0.0)) for vector in (self._direction, point)]
         rounded = np.array([equations.scale.rounding(equations.comm.allreduce(most, max))[0] for most in moved])
         small = FORCE_CHANGE_TOLERANCE * equations.scale.forces[0] / length
         local = [beyond @ beyond, across @ across, beyond @ across]

@@ -67,16 +67,16 @@ class Adaptive:
             raise InputError(f"Adaptive: at has t = {max(self.at):g}; times increase to end = {self.end:g}")
 
 
-def _require_numbers(given: Adaptive | ArcLength, *positive: str, signed: tuple[str, ...]) -> None:
+def _require_numbers(plan: Adaptive | ArcLength, *positive: str, signed: tuple[str, ...]) -> None:
     """Make attributes floats; raises InputError unless they are > 0, finite ones of either sign, or None by default."""
     for name in (*signed, *positive):
-        value = getattr(given, name)
+        value = getattr(plan, name)
         finite = is_finite(value) or (is_number(value) and name == "largest" and value == math.inf)
         good = finite and (name in signed or value > 0)
-        if not good and not (value is None and getattr(type(given), name, 0) is None):
+        if not good and not (value is None and getattr(type(plan), name, 0) is None):
             above = "" if name in signed else " > 0"
-            raise InputError(f"{type(given).__name__}: {name} is {value!r}; allowed: a number{above}")
-        object.__setattr__(given, name, None if value is None else float(value))
+            raise InputError(f"{type(plan).__name__}: {name} is {value!r}; allowed: a number{above}")
+        object.__setattr__(plan, name, None if value is None else float(value))
 
 
 @dataclass(frozen=True)
@@ -150,12 +150,12 @@ def ends_of_steps(times: Times, start: float, breaks: Iterable[float] = ()) -> l
     require(not isinstance(times, str), "times", times, "it must be a sequence of numbers or Adaptive(...)")
     adaptive = times if isinstance(times, Adaptive) else None
     try:
-        given = real_values([*({*adaptive.at, adaptive.end} if adaptive else times)])  # type: ignore[misc]
-        if given.ndim != 1:
+        values = real_values([*({*adaptive.at, adaptive.end} if adaptive else times)])  # type: ignore[misc]
+        if values.ndim != 1:
             raise TypeError("it has rows")
     except (TypeError, ValueError) as error:
         raise InputError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
-    targets = [float(t) for t in (np.sort(given) if adaptive else given)]
+    targets = [float(t) for t in (np.sort(values) if adaptive else values)]
     whole = np.array([start, *targets])
     if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
         remedy = "they must be finite, increase, and come after start, which is not one of them"

@@ -296,13 +296,13 @@ class ErrorEstimate:
 
     def shares(self, other: State, state: State, largest: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
         """Differences of two states in the three quantities, over their norms in the second one, or over `largest`."""
-        ends = [self._quantities(one) for one in (other, state)]
-        apart = self._norms([b - a for a, b in zip(*ends, strict=True)])
+        ends = [self._quantities(end_state) for end_state in (other, state)]
+        differences = self._norms([b - a for a, b in zip(*ends, strict=True)])
         sizes = np.maximum(self._norms(ends[1]), largest)
         moved = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
         least = np.array([0.0, MIN_JUMP_SHARE * self._unit * moved, self._equations.scale.forces[0]])
         sizes = np.maximum(sizes, least)
-        return np.divide(apart, sizes, out=np.zeros(3), where=sizes > 0)
+        return np.divide(differences, sizes, out=np.zeros(3), where=sizes > 0)
 
     def sizes(self, state: State) -> Array:
         """Norms of the three quantities in a state."""

@@ -79,20 +79,20 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
     cases = dict(fields) if isinstance(fields, Mapping) else {"": fields}
     if not cases:
         raise InputError("along: there is nothing to draw")
-    if not all(isinstance(one, (State, Contact)) for one in cases.values()):
-        return {label: one if isinstance(one, Mapping) else {"": one} for label, one in cases.items()}
+    if not all(isinstance(case, (State, Contact)) for case in cases.values()):
+        return {label: case if isinstance(case, Mapping) else {"": case} for label, case in cases.items()}
     rows: dict[str, dict[str, np.ndarray]] = {}
-    for label, one in cases.items():
-        if isinstance(one, State):
-            t, w = (surface.frame(f(one)) for f in (surface.traction, surface.jump))
+    for label, case in cases.items():
+        if isinstance(case, State):
+            t, w = (surface.frame(f(case)) for f in (surface.traction, surface.jump))
             names = ("N", "T") if len(t) == 2 else ("N", "1", "2")
             of_case = {f"t_{k}{stress}": f for k, f in zip(names, np.roll(t, 1, axis=0), strict=True)}
             of_case |= {f"w_{k}{length}": f for k, f in zip(names, np.roll(w, 1, axis=0), strict=True)}
         else:
-            pinned = np.where(one.status == PINNED_STATUS, np.nan, 1.0)
-            t_T, u_T = (v[:, 0] if v.shape[1] == 1 else np.linalg.norm(v, axis=1) for v in (one.t_T, one.u_T))
-            of_case = {f"p{stress}": pinned * one.p, f"t_T{stress}": pinned * t_T}
-            of_case |= {f"u_T{length}": u_T, f"opening{length}": -one.u_N}
+            pinned = np.where(case.status == PINNED_STATUS, np.nan, 1.0)
+            t_T, u_T = (v[:, 0] if v.shape[1] == 1 else np.linalg.norm(v, axis=1) for v in (case.t_T, case.u_T))
+            of_case = {f"p{stress}": pinned * case.p, f"t_T{stress}": pinned * t_T}
+            of_case |= {f"u_T{length}": u_T, f"opening{length}": -case.u_N}
         for name, f in of_case.items():
             rows.setdefault(name, {})[label] = f
     return {**rows}

@@ -58,9 +58,9 @@ def rates(
         raise InputError("rates: there is no table to draw")
     lines: dict[str, tuple[Any, Any]] = {}
     styles, colours = {}, {}
-    for j, (case, one) in enumerate(tables.items()):
-        require(isinstance(one, (Table, str, Path)), f"rates: {case or 'table'}", one, "give what sweep returns")
-        data = one if isinstance(one, Table) else Table.load(one)
+    for j, (case, source) in enumerate(tables.items()):
+        require(isinstance(source, (Table, str, Path)), f"rates: {case or 'table'}", source, "give what sweep returns")
+        data = source if isinstance(source, Table) else Table.load(source)
         if lacking := [name for name in ("eps", *errors.values()) if name not in data.columns]:
             which = f"the table {case!r}" if case else "the table"
             raise InputError(f"rates: {which} has no row, or no column {', '.join(lacking)}; give what sweep returns")
@@ -118,7 +118,7 @@ def curves(
         InputError: no mapping. ValueError: x and y of a line are not as many numbers.
     """
     require(isinstance(lines, Mapping), "curves", lines, "give {label: (x, y)}, or {title: {label: (x, y)}}")
-    several = bool(lines) and all(isinstance(one, Mapping) for one in lines.values())
+    several = bool(lines) and all(isinstance(entry, Mapping) for entry in lines.values())
     parts: Any = lines if several else {title: lines}
     figure, panels = _panels(len(parts), columns)
     if not several:
@@ -156,9 +156,9 @@ def fraction(x: float) -> str:
     return f"1/{1 / x:.0f}" if x <= 1 / 4 and math.frexp(x)[0] == 0.5 else f"{x:.4g}"
 
 
-def _of_panel(given: Any, panel: str) -> Any:
+def _of_panel(setting: Any, panel: str) -> Any:
     """What is given for a panel."""
-    return given.get(panel) if isinstance(given, Mapping) else given
+    return setting.get(panel) if isinstance(setting, Mapping) else setting
 
 
 def _by_label(labels: Iterable[str], chosen: StyleChoice) -> dict[str, str]:
@@ -183,6 +183,6 @@ def logarithmic(axes: Axes, low: float, high: float) -> None:
     top = math.floor(math.log10(largest))
     powers = [10.0**k for k in range(top + int(math.log10(SYMLOG_RANGE)) + 1, top + 1)]
     axes.set_yscale("symlog", linthresh=powers[0], linscale=0.5)
-    axes.set_yticks([*(-one for one in reversed(powers)), 0.0, *powers])
+    axes.set_yticks([*(-power for power in reversed(powers)), 0.0, *powers])
     axes.set_ylim(1.5 * min(low, 0.0), 1.5 * max(high, 0.0))  # ticks alone would leave a half empty
     axes.minorticks_off()

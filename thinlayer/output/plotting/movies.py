@@ -91,9 +91,9 @@ def movie(
 def _states(solution: object) -> list[State]:
     """The states of a movie, of one model."""
     states = list(solution) if isinstance(solution, Iterable) else []
-    if not states or not all(isinstance(one, State) for one in states):
+    if not states or not all(isinstance(state, State) for state in states):
         raise InputError(f"movie: {solution!r:.80} has no states; give a history that keeps them, or several states")
-    if any(one.model is not states[0].model for one in states):
+    if any(state.model is not states[0].model for state in states):
         raise InputError("movie: the states are of several models; give those of one march")
     return states
 
@@ -105,6 +105,6 @@ def _ffmpeg() -> str:
 
         return str(get_ffmpeg_exe())
     except (ImportError, RuntimeError):
-        if found := shutil.which("ffmpeg"):
-            return found
+        if executable := shutil.which("ffmpeg"):
+            return executable
     raise InputError("an mp4 needs ffmpeg: install imageio-ffmpeg (pip install 'thinlayer[movie]'), or save a .gif")

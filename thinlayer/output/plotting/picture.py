@@ -70,7 +70,7 @@ def symbols(text: str) -> str:
     if "$" in text:
         return text
     text = re.sub(rf"\b({GREEK_LETTERS})(?=\b|_)", r"\\\1", text).replace(r"\eps", r"\varepsilon")
-    return re.sub(SYMBOL_PATTERN, lambda one: "$" + re.sub(r"([_^])(-?\w+)", r"\1{\2}", one[0]) + "$", text)
+    return re.sub(SYMBOL_PATTERN, lambda match: "$" + re.sub(r"([_^])(-?\w+)", r"\1{\2}", match[0]) + "$", text)
 
 
 FigureType = TypeVar("FigureType", bound=Figure)

@@ -217,8 +217,8 @@ class Scene:
             figsize=(PANEL_INCHES * count, PANEL_INCHES * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained"
         )
         axes = list(figure.subplots(1, count, squeeze=False)[0])
-        for one in axes:
-            one.set_axis_off()
+        for panel in axes:
+            panel.set_axis_off()
         return figure, axes
 
     def bar(self, figure: Picture, axes: list[Axes]) -> None:
@@ -228,7 +228,7 @@ class Scene:
         unit = f"10^{power} {self.view.unit}" if power else self.view.unit
         name = "|u|" if self.view.component == "size" else f"u_{self.view.component}"
         label = f"{name} ({unit.strip()}); {self.scaled}" if unit else f"{name}; {self.scaled}"
-        low, high = (one * 10.0**-power for one in self.limits)
+        low, high = (limit * 10.0**-power for limit in self.limits)
         figure.colorbar(ScalarMappable(Normalize(low, high), "viridis"), ax=axes, **COLOUR_BAR_STYLE, label=label)
 
     @property

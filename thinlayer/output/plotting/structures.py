@@ -123,10 +123,10 @@ def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
     panels = dict(states) if isinstance(states, Mapping) else {"": states}
     if not panels:
         raise InputError(f"{what}: there is no state to draw")
-    for label, one in panels.items():
-        if not isinstance(one, State):
-            given = f"{label!r} is {one!r}" if label else f"states is {one!r}"
-            raise InputError(f"{what}: {given}; give states, of a history its last one or history.at(t)")
+    for label, state in panels.items():
+        if not isinstance(state, State):
+            received = f"{label!r} is {state!r}" if label else f"states is {state!r}"
+            raise InputError(f"{what}: {received}; give states, of a history its last one or history.at(t)")
     return panels
 
 
@@ -160,8 +160,8 @@ def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[st
         return [], dict(fields)
     if wrong := [f.shape for f in fields.values() if f.ndim > 1 and f.shape[-1] != 1]:
         raise InputError(f"names on S are those of facets, (n, 1), or nodes, (m,), not {wrong[0]}")
-    found = {*np.concatenate([f.ravel() for f in fields.values()]).tolist()}
-    names = [*(name for name in STATUS_COLOURS if name in found), *sorted(found - {*STATUS_COLOURS})]
+    unique_names = {*np.concatenate([f.ravel() for f in fields.values()]).tolist()}
+    names = [*(name for name in STATUS_COLOURS if name in unique_names), *sorted(unique_names - {*STATUS_COLOURS})]
     return names, {label: np.vectorize(names.index, otypes=[int])(f) for label, f in fields.items()}
 
 
@@ -182,8 +182,8 @@ class _Colours:
         self._of_names = np.array([to_rgb(colour_of(name, names)) for name in names])
         if names:
             return
-        known = values[np.isfinite(values)]
-        low, high = float(known.min(initial=0.0)), float(known.max(initial=0.0))
+        finite = values[np.isfinite(values)]
+        low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
         largest = max(-low, high) or 1.0
         both = low < 0 < high
         least, low, high = (

@@ -45,8 +45,8 @@ def zoomed(
     Raises:
         InputError: 3D, no zoom, no such end, component or width. OSError: the file could not be written.
     """
-    for one in (zoom,) if full is None else (zoom, full):
-        require(isinstance(one, Zoom), "zoomed: a zoom", one, "give Zoom(state)")
+    for candidate in (zoom,) if full is None else (zoom, full):
+        require(isinstance(candidate, Zoom), "zoomed: a zoom", candidate, "give Zoom(state)")
     require_known("component", component, STRESS_COMPONENTS)
     allowed = f"allowed: > {CORNER_EXCLUSION:g}, over the thickness"
     require(is_number(width) and CORNER_EXCLUSION < width < np.inf, "zoomed: width", width, allowed)
@@ -60,8 +60,8 @@ def zoomed(
     x, height = start - D.ravel()[:, None] * zoom.eps * at.m, Y.ravel()
     i, j = STRESS_COMPONENTS[component]
     meshed = {} if full is None else {"meshed layer": full.stress(x, height)}
-    found = meshed | {"layer by itself": zoom.stress(x, height)}
-    values = {name: np.einsum("i,nij,j->n", axes[i], one, axes[j]).reshape(D.shape) for name, one in found.items()}
+    fields = meshed | {"layer by itself": zoom.stress(x, height)}
+    values = {name: np.einsum("i,nij,j->n", axes[i], sigma, axes[j]).reshape(D.shape) for name, sigma in fields.items()}
     return drawn_on_root(zoom.state.model.comm, lambda: _drawn(values, D, Y, component, title, stress), save)
 
 
@@ -69,16 +69,16 @@ def _drawn(values: dict[str, Array], D: Array, Y: Array, component: str, title: 
     low, high = np.quantile(next(iter(values.values())), [CLIPPED_SHARE, 1 - CLIPPED_SHARE])
     figure = Picture(figsize=(7.2, 1.9 * len(values) + 3.0), layout="constrained")
     rows = figure.subplots(len(values) + 1, 1, height_ratios=[*[1.0] * len(values), 1.5], sharex=True)
-    for axes, (name, one) in zip(rows[:-1], values.items(), strict=True):
-        colours = axes.pcolormesh(D, Y, one, shading="gouraud", vmin=low, vmax=high, cmap="viridis")
+    for axes, (name, field) in zip(rows[:-1], values.items(), strict=True):
+        colours = axes.pcolormesh(D, Y, field, shading="gouraud", vmin=low, vmax=high, cmap="viridis")
         axes.set(title=name, ylabel="height/eps", ylim=(-0.5, 0.5))
     label = f"{COMPONENT_LABELS[component]}{f' ({unit})' if unit else ''}"
     figure.colorbar(colours, ax=list(rows[:-1]), label=label, extend="both")
     for colour, height in zip(COLOURS, (0.45, 0.0, -0.45), strict=False):
         row = int(np.abs(Y[:, 0] - height).argmin())
-        for style, (name, one) in zip(("--", "-"), [*values.items()][::-1], strict=False):
+        for style, (name, field) in zip(("--", "-"), [*values.items()][::-1], strict=False):
             look = {"linestyle": style, "linewidth": 1.5, "label": f"{name}, height {height:g} eps"}
-            rows[-1].plot(D[row], one[row], color=colour, **look)
+            rows[-1].plot(D[row], field[row], color=colour, **look)
     spread = high - low
     rows[-1].set(xlabel="distance from the end, over eps", ylabel=label, ylim=(low - spread / 3, high + spread / 3))
     rows[-1].grid(color="0.9")

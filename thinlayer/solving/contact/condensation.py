@@ -47,7 +47,7 @@ class Condensation:
 
     Args:
         A: row starts, columns and entries of the stiffness without supports, symmetric, of N nodes in d x d blocks.
-        held: (N d,) unknowns that supports prescribe; beside its diagonal their stiffness is left out.
+        is_fixed: (N d,) unknowns that supports prescribe; beside its diagonal their stiffness is left out.
         kept: (c,) the unknowns that stay, ascending.
         x: (N, d) places of the nodes.
         normal: (d,) mean normal of S.
@@ -62,7 +62,7 @@ class Condensation:
 
     stiffness: Array | scipy.sparse.csr_matrix
 
-    def __init__(self, A: Rows, held: BoolArray, kept: IntArray, x: Array, normal: Array, bodies: int) -> None:
+    def __init__(self, A: Rows, is_fixed: BoolArray, kept: IntArray, x: Array, normal: Array, bodies: int) -> None:
         d = x.shape[1]
         order = oblique_order(x - x[kept // d].mean(axis=0), normal, A)
         group = np.zeros(len(x), np.int32)  # of nodes
@@ -72,11 +72,11 @@ class Condensation:
         self._kept, self._own, self._factors = kept, list[IntArray](), list[SchurFactor]()
         for k in np.unique(group):
             self._own.append(np.flatnonzero(group[kept // d] == k))
-            self._factors.append(SchurFactor(A, held, d, order[group[order] == k], kept[self._own[-1]]))
+            self._factors.append(SchurFactor(A, is_fixed, d, order[group[order] == k], kept[self._own[-1]]))
         if len(self._own) == 1:
             self.stiffness = self._factors[0].complement
         else:
-            complements = scipy.sparse.block_diag([one.complement for one in self._factors], format="csr")
+            complements = scipy.sparse.block_diag([factor.complement for factor in self._factors], format="csr")
             complements.eliminate_zeros()  # between pieces
             back = np.argsort(np.concatenate(self._own))
             self.stiffness = complements[back][:, back]
@@ -84,20 +84,20 @@ class Condensation:
     def condense(self, b: Array) -> Array:
         """Forces (c,) on the kept unknowns, for forces b on all."""
         out = np.empty(len(self._kept))
-        for own, one in zip(self._own, self._factors, strict=True):
-            out[own] = one.condense(b)
+        for indices, factor in zip(self._own, self._factors, strict=True):
+            out[indices] = factor.condense(b)
         return out
 
     def expand(self, b: Array, kept: Array, out: Array) -> None:
         """Write all unknowns into `out`, under forces b on all, from the kept ones (c,)."""
         out[self._kept] = kept
-        for one in self._factors:
-            one.expand(b, out)
+        for factor in self._factors:
+            factor.expand(b, out)
 
     def close(self) -> None:
         """Free the factors."""
-        for one in self._factors:
-            one.close()
+        for factor in self._factors:
+            factor.close()
 
 
 def oblique_order(x: Array, normal: Array, A: Rows) -> IntArray:
@@ -126,7 +126,7 @@ class SchurFactor:
     """Factor of pieces of a stiffness, with springs at the kept unknowns, so that it is definite whatever holds it.
 
     Args:
-        A, held, d: as in `Condensation`.
+        A, is_fixed, d: as in `Condensation`.
         nodes: (n,) the nodes of the pieces, in the order in which MUMPS gets them.
         kept: (c,) their unknowns that stay.
 
@@ -134,12 +134,12 @@ class SchurFactor:
         complement: (c, c) Schur complement, without the springs.
     """
 
-    def __init__(self, A: Rows, held: BoolArray, d: int, nodes: IntArray, kept: IntArray) -> None:
+    def __init__(self, A: Rows, is_fixed: BoolArray, d: int, nodes: IntArray, kept: IntArray) -> None:
         self._unknowns = (nodes[:, None] * d + np.arange(d)).ravel()
         place = np.full(len(A[0]) - 1, -1, np.int32)
         place[self._unknowns] = np.arange(len(self._unknowns))
         self._all_kept, self._kept = kept, place[kept]
-        rows, columns, entries = _upper_triangle(A, held, d, nodes)
+        rows, columns, entries = _upper_triangle(A, is_fixed, d, nodes)
         at = rows[self._kept]  # the first entry of a row is its diagonal
         self._springs = entries[at] / max(len(kept), 1)
         entries[at] += self._springs
@@ -163,9 +163,9 @@ class SchurFactor:
         if code < 0 or pc.getFailedReason():
             self.close()
             raise FactorError(f"MUMPS could not factorise the stiffness matrix: INFOG(1) = {code}")
-        found = schur_complement(self._factor, len(kept)) if len(kept) else np.empty((0, 0))
-        self.complement = np.triu(found)
-        self.complement += np.triu(found, 1).T
+        complement = schur_complement(self._factor, len(kept)) if len(kept) else np.empty((0, 0))
+        self.complement = np.triu(complement)
+        self.complement += np.triu(complement, 1).T
         self.complement[np.diag_indices(len(kept))] -= self._springs
 
     def _forces(self, kept: Array) -> Array:
@@ -194,10 +194,10 @@ class SchurFactor:
         places = np.flatnonzero(b)
         if not len(places):  # MUMPS fails for an empty sparse right-hand side
             return np.zeros_like(b)
-        found = np.empty((len(b), 1), order="F")
-        X = PETSc.Mat().createDense(found.shape, array=found, comm=PETSc.COMM_SELF)
+        solution = np.empty((len(b), 1), order="F")
+        X = PETSc.Mat().createDense(solution.shape, array=solution, comm=PETSc.COMM_SELF)
         if len(places) > SPARSE_SHARE * len(b):
-            B = PETSc.Mat().createDense(found.shape, array=b[:, None], comm=PETSc.COMM_SELF)
+            B = PETSc.Mat().createDense(solution.shape, array=b[:, None], comm=PETSc.COMM_SELF)
             self._factor.matSolve(B, X)
         else:
             csr = np.array([0, len(places)], PETSc.IntType), places.astype(PETSc.IntType), b[places]
@@ -206,14 +206,14 @@ class SchurFactor:
             self._factor.matSolve(B, X)
             row.destroy()
         destroy(B, X)
-        return found[:, 0]
+        return solution[:, 0]
 
     def close(self) -> None:
         """Free the factor."""
         self._pc.destroy()
 
 
-def _upper_triangle(A: Rows, held: BoolArray, d: int, nodes: IntArray) -> Rows:
+def _upper_triangle(A: Rows, is_fixed: BoolArray, d: int, nodes: IntArray) -> Rows:
     """The upper triangle of the rows and columns of some nodes, in their order; MUMPS does not read the rest.
 
     C takes .05 s of 2.4 s of a contact solve with 512 squares, scipy.sparse .3 s.
@@ -226,7 +226,7 @@ def _upper_triangle(A: Rows, held: BoolArray, d: int, nodes: IntArray) -> Rows:
     rows, columns, entries = np.empty(n * d + 1, np.int32), np.empty(size, np.int32), np.empty(size)
     c = own_library(C_SOURCE)
     indptr, indices, order = (a.astype(np.int32, copy=False) for a in (indptr, indices, nodes))
-    arrays = pointers(c, indptr, indices, values, held, place, order, rows, columns, entries)
+    arrays = pointers(c, indptr, indices, values, is_fixed, place, order, rows, columns, entries)
     if c.lib.upper_triangle(n, d, size, *arrays) != size:
         raise FactorError("the nonzero pattern of the stiffness is not symmetric, or not made of blocks of nodes")
     return rows, columns, entries

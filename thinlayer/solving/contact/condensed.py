@@ -67,20 +67,20 @@ class CondensedContact(ContactSolver):
         x = np.concatenate([some.x for some in nodes])
         return CondensedSystem(self._condensation.stiffness, self.pairs, x, lines)
 
-    def solve(self, known: bool) -> tuple[int, float]:
+    def solve(self, has_guess: bool) -> tuple[int, float]:
         """As in `ContactSolver`."""
         equations, pairs, b = self.equations, self.pairs, self.b.array
         try:
             condensation = self._condensation
         except FactorError as error:
-            held = "is every body supported, or does it meet S in more than a point?"
-            raise SolveError(f"contact: {error}; {held}") from error
+            hint = "is every body supported, or does it meet S in more than a point?"
+            raise SolveError(f"contact: {error}; {hint}") from error
         u, kept_held = self.x.array_r[pairs.dofs], ~pairs.free.ravel()
         b[equations.bc_dofs] = 0.0  # decoupled; what supports prescribe is put back in the end
         g = condensation.condense(b)
         g[kept_held] = (condensation.stiffness.diagonal() * u)[kept_held]
         self._given = equations.residual_norms(equations.external)
-        if not known:
+        if not has_guess:
             u = self._system.start(g)
             equations.scale.move(float(np.abs(u).max(initial=0.0)))
         u, residuals = self._system.newton(u, g, self._relative)
@@ -137,7 +137,7 @@ class CondensedSystem:
     def _rounding(self) -> float:
         """Rounding of the forces for unit displacements."""
         springs = self.pairs.bonded()[0]
-        largest = max(float(one.diagonal().max(initial=0.0)) for one in (self._stiffness, springs))
+        largest = max(float(matrix.diagonal().max(initial=0.0)) for matrix in (self._stiffness, springs))
         return MACHINE_EPSILON * SUMMATION_FACTOR * math.sqrt(len(self.pairs.nodes)) * largest
 
     @cached_property

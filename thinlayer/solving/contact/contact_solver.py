@@ -27,7 +27,7 @@ class ContactSolver(EquilibriumSolver):
     Attributes:
         equations, comm: the equations and their communicator.
         parts: the contact laws with their pairs of nodes.
-        held: (N,) displacements of this rank that supports prescribe.
+        is_fixed: (N,) displacements of this rank that supports prescribe.
         x: displacements: what a step begins with, then its result.
     """
 
@@ -63,8 +63,8 @@ class ContactSolver(EquilibriumSolver):
             u.x.petsc_vec.copy(x)
         else:
             equations.put_state(equations.interval.old, x)
-        known = any(part.nodes.jump(x).any() for part in self.parts)
-        known = bool(self.comm.allreduce(int(known)))
+        has_guess = any(part.nodes.jump(x).any() for part in self.parts)
+        has_guess = bool(self.comm.allreduce(int(has_guess)))
         moved = equations.vector()
         moved.array[equations.bc_dofs] = x.array[equations.bc_dofs] = equations.prescribed
         equations.K.mult(moved, self.b)
@@ -72,15 +72,15 @@ class ContactSolver(EquilibriumSolver):
         self.b.aypx(-1.0, equations.external)
         self.b.array[equations.bc_dofs] = (equations.mean_stiffness or 1.0) * equations.prescribed
         self._like, self._has_solved = None, True
-        steps, residual = self.solve(known)
+        steps, residual = self.solve(has_guess)
         return StepSolution(x, steps, residual)
 
     @abstractmethod
-    def solve(self, known: bool) -> tuple[int, float]:
+    def solve(self, has_guess: bool) -> tuple[int, float]:
         """Change x, which has the supports' displacements, to those of the equilibrium; steps, and the relative residual.
 
         Args:
-            known: whether the jumps of x are a guess; otherwise nothing has moved.
+            has_guess: whether the jumps of x are a guess; otherwise nothing has moved.
         """
 
     def relative_residual(self) -> float:

@@ -122,8 +122,8 @@ class ContactTangent:
             matrix = self._cycle.getMGSmoother(level).getOperators()[0]
             matrix.axpy(1.0, change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
             if level:  # the pattern stays, and with it what a product knows of its own
-                known = self._changes.get(level)
-                change = self._changes[level] = change.ptap(self._cycle.getMGInterpolation(level), result=known)
+                product = self._changes.get(level)
+                change = self._changes[level] = change.ptap(self._cycle.getMGInterpolation(level), result=product)
         springs.destroy()
         self._springs = new
 
@@ -158,16 +158,16 @@ class ContactTangent:
             turned: (n, d) changes of the jumps of pairs that shall stick; their nodes are not swept.
         """
         pairs, w = self.pairs, self.nodes.separation(u)
-        own = u.array_r[pairs.dofs].copy()
-        g = self._near @ own + pairs.forces(w) - residual.array_r[pairs.dofs]
-        rest = w - (pairs.jumps @ own).reshape(w.shape)
+        u_pairs = u.array_r[pairs.dofs].copy()
+        g = self._near @ u_pairs + pairs.forces(w) - residual.array_r[pairs.dofs]
+        rest = w - (pairs.jumps @ u_pairs).reshape(w.shape)
         back, moves = turned.any(axis=1) & (pairs.ends[:, 0] >= 0), np.ones(len(pairs.nodes) + 1, bool)
         moves[pairs.ends[back]] = False
-        upper = own.reshape(-1, pairs.d)[pairs.ends[back, 0]]
+        upper = u_pairs.reshape(-1, pairs.d)[pairs.ends[back, 0]]
         upper += np.einsum("nji,nj->ni", pairs.frames[back], turned[back])
-        own.reshape(-1, pairs.d)[pairs.ends[back, 0]] = upper
-        pairs.sweep(self._blocks, g, own, SWEEPS_PER_STEP, rest, moves[:-1])
-        u.array[pairs.dofs] = np.where(pairs.free.ravel(), own, u.array_r[pairs.dofs])
+        u_pairs.reshape(-1, pairs.d)[pairs.ends[back, 0]] = upper
+        pairs.sweep(self._blocks, g, u_pairs, SWEEPS_PER_STEP, rest, moves[:-1])
+        u.array[pairs.dofs] = np.where(pairs.free.ravel(), u_pairs, u.array_r[pairs.dofs])
 
     def close(self) -> None:
         """Free matrices, vectors and the hierarchy."""

@@ -56,7 +56,7 @@ def _is_linear(model: Model) -> bool:
         added
         and model.constraints.T is None  # else the unknowns are others
         and len(traits) == len(model.terms)
-        and all(one.symmetric and not (one.constrained or one.compiled) for one in traits)
+        and all(law_traits.symmetric and not (law_traits.constrained or law_traits.compiled) for law_traits in traits)
     )
 
 
@@ -68,7 +68,7 @@ def check_method(model: Model, method: str) -> None:
 
 def _why_unsuited(model: Model, method: str) -> str:
     """Why one of METHODS does not suit the model; "" if it does."""
-    own = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
+    custom_laws = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
     if model.contact is None:
         return "is for contact laws; the model has none"
     if method != "multigrid" and model.comm.size > 1:
@@ -80,4 +80,4 @@ def _why_unsuited(model: Model, method: str) -> str:
     if not _is_linear(model):
         others = "and no inclined supports or rigid plates; use method='newton'"
         return f"needs linear bodies without stresses at rest, linear, symmetric parts and layers, {others}"
-    return f"needs one of the laws of forms.contact, not {own[0]}; use method='newton'" if own else ""
+    return f"needs one of the laws of forms.contact, not {custom_laws[0]}; use method='newton'" if custom_laws else ""

@@ -83,11 +83,11 @@ class MultigridContact(ContactSolver):
         self._tangent: ContactTangent | None = None
         self._forces = equations.vector()
 
-    def solve(self, known: bool) -> tuple[int, float]:
+    def solve(self, has_guess: bool) -> tuple[int, float]:
         """As in `ContactSolver`. SolveError: no convergence, for instance without an equilibrium."""
         history: list[float] = []
         nodes, old = self.nodes, self.equations.interval.old.u.x.petsc_vec
-        start = nodes.separation(self.x) if known else None
+        start = nodes.separation(self.x) if has_guess else None
         closed = self.equations.vector()
         closed.array[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
         self._largest = float(self.b.norm())
@@ -154,7 +154,7 @@ class _NewtonRun:
     """
 
     def __init__(self, finder: MultigridContact, tangent: ContactTangent, reductions: Reductions) -> None:
-        self.finder, self.tangent, self.applicability = finder, tangent, reductions
+        self.finder, self.tangent, self.reductions = finder, tangent, reductions
         self.nodes, self.pairs = finder.nodes, finder.pairs
         self.bc_dofs = finder.equations.bc_dofs
         self.residuals: list[float] = []
@@ -227,7 +227,7 @@ class _NewtonRun:
         """Set the tangents of a step, and the tolerance of its linear solve."""
         first = not snes.getIterationNumber()
         tangents = self._begin(u, self._f) if first else self._go_on(u)
-        share = self.applicability[0] if first else min(0.5, self._target / self._h)
+        share = self.reductions[0] if first else min(0.5, self._target / self._h)
         self._before = self._h
         self.tangent.follow(self._start if first else self.nodes.separation(u))
         self.tangent.linearise(tangents)
@@ -251,11 +251,11 @@ class _NewtonRun:
     def _go_on(self, u: PETSc.Vec) -> Array:
         """Tangents of a later step; sets the target of its linear solve."""
         if self._swept:
-            self._target = max(self.applicability[1] * min(self._h, self._target), MIN_REDUCTION * min(self._h, 1.0))
+            self._target = max(self.reductions[1] * min(self._h, self._target), MIN_REDUCTION * min(self._h, 1.0))
         else:
             # the residual that the law's non-linearity leaves is quadratic in the size of the step
             nonlinear = self._h * math.sqrt(abs(1 - self._left**2)) * (self._h / self._before) ** 2
-            self._target = min(self.applicability[1] * self._h, nonlinear)
+            self._target = min(self.reductions[1] * self._h, nonlinear)
         self._target = max(self._target, LAST_SOLVE_TARGET * NEWTON_TOLERANCE)
         w = self.nodes.separation(u)
         self._at = sliding_state(self.pairs, w)

@@ -26,7 +26,7 @@ class ContactPairs:
 
     Args:
         parts: the contact laws, each with its pairs.
-        held: (N,) displacements of this rank that supports prescribe.
+        is_fixed: (N,) displacements of this rank that supports prescribe.
         first: global number of this rank's first node.
         shared: numbers on this rank of nodes that are left out, as they are in pairs of other ranks too.
 
@@ -39,11 +39,11 @@ class ContactPairs:
     """
 
     def __init__(
-        self, parts: Sequence[ContactPart], held: BoolArray, first: int = 0, shared: Sequence[int] | IntArray = ()
+        self, parts: Sequence[ContactPart], is_fixed: BoolArray, first: int = 0, shared: Sequence[int] | IntArray = ()
     ) -> None:
         self._parts, self.d = parts, parts[0].nodes.dim
         pairs = np.concatenate([part.nodes.pairs for part in parts]) - first
-        pairs[(pairs < 0) | (pairs >= len(held) // self.d) | np.isin(pairs, shared)] = -1
+        pairs[(pairs < 0) | (pairs >= len(is_fixed) // self.d) | np.isin(pairs, shared)] = -1
         self.frames = np.concatenate([part.nodes.frames for part in parts])
         self.weights = np.concatenate([part.nodes.weights for part in parts])
         self.gaps = np.zeros((len(pairs), self.d))
@@ -51,7 +51,7 @@ class ContactPairs:
         sizes = [len(part.nodes.weights) for part in parts]
         self._part = np.repeat(np.arange(len(parts)), sizes)
         self._of_part = np.concatenate([np.arange(n) for n in sizes])
-        self._join(pairs, ~held.reshape(-1, self.d))
+        self._join(pairs, ~is_fixed.reshape(-1, self.d))
 
     def some(self, chosen: IntArray, weights: Array) -> ContactPairs:
         """Those pairs (k,), with areas (k,), and their nodes."""
@@ -91,7 +91,7 @@ class ContactPairs:
     def _gathered(self, of_part: Callable[[NodalLaw, Array, Array], npt.NDArray[Any]], w: Array) -> npt.NDArray[Any]:
         """(pairs, ...) values of each part's law at the jumps (pairs, d)."""
         parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
-        return np.concatenate([of_part(part.now, w[own], part.slip[self._of_part[own]]) for part, own in parts])
+        return np.concatenate([of_part(part.now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
 
     def separation(self, u: Array) -> Array:
         """(pairs, d) jumps, and initial gaps along the normal, in the pairs' frames at displacements (n d,)."""
@@ -136,8 +136,8 @@ class ContactPairs:
         ends = self.ends[:, [0, 1, 0, 1]], self.ends[:, [0, 1, 1, 0]]
         pair, which = np.nonzero((ends[0] >= 0) & (ends[1] >= 0))
         row, column = (end[pair, which] for end in ends)
-        own = (frames.transpose(0, 2, 1) * self.weights[:, None, None]) @ D @ frames
-        blocks = own[pair] * np.where(which < 2, 1.0, -1.0)[:, None, None]
+        pair_stiffness = (frames.transpose(0, 2, 1) * self.weights[:, None, None]) @ D @ frames
+        blocks = pair_stiffness[pair] * np.where(which < 2, 1.0, -1.0)[:, None, None]
         blocks = blocks * self.free[row][:, :, None] * self.free[column][:, None, :]
         rows = (row[:, None, None] * d + np.arange(d)[:, None]).repeat(d, axis=2)
         places = rows.ravel(), (column[:, None, None] * d + np.arange(d)).repeat(d, axis=1).ravel()

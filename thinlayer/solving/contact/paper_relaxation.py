@@ -187,7 +187,7 @@ class ContactRelaxation(ContactSolver):
         places = np.concatenate(rows), np.concatenate(columns)
         return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
 
-    def solve(self, known: bool) -> tuple[int, float]:
+    def solve(self, has_guess: bool) -> tuple[int, float]:
         """As in `ContactSolver`; the steps are sweeps until increments meet their tolerance, and more may follow.
 
         Raises:
@@ -197,17 +197,17 @@ class ContactRelaxation(ContactSolver):
         chosen, moving = _options(), ~self._held_jumps.all(axis=1)
         x.set(0.0)
         x.array[equations.bc_dofs] = equations.prescribed
-        given = x.array_r.copy()
-        given[nodes.dofs] = np.where(self._held_jumps, nodes.separation(x), 0.0)
-        over = np.zeros(len(given))  # displacements of the upper side that close the gaps
+        prescribed = x.array_r.copy()
+        prescribed[nodes.dofs] = np.where(self._held_jumps, nodes.separation(x), 0.0)
+        over = np.zeros(len(prescribed))  # displacements of the upper side that close the gaps
         over[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
         diagonal = np.where(self._held, equations.mean_stiffness, 0.0)
         diagonal[nodes.dofs[moving][self._held_jumps[moving]]] *= HELD_DIAGONAL
-        b = self._T.T @ (equations.external.array_r + self._K @ over) - self._A @ given
+        b = self._T.T @ (equations.external.array_r + self._K @ over) - self._A @ prescribed
         free = scipy.sparse.diags((~self._held).astype(float))
         system = SeamSystem(
             (free @ self._A @ free + scipy.sparse.diags(diagonal)).tocsr(),
-            np.where(self._held, diagonal * given, b),
+            np.where(self._held, diagonal * prescribed, b),
             nodes.dofs[moving],
             nodes.weights[moving],
             self.part.law,
@@ -215,19 +215,19 @@ class ContactRelaxation(ContactSolver):
         )
         order, sweeps, u = self._order(), 0, None  # sweeps until increments met the tolerance
         while True:  # increments may be small before forces balance
-            found = relax(system, u=u, order=order, **chosen)
-            u, sweeps = found.u, sweeps or len(found.increments)
+            relaxation = relax(system, u=u, order=order, **chosen)
+            u, sweeps = relaxation.u, sweeps or len(relaxation.increments)
             x.array[:] = self._T @ u - over
             x.array[equations.bc_dofs] = equations.prescribed
             residual = self.relative_residual()
-            if not found.converged or residual <= STATE_TOLERANCE or chosen["tolerance"] < MACHINE_EPSILON:
+            if not relaxation.converged or residual <= STATE_TOLERANCE or chosen["tolerance"] < MACHINE_EPSILON:
                 break
             chosen["tolerance"] /= TOLERANCE_REDUCTION
-        if not (found.converged and residual <= STATE_TOLERANCE):
+        if not (relaxation.converged and residual <= STATE_TOLERANCE):
             raise SolveError(
-                f"the relaxation does not converge: after {sweeps} sweeps the increment is {found.increments[-1]:.1e} and "
-                f"the residual {residual:.1e} of the forces",
-                residuals=tuple(map(float, found.increments)),
+                f"the relaxation does not converge: after {sweeps} sweeps the increment is {relaxation.increments[-1]:.1e}"
+                f" and the residual {residual:.1e} of the forces",
+                residuals=tuple(map(float, relaxation.increments)),
                 advice=f"try -{PREFIX}relaxation_omega nearer to 1, -{PREFIX}relaxation_omega_contact 1, another solver, "
                 "or smaller loads",
             )
@@ -244,10 +244,10 @@ def _options() -> dict[str, Any]:
     return chosen
 
 
-def _held_components(frames: Array, held: BoolArray) -> BoolArray:
+def _held_components(frames: Array, is_fixed: BoolArray) -> BoolArray:
     """Held components (n, d) of jumps in the axes of S."""
     along = np.abs(frames)
     aligned = (np.abs(along - np.rint(along)) < AXIS_TOLERANCE).all(axis=(1, 2))
-    if (~aligned & held.any(axis=1) & ~held.all(axis=1)).any():
+    if (~aligned & is_fixed.any(axis=1) & ~is_fixed.all(axis=1)).any():
         raise InputError("method='relaxation' needs supports along the axes of S at its nodes; use 'condensed'")
-    return np.asarray(np.einsum("nij,nj->ni", along > 0.5, held) > 0)
+    return np.asarray(np.einsum("nij,nj->ni", along > 0.5, is_fixed) > 0)
