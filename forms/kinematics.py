@@ -28,7 +28,7 @@ class Kinematics:
 
     x: Expr | None = None
     name: ClassVar[str] = "strain"
-    turns: ClassVar[bool] = True
+    rotations: ClassVar[bool] = True
     degree: ClassVar[int] = 0
 
     def on(self, mesh: Any) -> Self:
@@ -115,7 +115,7 @@ class Axisymmetric(Kinematics):
     """
 
     name = "axisymmetric"
-    turns = False
+    rotations = False
     degree = 1
 
     def slots(self, d: int) -> tuple[int, ...]:

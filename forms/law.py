@@ -547,7 +547,7 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
             f"{type(law).__name__}.{method}: {type(error).__name__}: {error!s:.200}. Laws are UFL: ufl.exp, "
             "ufl.conditional(ufl.lt(a, b), c, d), tensors of shape (3, 3); step.dt, step.e_old, step.rate need rate = True "
             "or internal variables; step.n has 2 components in 2D unless the law is compiled, "
-            f"forms.tensors.lift(step.n) has 3; step.q has {sorted(law.internal) or 'nothing'}"
+            f"forms.tensors.three_dimensional(step.n) has 3; step.q has {sorted(law.internal) or 'nothing'}"
         ) from error
 
 

@@ -136,7 +136,7 @@ class Joint:
     def __getstate__(self) -> dict[str, Any]:
         """What is sent to other ranks has what each of them would find in the whole mesh."""
         if self.band is None:
-            _ = self.splitting.pieces
+            _ = self.split_mesh.pieces
         return self.__dict__
 
     def _check_seams(self) -> None:
@@ -284,7 +284,7 @@ class Joint:
         return self.outer_rows[adjacent], keys[adjacent]
 
     @cached_property
-    def splitting(self) -> Splitting:
+    def split_mesh(self) -> Splitting:
         """The mesh, cut along S."""
         return self.split_along(self.surface_rows)
 
@@ -297,7 +297,7 @@ class Joint:
             cut: where the mesh is cut; None: along all seams.
         """
         position = (self.cells[cells][:, None, :] == nodes[:, :, None]).argmax(axis=2)
-        of_nodes = (cut or self.splitting).of_nodes[cells]
+        of_nodes = (cut or self.split_mesh).of_nodes[cells]
         return np.where(cells[:, None] < 0, -1, np.take_along_axis(of_nodes, position, axis=1))
 
     @cached_property
@@ -338,7 +338,7 @@ class Joint:
         return np.asarray((self.cells[cells][:, None, :] == self.surface[:, :, None]).argmax(axis=2))
 
     @cached_property
-    def meetings(self) -> IntArray:
+    def branch_vertices(self) -> IntArray:
         """(n,) vertices where S branches, more than two of its facets meeting there, or where seams meet; masters only."""
         ridge_vertices, counts = ridges(self.masters[self.surface], self.cell_type)
         vertices = self.masters[self.table.vertices[self.surface_rows]]
@@ -349,7 +349,7 @@ class Joint:
     @property
     def seams_meet(self) -> bool:
         """Whether S branches, or two seams have a vertex in common."""
-        return len(self.meetings) > 0
+        return len(self.branch_vertices) > 0
 
     @cached_property
     def tips(self) -> IntArray:

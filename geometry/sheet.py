@@ -185,7 +185,7 @@ class Sheet:
         value is for this body.
         """
         joint = self.joint
-        pieces, cells = joint.splitting.pieces, joint.surface_cells[self.facets]
+        pieces, cells = joint.split_mesh.pieces, joint.surface_cells[self.facets]
         sides = [np.unique(pieces[side[side >= 0]]) for side in cells.T]
         sides = [np.union1d(*sides)] if len(np.intersect1d(*sides)) else [side for side in sides if len(side)]
         distance, heights = np.abs((joint.points - joint.points[self.vertices[0, 0]]) @ self.mean_normal), []

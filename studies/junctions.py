@@ -205,7 +205,7 @@ def far_from_junctions(surface: Surface, distance: float) -> Array:
     joint = surface.joint
     on_s = np.unique(joint.table.vertices[joint.surface_rows])
     outer = joint.table.vertices[joint.table.cells[:, 1] < 0]
-    special = on_s[(joint.splitting.valence[on_s] != 2) | np.isin(on_s, outer)]
+    special = on_s[(joint.split_mesh.valence[on_s] != 2) | np.isin(on_s, outer)]
     middles = joint.points[joint.table.vertices[joint.surface_rows]].mean(axis=1)
     far = cKDTree(joint.points[special]).query(middles)[0] > distance
     return np.asarray(far[surface.rows, None] * np.ones_like(surface.weights))

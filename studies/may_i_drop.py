@@ -220,7 +220,7 @@ def _of_layer(dropped: Dropped, at: Array) -> Array:
     x = V.tabulate_dof_coordinates()[:, :2]
     inner = np.flatnonzero(np.abs(x[:, 1]) <= dropped.eps / 2 * (1 + 1e-9))
     faces = layers.at_faces(dropped.estimate.state.u.x.array)
-    bent = Probe(layers.state(layers.inside(faces, layers.load, layers.values)))
+    bent = Probe(layers.state(layers.dirichlet_displacements(faces, layers.load, layers.values)))
     everywhere = comm.allgather(x[inner])  # a probe has the same places on all ranks
     begin = sum(len(there) for there in everywhere[: comm.rank])
     v.x.array.reshape(-1, 2)[inner] = bent.displacement(np.concatenate(everywhere))[begin : begin + len(inner)]

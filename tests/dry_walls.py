@@ -40,7 +40,7 @@ def imbalance(state: State) -> float:
     size = float(np.abs(loads.x.array).sum())
     forces = (loads.x.array + contact_forces(state).x.array).reshape(-1, d)
     x = model.V.tabulate_dof_coordinates()[:, :d]
-    bricks = model.splitting.pieces
+    bricks = model.split_mesh.pieces
     of = np.zeros(len(x), np.int64)
     cells = np.asarray(model.V.dofmap.list)
     of[cells] = model.domain.on_cells(bricks)[: len(cells), None]

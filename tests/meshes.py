@@ -206,7 +206,7 @@ def parted(whole, region):
 
 def upper_cells(joint):
     """(n_cells,) whether each cell is part of a body above S."""
-    pieces = joint.splitting.pieces
+    pieces = joint.split_mesh.pieces
     return np.isin(pieces, pieces[joint.surface_cells[:, 1]])
 
 

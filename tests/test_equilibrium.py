@@ -107,7 +107,7 @@ def test_a_solver_that_lies_is_found_out(solver, monkeypatch):
     """Whoever finds the unknowns: a thousandth more of them is no equilibrium."""
     for finder in (NewtonSolver, ContactSolver):
 
-        def find(self, *given, real=finder.find):
+        def find(self, *given, real=finder.solve_step):
             found = real(self, *given)
             found.x.scale(1.001)
             return found

@@ -12,7 +12,7 @@ STIFF = 1e6  # N/mm
 def begun(stiffness=STIFF, cancelling=0.0, *, loads=0.0, prescribed=0.0, moved=0.0, stresses=()):
     scale = ForceScale(stiffness, cancelling)
     scale.begin(loads, prescribed, moved)
-    scale.see(max(stresses, default=0.0))
+    scale.update_stresses(max(stresses, default=0.0))
     return scale
 
 
@@ -20,16 +20,16 @@ def test_the_largest_forces_count():
     """Loads, stresses, and what was out of balance at the start."""
     scale = begun(loads=3.0, stresses=(5.0, 2.0))
     assert scale.forces == 5.0
-    assert scale.aim(0.0) == pytest.approx(5.0 * SOLVER_TOLERANCE)
-    scale.see(1.0)
+    assert scale.target(0.0) == pytest.approx(5.0 * SOLVER_TOLERANCE)
+    scale.update_stresses(1.0)
     assert scale.forces == 3.0
     scale.start(40.0)
-    scale.see(1.0)
+    scale.update_stresses(1.0)
     assert scale.forces == scale.least == 40.0
     assert scale.relative(4.0) == pytest.approx(0.1)
     scale.begin(3.0, 0.0, 0.0)  # a new step forgets it
     scale.start(math.inf)  # and forces that are not finite do not count
-    scale.see(math.nan)
+    scale.update_stresses(math.nan)
     assert scale.forces == 3.0
     assert not math.nan <= scale.allowed
 
@@ -52,8 +52,8 @@ def test_loads_that_end_at_zero():
 def test_bodies_far_away_on_soft_springs():
     """Solvers may stop at rounding of stiffness times displacement, but never above the share of the loads for a state."""
     scale = begun(loads=1.0)
-    assert (scale.aim(0.1), scale.aim(1e2)) == pytest.approx((SOLVER_TOLERANCE, MACHINE_EPSILON * STIFF * 1e2))
-    assert (scale.aim(1e12), scale.allowed) == pytest.approx((STATE_TOLERANCE, STATE_TOLERANCE))
+    assert (scale.target(0.1), scale.target(1e2)) == pytest.approx((SOLVER_TOLERANCE, MACHINE_EPSILON * STIFF * 1e2))
+    assert (scale.target(1e12), scale.allowed) == pytest.approx((STATE_TOLERANCE, STATE_TOLERANCE))
 
 
 def test_springs_between_bodies_round_more():

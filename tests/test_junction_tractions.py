@@ -44,7 +44,7 @@ def sheared(joint: Joint, element: str, supports=None, **layers) -> State:
 def left_over(state: State, surface: Surface, t: np.ndarray) -> np.ndarray:
     """Forces and moments on each brick, of tractions on S and of loads, (bricks, 3 or 6)."""
     model, d, out = state.model, state.model.joint.dim, []
-    pieces, v = model.joint.splitting.pieces, fem.Function(state.model.space(1))
+    pieces, v = model.joint.split_mesh.pieces, fem.Function(state.model.space(1))
     turns = [np.outer(a, b) - np.outer(b, a) for k, a in enumerate(np.eye(d)) for b in np.eye(d)[:k]]
     for number in range(pieces.max() + 1):
         below, above = ((surface.cells >= 0) & (pieces[surface.cells] == number)).T[..., None].astype(float)

@@ -184,12 +184,14 @@ def test_steps_lead_to_the_meshed_layer_and_half_the_gap_is_the_distance_from_th
             bounds = iteration.bounds(0.0, q, one, one)  # the compliance is its own weight
             assert bounds.upper - bounds.lower == pytest.approx(iteration.gap(one), rel=1e-9)
             missing, v = true - one.u, layers.at_faces(true)
-            in_bodies = missing @ (iteration._lack(one.u) - iteration._lack(true))
+            in_bodies = missing @ (iteration._missing_forces(one.u) - iteration._missing_forces(true))
             apart = (
                 layers.dirichlet_reactions(v, one.load, one.values)
                 - (one.F + layers.dirichlet_reactions(one.v, one.load, one.values)) / 2
             )
-            assert in_bodies + apart @ layers.moved(apart) == pytest.approx(iteration.gap(one) / 4, rel=1e-7)
+            assert in_bodies + apart @ layers.neumann_displacements(apart) == pytest.approx(
+                iteration.gap(one) / 4, rel=1e-7
+            )
             one = iteration.step(one)
         for _ in range(6):
             one = iteration.step(one)
@@ -347,7 +349,7 @@ def test_the_energy_above_the_least_is_between_its_bounds(name):
     """By what states store and dissipate: bodies at u_0 with the layer meshed between them, and the meshed structure."""
     state, found, full = yielding(name)
     layers = LayerSubproblem(state.model, dict(state.model.on_seams), 0.0)
-    layers.settled(layers.at_faces(state.u.x.array))
+    layers.equilibrate_dirichlet(layers.at_faces(state.u.x.array))
     outcomes, _ = layers._equations.end_parts(layers._equations.u, 0.0)
     in_layers = sum(one.after + one.dissipated for one in outcomes.values())
     given = state.energies()["bodies"] + in_layers - state.load_work()
@@ -366,7 +368,7 @@ def test_a_layer_that_softens_at_its_ends_without_saying_so_is_refused():
 def test_an_energy_that_is_not_convex_has_no_bounds():
     layers = LayerSubproblem(yielding("stiffens")[0].model, {"S": ThinLayer(Cubic(2.0, -50.0), EPS)}, 0.0)
     pressed = layers.on_face * 0.1 * np.random.default_rng(3).normal(size=len(layers.load))
-    refused(SolveError, "not convex", layers.divergence, pressed, 0 * pressed)
+    refused(SolveError, "not convex", layers.bregman_divergence, pressed, 0 * pressed)
 
 
 # ---------------------------------------------------------------- in time, bodies that are not linear
@@ -420,8 +422,8 @@ def test_densities_of_laws_with_unsymmetric_tangents_have_the_transposed_ones():
     assert Surface(found.better.model).integral(found.density()) == pytest.approx(change, rel=0.01)
     forces, weights = np.random.default_rng(5).normal(size=(2, dofs := history.last.u.x.array.size))
     with Adjoint(history.last) as adjoint:
-        moved, q = adjoint.displacements(np.arange(dofs), forces), adjoint.of_nodes(np.arange(dofs), weights)
-        z = adjoint.weights(q, adjoint.nothing()).u.x.array
+        moved, q = adjoint.displacements(np.arange(dofs), forces), adjoint.nodal_weights(np.arange(dofs), weights)
+        z = adjoint.weights(q, adjoint.zero_vector()).u.x.array
     assert weights @ moved == pytest.approx(z @ forces, rel=1e-9)
 
 

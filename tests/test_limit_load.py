@@ -87,7 +87,7 @@ def test_an_elastic_fraction_has_no_limit():
 
 def test_what_was_seen_farther_on_stays_a_sign(monkeypatch):
     """Newton's method may cycle just beyond the limit, where the weak springs matter most."""
-    seek, farthest = Solver.seek, 0.05
+    seek, farthest = Solver.solve_regularised, 0.05
 
     def cycles_nearby(solver, old, t, theta):
         if t - old.t < farthest:

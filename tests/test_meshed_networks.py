@@ -59,7 +59,7 @@ def test_running_bond(cell, bodies):
     """
     base = wall(2, 3, BRICK, 0.125, cell=cell)
     length, counts = lengths(base), set()
-    n_T = int((base.splitting.valence == 3).sum())
+    n_T = int((base.split_mesh.valence == 3).sum())
     for ratio in RATIOS:
         bed, head = ratio * 0.5, 0.7 * ratio * 0.5
         opened = inflate(base, {"BED": bed, "HEAD": head}, bodies=bodies)
@@ -167,7 +167,7 @@ def test_open_joints_are_gaps(cell, bodies):
     """Beds go on below and above open heads; heads end at open beds, where bricks would touch a fill at a corner only."""
     base = wall(2, 3, BRICK, 0.125, cell=cell)
     eps, length, free = {"BED": 0.02, "HEAD": 0.01}, lengths(base), {}
-    n_T = int((base.splitting.valence == 3).sum())
+    n_T = int((base.split_mesh.valence == 3).sum())
     for gap in eps:
         opened = inflate(base, eps, bodies=bodies, gaps=[gap])
         found = areas(opened)

@@ -30,7 +30,7 @@ def frames(path):
     with Image.open(path) as movie:
         found = []
         for number in range(movie.n_frames):
-            movie.seek(number)
+            movie.solve_regularised(number)
             found.append(np.asarray(movie.convert("RGB"), float) / 255)
         return found, movie.info["duration"]
 

@@ -50,7 +50,7 @@ def cut_at(joint: Joint, cut) -> Joint:
 
 def counts(joint: Joint) -> dict[int, int]:
     """Number of vertices with each number of components."""
-    number, times = np.unique(joint.splitting.valence, return_counts=True)
+    number, times = np.unique(joint.split_mesh.valence, return_counts=True)
     return dict(zip(number.tolist(), times.tolist(), strict=True))
 
 
@@ -66,16 +66,16 @@ SQUARE = sandwich(8.0, 4.0, 4.0, 1.0, cell="quadrilateral")
 def test_components_around_vertices():
     cross = cut_at(SQUARE, {"FLAT": (on(1, 0.0), (0, 1)), "STEEP": (on(0, 4.0), (1, 0))})
     assert counts(cross) == {1: 64, 2: 16, 4: 1}
-    assert cross.splitting.pieces.max() == 3
+    assert cross.split_mesh.pieces.max() == 3
     tip = cut_at(SQUARE, {"S": (lambda x, n: on(1, 0.0)(x, n) & (x[:, 0] < 5), (0, 1))})
     assert counts(tip) == {1: 76, 2: 5}
-    assert tip.splitting.components(1).sum() == 5  # facets
+    assert tip.split_mesh.components(1).sum() == 5  # facets
     one = cut_at(SQUARE, {"S": (lambda x, n: on(1, 0.0)(x, n) & (np.abs(x[:, 0] - 3.5) < 0.1), (0, 1))})
     assert counts(one) == {1: 81}
-    assert one.splitting.components(1).sum() == 1
+    assert one.split_mesh.components(1).sum() == 1
     bond = wall(3, 4, (1.0, 0.5), 0.25)
     assert counts(bond) == {1: 63, 2: 39, 3: 15}
-    assert bond.splitting.pieces.max() + 1 == 14
+    assert bond.split_mesh.pieces.max() + 1 == 14
 
 
 def test_components_follow_cells_not_numbers():

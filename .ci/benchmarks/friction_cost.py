@@ -86,7 +86,7 @@ class Bench:
             springs = part.nodes.stiffness(part.law.bonded(len(part.nodes.upper), self.dim))
             self.bonded.axpy(1.0, springs, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
             springs.destroy()
-        self.equations.hold(self.bonded)
+        self.equations.apply_bcs(self.bonded)
         self.bonded.setOption(PETSc.Mat.Option.SPD, True)
         near = self.equations.near_null
         self.bonded.setNearNullSpace(PETSc.NullSpace().create(vectors=near, comm=self.bonded.comm))
@@ -103,7 +103,7 @@ class Bench:
         def work() -> tuple[ContactSolver, StepSolution]:
             finder = SOLVER_OF_METHOD[default_method(self.model)](self.equations, None)
             with faster_products(serial=True):
-                return finder, finder.find(start)
+                return finder, finder.solve_step(start)
 
         seconds, (finder, solution) = timed(work)
         u = solution.x.copy()

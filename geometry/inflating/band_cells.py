@@ -40,7 +40,7 @@ class NodeCopies:
     @classmethod
     def of(cls, joint: Joint) -> NodeCopies:
         """The copies of a joint's nodes."""
-        surface, split, n = joint.surface, joint.splitting.of_nodes, len(joint.points)
+        surface, split, n = joint.surface, joint.split_mesh.of_nodes, len(joint.points)
         on_base = int(split.max(initial=0)) + 1
         sides = []
         for cells in joint.surface_cells.T:

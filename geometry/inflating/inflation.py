@@ -239,7 +239,7 @@ def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str
             raise InputError(f"the thickness varies along {name}: {NOT_KEPT_MESSAGE}")
     translation, motion = kept_motion(joint, thickness[:, 0]), np.zeros((n_nodes, joint.dim))
     require_room(joint, translation)
-    motion[copies.cells] = translation[joint.splitting.pieces][:, None]
+    motion[copies.cells] = translation[joint.split_mesh.pieces][:, None]
     motion[len(joint.points) :][copies.base] = translation[-1]
     return motion
 

@@ -38,7 +38,7 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     Raises:
         InputError: there is no such motion.
     """
-    pieces, cells, n, d = joint.splitting.pieces, joint.surface_cells, joint.interface_normals, joint.dim
+    pieces, cells, n, d = joint.split_mesh.pieces, joint.surface_cells, joint.interface_normals, joint.dim
     count = int(pieces.max()) + 1
     ends = np.where(cells >= 0, pieces[cells], count)
     count += bool((cells < 0).any())
@@ -126,8 +126,8 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
     """
     table, cells = joint.table, joint.surface_cells
     outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
-    piece = joint.splitting.pieces[table.cells[outer, 0]]
-    below = np.where(cells[:, 0] >= 0, joint.splitting.pieces[cells[:, 0]], len(translation) - 1)
+    piece = joint.split_mesh.pieces[table.cells[outer, 0]]
+    below = np.where(cells[:, 0] >= 0, joint.split_mesh.pieces[cells[:, 0]], len(translation) - 1)
     piece[np.searchsorted(outer, joint.surface_rows)] = below
     x = joint.points[table.vertices[outer]]
     low, high = np.full_like(translation, np.inf), np.full_like(translation, -np.inf)

@@ -65,7 +65,7 @@ class Applicability:
         return law_with_numbers(self.seam_layer.layer, self.seam_layer.structure.kinematics)
 
     @cached_property
-    def bent(self) -> str | None:
+    def curvature_text(self) -> str | None:
         """In what way the layer is not flat and of one thickness, if it is not."""
         if self.seam_layer.thin_layer and self.seam_layer.thin_layer.profile is not None:
             return "of a thickness that varies"
@@ -99,7 +99,7 @@ class Applicability:
         return self.free[np.full(len(self.free.vertices), self.why_not("ends") is not None)]
 
     @cached_property
-    def falls(self) -> FloatArray:
+    def pressure_lengths(self) -> FloatArray:
         """(n,) eps sqrt(lmbda/(12 mu)) at the loose sides, over which a pressure of order 1 falls to zero; may be inf."""
         thin, joint, at = self.seam_layer.thin_layer, self.seam_layer.sheet.joint, self.loose.vertices
         laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
@@ -109,15 +109,15 @@ class Applicability:
             return np.asarray(thin.eps * relative / np.sqrt(squares))
 
     @property
-    def coarse(self) -> BoolArray:
+    def is_coarse(self) -> BoolArray:
         """(n,) at which loose sides cells are longer than the fall of a pressure.
 
         It is not set to zero there, as if they were held: it would be too small over a whole cell.
         """
-        return np.asarray(self.loose.depth > self.falls)
+        return np.asarray(self.loose.depth > self.pressure_lengths)
 
     # ---------------------------------------------------------------- better laws
-    def better(self) -> ThinLayer:
+    def next_order(self) -> ThinLayer:
         """The layer with the law of order 1 that an error is estimated from, if the conditions of "estimate" hold.
 
         An elastic one has a pressure, but beside free ends for large nu alone: constants of others need no fine mesh.
@@ -131,7 +131,7 @@ class Applicability:
 
     # ---------------------------------------------------------------- ends
     @property
-    def known_ends(self) -> str:
+    def free_end_text(self) -> str:
         """What the law knows of the free ends, in words."""
         refused = self.why_not("ends")
         return f"not corrected, as {refused.reason}" if refused else "corrected" if self.weights else "none"
@@ -203,7 +203,7 @@ def _law_conditions(r: Applicability) -> Iterator[Violation]:
             seam_layer.thin_layer.profile, seam_layer.name
         )  # a user's function, may fail on one rank alone
     for sample in seam_layer.samples:
-        sample.at_rest.require_stable()
+        sample.initial_tangents.require_stable()
 
 
 def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
@@ -215,12 +215,14 @@ def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
         yield Violation("pressure in a sheet", "no pressure builds up in plane stress", "use LinearElastic or order=0")
     if setup.degree != 2:
         yield Violation("element", f"order=1 has gradients on S, elements are {setup.element}", "use degree 2")
-    if r.bent and r.bodies == "kept":
+    if r.curvature_text and r.bodies == "kept":
         remedy = "use bodies='extended', for the interface and the full model alike"
-        yield Violation("bent", f"order=1 {r.bent} needs bodies at their true places", remedy)
-    if r.bent and len(thin.law.sublayers) > 1:
-        yield Violation("bent stack", f"order=1 of a Stack {r.bent}: shares of the jump turn along S", MESH_REMEDY)
-    yield from filter(None, (sample.at_rest.locks() for sample in r.seam_layer.samples))
+        yield Violation("bent", f"order=1 {r.curvature_text} needs bodies at their true places", remedy)
+    if r.curvature_text and len(thin.law.sublayers) > 1:
+        yield Violation(
+            "bent stack", f"order=1 of a Stack {r.curvature_text}: shares of the jump turn along S", MESH_REMEDY
+        )
+    yield from filter(None, (sample.initial_tangents.locks() for sample in r.seam_layer.samples))
     if sheet.tip is not None:
         reason = (
             f"order=1 has gradients at the tip, and {r.seam_layer} ends at {place_text(sheet.tip)}, inside the bodies"
@@ -241,7 +243,7 @@ def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
         )
     n, sublayers = (
         r.seam_layer.sheet.mean_normal,
-        [sublayer for sample in r.seam_layer.samples for sublayer in sample.at_rest.sublayers],
+        [sublayer for sample in r.seam_layer.samples for sublayer in sample.initial_tangents.sublayers],
     )
     for law in (law for _, law, _ in sublayers if law.traits.softens):
         C = tangent_at_rest(law, n)
@@ -308,8 +310,8 @@ def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
         allowed = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
         yield Violation("no constants", f"free ends are not known of this {seam_layer.kind}: they are of {allowed}")
     yield from _straight_end_conditions(r, r.contrast)
-    if seam_layer.has_pressure_flow and r.coarse.any():
-        at, fall = place_text(sheet.joint.points[r.loose[r.coarse].vertices[0, 0]]), r.falls.min()
+    if seam_layer.has_pressure_flow and r.is_coarse.any():
+        at, fall = place_text(sheet.joint.points[r.loose[r.is_coarse].vertices[0, 0]]), r.pressure_lengths.min()
         reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
         yield Violation("coarse", reason, "make them shorter (h_ends=...)")
 
@@ -317,8 +319,8 @@ def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
 def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Violation]:
     """Of free ends that are straight, on a flat layer between rigid faces: its contrast with the bodies is large."""
     sheet = r.seam_layer.sheet
-    if r.bent:
-        yield Violation("bent", f"free ends are not known of a layer {r.bent}")
+    if r.curvature_text:
+        yield Violation("bent", f"free ends are not known of a layer {r.curvature_text}")
     for oblique in r.rim("oblique").vertices[:1]:
         at = place_text(sheet.joint.points[oblique[0]])
         yield Violation("oblique", f"something holds the layer's side at {at} neither along S nor across it")
@@ -340,7 +342,7 @@ def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
         yield Violation("functions", "the layer's parameters are functions")
     if seam_layer.has_pressure_flow:
         return
-    tangents = [C for _, _, C in seam_layer.at_rest.sublayers]
+    tangents = [C for _, _, C in seam_layer.initial_tangents.sublayers]
     if not seam_layer.law.traits.linear or seam_layer.remembers or len(tangents) != 1 or tangents[0] is None:
         yield Violation("not elastic", "the layer is not one linear elastic material")
         return
@@ -368,7 +370,10 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
     """Of the layer by itself, under forces on its faces: only the stresses of its strains bear them."""
     slots = r.seam_layer.structure.kinematics.slots(r.seam_layer.structure.joint.dim)
     for C in (
-        C[np.ix_(slots, slots)] for s in r.seam_layer.samples for _, _, C in s.at_rest.sublayers if C is not None
+        C[np.ix_(slots, slots)]
+        for s in r.seam_layer.samples
+        for _, _, C in s.initial_tangents.sublayers
+        if C is not None
     ):
         sizes = np.linalg.svd(C, compute_uv=False)
         if sizes[-1] <= SINGULARITY_TOLERANCE * sizes[0]:
@@ -380,10 +385,10 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
     """Of bodies that are bonded where the layer was, which it moves apart in one piece."""
-    if r.bent:
+    if r.curvature_text:
         remedy = "solve structure.full(layer, bodies='extended'), and compare goals: goal.value(state, model)"
         yield Violation(
-            "moved", f"bonded bodies meet on S, where {r.seam_layer} {r.bent} leaves them in no place", remedy
+            "moved", f"bonded bodies meet on S, where {r.seam_layer} {r.curvature_text} leaves them in no place", remedy
         )
 
 

@@ -196,7 +196,7 @@ class Constraints:
         """
         A, counts = self._rows, np.diff(self._rows.indptr)
         foreign = np.ones(len(A.indices), bool)
-        foreign[self._mine(A.indices)[0]] = False
+        foreign[self._owned(A.indices)[0]] = False
         columns, uses = np.unique(A.indices, return_counts=True)
         shared = np.concatenate([A.indices[foreign | (counts > 1).repeat(counts)], columns[uses > 1]])
         everywhere = self.comm.allgather(np.unique(np.concatenate([shared, *self.masters.values()])))
@@ -206,7 +206,9 @@ class Constraints:
         at = A.indptr[self._single]
         self._columns, self._coefficient = A.indices[at] - self.first, A.data[at]
         self._groups = _connected_rows(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
-        fixed = np.concatenate([self._columns, *(self._mine(group.columns[: group.rank])[1] for group in self._groups)])
+        fixed = np.concatenate(
+            [self._columns, *(self._owned(group.columns[: group.rank])[1] for group in self._groups)]
+        )
         slots = np.concatenate([*self.masters.values(), np.empty(0, np.int64)]) - self.first
         self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, slots)).astype(np.int32)
 
@@ -218,14 +220,14 @@ class Constraints:
         same = np.arange(self.n)
         i, j, v = [same], [self.first + same], [np.ones(self.n)]
         for group in turned:
-            owned, places = self._mine(group.columns)
+            owned, places = self._owned(group.columns)
             rows, columns = np.meshgrid(places, group.columns, indexing="ij")
             i.append(rows.ravel())
             j.append(columns.ravel())
             v.append((group.frame - np.eye(len(group.columns)))[owned].ravel())  # beside the identity
         return self._matrix(np.concatenate(i), np.concatenate(j), np.concatenate(v))
 
-    def _mine(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _owned(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which global numbers of displacements are of this rank, and their local numbers."""
         owned = np.flatnonzero((columns >= self.first) & (columns < self.first + self.n))
         return owned, columns[owned] - self.first
@@ -244,7 +246,7 @@ class Constraints:
         y = np.zeros(self.n)
         y[self._columns] = c[self._single] / self._coefficient
         for group, values in self._with_values(c):
-            owned, places = self._mine(group.columns[: group.rank])
+            owned, places = self._owned(group.columns[: group.rank])
             y[places] = group.constrained_values(values)[owned]
         return y[self.bc_dofs]
 
@@ -280,12 +282,12 @@ class Constraints:
         of_supports = touched[touched < len(self.prescribed.entry)]
         where = self.prescribed.place_of(int(of_supports[0])) if len(of_supports) else None
         place = f" at {at_place(where)}" if where is not None else ""
-        said = dict.fromkeys(self._said(int(k), c[k]) for k in touched)
+        said = dict.fromkeys(self._condition_text(int(k), c[k]) for k in touched)
         return f"contradictory supports{place}: " + " and ".join(said)
 
-    def _said(self, row: int, value: float) -> str:
+    def _condition_text(self, row: int, value: float) -> str:
         if row < len(self.prescribed.entry):
-            return self.prescribed.said(row, value)
+            return self.prescribed.condition_text(row, value)
         tie, k, _ = self._motions[row - len(self.prescribed.entry)]
         return f"the {tie.key} prescribes {tie.names[k]} = {value:.6g}"
 
@@ -299,7 +301,7 @@ class Constraints:
         y = u.copy()
         y[self.slaves] = 0.0
         for mpc in self.mpcs:
-            owned, places = self._mine(self.masters[mpc.key])
+            owned, places = self._owned(self.masters[mpc.key])
             y[places] = self.motion(mpc, u)[owned]
         return self._times(self.Q, y, transposed=True)
 
@@ -335,7 +337,7 @@ class Constraints:
         """(k,) the least forces of the supports' conditions, along their directions, that balance nodal forces r (n,)."""
         f = self._times(self._T0, r, transposed=True)
         columns = np.concatenate([np.empty(0, np.int64), *(group.columns for group in self._groups)])
-        owned, places = self._mine(columns)
+        owned, places = self._owned(columns)
         every = np.zeros(len(columns))
         every[owned] = f[places]
         parts = np.split(self.comm.allreduce(every), np.cumsum([len(group.columns) for group in self._groups]))
@@ -365,11 +367,11 @@ class Constraints:
         along = np.append(along, [shifts[tie.key][k] for tie, k, _ in self._motions])
         g = np.zeros(self.n)
         for tie in self.mpcs:  # of motions that are not prescribed: what balances their resultants
-            owned, places = self._mine(self.masters[tie.key])
+            owned, places = self._owned(self.masters[tie.key])
             g[places] = shifts[tie.key][owned]
         g[self._columns] = along[self._single] / self._coefficient
         for group, values in self._with_values(along):
-            owned, places = self._mine(group.columns)
+            owned, places = self._owned(group.columns)
             g[places] = (group.shares.T @ values)[owned]
         return self._times(self.Q, g, transposed=True)
 
@@ -388,7 +390,7 @@ class Constraints:
         first = dict(zip(self.masters, np.cumsum([0, *(mpc.count for mpc in self.mpcs)]).tolist(), strict=False))
         wide, y = motions, _without_rows(motions, self.slaves)
         if m:
-            owned, places = self._mine(np.concatenate([*self.masters.values()]))
+            owned, places = self._owned(np.concatenate([*self.masters.values()]))
             of_ties = scipy.sparse.csr_matrix((np.ones(len(owned)), (places, owned)), (self.n, m))
             y = scipy.sparse.hstack([y, of_ties], format="csr")
             wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")

@@ -88,7 +88,7 @@ class FullModel(Model):
             raise InputError(f"the seam {name!r} is open, and its width is not known: {remedy}")
         self.require("mesh")
 
-    def _check_beside(self, other: Self) -> None:
+    def _check_compatible(self, other: Self) -> None:
         self._check_layers()
         self._require_shapes(other)
         self._check_junctions(self._band)
@@ -178,7 +178,7 @@ class LayerModel(FullModel):
         force = setup.body_force
         setup.body_force = {k: v for k, v in force.items() if k in (*layers, S)} if isinstance(force, Mapping) else None
         free = [model.applicability[name].free.vertices.ravel() for name in layers]
-        self._ends, self._at_ends = joint.points[np.unique(np.concatenate([*free, joint.meetings]))], at_ends
+        self._ends, self._at_ends = joint.points[np.unique(np.concatenate([*free, joint.branch_vertices]))], at_ends
         super().__init__(setup, layers, bodies=model._bodies, cells_through=cells_through, junctions=None)
 
     def _checked(self) -> Joint:

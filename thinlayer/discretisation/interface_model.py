@@ -78,13 +78,13 @@ class InterfaceModel(Model):
         return tuple(name for name in self.bonds if name in self.joint.base_seams)
 
     @cached_property
-    def splitting(self) -> Splitting:
+    def split_mesh(self) -> Splitting:
         """As in `Model`: cut along the seams without a bond."""
         joint = self.domain.joint
         cut = [joint.rows_of(name) for name in joint.seams if name not in self.bonds]
-        return joint.split_along(np.concatenate([np.empty(0, np.int64), *cut])) if self.bonds else joint.splitting
+        return joint.split_along(np.concatenate([np.empty(0, np.int64), *cut])) if self.bonds else joint.split_mesh
 
-    def _check_beside(self, other: Self) -> None:
+    def _check_compatible(self, other: Self) -> None:
         self.require("interface law")
         if self.bonds != other.bonds:
             both = f"{list(other.bonds)}, not {list(self.bonds)}"
@@ -100,7 +100,7 @@ class InterfaceModel(Model):
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
         return at.moved(at.x + self._middle.offset) if self._middle else at
 
-    def _given_on(self, layer: SeamLayer) -> Expr | None:
+    def _layer_strain(self, layer: SeamLayer) -> Expr | None:
         strain = layer.prescribed_strain(self._coordinates_on(self.coordinates))
         if strain is None or not (self._middle or extract_coefficients(strain)):
             return strain
@@ -154,7 +154,7 @@ class InterfaceModel(Model):
             for reduction in self.applicability.values()
             if reduction.seam_layer.thin_layer and reduction.seam_layer.thin_layer.order
         ]
-        return [f"free ends of {reduction.seam_layer}: {reduction.known_ends}" for reduction in ordered]
+        return [f"free ends of {reduction.seam_layer}: {reduction.free_end_text}" for reduction in ordered]
 
     def shifts(self) -> FloatArray | None:
         """As in `Model`: by layers of order 1, whose law knows that faces stand apart, between bodies that meet on S."""
@@ -165,7 +165,7 @@ class InterfaceModel(Model):
         if self._middle or not eps.any() or np.isnan(eps).any():
             return None
         try:
-            return kept_motion(self.joint, eps)[self.joint.splitting.pieces]
+            return kept_motion(self.joint, eps)[self.joint.split_mesh.pieces]
         except InputError:  # bodies that do not part in one piece
             return None
 

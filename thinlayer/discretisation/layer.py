@@ -284,7 +284,7 @@ class SeamLayer:
         return [SeamLayer(self.name, replace(self.thin_layer, law=law), self.structure) for law in laws]
 
     @cached_property
-    def at_rest(self) -> InitialTangents:
+    def initial_tangents(self) -> InitialTangents:
         """The law at rest, of a layer without contact; its parameters are numbers (`samples`)."""
         return InitialTangents(law_with_numbers(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 

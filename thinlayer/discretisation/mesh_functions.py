@@ -258,6 +258,6 @@ def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fe
 def cut_at_faces(joint: Joint) -> Splitting:
     """The joint's mesh, cut along S, or at both faces of the meshed layer."""
     if joint.band is None:
-        return joint.splitting
+        return joint.split_mesh
     facets = [joint.facets[name] for name in joint.band.faces]
     return joint.split_along(np.unique(joint.table.index(np.concatenate(facets))))

@@ -130,7 +130,7 @@ class Model(ABC):
     def __init__(self, structure: Setup, layer: Layers, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
-        self._options, self.family, self.said = options, ModelFamily(), set[tuple[Hashable, ...]]()
+        self._options, self.family, self.issued_warnings = options, ModelFamily(), set[tuple[Hashable, ...]]()
         inflated = self._lay(layer, self._checked)
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
@@ -146,12 +146,12 @@ class Model(ABC):
         with errors_on_all(self.comm):
             self.supports = self._supports(structure.supports)
             self.body_strains = {name: self._given(name) for name in self.body_laws}
-            self.layer_strains = {name: self._given_on(seam_layer) for name, seam_layer in self.layers.items()}
+            self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
             if not (structure.strain is None and structure.stress is None):
                 self.require("mean strain")
             strain, stress = structure.strain, structure.stress
             self.strain = None if strain is None else MeanStrain(strain, self.coordinates, self.joint)
-        self.bodies = self._strained([term for names in self._alike() for term in self._body_terms(names)])
+        self.bodies = self._strained([term for names in self._body_groups() for term in self._body_terms(names)])
         self.layer_terms = self._terms_of_layers()
         with errors_on_all(self.comm):
             self.forces = self._forces(structure)
@@ -162,13 +162,13 @@ class Model(ABC):
             check_part_definitions(self.parts, self)
         self.constraints = self._constrained()
         self.require_supported()
-        self.made_from = self._data()
+        self.description = self._data()
 
     def warn(self, key: str, message: str, *of: Hashable) -> None:
         """Issue a RangeWarning, once for what it is of, such as a seam and a time. Collective."""
-        if (key, *of) not in self.said:
+        if (key, *of) not in self.issued_warnings:
             warn(key, message, self.comm)
-            self.said.add((key, *of))
+            self.issued_warnings.add((key, *of))
 
     def require_supported(self) -> None:
         """Raise InputError if the bodies can move as one."""
@@ -192,7 +192,9 @@ class Model(ABC):
                 name: Applicability(seam_layer, self._bodies) for name, seam_layer in self.layers.items()
             }
             checked = check()
-        self.mark = structure.mark + require_same(structure.comm, model=self.name, layer=layer, options=self._options)
+        self.data_hash = structure.data_hash + require_same(
+            structure.comm, model=self.name, layer=layer, options=self._options
+        )
         return checked
 
     def _given(self, name: str) -> Expr | None:
@@ -201,11 +203,11 @@ class Model(ABC):
         body = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
         return prescribed_strain(self.structure.eigenstrains.get(name), body)
 
-    def _given_on(self, layer: SeamLayer) -> Expr | None:
+    def _layer_strain(self, layer: SeamLayer) -> Expr | None:
         """The strain that is added to that of the displacements in a layer."""
         return layer.prescribed_strain(self.coordinates)
 
-    def _alike(self) -> list[list[str]]:
+    def _body_groups(self) -> list[list[str]]:
         """Names of the bodies, those of one law and one eigenstrain together."""
         groups: dict[tuple[int, int], list[str]] = {}
         for name, law in self.body_laws.items():
@@ -290,19 +292,19 @@ class Model(ABC):
         Raises:
             InputError: as there; another shape of a meshed layer.
         """
-        new = self._derived()
-        new.said = set()
-        return new._laid_beside(self, layer)
+        new = self._shared_copy()
+        new.issued_warnings = set()
+        return new._copy_with_layers(self, layer)
 
     def improved(self, layers: Mapping[str, ThinLayer]) -> Self:
         """This model with better laws of some layers, as by `with_layer`: what was said of it is not said again."""
-        return self._derived()._laid_beside(self, {**self.on_seams, **layers})
+        return self._shared_copy()._copy_with_layers(self, {**self.on_seams, **layers})
 
-    def _laid_beside(self, other: Self, layer: Layers) -> Self:
+    def _copy_with_layers(self, other: Self, layer: Layers) -> Self:
         """This copy of another model, with its layers. Collective."""
-        self._lay(layer, partial(self._check_beside, other))
+        self._lay(layer, partial(self._check_compatible, other))
         with errors_on_all(self.comm):
-            self.layer_strains = {name: self._given_on(seam_layer) for name, seam_layer in self.layers.items()}
+            self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
         self.layer_terms = self._terms_of_layers()
         with errors_on_all(self.comm):
             self.forces = self._forces(self.structure)
@@ -312,11 +314,11 @@ class Model(ABC):
                 raise InputError("with_layer: under a mean stress a meshed layer is a part of the cell; build a model")
         if self.constraints.mpcs:  # the thickness is an arm of plates
             self.constraints = self._constrained()
-        self.made_from = self._data()
+        self.description = self._data()
         return self
 
     @abstractmethod
-    def _check_beside(self, other: Self) -> None:
+    def _check_compatible(self, other: Self) -> None:
         """Raise an error unless the layers suit the mesh of another model."""
 
     def _require_shapes(self, other: Self) -> None:
@@ -352,10 +354,10 @@ class Model(ABC):
         with errors_on_all(self.comm):
             changed["loads"] = None if loads is None else check_loads(loads)
         updates = {name: value for name, value in changed.items() if value is not None}
-        new = self._derived()
-        new.said = set()
+        new = self._shared_copy()
+        new.issued_warnings = set()
         new.structure = structure = self.structure.with_loads(updates)
-        new.mark = digest([self.mark, structure.mark])
+        new.data_hash = digest([self.data_hash, structure.data_hash])
         with errors_on_all(self.comm):
             if supports is not None:
                 new.supports = self._supports(supports)
@@ -367,14 +369,14 @@ class Model(ABC):
             new.forces = new._forces(structure)
         if supports is not None:
             new.constraints = new._constrained()
-        new.made_from = new._data()
+        new.description = new._data()
         return new
 
     def _constrained(self) -> Constraints:
         ties = [part.multi_point_constraint(self) for part in self.parts if part.ties_nodes]
         return Constraints(Prescribed(self.supports, self.V), ties)
 
-    def _derived(self) -> Self:
+    def _shared_copy(self) -> Self:
         """A copy that shares all that this model has."""
         new = copy.copy(self)
         for name in ("linear", "symmetric", "quadratures", "surfaces"):
@@ -393,7 +395,7 @@ class Model(ABC):
 
     # ---------------------------------------------------------------- spaces
     @cached_property
-    def splitting(self) -> Splitting:
+    def split_mesh(self) -> Splitting:
         """The joint's mesh, cut where displacements jump."""
         return self.domain.joint.split_along(np.empty(0, np.int64))
 
@@ -413,7 +415,7 @@ class Model(ABC):
             family: basix family (default: Lagrange).
             broken_at_faces: whether functions also jump between the meshed layer and the bodies, or across S.
         """
-        cut = cut_at_faces(self.domain.joint) if broken_at_faces else self.splitting
+        cut = cut_at_faces(self.domain.joint) if broken_at_faces else self.split_mesh
         return vector_space(self.domain, cut, degree, family or "Lagrange")
 
     # ---------------------------------------------------------------- where laws act
@@ -544,7 +546,7 @@ class Model(ABC):
     # ---------------------------------------------------------------- identity
     def identity(self) -> dict[str, Any]:
         """Identity of the model, as JSON: equal for the same model in another process, on any number of ranks."""
-        return {"model": repr(self), **self.domain.joint.identity(), **self.made_from}
+        return {"model": repr(self), **self.domain.joint.identity(), **self.description}
 
     def _data(self) -> dict[str, Any]:
         return {

@@ -78,7 +78,7 @@ class PointLoad:
         vertex = joint.nearest_point(self.place)
         same = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
         cells, corners = np.nonzero(same[joint.corners])
-        chosen = _in_one_body(joint, cells, joint.splitting.components(0)[cells, corners], self.body, self.what)
+        chosen = _in_one_body(joint, cells, joint.split_mesh.components(0)[cells, corners], self.body, self.what)
         X = np.asarray(basix.geometry(basix.CellType[joint.cell_type]))
         return LoadNodes(cells[chosen : chosen + 1], X[corners[chosen : chosen + 1], None])
 
@@ -113,7 +113,7 @@ class LineLoad:
             refuse_periodic(joint, name, f"line load on {name!r}")
         if len(np.intersect1d(joint.table.index(names[self.first]), joint.table.index(names[self.second]))):
             raise InputError(f"{self.what}: both have the same facets; a line lies between two sides")
-        kind, numbers = basix.CellType[joint.cell_type], joint.splitting.entities(1, joint.corners)
+        kind, numbers = basix.CellType[joint.cell_type], joint.split_mesh.entities(1, joint.corners)
         _, edges, facets, _ = basix.topology(kind)
         inside = np.array([[k for k, edge in enumerate(edges) if {*edge} <= {*facet}] for facet in facets])
         of_names = []
@@ -124,7 +124,7 @@ class LineLoad:
         shared = np.intersect1d(*of_names)
         if not len(shared):
             raise InputError(f"{self.what}: they have no edge in common")
-        components, chosen = joint.splitting.components(1), []
+        components, chosen = joint.split_mesh.components(1), []
         every, columns = np.nonzero(np.isin(numbers, shared))
         for number in shared:
             here = np.flatnonzero(numbers[every, columns] == number)

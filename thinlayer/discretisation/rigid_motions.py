@@ -57,7 +57,7 @@ def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
     """(k,) 1 for the motions of `motion_fields` in which forces have a resultant, 0 for those that revolution cancels."""
     mask = np.zeros(motion_count(dim))
     mask[[*kinematics.translations(dim)]] = 1.0
-    mask[dim:] = float(kinematics.turns)
+    mask[dim:] = float(kinematics.rotations)
     return mask
 
 
@@ -96,7 +96,7 @@ def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
         if d == 3 and np.linalg.matrix_rank(vectors) == 1:
             axis = vectors[0] / np.linalg.norm(vectors[0])
             shares[f"rotation about ({', '.join(f'{c:.3g}' for c in axis)})"] = axis @ basis[d:] / size
-    elif kinematics.turns:
+    elif kinematics.rotations:
         for k, (i, j, sense) in reversed([*enumerate(ROTATION_PLANES[d])]):
             shares[f"rotation {AXIS_NAMES[i]}{AXIS_NAMES[j]}"] = basis[d + k] * sense / size
     return shares

@@ -85,7 +85,7 @@ class Setup:
             self.eigenstrains = {name: value for name, value in strains.items() if value is not None}
             for law, C in zip(self.bodies_with_numbers, self.bodies_at_rest, strict=True):
                 require_stable(law, C, slots=self.kinematics.slots(joint.dim))
-        self.mark = require_same(
+        self.data_hash = require_same(
             comm, joint=joint, body=body, supports=_ordered(supports), tractions=tractions, body_force=body_force,
             loads=self.loads, plane=plane, element=self.element, parts=self.parts, strain=strain, stress=stress,
             eigenstrain=eigenstrain,
@@ -97,7 +97,7 @@ class Setup:
         for name, value in loads.items():
             setattr(new, name, value)
         data = {name: _ordered(value) if name == "supports" else value for name, value in loads.items()}
-        new.mark = digest([self.mark, require_same(self.comm, **data)])
+        new.data_hash = digest([self.data_hash, require_same(self.comm, **data)])
         return new
 
     def __repr__(self) -> str:
@@ -136,7 +136,7 @@ class Setup:
         require_revolution(self.kinematics, joint)
         if self.strain is not None and self.stress is not None:
             raise InputError("give a mean strain or a mean stress, not both")
-        if not (self.kinematics.turns or (self.strain is None and self.stress is None)):
+        if not (self.kinematics.rotations or (self.strain is None and self.stress is None)):
             raise InputError(f"plane={self.plane!r}: a mean strain or stress is for periodic cells without an axis")
         if self.element not in elements:
             cells = f"{joint.cell_type} cells; allowed: {', '.join(elements)}"

@@ -282,7 +282,7 @@ class Prescribed:
                 values[rows] = source.value.x.array[self._dof[rows]]
         return values
 
-    def said(self, row: int, value: float) -> str:
+    def condition_text(self, row: int, value: float) -> str:
         """Words for a condition and its value."""
         if self._source_of[row] < 0:
             return "on the axis of revolution x = 0"

@@ -240,7 +240,7 @@ def _has_multi_point_constraints(model: InterfaceModel) -> bool:
 def _of_order_1(reduction: Applicability) -> ThinLayer:
     """The layer with its plain law of order 1; as it is where none is known, as of sublayers that are anisotropic."""
     try:
-        return replace(reduction.better(), edges="plain")
+        return replace(reduction.next_order(), edges="plain")
     except InputError:
         return reduction.seam_layer.thin_layer
 

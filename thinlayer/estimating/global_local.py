@@ -102,7 +102,7 @@ class GoalBounds:
         lower, upper = max(self.lower, other.lower), min(self.upper, other.upper)
         return replace(self, estimate=min(max(self.estimate, lower), upper), lower=lower, upper=upper)
 
-    def narrow(self, value: float, share: float) -> bool:
+    def is_narrow(self, value: float, share: float) -> bool:
         """Whether they are apart by less than a share of the change from a value, or by little more than rounding."""
         return self.upper - self.lower <= max(
             share * abs(self.estimate - value), MAX_WIDTH_OVER_ROUNDING * self.rounding
@@ -129,13 +129,13 @@ class GlobalLocal:
         self._others, self._nonlinear = others.parts, others.traits.nonlinear
         self._K_b = adjoint.tangent_of(others)
         self._x = self.equations.u.x.petsc_vec.duplicate()
-        self._loads = self.equations.loads.array_r - adjoint.of_layers
+        self._loads = self.equations.loads.array_r - adjoint.layer_loads
         self._shares = layers.on_free(layers.K.diagonal())[:, None]
         gram = layers.R.T @ (self._shares * layers.R)
         self._R = layers.R @ np.linalg.inv(np.linalg.cholesky(gram)).T if gram.size else layers.R
-        self._forget()
+        self._reset()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self._axes = np.empty((self._R.shape[1], 0))  # of the motions that have couples
         self._couples: list[tuple[Array, Array]] = []
 
@@ -143,16 +143,16 @@ class GlobalLocal:
     def _function(self, u: Array) -> fem.Function:
         return set_owned_values(fem.Function(self.model.V), u)
 
-    def _lack(self, u: Array) -> Array:
+    def _missing_forces(self, u: Array) -> Array:
         """Loads (m,) less the forces of all but the layers' laws, at displacements (m,)."""
         others = self.adjoint.forces(self._others, self.state, self._function(u), self.adjoint.interval)
         return np.asarray(self._loads - others)
 
-    def _pulled(self, forces: Array) -> Array:
+    def _face_forces(self, forces: Array) -> Array:
         """Forces on the faces, from nodal ones (m,)."""
         return self.layers.on_free(self.layers.at_faces(forces))
 
-    def _resisted(self, d: Array) -> Array:
+    def _linear_resistance(self, d: Array) -> Array:
         """Forces of all but the layers' laws, linearised, at small displacements (m,)."""
         self._x.array[:] = d
         out = self._x.duplicate()
@@ -161,12 +161,12 @@ class GlobalLocal:
         out.destroy()
         return forces
 
-    def _under(self, r: Array) -> tuple[Array, Array]:
+    def _displacements_under(self, r: Array) -> tuple[Array, Array]:
         """Displacements under forces on the faces, and forces that the bodies then hand on to the layers."""
         d = self.adjoint.displacements(*self.layers.of_faces(r))
-        return d, r - self._pulled(self._resisted(d))
+        return d, r - self._face_forces(self._linear_resistance(d))
 
-    def _balanced(self, u: Array, F: Array, load: Array, values: Array) -> BodyEquilibrium:
+    def _with_couples(self, u: Array, F: Array, load: Array, values: Array) -> BodyEquilibrium:
         """With couples on the faces so that forces F and those on the layers have no resultants.
 
         A couple is a solve with K_1; only motions that laws resist, or that loads on the layers drive, need one.
@@ -190,7 +190,7 @@ class GlobalLocal:
         if norm(new) > NEW_AXIS_SHARE * norm(along):  # less is left to the next turn, or rounding
             axis = new / norm(new)
             couple = self._shares[:, 0] * (self._R @ axis)
-            d, pulled = self._under(couple)
+            d, pulled = self._displacements_under(couple)
             self._couples.append((d, pulled - couple))
             self._axes = np.column_stack([self._axes, axis])
 
@@ -206,9 +206,11 @@ class GlobalLocal:
     def first(self) -> BodyEquilibrium:
         """The state."""
         u = self.state.u.x.array[: self.n].copy()
-        iterate = self._balanced(u, self._pulled(self._lack(u)), self.layers.load, self.layers.values)
+        iterate = self._with_couples(
+            u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.values
+        )
         self._start = iterate.F
-        return self._settled(iterate)
+        return self._linearised(iterate)
 
     def weights(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
         """Weights q (m,) of a goal at the displacements of this rank, and z."""
@@ -218,7 +220,9 @@ class GlobalLocal:
         loads = q.array_r[: self.n].copy()
         z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
         with self._transposed():
-            return loads, self._balanced(z, self._pulled(loads - self._resisted(z)), *goal.in_layers(self.layers))
+            return loads, self._with_couples(
+                z, self._face_forces(loads - self._linear_resistance(z)), *goal.in_layers(self.layers)
+            )
 
     @contextmanager
     def _transposed(self) -> Iterator[None]:
@@ -227,16 +231,16 @@ class GlobalLocal:
             yield
             return
         self.adjoint.transposed = True
-        self._forget()
+        self._reset()
         try:
             yield
         finally:
             self.adjoint.transposed = False
-            self._forget()
+            self._reset()
 
     def inside(self, iterate: BodyEquilibrium) -> Array:
         """What is in the layers."""
-        return self.layers.inside(iterate.v, iterate.load, iterate.values)
+        return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.values)
 
     def residual(self, iterate: BodyEquilibrium) -> Array:
         """r = F - (E u - l)."""
@@ -245,8 +249,8 @@ class GlobalLocal:
     def step(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """Toward the meshed layer."""
         layers, r, no = self.layers, self.residual(iterate), np.zeros_like(iterate.v)
-        d, F = self._under(r)
-        new = self._balanced(d, F, no, no)
+        d, F = self._displacements_under(r)
+        new = self._with_couples(d, F, no, no)
         d, v, F = new.u, new.v, new.F - r
         Kd = layers.dirichlet_reactions(v, no, no) - F
         for p, v_p, F_p, Kp in iterate.directions:
@@ -260,19 +264,19 @@ class GlobalLocal:
             iterate, u=iterate.u + a * d, v=iterate.v + a * v, F=iterate.F + a * F, directions=directions, gained=gained
         )
 
-    def _settled(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
+    def _linearised(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """The iterate, with the layers' tangent at it."""
-        self.layers.settled(iterate.v)
+        self.layers.equilibrate_dirichlet(iterate.v)
         return replace(iterate, load=self.layers.load, directions=())
 
-    def _with_bodies(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
+    def _equilibrate_bodies(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """The iterate, with bodies in equilibrium but for S, to first order, where they are not linear."""
         if not self._nonlinear:
             return iterate
-        missing = self._lack(iterate.u)
+        missing = self._missing_forces(iterate.u)
         missing[self.layers.of_faces(iterate.F)[0]] = 0.0
         d = self.adjoint.displacements(np.arange(self.n), missing)
-        v, F = iterate.v + self.layers.at_faces(d), iterate.F - self._pulled(self._resisted(d))
+        v, F = iterate.v + self.layers.at_faces(d), iterate.F - self._face_forces(self._linear_resistance(d))
         return replace(iterate, u=iterate.u + d, v=v, F=F, gained=iterate.gained + self._work(missing, d))
 
     def _work(self, forces: Array, d: Array) -> float:
@@ -284,7 +288,7 @@ class GlobalLocal:
 
     def newton_step(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """Toward meshed layers whose laws are not linear: conjugate steps with their tangent, while the energy falls."""
-        aim = self._with_bodies(iterate)
+        aim = self._equilibrate_bodies(iterate)
         for _ in range(MAX_CONJUGATE_STEPS):
             before, aim = aim.gained, self.step(aim)
             if aim.gained - before <= MIN_CONJUGATE_GAIN * (aim.gained - iterate.gained):
@@ -299,8 +303,8 @@ class GlobalLocal:
         def slope(share: float) -> float:
             nonlocal new
             u = iterate.u + share * du
-            lack = self._lack(u)
-            new = self._settled(replace(aim, u=u, v=iterate.v + share * dv, F=self._pulled(lack)))
+            lack = self._missing_forces(u)
+            new = self._linearised(replace(aim, u=u, v=iterate.v + share * dv, F=self._face_forces(lack)))
             return self._work(lack, du) - float(self.layers.dirichlet_reactions(new.v, new.load, new.values) @ dv)
 
         if (start := aim.gained - iterate.gained) > GAIN_TOLERANCE * abs(iterate.F @ iterate.v):
@@ -352,13 +356,13 @@ class GlobalLocal:
         layers, du = self.layers, iterate.u - u
         try:
             self._require_balance(iterate)
-            w = layers.settled(iterate.v)
-            borne = layers.pulled(w, iterate.F)
-            gap = layers.divergence(w, borne)[1]
-            between = layers.divergence(layers.settled(layers.at_faces(u)), borne)
+            w = layers.equilibrate_dirichlet(iterate.v)
+            borne = layers.equilibrate_neumann(w, iterate.F)
+            gap = layers.bregman_divergence(w, borne)[1]
+            between = layers.bregman_divergence(layers.equilibrate_dirichlet(layers.at_faces(u)), borne)
         except SolveError:
             return None
-        in_bodies = self._product(du, self._resisted(du)) / 2
+        in_bodies = self._product(du, self._linear_resistance(du)) / 2
         lower, upper = (in_bodies + part for part in between)
         return GoalBounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
 
@@ -373,7 +377,7 @@ class GlobalLocal:
         if width is None:
             return True
         narrow, share = (
-            all(bounds.narrow(values[name], width) for name, bounds in goal_bounds.items()),
+            all(bounds.is_narrow(values[name], width) for name, bounds in goal_bounds.items()),
             min(width, DEFAULT_WIDTH),
         )
         if not narrow or self.gap(iterate) > share**2 * iterate.gained:
@@ -404,7 +408,7 @@ class GlobalLocal:
         """A goal, as of `bounds`, with the residual at S weighed. Collective."""
         layers, w, w_z = self.layers, self.inside(iterate), self.inside(z)
         of_bodies = self._product(q, self.equations.constraints.unknowns(iterate.u)) + self._product(
-            z.u, self._lack(iterate.u)
+            z.u, self._missing_forces(iterate.u)
         )
         return float(at_rest + of_bodies + z.load @ w - w_z @ (layers.K @ w - iterate.load))
 
@@ -415,15 +419,17 @@ class GlobalLocal:
         """
         adjoint = self.adjoint
         if bonded:
-            pulls = self._lack(u.x.array[: self.n])
+            pulls = self._missing_forces(u.x.array[: self.n])
             pulls[self.equations.constraints.bc_dofs] = 0.0
             return z.u * pulls
         adjoint.forces(self._laws, self.state, u, adjoint.interval)
-        return adjoint.work(self._laws, Configuration(self._function(z.u), self.state.t)) - z.u * adjoint.of_layers
+        return adjoint.work(self._laws, Configuration(self._function(z.u), self.state.t)) - z.u * adjoint.layer_loads
 
     def states(self, iterate: BodyEquilibrium) -> tuple[State, State]:
         """The interface model, and its layers by themselves, at an iterate."""
-        return replace(self.state, u=self._function(iterate.u)), self.layers.state(self.layers.settled(iterate.v))
+        return replace(self.state, u=self._function(iterate.u)), self.layers.state(
+            self.layers.equilibrate_dirichlet(iterate.v)
+        )
 
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None

@@ -123,7 +123,7 @@ class Compliance(Goal):
         return float(np.nansum(np.abs([*state.energies().values()])))  # a law need not declare its energy
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        return adjoint.of_loads(), adjoint.of_prescribed()
+        return adjoint.load_weights(), adjoint.prescribed_motions()
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return 0.0  # reactions have it
@@ -175,11 +175,11 @@ class Reaction(DirectedGoal):
         if self.place in (S, BASE, *model.joint.base_seams):
             raise InputError(f"{self.name}: a rigid base holds it; there is no map of it")
         du = ufl.TestFunction(model.V)
-        q = adjoint.nothing()
+        q = adjoint.zero_vector()
         for part in model.parts:
             if any(is_part(place, self.place) for place, _ in part.reaction(model, adjoint.state.u)):
-                q.axpy(-1.0, adjoint.of_form(part.work(model, du, ufl.as_vector(along.tolist()))))
-        return q, adjoint.of_reaction(self.place, along)
+                q.axpy(-1.0, adjoint.form_weights(part.work(model, du, ufl.as_vector(along.tolist()))))
+        return q, adjoint.reaction_motions(self.place, along)
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return model.constraints.given_resultant(model.holder_rows(self.place), self.unit(model), state.t)
@@ -234,7 +234,7 @@ class MeanTraction(DirectedGoal):
         u = fem.Function(model.V)
         if (added := model.added_work(u, v)).integrals():
             works += ufl.derivative(added, u, du)
-        return adjoint.of_form(works), adjoint.nothing()
+        return adjoint.form_weights(works), adjoint.zero_vector()
 
     def _test(self, model: InterfaceModel) -> fem.Function:
         """Displacements in which the reactions of the bodies on the seam do the mean traction's work.
@@ -338,7 +338,7 @@ class Displacement(DirectedGoal):
         if len(mine):
             dofs = (V.dofmap.list[mine[0]][:, None] * d + np.arange(d)).ravel().astype(np.int64)
             values = (V.ufl_element().basix_element.tabulate(0, located.X[:1])[0, 0, :, 0][:, None] * e).ravel()
-        return adjoint.of_nodes(dofs, values), adjoint.nothing()
+        return adjoint.nodal_weights(dofs, values), adjoint.zero_vector()
 
 
 @dataclass(frozen=True)
@@ -389,4 +389,4 @@ class Functional(Goal):
         return none if derivative.empty() else derivative
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        return adjoint.of_form(self._derivative(adjoint.state.u, adjoint.model)), adjoint.nothing()
+        return adjoint.form_weights(self._derivative(adjoint.state.u, adjoint.model)), adjoint.zero_vector()

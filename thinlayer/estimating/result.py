@@ -204,12 +204,15 @@ class Estimate:
         alone, z = self._layers, self._weights[goal]
         layers = {name: error.layer for name, error in self.layers.items()}
         fine = DirichletLayers(LayerModel(model, layers, alone.through, at_ends), self.state.t)
-        inside = alone.inside(alone.at_faces(self.better.u.x.array), alone.load, alone.values)
-        weights, goal_values = alone.inside(z.v, z.load, z.values), []
-        finer = alone.in_parts(inside, fine), alone.in_parts(weights, fine)
+        inside = alone.dirichlet_displacements(alone.at_faces(self.better.u.x.array), alone.load, alone.values)
+        weights, goal_values = alone.dirichlet_displacements(z.v, z.load, z.values), []
+        finer = alone.in_refined_cells(inside, fine), alone.in_refined_cells(weights, fine)
         for subproblem, w, w_z in ((alone, inside, weights), (fine, *finer)):
             load_z, values_z = self._goals[goal].in_layers(subproblem)
-            w, w_z = subproblem.inside(w, subproblem.load, subproblem.values), subproblem.inside(w_z, load_z, values_z)
+            w, w_z = (
+                subproblem.dirichlet_displacements(w, subproblem.load, subproblem.values),
+                subproblem.dirichlet_displacements(w_z, load_z, values_z),
+            )
             goal_values.append(load_z @ w - w_z @ (subproblem.K @ w - subproblem.load))
         return float(self.goals[goal].better + goal_values[1] - goal_values[0])
 

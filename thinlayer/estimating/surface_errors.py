@@ -62,11 +62,11 @@ def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyE
         _add_nodal(sums, state.model, -loads.array_r * state.u.x.array[: loads.getLocalSize()])
         loads.destroy()
     v, moved = layers.at_faces(u.x.array), layers.at_faces(better.u.x.array)
-    layers.settled(moved)
+    layers.equilibrate_dirichlet(moved)
     layers.transpose()
     inside, missing = iteration.inside(z), iteration.residual(z)
     layers.transpose()
-    w = layers.settled(v)
+    w = layers.equilibrate_dirichlet(v)
     of_layers = layers.work(w, inside)
     of_layers -= (missing * (moved - v) + z.load * w)[: len(of_layers)]
     band = layers.model.domain.joint

@@ -124,8 +124,8 @@ def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
     """Raise InputError unless both models have the same data but for the layer's law."""
     there, here = (
-        {name: model.made_from[name] for name in ("plane", "bodies", "loads")}
-        | {"supports": model.made_from["supports"][: len(model.supports.user_entries)]}
+        {name: model.description[name] for name in ("plane", "bodies", "loads")}
+        | {"supports": model.description["supports"][: len(model.supports.user_entries)]}
         for model in (full, interface)
     )
     if there != here:

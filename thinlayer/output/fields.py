@@ -66,7 +66,7 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
             raise InputError(f"surface is {surface!r:.80}; give Surface(limit.model), of an interface model")
         if surface is not None and surface.model.joint is not states[0].model.joint:
             raise InputError("a surface is of an interface model of the same joint as the states")
-    require_same(comm, models=states[0].model.mark, states=[state.t for state in states], path=str(path))
+    require_same(comm, models=states[0].model.data_hash, states=[state.t for state in states], path=str(path))
     path = Path(path)
     folder = path.with_name(f"{path.stem}_pvd")
     on_root(comm, lambda: _make_room(path, folder))

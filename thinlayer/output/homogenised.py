@@ -71,7 +71,7 @@ def homogenised_stiffness(model: Model) -> Array:
 def _check(model: Model) -> None:
     if not isinstance(model, Model) or model.joint.periods is None:
         raise InputError(f"homogenised_stiffness needs a model of a periodic joint (geometry.periodic), not {model!r}")
-    if not model.kinematics.turns:
+    if not model.kinematics.rotations:
         raise InputError(f"homogenised_stiffness, plane={model.plane!r}: a body of revolution has no mean strain")
     model.require("mean strain")
     for law in (p.law for p in model.terms if not p.proportional):

@@ -271,7 +271,7 @@ def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
     Where `joined`, bonded bodies have one.
     """
     joint = surface.joint
-    cut = surface.model.splitting if joined else joint.splitting
+    cut = surface.model.split_mesh if joined else joint.split_mesh
     of = np.stack([joint.components_at(cells, surface.corners, cut) for cells in surface.cells.T])
     numbers = joint.masters[surface.corners] * (of.max() + 2) + of + 1
     unique, positions = np.unique(numbers, return_inverse=True)

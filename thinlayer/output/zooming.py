@@ -105,10 +105,10 @@ class Zoom:
             layers[name] = replace(thin, order=0, edges=None)
         divided = LayerModel(model, layers, cells_through, at_ends)
         coarse = LayerSubproblem(model, layers, state.t, cells_through)
-        w = coarse.settled(coarse.at_faces(state.u.x.array))
+        w = coarse.equilibrate_dirichlet(coarse.at_faces(state.u.x.array))
         self._require_faces(coarse.state(w))
         fine = DirichletLayers(divided, state.t)
-        return fine.state(fine.settled(coarse.in_parts(w, fine)))
+        return fine.state(fine.equilibrate_dirichlet(coarse.in_refined_cells(w, fine)))
 
     @property
     def eps(self) -> float:

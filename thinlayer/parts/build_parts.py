@@ -98,4 +98,4 @@ def _free_vertices(model: Model, term: Term) -> Array | None:
         return None
     layer = next(layer for layer in model.layers.values() if layer.key == term.key)
     applicability = model.applicability[layer.name]
-    return points_on_middle(model.domain.joint)[np.unique(applicability.loose[~applicability.coarse].vertices)]
+    return points_on_middle(model.domain.joint)[np.unique(applicability.loose[~applicability.is_coarse].vertices)]

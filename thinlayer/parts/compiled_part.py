@@ -35,7 +35,7 @@ def softening_law(
 ) -> tuple[str, str] | None:
     """Name of a law whose stress falls at strains e or since e_old, and where; None: it does not. Collective."""
     term = points.term
-    count = points.comm.allreduce(points.falls(e, e_old, memory, response))
+    count = points.comm.allreduce(points.softening_points(e, e_old, memory, response))
     return (type(term.law.in_space).__name__, f"at {count} points of the {term.key or LAYER_KIND}") if count else None
 
 

@@ -143,7 +143,7 @@ class CompiledTerm(Quadrature):
         name = type(law.in_space).__name__
         return f"the {what} of {name} is not finite at x = ({', '.join(f'{c:g}' for c in self.x[k])}){why}"
 
-    def falls(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
+    def softening_points(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
         """Number of this rank's points where stresses fall as the layer opens or slips, at strains e or since e_old.
 
         Stresses fall where the tangent is negative for a strain sym(v (x) n) of some jump v, or, for a law without memory,

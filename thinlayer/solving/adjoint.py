@@ -74,26 +74,26 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             else:
                 A = equations.tangent()
                 self._tangent = A.copy()
-                equations.hold(A)
+                equations.apply_bcs(A)
                 self._renew(A)
 
     def _renew(self, A: PETSc.Mat) -> None:
         mark_symmetry(A, self.model, saddle=self.equations.traits.saddle)
-        self.equations.factor.renew(A, None, self.equations.tell)
+        self.equations.factor.renew(A, None, self.equations.set_preconditioner_data)
 
     def __exit__(self, *_: object) -> None:
         self.equations.destroy()
 
     # ---------------------------------------------------------------- goals, as vectors of unknowns
-    def nothing(self) -> PETSc.Vec:
+    def zero_vector(self) -> PETSc.Vec:
         """Zero."""
         return self.equations.vector()
 
-    def of_form(self, form: Expr) -> PETSc.Vec:
+    def form_weights(self, form: Expr) -> PETSc.Vec:
         """The values q of a UFL form that is linear in a test function of the model's displacements."""
         return self.equations.on_unknowns(assemble_forces(compiled(form)))
 
-    def of_nodes(self, dofs: IntArray, values: Array) -> PETSc.Vec:
+    def nodal_weights(self, dofs: IntArray, values: Array) -> PETSc.Vec:
         """Weights q (n,) at displacements (n,), local numbers that one rank gives, ghosts included."""
         f, forces = fem.Function(self.model.V), self.equations.u.x.petsc_vec.duplicate()
         np.add.at(f.x.array, dofs, values)
@@ -101,26 +101,26 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         forces.array[:] = f.x.array[: self.equations.n_displacements]
         return self.equations.on_unknowns(forces)
 
-    def of_loads(self) -> PETSc.Vec:
+    def load_weights(self) -> PETSc.Vec:
         """The loads as weights q, those of plates included, without those on the layers, which bear these themselves."""
         loads = self.equations.loads.copy()
-        loads.array[:] -= self.of_layers
+        loads.array[:] -= self.layer_loads
         return self.equations.on_unknowns(loads, [part.load for part in self.equations.with_own])
 
     @cached_property
-    def of_layers(self) -> Array:
+    def layer_loads(self) -> Array:
         """Nodal forces (m,) that the interface model has for loads on its layers. Collective."""
         return np.asarray(self.model.forces.nodal_at(self.model.V, self.state.t, layers=True).array_r.copy())
 
-    def of_prescribed(self) -> PETSc.Vec:
+    def prescribed_motions(self) -> PETSc.Vec:
         """Motions g: the displacements that supports prescribe."""
-        g = self.nothing()
+        g = self.zero_vector()
         g.array[self.equations.bc_dofs] = self.equations.prescribed
         return g
 
-    def of_reaction(self, place: Place, direction: Array) -> PETSc.Vec:
+    def reaction_motions(self, place: Place, direction: Array) -> PETSc.Vec:
         """Motions g for which -g . r is the force along a direction (d,) of supports and plates at a place."""
-        g, model = self.nothing(), self.model
+        g, model = self.zero_vector(), self.model
         dual = model.constraints.dual_to_resultant(model.holder_rows(place), direction)
         g.array[: self.equations.n_displacements] = -dual
         return g
@@ -146,7 +146,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             destroy(x, r)
         after, before = residuals
         on_S = equations.vector()
-        on_S.array[: equations.n_displacements] = self.model.constraints.forces(self.of_layers) * layers
+        on_S.array[: equations.n_displacements] = self.model.constraints.forces(self.layer_loads) * layers
         terms = np.concatenate([(q.array_r + on_S.array_r) * d.array_r, g.array_r * (before - after)])
         destroy(d, on_S)
         change, least = self.model.comm.allreduce(np.array([terms.sum(), np.abs(terms).sum()]))
@@ -157,7 +157,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     # ---------------------------------------------------------------- displacements and weights
     def displacements(self, dofs: IntArray, forces: Array) -> Array:
         """Small displacements (m,) under forces (n,) at displacements, local numbers that one rank gives; supports hold."""
-        q, x = self.of_nodes(dofs, forces), self.equations.vector()
+        q, x = self.nodal_weights(dofs, forces), self.equations.vector()
         q.array[self.equations.bc_dofs] = 0.0
         self._solve(q, x, transposed=self.transposed)
         return np.asarray(self.equations.configuration(x).u.x.array[: self.equations.n_displacements])

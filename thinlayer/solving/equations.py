@@ -88,7 +88,9 @@ class Equations(PartSum):
         self._rigid = RigidMotions(model, float(diagonal.norm()))
         (self.block_of, self.within), self.last_body = self._rigid.blocks, [None, *kept.bodies][-1]
         self.n_blocks = self.within.shape[0]
-        self.scale = ForceScale(self.norms(diagonal.array_r), max([0.0, *self.ask("cancelling")]), self.within)
+        self.scale = ForceScale(
+            self.norms(diagonal.array_r), max([0.0, *self.call_optional("cancelling")]), self.within
+        )
         self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
         self._reactions = SupportReactions(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
@@ -127,7 +129,7 @@ class Equations(PartSum):
         return bc_dofs.astype(np.int64), values
 
     @property
-    def held_rows(self) -> npt.NDArray[PETSc.IntType]:
+    def bc_rows(self) -> npt.NDArray[PETSc.IntType]:
         """Global numbers of the held unknowns."""
         return self._layout.rows(self.bc_dofs)
 
@@ -140,12 +142,12 @@ class Equations(PartSum):
             K.axpy(1.0, other, DIFFERENT_PATTERN)
         return K
 
-    def hold(self, A: PETSc.Mat, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
+    def apply_bcs(self, A: PETSc.Mat, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
         """Replace rows and columns of held unknowns in a tangent by those of a mean stiffness times the identity.
 
         Their values x, if given, go to the right-hand side b: then the solution has them.
         """
-        A.zeroRowsColumns(self.held_rows, self.mean_stiffness or 1.0, x, b)
+        A.zeroRowsColumns(self.bc_rows, self.mean_stiffness or 1.0, x, b)
 
     @cached_property
     def near_null(self) -> list[PETSc.Vec]:
@@ -156,7 +158,7 @@ class Equations(PartSum):
             x.array[: self.n_displacements] = self.constraints.unknowns(motion.x.array[: self.n_displacements])
         return orthonormal(vectors)
 
-    def tell(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
+    def set_preconditioner_data(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
         """Tell the preconditioner of a tangent, with supports, what it can use: rigid motions, blocks of the unknowns."""
         kind = ksp.getPC().getType()
         if kind in MULTIGRID_TYPES:
@@ -173,7 +175,7 @@ class Equations(PartSum):
         """
         if not self.traits.weakens:
             largest = self.comm.allreduce(float(np.abs(self.u.x.array).max(initial=0.0)), max)
-            of_blocks, rounding = self.scale.aim(largest), self.u.x.petsc_vec.duplicate()
+            of_blocks, rounding = self.scale.target(largest), self.u.x.petsc_vec.duplicate()
             of_blocks = of_blocks if r is None else np.maximum(of_blocks, self.residual_norms(r))
             rounding.array[:] = of_blocks[self.block_of]
             self._rigid.require_resisted(self.resisting(self._relative_residual, rounding))
@@ -205,13 +207,13 @@ class Equations(PartSum):
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
             largest_displacement = max(largest_displacement, across)
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
-        moved = max([moved, *self.ask("distance")])
+        moved = max([moved, *self.call_optional("distance")])
         if self.mean_stiffness:  # about that of an elastic response
             moved = max(moved, float(self.loads.norm()) / (self.mean_stiffness * math.sqrt(self.loads.getSize())))
         self.scale.begin(self.norms(self.loads.array_r), largest_displacement, moved)
         self.begin_parts(interval)
         self.external.set(0.0)
-        self.ask("add_fixed", self.external)
+        self.call_optional("add_fixed", self.external)
         self.external.aypx(-1.0, self.loads)
 
     def loads_at(self, t: float) -> PETSc.Vec:
@@ -225,7 +227,7 @@ class Equations(PartSum):
         b.array[:] += self.constraints.loads_at(t)
         return b
 
-    def given_forces(self) -> PETSc.Vec:
+    def prescribed_forces(self) -> PETSc.Vec:
         """The forces of the present step that are given, as those on the unknowns."""
         return self.on_unknowns(self.external, [part.load for part in self.with_own])
 
@@ -235,7 +237,7 @@ class Equations(PartSum):
         fields = {part.key: part.own_result() for part in self.with_own}
         return Configuration(self.u.copy(), self.interval.t, fields=fields)
 
-    def given_forces_at(self, t: float) -> PETSc.Vec:
+    def prescribed_forces_at(self, t: float) -> PETSc.Vec:
         """Loads and given forces of parts at a time, as those on the unknowns."""
         return self.on_unknowns(self.loads_at(t), [part.load_at(t) for part in self.with_own])
 
@@ -270,7 +272,7 @@ class Equations(PartSum):
         of_parts = self.forces(self.u, self._mid, self._forces)
         of_all = np.zeros(self.n_blocks)
         of_all[: None if self.model.strain or self.model.stress else 1] = max(of_parts, default=0.0)  # equal everywhere
-        self.scale.see(np.maximum(self.of_bodies, of_all))
+        self.scale.update_stresses(np.maximum(self.of_bodies, of_all))
         self._forces.axpy(-1.0, self.loads)
         rows = self._layout.split(out.array)
         rows[DISPLACEMENT_KEY][:] = np.nan if self.failed else self._forces.array_r
@@ -299,7 +301,7 @@ class Equations(PartSum):
         """The tangent at the unknowns of the last residual, with supports.
 
         Args:
-            x, b: as in `hold`.
+            x, b: as in `apply_bcs`.
             lend: whether the `with` block factors the matrix and all else may do without it: then, without x, the matrix
                 of the bodies may stand for it.
         """
@@ -307,16 +309,16 @@ class Equations(PartSum):
         first, *others = self.blocks(self._relative_residual) if lend and alone else [Block(None)]
         if not first.kept or first.factor != 1:
             A = self.tangent()
-            self.hold(A, x, b)
+            self.apply_bcs(A, x, b)
             yield A
             return
-        with augmented_in_place(self.comm, first.matrix, others, self.held_rows, self.mean_stiffness or 1.0) as A:
+        with augmented_in_place(self.comm, first.matrix, others, self.bc_rows, self.mean_stiffness or 1.0) as A:
             yield A
 
     def set_homotopy(self, ease: float) -> None:
         """Replace laws by eased ones: 0 is the law itself, 1 an elastic one."""
         self.homotopy_parameter = ease
-        self.ask("set_homotopy", ease)
+        self.call_optional("set_homotopy", ease)
 
     def accept(self, x: PETSc.Vec, report: Report) -> State:
         """The state at the end of the step, for its solution x.
@@ -387,12 +389,12 @@ class Equations(PartSum):
 
     def _given_at(self, t: float) -> list[Array]:
         """Loads, prescribed displacements, given strains and varying parameters at time t, on this rank."""
-        self.ask("at_time", t)
+        self.call_optional("at_time", t)
         return [
             self.loads_at(t).array_r.copy(),
             self.constraints.values(t),
             *self._strains_at(t),
-            *chain(*self.ask("parameters")),
+            *chain(*self.call_optional("parameters")),
         ]
 
     def _strains_at(self, t: float) -> list[Array]:

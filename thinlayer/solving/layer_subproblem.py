@@ -76,9 +76,9 @@ class DirichletLayers:
         """Let K be its transpose, until the next call or `linearise`: goals' weights need it."""
         if not self.model.symmetric:
             self.K = scipy.sparse.csr_matrix(self.K.T)
-            self._forget()
+            self._reset()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         for factor in ("_dirichlet", "_neumann"):
             vars(self).pop(factor, None)
 
@@ -108,7 +108,7 @@ class DirichletLayers:
         r = self.residual(w)
         self.K = local_csr(self._equations.tangent())
         self.load = self.K @ w - r
-        self._forget()
+        self._reset()
 
     def state(self, w: Array) -> State:
         """The layers at displacements, and other unknowns, w."""
@@ -120,7 +120,7 @@ class DirichletLayers:
     def _dirichlet(self) -> _SubmatrixFactor:
         return _SubmatrixFactor(self.K, self._inside, symmetric=self.model.symmetric)
 
-    def inside(self, v: Array, load: Array, values: Array) -> Array:
+    def dirichlet_displacements(self, v: Array, load: Array, values: Array) -> Array:
         """Displacements of layers whose faces are at v, under forces and with prescribed displacements of their sides.
 
         If laws are not linear their tangent is in their place, see `linearise`.
@@ -129,13 +129,15 @@ class DirichletLayers:
         self._dirichlet.solve(load - self.K @ w, w)
         return w
 
-    def settled(self, v: Array) -> Array:
-        """As `inside`, under the layers' own forces, with their laws, which are linearised there.
+    def equilibrate_dirichlet(self, v: Array) -> Array:
+        """As `dirichlet_displacements`, under the layers' own forces, with their laws, which are linearised there.
 
         Raises:
             SolveError: it is not found.
         """
-        return self._balanced(self.inside(v, self.load, self.values), np.zeros(len(v)), lambda: self._dirichlet)
+        return self._balanced(
+            self.dirichlet_displacements(v, self.load, self.values), np.zeros(len(v)), lambda: self._dirichlet
+        )
 
     def _balanced(self, w: Array, forces: Array, factor: Callable[[], _SubmatrixFactor]) -> Array:
         """Displacements, from w on, under forces on the unknowns of a factor, by Newton's method."""
@@ -152,7 +154,7 @@ class DirichletLayers:
             first = factor().solve(forces - self.residual(w), d)
             rounding = ROUNDING_SHARE * np.abs(w[: self._displacements]).max(initial=0.0)
             if first <= max(NEWTON_TOLERANCE**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
-                if factor().negative > self._inside[self._displacements :].sum():  # each pressure has one
+                if factor().negative_pivots > self._inside[self._displacements :].sum():  # each pressure has one
                     raise SolveError(
                         "the layer by itself softens: its stress falls as strains grow", advice=MESH_REMEDY
                     )
@@ -168,7 +170,7 @@ class DirichletLayers:
         out[: self._displacements] = -self.model.constraints.dual_to_resultant(self.model.holder_rows(place), direction)
         return out
 
-    def in_parts(self, w: Array, fine: DirichletLayers) -> Array:
+    def in_refined_cells(self, w: Array, fine: DirichletLayers) -> Array:
         """(m,) displacements w of these layers in cells that are parts of theirs; other unknowns are zero there."""
         divided, d = fine.model.divided, self.model.joint.dim
         if divided is None:
@@ -269,18 +271,18 @@ class LayerSubproblem(DirichletLayers):
     # ---------------------------------------------------------------- E and its inverse
     def dirichlet_reactions(self, v: Array, load: Array, values: Array) -> Array:
         """Forces that hold the faces at v, zero where supports hold them."""
-        return self.on_free(self.K @ self.inside(v, load, values) - load)
+        return self.on_free(self.K @ self.dirichlet_displacements(v, load, values) - load)
 
     def on_free(self, r: Array) -> Array:
         """Values at the faces that supports leave free, zero elsewhere."""
         return np.where(self.free_faces, r, 0.0)
 
-    def moved(self, r: Array) -> Array:
+    def neumann_displacements(self, r: Array) -> Array:
         """Displacements of the faces under forces on them that have no resultant."""
         return self.compliance(r)[0]
 
     def compliance(self, r: Array) -> tuple[Array, float]:
-        """Displacements as of `moved`, and the work r . E^+ r of the forces in them.
+        """Displacements as of `neumann_displacements`, and the work r . E^+ r of the forces in them.
 
         The work is infinite if rounding hides it. A layer of length L that can bend freely is (L/eps)^4 times as soft as
         one that is stretched across.
@@ -290,11 +292,11 @@ class LayerSubproblem(DirichletLayers):
         lost = abs(work - float(w @ (self.K @ w)))
         return np.where(self.on_face, w, 0.0), work if lost <= MAX_WORK_DIFFERENCE * work else math.inf
 
-    def pulled(self, w: Array, F: Array) -> Array:
-        """Displacements, from w on, of layers with forces F on their faces, which have no resultant; as `settled`."""
+    def equilibrate_neumann(self, w: Array, F: Array) -> Array:
+        """Displacements, from w on, under forces F on the faces that have no resultant; as `equilibrate_dirichlet`."""
         return self._balanced(w, F, lambda: self._neumann)
 
-    def divergence(self, w: Array, at: Array) -> tuple[float, float]:
+    def bregman_divergence(self, w: Array, at: Array) -> tuple[float, float]:
         """Bounds of the energy at w above its tangent plane at another place, of laws whose energy is convex.
 
         It is the work in w - at of residuals on the straight way, less that of the first one. Along it their work grows, so
@@ -327,7 +329,7 @@ class _SubmatrixFactor:
         self._x, self._b = A.createVecs()
 
     @property
-    def negative(self) -> int:
+    def negative_pivots(self) -> int:
         """Number of negative eigenvalues of a symmetric matrix."""
         if not (self._symmetric and self._which.any()):
             return 0

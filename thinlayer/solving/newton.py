@@ -73,7 +73,7 @@ class StepSolution:
     """Unknowns at the end of a step.
 
     Attributes:
-        x: the unknowns; the vector belongs to the finder and is valid until the next `find` or `close`.
+        x: the unknowns; the vector belongs to the finder and is valid until the next `solve_step` or `close`.
         iterations: number of iterations; of Newton's method, if the finder uses it.
         residual: norm of the residual relative to the forces.
     """
@@ -95,7 +95,7 @@ class EquilibriumSolver(ABC):
     reused = False
 
     @abstractmethod
-    def find(self, start: PETSc.Vec | None = None) -> StepSolution:
+    def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
         """The unknowns at the end of the step. Collective.
 
         Args:
@@ -105,7 +105,7 @@ class EquilibriumSolver(ABC):
             SolveError: the unknowns were not found.
         """
 
-    def forget(self) -> bool:
+    def reset(self) -> bool:
         """Drop what depends on the last step. True if this step used it: then another try may succeed."""
         return False
 
@@ -127,13 +127,13 @@ class NewtonSolver(EquilibriumSolver):
         self._factor = equations.factor
         self._vectors = [equations.vector() for _ in range(4)]
 
-    def forget(self) -> bool:
+    def reset(self) -> bool:
         """Drop the solver with its factor. True if the last step used that of an earlier one."""
         self._factor.destroy()
         was_reused, self.reused = self.reused, False
         return was_reused
 
-    def find(self, start: PETSc.Vec | None = None) -> StepSolution:
+    def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
         """Unknowns at the end of the step; if `start` is given, Newton's method begins there without a linear step.
 
         Errors as in `solve`.
@@ -226,14 +226,14 @@ class NewtonSolver(EquilibriumSolver):
             else:
                 equations.require_unique()
             mark_symmetry(A, equations.model, saddle=equations.traits.saddle)
-            self.reused = self._factor.renew(A, key, equations.tell) and not self.nonlinear
+            self.reused = self._factor.renew(A, key, equations.set_preconditioner_data) and not self.nonlinear
             if once:
                 self._factor.set_up()
 
     def _require_finite(self, quantity: str, size: float) -> None:
         """Raise SolveError if `size`, the norm of a quantity at the start of the step, is NaN or infinite."""
         if not math.isfinite(size):
-            names = " or ".join(sorted({*self.equations.having("unchecked")}))
+            names = " or ".join(sorted({*self.equations.names_with_trait("unchecked")}))
             advice = "at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small), or a ufl.conditional"
             raise SolveError(f"the {quantity} of {names} is not finite at the start of the step", advice=advice)
 
@@ -339,7 +339,7 @@ class NewtonSolver(EquilibriumSolver):
 
         def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
             equations.tangent()
-            equations.hold(P)
+            equations.apply_bcs(P)
 
         def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> Any:
             nonlocal given_up
@@ -356,7 +356,7 @@ class NewtonSolver(EquilibriumSolver):
             return Reason.CONVERGED_FNORM_ABS if equations.is_balanced(x, r) else False
 
         A = equations.tangent()
-        equations.hold(A)
+        equations.apply_bcs(A)
         snes = PETSc.SNES().create(equations.comm)
         snes.setOptionsPrefix(PREFIX)
         snes.setFunction(function, x.duplicate())
@@ -364,7 +364,7 @@ class NewtonSolver(EquilibriumSolver):
         if self._own_test:
             snes.setConvergenceTest(converged)
         snes.setFromOptions()
-        equations.tell(snes.getKSP(), A)
+        equations.set_preconditioner_data(snes.getKSP(), A)
         solve_nonlinear(snes, x)
         reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
         if self._own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN

@@ -83,7 +83,7 @@ class ForceScale:
             max(prescribed, moved),
         )
         self._support_rounding = MACHINE_EPSILON * self.stiffness * prescribed
-        self.see(0.0)
+        self.update_stresses(0.0)
 
     def start(self, unbalanced: Array) -> None:
         """Take the norms of the residual at the start of the step; the step may have no other forces."""
@@ -93,7 +93,7 @@ class ForceScale:
         """Take the largest displacement of an elastic response; that of another iterate may be out of all proportion."""
         self.displacement = max(self.displacement, elastic)
 
-    def see(self, stresses: Array | float) -> None:
+    def update_stresses(self, stresses: Array | float) -> None:
         """Take norms of the forces of the stresses at a new residual."""
         rounding = ROUNDING_SHARE * self.stiffness * self.displacement
         self.least = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / STATE_TOLERANCE)
@@ -105,7 +105,7 @@ class ForceScale:
         """Rounding of the forces (k,)."""
         return np.asarray(MACHINE_EPSILON * self._largest_stiffness * largest_displacement)
 
-    def aim(self, largest_displacement: float) -> Array:
+    def target(self, largest_displacement: float) -> Array:
         """Norms (k,) of the residual at which solvers stop."""
         rounded = np.minimum(self.rounding(largest_displacement), self.allowed)
         return np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounded)
@@ -160,17 +160,17 @@ class PartSum:
         """The parts of a kind."""
         return [part for part in self.parts if isinstance(part, kind)]
 
-    def having(self, trait: str) -> list[str]:
+    def names_with_trait(self, trait: str) -> list[str]:
         """Names of the laws, and of parts that are none, that have a trait."""
         return [name for part in self.parts for name, traits in part.named().items() if getattr(traits, trait)]
 
     def refuse(self, reasons: Mapping[str, str]) -> None:
         """Raise InputError if a part has one of these traits, with the reason, in which {} is the part's name."""
         for trait, reason in reasons.items():
-            for name in self.having(trait):
+            for name in self.names_with_trait(trait):
                 raise InputError(reason.format(name))
 
-    def ask(self, name: str, *arguments: Any) -> list[Any]:
+    def call_optional(self, name: str, *arguments: Any) -> list[Any]:
         """What an optional method or attribute gives in each of the parts that have it, see `Part`."""
         answers = [getattr(part, name) for part in self.parts if hasattr(part, name)]
         return [answer(*arguments) if callable(answer) else answer for answer in answers]
@@ -219,7 +219,7 @@ class PartSum:
 
     def failure(self) -> str:
         """Text that says which part failed in the last evaluation and where; "" if none did."""
-        return next(filter(None, self.ask("failure")), "")
+        return next(filter(None, self.call_optional("failure")), "")
 
     def blocks(self, relative_residual: float = 0.0) -> list[Block]:
         """Blocks of the tangent at the last evaluation."""
@@ -233,11 +233,11 @@ class PartSum:
     @property
     def excess(self) -> float:
         """Largest gain of energy if a column changed its phase; <= 0: no column gains."""
-        return max([-np.inf, *self.ask("excess")])
+        return max([-np.inf, *self.call_optional("excess")])
 
     def switch(self) -> bool:
         """Change columns to the phases of lowest energy in the last evaluation. True if any column changes."""
-        return any(self.ask("switch"))
+        return any(self.call_optional("switch"))
 
     def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, StepOutcome], Configuration]:
         """End the step in all parts, at displacements u of the last evaluation: energies by key, new configuration."""
@@ -269,13 +269,13 @@ class PartSum:
         """The largest norm of a residual relative to the forces on its block."""
         return self.scale.relative(self.residual_norms(r))
 
-    def aim(self, x: PETSc.Vec) -> Array:
+    def target(self, x: PETSc.Vec) -> Array:
         """Norms (k,) of the residual at which solvers stop, at unknowns x."""
-        return self.scale.aim(float(x.norm(PETSc.NormType.INFINITY)))
+        return self.scale.target(float(x.norm(PETSc.NormType.INFINITY)))
 
     def is_balanced(self, x: PETSc.Vec, r: PETSc.Vec) -> bool:
         """Whether solvers stop at unknowns x with the residual r."""
-        return bool((self.residual_norms(r) <= self.aim(x)).all())
+        return bool((self.residual_norms(r) <= self.target(x)).all())
 
     def require_equilibrium(self, r: PETSc.Vec) -> None:
         """Raise SolveError unless a residual is small against the forces in each block.
@@ -410,7 +410,7 @@ def augmented_in_place(
         K: a matrix with symmetric pattern; after the block its entries are the same as before.
         others: the other blocks; those not kept are destroyed.
         bc_rows: rows and columns that become those of `value` times the identity.
-        value: see `constrained_values`.
+        value: of the diagonal in these rows.
     """
     submatrix = K.createSubMatrix(
         _block_indices(K, bc_rows)

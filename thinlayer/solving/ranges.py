@@ -69,8 +69,11 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
         for key, remark in _model_remarks(model, layer, lasting):
             model.warn(key, remark, layer.name)
     for name, reduction in model.applicability.items() if model.broken else ():
-        if reduction.seam_layer.has_pressure_flow and reduction.coarse.any():
-            delta, largest = reduction.falls[reduction.coarse].min(), reduction.loose[reduction.coarse].depth.max()
+        if reduction.seam_layer.has_pressure_flow and reduction.is_coarse.any():
+            delta, largest = (
+                reduction.pressure_lengths[reduction.is_coarse].min(),
+                reduction.loose[reduction.is_coarse].depth.max(),
+            )
             what = f"the pressure of {reduction.seam_layer} falls to zero at free ends over delta = {delta:.3g}"
             remedy = "it is not set to zero there, as if they were held; make cells there shorter"
             model.warn("coarse ends", f"{what}, and cells there are up to {largest:.3g} long: {remedy}", name)
@@ -226,7 +229,9 @@ def _thickness_remarks(model: Model, seam_layer: SeamLayer, sublayers: list[Rest
         yield "thick", f"{what}: the interface law is for thicknesses well below that of the bodies; {remedy}"
     if layer.order == 1 or not sublayers or any(C is None for C in model.structure.bodies_at_rest):
         return
-    softest = min(in_plane_modulus(C, seam_layer.at_rest.n) for C in model.structure.bodies_at_rest if C is not None)
+    softest = min(
+        in_plane_modulus(C, seam_layer.initial_tangents.n) for C in model.structure.bodies_at_rest if C is not None
+    )
     hardest = max(sublayer.along for sublayer in sublayers)
     if hardest > softest > 0:
         what = f"{seam_layer} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S)"

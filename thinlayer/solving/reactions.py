@@ -113,7 +113,7 @@ class RigidMotions:
     def _pieces(self) -> Indices:
         """Connected piece of each node of this rank, ghosts included."""
         model, V = self.model, self.model.V
-        pieces, dofs = model.splitting.pieces, np.asarray(V.dofmap.list)
+        pieces, dofs = model.split_mesh.pieces, np.asarray(V.dofmap.list)
         of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int32)
         of[dofs] = model.domain.on_cells(pieces)[: len(dofs), None]
         joint, first = model.domain.joint, np.unique(pieces, return_index=True)[1]
@@ -128,7 +128,7 @@ class RigidMotions:
         on the bodies, whose forces they bear. They are within each piece, which may have no other forces.
         """
         model, V, joint = self.model, self.model.V, self.model.domain.joint
-        pieces = (model.splitting if joint.band is None else cut_at_faces(joint)).pieces
+        pieces = (model.split_mesh if joint.band is None else cut_at_faces(joint)).pieces
         count, dofs = int(pieces.max()) + 1, np.asarray(V.dofmap.list)
         of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int64)
         in_layer = np.isin(
@@ -210,10 +210,10 @@ class RigidMotions:
         axes, shift = [*self.model.kinematics.translations(d)], np.zeros(d)
         shift[axes], turn = np.split(each[k, :, -1], [len(axes)])
         joint = self.model.domain.joint
-        middle = joint.points[joint.corners[self.model.splitting.pieces == k]].mean(axis=(0, 1))
+        middle = joint.points[joint.corners[self.model.split_mesh.pieces == k]].mean(axis=(0, 1))
         where = f" at {place_text(middle)}" if self._names.count(self._names[k]) > 1 else ""
         body = f"body {self._names[k]!r}{where}"
-        if self.model.kinematics.turns and np.linalg.matrix_rank(each[k], tol=INDEPENDENCE_TOLERANCE) == self._per:
+        if self.model.kinematics.rotations and np.linalg.matrix_rank(each[k], tol=INDEPENDENCE_TOLERANCE) == self._per:
             return f"{body} can move and turn freely"
         if np.abs(turn).max(initial=0.0) > np.abs(shift).max():
             if self.model.joint.periods:

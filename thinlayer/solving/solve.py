@@ -166,7 +166,7 @@ class Solver(AbstractContextManager["Solver"]):
             named = isinstance(options or {}, Mapping) and all(isinstance(name, str) for name in options or {})
             require(named, "options", options, "it must be {name without prefix: value}")
         self._given, self._like = dict(options or {}), like
-        marks = {"models": model.mark, "like": like and [like.model.mark, like.t]}
+        marks = {"models": model.data_hash, "like": like and [like.model.data_hash, like.t]}
         require_same(model.comm, **marks, options=self._given, method=self.method)
         self._log = logger("solve", model.comm)
         for line in model.remarks:
@@ -175,9 +175,9 @@ class Solver(AbstractContextManager["Solver"]):
         traits = self.equations.traits
         self.yields, self.bounded = traits.bounded, traits.bounded or traits.releases
         self._warned = False  # whether the user was warned of a law that softens
-        self._ways = self._ways_of(self.method)  # without those before one that has succeeded
+        self._solve_ways = self._ways_of(self.method)  # without those before one that has succeeded
         if method is None and self.method == "multigrid" and not (self._given or options_set()):
-            self._ways += self._ways_of("newton")
+            self._solve_ways += self._ways_of("newton")
         self._finders = dict[str, EquilibriumSolver]()
         self._finder = self._finder_of(self.method)
 
@@ -253,15 +253,15 @@ class Solver(AbstractContextManager["Solver"]):
         start = time.perf_counter()
         self.equations.begin(TimeStep(old, t, t - old.t, theta))
         attempts = [attempt for attempt in self._attempts() if thorough or not attempt.uses_homotopy]
-        solves = [self._from_like(attempts[0], old) or self._work_through(attempts)]
+        solves = [self._from_like(attempts[0], old) or self._try_in_turn(attempts)]
         while not keep_phases and self.equations.switch():
             self._log.info("t = %g: columns change their phase; the equilibrium is found again", t)
-            solves.append(self._work_through(attempts))
+            solves.append(self._try_in_turn(attempts))
         last_solution, iterations = solves[-1][0], sum(solution.iterations for solution, _ in solves)
         seconds, eased = time.perf_counter() - start, sum(eased for _, eased in solves)
         return self._accept(last_solution.x, Report(self.method, iterations, last_solution.residual, seconds, eased))
 
-    def seek(self, old: State, t: float, theta: float = 1.0) -> State:
+    def solve_regularised(self, old: State, t: float, theta: float = 1.0) -> State:
         """State at the end of a step for which `step` has failed, by weak springs at all nodes. Collective.
 
         Raises:
@@ -270,12 +270,14 @@ class Solver(AbstractContextManager["Solver"]):
         start = time.perf_counter()
         near = [attempt for attempt in self._attempts() if not attempt.uses_homotopy]
         self._log.info("t = %g: weak springs at all nodes are tried", t)
-        linear = self._ways[0][1] or linear_solvers(self.model, self.equations.parts)[0]  # contact alone has none yet
+        linear = (
+            self._solve_ways[0][1] or linear_solvers(self.model, self.equations.parts)[0]
+        )  # contact alone has none yet
         springs = WeakSprings(self.equations, {**linear, **self._given})
 
         def follow(end: float) -> StepSolution:
             step = TimeStep(old, end, end - old.t, theta)
-            return springs.follow(self.rest(end), step, lambda begin: self._work_through(near, begin))[0]
+            return springs.follow(self.rest(end), step, lambda begin: self._try_in_turn(near, begin))[0]
 
         solution = follow(t)
         seconds = time.perf_counter() - start
@@ -303,7 +305,7 @@ class Solver(AbstractContextManager["Solver"]):
     def _accept(self, x: PETSc.Vec, report: Report) -> State:
         """The state; warns, once, if the stress of a law falls that does not declare `softens`."""
         state = self.equations.accept(x, report)
-        falling = [] if self._warned else [*filter(None, self.equations.ask("undeclared_softening"))]
+        falling = [] if self._warned else [*filter(None, self.equations.call_optional("undeclared_softening"))]
         for name, where in falling[:1]:
             self._warned = True
             what = f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow"
@@ -325,9 +327,9 @@ class Solver(AbstractContextManager["Solver"]):
             | (YIELDING_OPTIONS if self.yields else SINGULAR_OPTIONS if traits.singular else {})
             | contact
         )
-        for method, linear in self._ways:
+        for method, linear in self._solve_ways:
             name = ", ".join(filter(None, (method, str(linear.get("pc_type", "")))))
-            options = newton if method == "newton" else FAIL_FAST if len(self._ways) > 1 else {}
+            options = newton if method == "newton" else FAIL_FAST if len(self._solve_ways) > 1 else {}
             attempts.append(SolveAttempt(name, (method, linear), options))
         last = attempts[-1]
         if traits.has_homotopy and self._finder.has_homotopy:
@@ -335,7 +337,7 @@ class Solver(AbstractContextManager["Solver"]):
             attempts.append(replace(last, name="eased laws", options=options, uses_homotopy=True))
         return attempts
 
-    def _work_through(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
+    def _try_in_turn(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
         """Result of the first attempt that succeeds, with the iterations of all; number of solves with eased laws.
 
         Ways that fail are dropped for all later steps if a later one succeeds.
@@ -346,7 +348,7 @@ class Solver(AbstractContextManager["Solver"]):
         """
         why, errors = "", list[SolveError]()
         for attempt in attempts:
-            if attempt.way not in self._ways:
+            if attempt.way not in self._solve_ways:
                 continue
             if why:
                 self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, why)
@@ -356,10 +358,10 @@ class Solver(AbstractContextManager["Solver"]):
                 )
             except SolveError as error:
                 why = f"{attempt.name} failed: {error.reason}"
-                if attempt.way == self._ways[-1]:
+                if attempt.way == self._solve_ways[-1]:
                     errors.append(error.with_traceback(None))  # which has this frame, that has the errors
             else:
-                self.method, self._ways = attempt.way[0], self._ways[self._ways.index(attempt.way) :]
+                self.method, self._solve_ways = attempt.way[0], self._solve_ways[self._solve_ways.index(attempt.way) :]
                 return replace(solution, iterations=solution.iterations + sum(len(e.residuals) for e in errors)), solves
         if isinstance(errors[-1], LooseBody) and len(errors) > 1:
             errors[-1].residuals = (*errors[0].residuals, *errors[-1].residuals)
@@ -376,12 +378,12 @@ class Solver(AbstractContextManager["Solver"]):
         while True:
             try:
                 with chosen_options(ours, self._given), faster_products(serial=self.equations.comm.size == 1):
-                    solution = self._finder.find(start)
+                    solution = self._finder.solve_step(start)
                     if not self._finder.reused:
                         require_all_read(attempt.way[0], ours.keys() - self._given.keys())
             except SolveError as error:
                 self._log.debug("%s: failed after %d iterations: %s", attempt.name, len(error.residuals), error.reason)
-                if not self._finder.forget():
+                if not self._finder.reset():
                     raise
             else:
                 done = attempt.name, solution.iterations, solution.residual, time.perf_counter() - began

@@ -176,9 +176,9 @@ class StepProblem(PartSum):
         self.residual(None, x, self._forces)
         assert self._interval is not None
         self.scale.begin(0.0, self.comm.allreduce(float(np.abs(self._prescribed()).max(initial=0.0)), max), moved)
-        self.scale.see(max(self._sizes))
+        self.scale.update_stresses(max(self._sizes))
         if self.residual_norms(self._forces) > self.scale.allowed:
-            self.scale.see(max(*self._sizes, self._self_balanced()))
+            self.scale.update_stresses(max(*self._sizes, self._self_balanced()))
         self.require_equilibrium(self._forces)
         if self.excess > EXCESS_TOLERANCE:
             raise SolveError("columns of the layer must change phase: call switch() and solve until it returns False")

@@ -108,7 +108,7 @@ class WeakSprings:
         """
         equations, r, d = self.equations, self._r, self._d
         equations.begin(TimeStep(rest, step.old.t, step.dt, 1.0))
-        loads, prescribed = equations.given_forces(), equations.prescribed
+        loads, prescribed = equations.prescribed_forces(), equations.prescribed
         ease = equations.homotopy_parameter
         equations.set_homotopy(1.0)
         try:
@@ -119,10 +119,10 @@ class WeakSprings:
         finally:
             equations.set_homotopy(ease)
         A.shift(MIN_STIFFNESS * self._unit)
-        r.waxpy(-1.0, loads, equations.given_forces())
+        r.waxpy(-1.0, loads, equations.prescribed_forces())
         d.set(0.0)
         d.array[equations.bc_dofs] = equations.prescribed - prescribed
-        equations.hold(A, d, r)
+        equations.apply_bcs(A, d, r)
         self._solve_linear(A, r, d)
         return float(d.norm())
 
@@ -157,7 +157,7 @@ class WeakSprings:
     def _is_solved(self, x: Array) -> bool:
         """Whether the residual is small against the forces of the springs on each block."""
         springs = self._stiffness * self.equations.norms(x - self._start)
-        return bool((self._norms <= np.maximum(RESIDUAL_TOLERANCE * springs, self.equations.aim(self._x))).all())
+        return bool((self._norms <= np.maximum(RESIDUAL_TOLERANCE * springs, self.equations.target(self._x))).all())
 
     def _solve(self, x: Array) -> Array | None:
         """The equilibrium with springs, from x on; None: it was not found."""
@@ -165,7 +165,7 @@ class WeakSprings:
         while len(sizes) <= MAX_NEWTON_STEPS and math.isfinite(sizes[-1]):
             A = self.equations.tangent()
             A.shift(self._stiffness)
-            self.equations.hold(A)
+            self.equations.apply_bcs(A)
             self._solve_linear(A, self._r, self._d)
             x, size = self._search(x, -self._d.array_r, max(sizes[-COMPARED_RESIDUALS:]))
             sizes.append(size)
@@ -190,5 +190,5 @@ class WeakSprings:
     def _solve_linear(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
         mark_symmetry(A, self.equations.model, saddle=True)
         with chosen_options(self._options):
-            self._factor.renew(A, None, self.equations.tell)
+            self._factor.renew(A, None, self.equations.set_preconditioner_data)
             solve_linear(self._factor.ksp, b, x)

@@ -72,8 +72,8 @@ class RestingSublayer:
 
 def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer]:
     """The sublayers of a layer under loads that have lasted dt (0: at rest); [] if tangents are not known."""
-    n, sublayers = layer.at_rest.n, layer.at_rest.sublayers
-    later = layer.at_rest.over(dt) if dt > 0 else [None] * len(sublayers)
+    n, sublayers = layer.initial_tangents.n, layer.initial_tangents.sublayers
+    later = layer.initial_tangents.over(dt) if dt > 0 else [None] * len(sublayers)
     resting: list[RestingSublayer] = []
     for (a, law, C), C_later in zip(sublayers, later, strict=True):
         if C is None and C_later is None:
@@ -94,8 +94,8 @@ def acts_as_springs(sublayers: list[RestingSublayer]) -> bool:
 
 def jump_stiffness(layer: SeamLayer) -> tuple[float, float]:
     """Normal and least tangential stiffness of the layer at rest, per area; zeros if they are not known."""
-    n, compliances = layer.at_rest.n, np.zeros(2)
-    for fraction, _, C in layer.at_rest.sublayers:
+    n, compliances = layer.initial_tangents.n, np.zeros(2)
+    for fraction, _, C in layer.initial_tangents.sublayers:
         if C is None:
             return 0.0, 0.0
         A = acoustic_tensor(C, n)

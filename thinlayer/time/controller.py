@@ -67,15 +67,15 @@ class Controller(ABC):
     @property
     def done(self) -> bool:
         """Whether the march has come to its end."""
-        return self._passed == len(self.targets)
+        return self._passed_times == len(self.targets)
 
     @property
     def target(self) -> float:
         """The next time at which a step must end."""
-        return self.targets[self._passed]
+        return self.targets[self._passed_times]
 
     @property
-    def _passed(self) -> int:
+    def _passed_times(self) -> int:
         return bisect_right(self.targets, self.last.t + self.near)
 
     @abstractmethod

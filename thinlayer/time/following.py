@@ -58,7 +58,7 @@ class ArcLengthController(Controller):
         if steps and before and not pace.weight:
             pace.weight, self._aimed = self._weight(before, last), None
         ends = [self.start, *self.targets]
-        self._curve.middle = (ends[self._passed] + self.target) / 2
+        self._curve.middle = (ends[self._passed_times] + self.target) / 2
         try:
             if self._aimed is not last:
                 self._aim()
@@ -94,10 +94,10 @@ class ArcLengthController(Controller):
         state = None
         if last.t + arc * self._curve.slope >= target - self.near:
             with suppress(SolveError):  # the path may turn back before the target
-                state = self._curve.land(last, None, target)
+                state = self._curve.solve_at_time(last, None, target)
         if state is None:
             state = self._curve.step(last, arc)
-            state = self._curve.land(last, state, target) if state.t > target - self.near else state
+            state = self._curve.solve_at_time(last, state, target) if state.t > target - self.near else state
         return self._checked(state, length)
 
     def _through_corner(self, length: float) -> list[State]:

@@ -128,7 +128,7 @@ class EquilibriumPath:
         change.set(0.0)
         change.array[bc_dofs] = (equations.prescribed - prescribed) / short
         self._matrix = equations.tangent()
-        self._matrix.zeroRowsColumns(equations.held_rows, 1.0, change, dR)
+        self._matrix.zeroRowsColumns(equations.bc_rows, 1.0, change, dR)
         mark_symmetry(self._matrix, equations.model, saddle=True)
         self._solve(dR, change)
         self._solve(self._r, self._step)
@@ -137,7 +137,7 @@ class EquilibriumPath:
     def _solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
         with chosen_options(self._options):
             try:
-                self._factor.renew(self._matrix, None, self.equations.tell)
+                self._factor.renew(self._matrix, None, self.equations.set_preconditioner_data)
                 solve_linear(self._factor.ksp, b, x)
             except PETSc.Error:
                 self._factor.destroy()
@@ -225,7 +225,7 @@ class EquilibriumPath:
         """
         return self._find(last, self._point(last) + length * self._direction, self._direction, length, turn)
 
-    def land(self, last: State, beyond: State | None, t: float) -> State:
+    def solve_at_time(self, last: State, beyond: State | None, t: float) -> State:
         """The equilibrium at time t, between the states `last` and `beyond` (None: the predictor). Errors as in `step`."""
         point, at_t = self._point(last), np.zeros_like(self._direction)
         at_t[-1] = 1.0

@@ -225,7 +225,7 @@ def require_path(equations: Equations, times: Times, theta: float, method: str |
             for name in part.named():
                 raise InputError(f"{name} is incompressible: paths have displacements alone; march in time")
         equations.refuse(NO_PATH_REASONS)
-        for name in filter(None, equations.ask("takes_time")):
+        for name in filter(None, equations.call_optional("takes_time")):
             raise InputError(f"{name} creeps or relaxes, and t is no time on a path: march in time")
     except InputError as error:
         if isinstance(times, ArcLength):

@@ -68,7 +68,7 @@ class PlannedStepsController(Controller):
         thorough = self._failed_at == math.inf or self.last.report.homotopy_steps > 0
         first = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
         more = StepAttempt("Newton's method, with eased laws,", partial(self._step, thorough=True), self.smallest)
-        seek = StepAttempt("a way by weak springs", self._seek, self.smallest)
+        seek = StepAttempt("a way by weak springs", self._regularised_step, self.smallest)
         return [first, *([] if thorough else [more]), seek] if self.solver.bounded else [first]
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
@@ -82,7 +82,7 @@ class PlannedStepsController(Controller):
         )
 
     def _loads_change(self, before: float, after: float) -> bool:
-        a, b = (self.solver.equations.given_forces_at(t).array_r for t in (before, after))
+        a, b = (self.solver.equations.prescribed_forces_at(t).array_r for t in (before, after))
         changes, sizes = map(self.solver.equations.norms, (b - a, b))
         return bool((changes > LOAD_TOLERANCE * sizes).any())
 
@@ -121,7 +121,7 @@ class PlannedStepsController(Controller):
         grows = self._failed_at == math.inf or not self.solver.bounded
         self.journal.pace.step = None if end == self.target else length * (2 if grows else 1)
 
-    def _seek(self, length: float) -> list[State]:
+    def _regularised_step(self, length: float) -> list[State]:
         """A step by weak springs, as far as may be. NoEquilibrium: on the way displacements ran away."""
         old, end, t = self.last, self._end(length), self._farthest(length)
         failed = SolveError("weak springs have not led to an equilibrium")
@@ -129,7 +129,7 @@ class PlannedStepsController(Controller):
             t = max(old.t + (self._run_away - old.t) / SPRING_STEP_RATIO, end)
         while True:
             try:
-                return self._sought(self.solver.seek(old, t, self.theta))
+                return self._regularised_state(self.solver.solve_regularised(old, t, self.theta))
             except NoEquilibrium as error:
                 failed, self._run_away = error, t
             except SolveError as error:  # displacements that ran away at a later time still show a limit before it
@@ -142,7 +142,7 @@ class PlannedStepsController(Controller):
         """The latest time at which an equilibrium is sought by weak springs."""
         return self.target
 
-    def _sought(self, state: State) -> list[State]:
+    def _regularised_state(self, state: State) -> list[State]:
         """The state that was found by weak springs, as that of a step."""
         self._set_pace(state.t - self.last.t, state.t)
         return [state]
@@ -206,7 +206,7 @@ class AdaptiveController(PlannedStepsController):
     def _farthest(self, length: float) -> float:
         return min(self.target, self.last.t + max(MAX_SPRING_STEP * length, self.settings.first / 2**MAX_HALVINGS))
 
-    def _sought(self, state: State) -> list[State]:
+    def _regularised_state(self, state: State) -> list[State]:
         raise SolveError("the error of a step by weak springs is not known")
 
 
@@ -292,7 +292,9 @@ class ErrorEstimate:
 
     def __init__(self, equations: Equations) -> None:
         self._equations, self.comm = equations, equations.comm
-        self._unit = float(np.sqrt(sum(equations.ask("unit_jump_measure"))))  # norm of strains for a unit jump, about
+        self._unit = float(
+            np.sqrt(sum(equations.call_optional("unit_jump_measure")))
+        )  # norm of strains for a unit jump, about
 
     def shares(self, other: State, state: State, largest: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
         """Differences of two states in the three quantities, over their norms in the second one, or over `largest`."""
@@ -313,8 +315,8 @@ class ErrorEstimate:
         u = state.u
         forces = u.x.petsc_vec.duplicate()
         forces.set(0.0)
-        jumps = self._equations.ask("error_measure", u)
-        self._equations.ask("add_forces_in", state, forces)
+        jumps = self._equations.call_optional("error_measure", u)
+        self._equations.call_optional("add_forces_in", state, forces)
         return [u.x.petsc_vec.array_r.copy(), np.concatenate([np.empty(0), *jumps]), forces.array_r.copy()]
 
     def _norms(self, parts: list[Array]) -> Array:

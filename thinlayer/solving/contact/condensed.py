@@ -55,7 +55,7 @@ class CondensedContact(ContactSolver):
     def _condensation(self) -> Condensation:
         """The bodies, condensed to the displacements of nodes in contact; held ones are decoupled."""
         pairs, K, model = self.pairs, self.equations.K, self.equations.model
-        x, bodies = model.V.tabulate_dof_coordinates()[:, : pairs.d], int(model.splitting.pieces.max()) + 1
+        x, bodies = model.V.tabulate_dof_coordinates()[:, : pairs.d], int(model.split_mesh.pieces.max()) + 1
         normal = pairs.weights @ pairs.frames[:, -1]
         return Condensation(K.getValuesCSR(), self.is_fixed, pairs.dofs, x, normal, bodies)
 
@@ -96,7 +96,7 @@ class CondensedContact(ContactSolver):
         """Norm of the residual r at nodes in contact, relative to the forces on each block, see `ForceScale`."""
         of, count, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
         of_pairs, of_r = (np.sqrt(np.bincount(of, v * v, count)) for v in (forces, r))
-        scale.see(np.maximum(self._given, of_pairs))
+        scale.update_stresses(np.maximum(self._given, of_pairs))
         return scale.relative(of_r)
 
     def close(self) -> None:

@@ -44,11 +44,11 @@ class ContactSolver(EquilibriumSolver):
         """The bodies' stiffness with supports."""
         A = self.equations.K.copy()
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self.equations.hold(A)
+        self.equations.apply_bcs(A)
         A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         return A
 
-    def find(self, start: PETSc.Vec | None = None) -> StepSolution:
+    def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
         """Displacements at the end of the step, from those of `start`, of the state that is like it, or before the step.
 
         Raises:

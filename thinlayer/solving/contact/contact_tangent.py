@@ -58,7 +58,7 @@ class ContactTangent:
         self._near = local_csr(self._rows)[:, first + pairs.dofs]  # between the nodes of S on this rank
         self._blocks = self._near.tobsr((pairs.d,) * 2)
         self._blocks.sort_indices()
-        self._scale, self._held_rows = self._stiffness_beside(), equations.held_rows
+        self._scale, self._held_rows = self._stiffness_beside(), equations.bc_rows
         self._springs, self._changes = self._clipped(start), dict[int, PETSc.Mat]()
         self._build(equations)
 
@@ -90,7 +90,7 @@ class ContactTangent:
         M.axpy(1.0, added, pattern.SUBSET_NONZERO_PATTERN if based else pattern.DIFFERENT_NONZERO_PATTERN)
         added.destroy()
         M.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        equations.hold(M)
+        equations.apply_bcs(M)
         M.setOption(PETSc.Mat.Option.SPD, True)
         M.setBlockSize(self.nodes.dim)
         M.setNearNullSpace(PETSc.NullSpace().create(vectors=equations.near_null, comm=M.comm))

@@ -39,7 +39,7 @@ def _most_vertices(model: Model) -> int:
     """Largest number of vertices on S of one body of a network."""
     joint = model.joint
     cell, corner = np.nonzero(np.isin(joint.corners, joint.surface))
-    pairs = np.unique(np.column_stack([model.splitting.pieces[cell], joint.corners[cell, corner]]), axis=0)
+    pairs = np.unique(np.column_stack([model.split_mesh.pieces[cell], joint.corners[cell, corner]]), axis=0)
     return int(np.bincount(pairs[:, 0]).max())
 
 

@@ -133,7 +133,7 @@ class MultigridContact(ContactSolver):
         equations = self.equations
         equations.residual(u, out)
         out.array[equations.bc_dofs] = 0.0
-        norms, forces = equations.norms(out.array_r), equations.aim(u) / SOLVER_TOLERANCE
+        norms, forces = equations.norms(out.array_r), equations.target(u) / SOLVER_TOLERANCE
         if norms[0] > LARGE_RESIDUAL * self._largest:  # the large forces of a body far away are only rounding
             forces = np.minimum(forces, self._largest)
         return float((norms / np.maximum(forces, MIN_DIVISOR)).max())
