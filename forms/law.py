@@ -28,7 +28,7 @@ from forms.parameter_fields import (
 )
 from forms.stations import Station, gauss_stations
 from forms.tensors import Expr, average_lame, condensed_tangent, isotropic_tensor
-from forms.traits import VARIABLE_SIZES, Traits, require_declarations, reset_inherited
+from forms.traits import VARIABLE_SIZES, Traits, accept_renamed, require_declarations, reset_inherited
 
 if TYPE_CHECKING:
     from forms.ends.weights import EndStrips, EndWeights
@@ -110,6 +110,7 @@ class Law:
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
+        accept_renamed(cls, {"eased": "homotopy"})
         reset_inherited(cls)
 
     def __post_init__(self) -> None:

@@ -6,7 +6,7 @@ import inspect
 import logging
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -55,6 +55,14 @@ def show_warnings() -> None:
     handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
     if all(isinstance(handler, logging.NullHandler) for handler in handlers):
         logging.captureWarnings(False)
+
+
+def accept_renamed(kind: Any, new_names: Mapping[str, str]) -> None:
+    """Give what a class defines under a name of version 1.0 its new name, with a DeprecationWarning."""
+    for old, new in new_names.items():
+        if old in vars(kind):
+            warn_outside(DeprecationWarning(f"{kind.__name__}.{old} is deprecated since thinlayer 1.1; call it {new}"))
+            setattr(kind, new, vars(kind)[old])
 
 
 def reset_inherited(kind: Any) -> None:

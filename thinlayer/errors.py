@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +40,18 @@ def deprecated(what: str, since: str, instead: str) -> None:
         instead: what the user writes from then on.
     """
     warn_outside(DeprecationWarning(f"{what} is deprecated since thinlayer {since}; use {instead}"))
+
+
+def former_names(module: str, now: Mapping[str, Any]) -> Callable[[str], Any]:
+    """The `__getattr__` of a module whose names of version 1.0 are deprecated: old name -> what it is now."""
+
+    def find(name: str) -> Any:
+        if name not in now:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        deprecated(f"{module}.{name}", "1.1", f"{now[name].__module__}.{now[name].__name__}")
+        return now[name]
+
+    return find
 
 
 @dataclass(frozen=True)

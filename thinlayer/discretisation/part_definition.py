@@ -13,6 +13,7 @@ from dolfinx import fem
 
 from forms.base import Array, InputError, require
 from forms.tensors import Expr
+from forms.traits import accept_renamed
 from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXIS_NAMES
 from thinlayer.discretisation.constraints import MultiPointConstraint
@@ -41,6 +42,10 @@ class PartDefinition:
     key: str
     place: str
     components: ClassVar[Sequence[str] | None] = None
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        accept_renamed(cls, {"tied": "multi_point_constraint", "held": "bc_dofs_in"})
 
     @property
     def ties_nodes(self) -> bool:

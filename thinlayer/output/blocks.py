@@ -79,7 +79,7 @@ def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
         for name, values in _named_variables(points.internal(), through.setdefault(key, 0), several=several):
             of_facets.add(points, name, values)
         through[key] += 1
-    return of_cells.found, of_facets.found
+    return of_cells.arrays, of_facets.arrays
 
 
 def _named_variables(sublayers: list[dict[str, Array]], before: int, *, several: bool) -> Iterator[tuple[str, Array]]:
@@ -98,12 +98,12 @@ class _Means:
         numbers: (n,) numbers of the entities in the joint, ascending.
 
     Attributes:
-        found: name -> (n, components), NaN where nothing was added; tensors have VTK's six components.
+        arrays: name -> (n, components), NaN where nothing was added; tensors have VTK's six components.
     """
 
     def __init__(self, comm: MPI.Intracomm, numbers: IntArray) -> None:
         self._comm, self._numbers = comm, numbers
-        self.found: dict[str, Array] = {}
+        self.arrays: dict[str, Array] = {}
 
     def add(self, points: LawPoints, name: str, values: Array) -> None:
         """Add values (points, ...) to what is known of this name. Collective."""
@@ -113,7 +113,7 @@ class _Means:
             return
         entities, means = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
         at = np.searchsorted(self._numbers, entities)
-        total = self.found.setdefault(name, np.full((len(self._numbers), *means.shape[1:]), np.nan))
+        total = self.arrays.setdefault(name, np.full((len(self._numbers), *means.shape[1:]), np.nan))
         total[at] = np.where(np.isnan(total[at]), means, total[at] + means)  # several laws may share cells of junctions
 
 

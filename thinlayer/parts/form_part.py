@@ -23,6 +23,7 @@ from forms.work import Term, energy, stress, work
 from thinlayer.discretisation.form_compilation import compiled, compiled_summands, zero_matrix
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import StepStrains
+from thinlayer.errors import former_names
 from thinlayer.parts.compiled_part import PointStrains, softening_law
 from thinlayer.parts.part import Block, Part, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.compiled_term import CompiledTerm
@@ -354,3 +355,6 @@ def _linear_stiffness(
         ) from error
     K.assemble()
     return K
+
+
+__getattr__ = former_names(__name__, {"matrix": assemble_plain_matrix})

@@ -14,6 +14,7 @@ from forms.base import Array
 from forms.law import Law
 from geometry.topology import IntArray
 from thinlayer.discretisation.state import Configuration
+from thinlayer.errors import former_names
 
 Memory = Array | Mapping[str, fem.Function]  # (n, values) at entities, or functions by name
 DISPLACEMENT_KEY = "u"  # the key of the unknowns that all parts share
@@ -321,3 +322,6 @@ class FieldPart(Part):
     @abstractmethod
     def own_file_order(self) -> FileOrder:
         """The order of the own unknowns in files, ghosts included."""
+
+
+__getattr__ = former_names(__name__, {"Interval": TimeStep, "Outcome": StepOutcome})

@@ -1,0 +1,6 @@
+"""The name of version 1.0 of `thinlayer.discretisation.part_definition`."""
+
+from thinlayer.discretisation.part_definition import PartDefinition
+from thinlayer.errors import former_names
+
+__getattr__ = former_names(__name__, {"Addition": PartDefinition})
