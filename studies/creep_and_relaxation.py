@@ -58,7 +58,7 @@ PULLS = (Pull("sheared", 0, 0.5, 0.05, 0.5), Pull("pulled", 1, 1.0, 0.02, 1.0))
 
 
 @dataclass(frozen=True)
-class Case:
+class CreepCase:
     """A layer's law and a way of loading.
 
     Attributes:
@@ -106,12 +106,12 @@ def series(pull: Pull, t: Array) -> Array:
 VOIGT, MAXWELL = KelvinVoigt(LMBDA, MU, THETA_LMBDA, THETA_MU), Maxwell(LMBDA, MU, T1)
 LOW, HIGH = Norton(LMBDA, MU, eta=5.0, p=1.5), Norton(LMBDA, MU, eta=8000.0, p=3.0)
 CASES = {
-    "Kelvin-Voigt, creep": Case(VOIGT, kelvin_voigt),
-    "Maxwell, creep": Case(MAXWELL, maxwell),
-    "Maxwell, relaxation": Case(MAXWELL, relaxation, relaxes=True),
-    "Norton p = 1.5, creep": Case(LOW, partial(norton, LOW)),
-    "Norton p = 3, creep": Case(HIGH, partial(norton, HIGH)),
-    "Maxwell + Kelvin-Voigt, creep": Case(Stack((0.5, MAXWELL), (0.5, VOIGT)), series),
+    "Kelvin-Voigt, creep": CreepCase(VOIGT, kelvin_voigt),
+    "Maxwell, creep": CreepCase(MAXWELL, maxwell),
+    "Maxwell, relaxation": CreepCase(MAXWELL, relaxation, relaxes=True),
+    "Norton p = 1.5, creep": CreepCase(LOW, partial(norton, LOW)),
+    "Norton p = 3, creep": CreepCase(HIGH, partial(norton, HIGH)),
+    "Maxwell + Kelvin-Voigt, creep": CreepCase(Stack((0.5, MAXWELL), (0.5, VOIGT)), series),
 }
 
 
@@ -174,7 +174,7 @@ class Column:
         models: label -> model.
     """
 
-    def __init__(self, record: Record, case: Case, pull: Pull) -> None:
+    def __init__(self, record: Record, case: CreepCase, pull: Pull) -> None:
         self.record, self.case, self.pull = record, case, pull
         joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
         moves, stays = ("xy"[pull.axis], "yx"[pull.axis])

@@ -166,7 +166,7 @@ def corner(eps: float) -> Structure:
 
 # ---------------------------------------------------------------- cases
 @dataclass(frozen=True)
-class Case:
+class DroppedCase:
     """A structure with thin layers.
 
     Attributes:
@@ -225,17 +225,17 @@ def soft(mu: float, nu: float) -> Callable[[float], ThinLayer]:
     return of(LinearElastic.shear(mu, nu))
 
 
-def known_cases() -> list[Case]:
+def known_cases() -> list[DroppedCase]:
     """The cases."""
     work, R = goals.Compliance(), Rubber.shear
-    rolled = partial(Case, structure=rollers, asked=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
-    ended = partial(Case, structure=free, asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
+    rolled = partial(DroppedCase, structure=rollers, asked=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
+    ended = partial(DroppedCase, structure=free, asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
     unequal = partial(ended, structure=partial(free, load=(1.0, 0.0), lower=SOFT))
     steel = partial(ended, structure=partial(free, load=(0.3, -1.0), lower=STEEL, upper=STEEL))
     asked = (goals.Reaction("TOP", (0.0, 1.0)), goals.MeanTraction((0.0, 1.0)))
     pressed = partial(ended, structure=displaced, asked=asked)
     hardening, plastic = of(Hardening(60.0, 40.0, 3e5)), of(YIELDING)
-    bearing, viscous, in_box = of(BEARING, None), of(VISCOUS), partial(Case, structure=box, solid=True)
+    bearing, viscous, in_box = of(BEARING, None), of(VISCOUS), partial(DroppedCase, structure=box, solid=True)
 
     return [
         rolled("between rollers: nu = 0.3", layers=soft(40.0, 0.3)),
@@ -273,7 +273,7 @@ def _plies(*laws: BulkLaw) -> Callable[[float], ThinLayer]:
     return of(Stack(*((1 / len(laws), law) for law in laws)))
 
 
-def further_cases() -> list[Case]:
+def further_cases() -> list[DroppedCase]:
     """The cases."""
     work, moved = goals.Compliance(), goals.Displacement((0.3, 0.35), (0.6, 0.8))
     ends, middle = (work, moved), (work, moved, goals.MeanTraction((1.0, 0.0)))
@@ -285,36 +285,36 @@ def further_cases() -> list[Case]:
         return free(eps, heights=(2 * eps, 3 * eps))
 
     return [
-        Case("free ends: two stiffnesses", unlike, soft(15.0, 0.35), asked=ends),
-        Case("shapes: tilted S", tilted, soft(30.0, 0.25)),
-        Case("shapes: rigid base", on_base, soft(25.0, 0.3), asked=ends),
-        Case("shapes: plane stress", sheet, soft(30.0, 0.3), asked=ends),
-        Case("shapes: springs and a plate", plated, soft(30.0, 0.3), asked=ends),
-        Case("shapes: two seams", two_seams, lambda eps: {"LOW": soft(30.0, 0.3)(eps), "HIGH": soft(10.0, 0.2)(eps / 2)}),
-        Case("free ends: a body expands", heated, soft(30.0, 0.3), asked=(moved,)),
-        Case("free ends: fixed moduli", bonded, of(young(3.0, 0.35), None), asked=ends),
-        Case("laws: plastic in time, free ends", free, of(YIELDING), step=STEP, asked=ends),
-        Case("laws: slips, free ends", free, of(SLIPPING), asked=ends),
-        Case("laws: as stiff as bodies, creeps", free, of(AS_STIFF), step=STEP, asked=ends),
-        Case("laws: plastic, free ends", free, of(YIELDING), asked=ends),
-        Case("laws: sublayers", channel, of(SUBLAYERS), asked=middle),
-        Case("laws: plies, hard outside", pressed, _plies(HARD, TENDER, HARD)),
-        Case("laws: plies, hard inside", pressed, _plies(TENDER, HARD, TENDER)),
-        Case("laws: fibres, pressed", pressed, of(FIBRES)),
-        Case("free ends: thin bodies", thin, soft(40.0, 0.3), asked=ends[:1]),
-        Case("between rollers: rubber", channel, of(Rubber.shear(20.0, 0.49)), asked=middle),
-        Case("laws: Norton, p = 3", channel, of(CREEPING), step=0.02, asked=middle),
-        Case("laws: Kelvin-Voigt", channel, of(KelvinVoigt(60.0, 40.0, 0.3, 0.5)), step=0.2, asked=middle),
-        Case("laws: Maxwell", channel, of(Maxwell(60.0, 40.0, 0.7, 1.5)), step=0.5, asked=middle),
-        Case("shapes: rings", rings, of(LinearElastic(60.0, 40.0)), bodies="extended"),
-        Case("shapes: tubes", tube, soft(30.0, 0.35)),
-        Case("shapes: disc", disc, soft(30.0, 0.3)),
-        Case("shapes: corner in 3D", corner, soft(30.0, 0.3), solid=True),
+        DroppedCase("free ends: two stiffnesses", unlike, soft(15.0, 0.35), asked=ends),
+        DroppedCase("shapes: tilted S", tilted, soft(30.0, 0.25)),
+        DroppedCase("shapes: rigid base", on_base, soft(25.0, 0.3), asked=ends),
+        DroppedCase("shapes: plane stress", sheet, soft(30.0, 0.3), asked=ends),
+        DroppedCase("shapes: springs and a plate", plated, soft(30.0, 0.3), asked=ends),
+        DroppedCase("shapes: two seams", two_seams, lambda e: {"LOW": soft(30.0, 0.3)(e), "HIGH": soft(10.0, 0.2)(e / 2)}),
+        DroppedCase("free ends: a body expands", heated, soft(30.0, 0.3), asked=(moved,)),
+        DroppedCase("free ends: fixed moduli", bonded, of(young(3.0, 0.35), None), asked=ends),
+        DroppedCase("laws: plastic in time, free ends", free, of(YIELDING), step=STEP, asked=ends),
+        DroppedCase("laws: slips, free ends", free, of(SLIPPING), asked=ends),
+        DroppedCase("laws: as stiff as bodies, creeps", free, of(AS_STIFF), step=STEP, asked=ends),
+        DroppedCase("laws: plastic, free ends", free, of(YIELDING), asked=ends),
+        DroppedCase("laws: sublayers", channel, of(SUBLAYERS), asked=middle),
+        DroppedCase("laws: plies, hard outside", pressed, _plies(HARD, TENDER, HARD)),
+        DroppedCase("laws: plies, hard inside", pressed, _plies(TENDER, HARD, TENDER)),
+        DroppedCase("laws: fibres, pressed", pressed, of(FIBRES)),
+        DroppedCase("free ends: thin bodies", thin, soft(40.0, 0.3), asked=ends[:1]),
+        DroppedCase("between rollers: rubber", channel, of(Rubber.shear(20.0, 0.49)), asked=middle),
+        DroppedCase("laws: Norton, p = 3", channel, of(CREEPING), step=0.02, asked=middle),
+        DroppedCase("laws: Kelvin-Voigt", channel, of(KelvinVoigt(60.0, 40.0, 0.3, 0.5)), step=0.2, asked=middle),
+        DroppedCase("laws: Maxwell", channel, of(Maxwell(60.0, 40.0, 0.7, 1.5)), step=0.5, asked=middle),
+        DroppedCase("shapes: rings", rings, of(LinearElastic(60.0, 40.0)), bodies="extended"),
+        DroppedCase("shapes: tubes", tube, soft(30.0, 0.35)),
+        DroppedCase("shapes: disc", disc, soft(30.0, 0.3)),
+        DroppedCase("shapes: corner in 3D", corner, soft(30.0, 0.3), solid=True),
     ]
 
 
 # ---------------------------------------------------------------- at random
-def random_case(seed: int) -> tuple[float, Case]:
+def random_case(seed: int) -> tuple[float, DroppedCase]:
     """A thickness, and two blocks, 1 wide and 1.5 to 40 thicknesses high, with such a layer, of one to three plies."""
     rng = np.random.default_rng(seed)
     eps = 10 ** rng.uniform(-2.0, -0.9)
@@ -330,7 +330,7 @@ def random_case(seed: int) -> tuple[float, Case]:
         return ufl.inner(along, u) * model.ds(model.domain.values("RIGHT/UPPER"))
 
     supports = CLAMPED | ({"LEFT": {"x": 0.0}} if on_rollers else {})
-    return eps, Case(
+    return eps, DroppedCase(
         " ".join(words),
         lambda _: free_blocks(eps / 4, tuple(load), tuple(heights), h_S=ALONG, body=body, supports=supports),
         lambda _: ThinLayer(law, eps, eigenstrain=eigenstrain),

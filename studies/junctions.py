@@ -43,7 +43,7 @@ ERRORS = ("jump", "inner_jump", "inner_traction", "energy")
 
 
 @dataclass(frozen=True)
-class Case:
+class JunctionCase:
     """A network whose bottom is held and whose top is shifted.
 
     Attributes:
@@ -107,14 +107,14 @@ def polycrystal(eps: float) -> Joint:
 REFINED = {"BED": (BED, 1.0)} | {f"HEAD {k}": (HEAD, 0.7) for k in (1, 2, 3)}
 STAR = {f"L{k}": (LinearElastic(0.6 - 0.1 * k, 0.7 - 0.05 * k), 1 + 0.1 * k) for k in range(len(RAYS))}
 CASES = {
-    "bond, kept": Case(bond, quick=True),
-    "bond, extended": Case(bond, bodies="extended"),
-    "star of five layers": Case(star, STAR, bodies="extended", distance=0.2, quick=True),
-    "grains": Case(polycrystal, {"S": (BED, 1.0)}, bodies="extended", distance=0.1, coarsest=0.02, quick=True),
-    "bond, refined": Case(refined_bond, REFINED, refined=True, coarsest=0.02, quick=True),
-    "bond in 3D": Case(bond_in_space, bodies="extended", coarsest=0.02),
-    "bond, stiff junctions": Case(bond, stiff=True, quick=True),
-    "bond, stiff junctions, refined": Case(refined_bond, REFINED, stiff=True, refined=True, coarsest=0.02),
+    "bond, kept": JunctionCase(bond, quick=True),
+    "bond, extended": JunctionCase(bond, bodies="extended"),
+    "star of five layers": JunctionCase(star, STAR, bodies="extended", distance=0.2, quick=True),
+    "grains": JunctionCase(polycrystal, {"S": (BED, 1.0)}, bodies="extended", distance=0.1, coarsest=0.02, quick=True),
+    "bond, refined": JunctionCase(refined_bond, REFINED, refined=True, coarsest=0.02, quick=True),
+    "bond in 3D": JunctionCase(bond_in_space, bodies="extended", coarsest=0.02),
+    "bond, stiff junctions": JunctionCase(bond, stiff=True, quick=True),
+    "bond, stiff junctions, refined": JunctionCase(refined_bond, REFINED, stiff=True, refined=True, coarsest=0.02),
 }
 
 
@@ -157,7 +157,7 @@ def compared(record: Record, name: str, sizes: Sequence[float]) -> list[dict[str
     return rows
 
 
-def differences(case: Case, full: State, by_law: State) -> dict[str, float]:
+def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, float]:
     """Relative L2 differences on S, relative difference of the energies, and the share of junctions in the energy."""
     surface = Surface(by_law.model)
     inner = far_from_junctions(surface, case.distance)
@@ -222,7 +222,7 @@ def stiff_fill(u: Expr, model: Model) -> Expr:
     return stored(BODY, u) * model.dx(model.domain.cell_values(f"{LAYER}/{JUNCTIONS}"))
 
 
-def in_junctions(case: Case, state: State) -> float:
+def in_junctions(case: JunctionCase, state: State) -> float:
     """The energy of the layers' law in the junctions."""
     model, total = state.model, 0.0
     band = model.domain.joint.band

@@ -15,7 +15,7 @@ from forms.base import Array
 from studies.dropped import (
     COARSE,
     FINE,
-    Case,
+    DroppedCase,
     further_cases,
     known_cases,
     random_case,
@@ -104,13 +104,13 @@ class Dropped:
         full: state with meshed layers.
     """
 
-    case: Case
+    case: DroppedCase
     eps: float
     estimate: Estimate
     full: State
 
     @classmethod
-    def of(cls, case: Case, eps: float, record: Record | None = None) -> Dropped:
+    def of(cls, case: DroppedCase, eps: float, record: Record | None = None) -> Dropped:
         """Solve a case with the law of order 0, estimate what that changes, and solve it with meshed layers."""
         structure = case.structure(eps)
         zero = solved(case, structure.interface(case.layers(eps), bodies=case.bodies))
@@ -160,7 +160,7 @@ class Dropped:
         return {name: math.sqrt(change / size) for name, (change, size) in zip(ESTIMATED_FIELDS, squares, strict=True)}
 
 
-def solved(case: Case, model: Model) -> State | History:
+def solved(case: DroppedCase, model: Model) -> State | History:
     """The state of a model, or the history of the case's step."""
     with unwarned():
         return march(model, [case.step]) if case.step else solve(model)
