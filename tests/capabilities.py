@@ -35,7 +35,7 @@ class Column:
 
     Attributes:
         seam: through which all that loads the upper body goes.
-        held, loaded, beside: places that are held, loaded, and held along x.
+        supported, loaded, roller: places that are supported, loaded, and on rollers along x.
         at: a place in the upper body.
         times: of a march in place of a solve; `past`: whether the layer, or a part, remembers.
         length, stress: units.
@@ -47,12 +47,12 @@ class Column:
 
     joint: Callable[..., Any] = staticmethod(partial(sandwich, 2.0, 0.6, 0.9, 0.5, cell="quadrilateral"))
     layers, bodies, bonded, data, toml = glue(), "kept", False, {}, {}
-    seam, held, loaded, beside, at = "S", "BOTTOM", "TOP", "RIGHT/UPPER", (0.0, 0.9)
+    seam, supported, loaded, roller, at = "S", "BOTTOM", "TOP", "RIGHT/UPPER", (0.0, 0.9)
     times, past, length, stress, unseen, statuses = (), False, 1.0, 1.0, None, {"elastic"}
     turn: Any = np.eye(3)
 
-    def __init__(self, **known: Any) -> None:
-        vars(self).update(known)
+    def __init__(self, **attributes: Any) -> None:
+        vars(self).update(attributes)
 
     @property
     def load(self) -> Callable[..., tuple[Any, ...]]:
@@ -69,15 +69,17 @@ class Column:
 
     def at_eps(self, eps: float) -> Any:
         """The layers of this thickness, or of others in their ratio, with the cells that they have."""
-        of = lambda one: replace(one, eps=eps / EPS / self.length * one.eps, at=one.eps) if hasattr(one, "law") else one
+        of = lambda layer: (
+            replace(layer, eps=eps / EPS / self.length * layer.eps, at=layer.eps) if hasattr(layer, "law") else layer
+        )
         every = self.layers
-        return {name: of(one) for name, one in every.items()} if isinstance(every, dict) else of(every)
+        return {name: of(layer) for name, layer in every.items()} if isinstance(every, dict) else of(every)
 
     @cached_property
     def structure(self) -> Structure:
-        supports = {self.held: 0.0} | ({self.beside: {"x": 0.0}} if self.beside else {})
-        given = {"supports": supports, "tractions": {self.loaded: self.load}} | self.data
-        return Structure(self.joint(), body=LinearElastic.young(E * self.stress, NU), **given)
+        supports = {self.supported: 0.0} | ({self.roller: {"x": 0.0}} if self.roller else {})
+        data = {"supports": supports, "tractions": {self.loaded: self.load}} | self.data
+        return Structure(self.joint(), body=LinearElastic.young(E * self.stress, NU), **data)
 
     @cached_property
     def model(self) -> Any:
@@ -94,11 +96,11 @@ class Column:
         """What an estimate takes: a history where the past counts, else a state."""
         if not self.times:
             return solve(model, t)
-        history = march(model, [t * one for one in self.times])
+        history = march(model, [t * fraction for fraction in self.times])
         return history if self.past else history.last
 
     def reach(self, model: Any, t: float = 1.0) -> State:
-        return getattr(found := self.follow(model, t), "last", found)
+        return getattr(solution := self.follow(model, t), "last", solution)
 
     @cached_property
     def state(self) -> State:
@@ -110,9 +112,9 @@ class Column:
         sets = (joint.dim - 1, joint.facets), (joint.dim, joint.regions)
         names = {name: (k, d) for d, of in sets for k, name in enumerate(of, 1)}
         write(folder / "column.msh", joint.points, *blocks_of(joint), names)
-        held = f'{self.held} = 0, "{self.beside}" = {{x = 0}}' if self.beside else f"{self.held} = 0"
+        supports = f'{self.supported} = 0, "{self.roller}" = {{x = 0}}' if self.roller else f"{self.supported} = 0"
         keys = {
-            "mesh": MESH, "supports": f"{{{held}}}", "tractions": f"{{{self.loaded} = {[*self.load(None, 1.0)]}}}",
+            "mesh": MESH, "supports": f"{{{supports}}}", "tractions": f"{{{self.loaded} = {[*self.load(None, 1.0)]}}}",
             "body": f"{{E = {E * self.stress}, nu = {NU}}}",
             "layer": f"{{lmbda = {LMBDA * self.stress}, mu = {MU * self.stress}, eps = {EPS * self.length}}}",
         } | self.toml  # fmt: skip
@@ -127,7 +129,7 @@ class Twin(Column):
     """The plain column, and beside it one turned and mirrored, twice as large, thrice as stiff, which is asked."""
 
     layers = {"S 1": glue(), "S 2": glue(eps=2 * EPS, stress=3.0)}
-    seam, held, loaded, beside, at = "S 2", "BOTTOM 2", "TOP 2", None, (6.08, 2.56)
+    seam, supported, loaded, roller, at = "S 2", "BOTTOM 2", "TOP 2", None, (6.08, 2.56)
     length, stress = 2.0, 3.0
     turn = np.array([[0.8, 0.6, 0.0], [0.6, -0.8, 0.0], [0.0, 0.0, 1.0]])
     toml = {
@@ -166,7 +168,7 @@ def on_top(state: State, regions: tuple[str, ...]) -> Any:
 
 def of_inertia(state: State, regions: tuple[str, ...]) -> Any:
     dx = [state.model.dx(state.model.domain.cell_values(name)) for name in regions]
-    return -np.array([sum(state.integral(2.0 * c * one) for one in dx) for c in state.memory["inertia"]["a"]])
+    return -np.array([sum(state.integral(2.0 * c * measure) for measure in dx) for c in state.memory["inertia"]["a"]])
 
 
 def law(name: str, more: str = "") -> dict[str, str]:
@@ -184,9 +186,9 @@ SHIFT: dict[str, Any] = {"tractions": {},
     "supports": {"BOTTOM": 0.0, "TOP": {"x": partial(moved, 0), "y": partial(moved, 1)}}}  # fmt: skip
 TOUCHING: dict[str, Any] = {"layers": HolonomicCoulomb(200.0, 80.0, 0.5), "statuses": {"stick", "sliding", "separated"},
     "toml": law("HolonomicCoulomb")}  # fmt: skip
-WALL: dict[str, Any] = {"joint": partial(wall, 2, 2, (1.0, 0.5), 0.25), "seam": "BED", "beside": None, "at": (0.0, 1.0)}
+WALL: dict[str, Any] = {"joint": partial(wall, 2, 2, (1.0, 0.5), 0.25), "seam": "BED", "roller": None, "at": (0.0, 1.0)}
 SEAMS = {"mesh": '{path = "column.msh", S = {BED = ["COURSE 1", "COURSE 2"], HEAD = [1, 0]}}'}
-RING: dict[str, Any] = {"held": "INSIDE", "loaded": "OUTSIDE", "beside": "START/OUTER", "at": (2.0, 0.0)}
+RING: dict[str, Any] = {"supported": "INSIDE", "loaded": "OUTSIDE", "roller": "START/OUTER", "at": (2.0, 0.0)}
 COLUMNS: dict[str, Callable[[], Column]] = {
     "not symmetric": lambda: Column(layers=glue(Skew(MU, 0.7)), toml=law("Skew")),
     "memory": lambda: Column(layers=glue(Maxwell(LMBDA, MU, t1=0.8)), **OLD, toml=law("Maxwell", ", t1 = 0.8") | MARCHED),
@@ -200,7 +202,7 @@ COLUMNS: dict[str, Callable[[], Column]] = {
         toml=law("LinearElastic", ", eigenstrain = 0.02") | {"body": f"{{E = {E}, nu = {NU}, eigenstrain = 0.001}}"}),
     "prestress": lambda: Column(data={"eigenstrain": Prestress([[0.2, 0.1], [0.1, -0.3]])},
         toml={"body": f"{{E = {E}, nu = {NU}, eigenstrain = [0.2, 0.1]}}"}),
-    "plates": lambda: Column(beside=None, toml=PARTS,
+    "plates": lambda: Column(roller=None, toml=PARTS,
         data={"tractions": {}, "parts": [RigidPlate("TOP", force=(0.6, -1.0), moment=0.2)]}),
     "springs": lambda: Column(toml=PARTS,
         data={"supports": {"RIGHT/UPPER": {"x": 0}}, "parts": [Springs("BOTTOM", 20.0, 30.0)]}),
@@ -215,10 +217,10 @@ COLUMNS: dict[str, Callable[[], Column]] = {
         toml=SEAMS | {"layer": "{BED = {E = 5, nu = 0.3, eps = 0.05}}"}),
     "bonds": lambda: Column(bonded=True, statuses={"bonded"}, toml={"bonded": "true"}),
     "networks": lambda: Column(**WALL, toml=SEAMS),
-    "periodic": lambda: Column(beside=None, toml={"periodic": "1"},
+    "periodic": lambda: Column(roller=None, toml={"periodic": "1"},
         joint=lambda: periodic(Column.joint(), ("LEFT", "RIGHT"))),
     "cell": lambda: Column(joint=lambda: periodic(fibre(0.3, (1.0, 1.2), 0.2), ("LEFT", "RIGHT"), ("BOTTOM", "TOP")),
-        bodies="extended", beside=None, at=(0.1, 0.5), toml={"strain": "1"}, data={"supports": {}, "tractions": {},
+        bodies="extended", roller=None, at=(0.1, 0.5), toml={"strain": "1"}, data={"supports": {}, "tractions": {},
         "strain": lambda x, t: ((0.01 * t, 0.004 * t), (0.004 * t, -0.02 * t))}),
     "revolution": lambda: Column(data={"plane": "axisymmetric"}, toml={"plane": '"axisymmetric"'}),
     "curved": lambda: Column(joint=partial(ring, 1.0, 1.5, 2.0, 0.5, angle=1.2, cell="quadrilateral"), **RING,
@@ -227,7 +229,7 @@ COLUMNS: dict[str, Callable[[], Column]] = {
         toml=law("LinearElastic", ", profile = [1, 2]")),
     "3D": lambda: Column(joint=partial(sandwich, 2.0, 0.6, 0.9, 0.5, depth=1.0, cell="hexahedron"), at=(0.0, 0.9, 1.0)),
     "S2": lambda: Column(data={"element": "S2"}, toml={"element": '"S2"'}),
-    "units": lambda: Column(joint=lambda: replace(one := Column.joint(), points=1e3 * one.points),
+    "units": lambda: Column(joint=lambda: replace(joint := Column.joint(), points=1e3 * joint.points),
         layers=glue(eps=1e3 * EPS, stress=1e-3), at=(0.0, 900.0), length=1e3, stress=1e-3),
     "twin": Twin,
     "march": lambda: Column(times=TIMES, toml=MARCHED),
@@ -236,5 +238,5 @@ COLUMNS: dict[str, Callable[[], Column]] = {
 
 @cache
 def column(name: str) -> Column:
-    """A column by its name; "free" is not held beside, others are the plain one."""
-    return (COLUMNS | {"free": lambda: Column(beside=None)}).get(name, Column)()
+    """A column by its name; "free" has no roller, others are the plain one."""
+    return (COLUMNS | {"free": lambda: Column(roller=None)}).get(name, Column)()

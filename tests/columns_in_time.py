@@ -63,8 +63,8 @@ def check_same(limit: History, full: History, exact: float = EXACT) -> None:
     assert limit.t == pytest.approx(full.t)
     largest = max(np.abs(state.u.x.array).max() for state in limit)
     assert largest > 0
-    for one, other in zip(limit, full, strict=True):
-        assert np.abs(displacements_of(other, limit.model).x.array - one.u.x.array).max() < exact * largest, one.t
+    for state, other in zip(limit, full, strict=True):
+        assert np.abs(displacements_of(other, limit.model).x.array - state.u.x.array).max() < exact * largest, state.t
     energies = np.abs(limit.table["supplied"]).max()
     for name in ("supplied", "stored", "dissipated", "remainder"):
         assert full.table[name] == pytest.approx(limit.table[name], abs=exact * energies), name

@@ -22,24 +22,24 @@ def to_and_fro(folder=None, last=4.0, method=None):
 
 
 def reports():
-    found = {}
+    states = {}
     joint, setup = sliding_bar(31)
     for method in (None, "newton", "multigrid"):
         model = Structure(joint, **setup).interface(HolonomicCoulomb.of_layer(15e8, 5e8, friction=1.0))
-        found[f"bar {method}"] = solve(model, method=method)
+        states[f"bar {method}"] = solve(model, method=method)
     joint, setup = sliding_bar(6, depth=True)
     model = Structure(joint, **setup).interface(HolonomicCoulomb.of_layer(15e4, 5e4, friction=0.7))
-    found["cube"] = solve(model)
+    states["cube"] = solve(model)
     joint = sandwich(6, 3, 2, 1.0, depth=4.0)
     bodies = {"LOWER": LinearElastic.young(5e3, 0.3), "UPPER": LinearElastic.young(9e3, 0.2)}
     loads = {"TOP": lambda x, t: (8.0, 6 - 6 * x[0], 2.0)}
     data = {"body": bodies, "supports": {"BOTTOM": 0.0}, "tractions": loads, "element": "P1"}
     model = Structure(joint, **data).interface(HolonomicCoulomb(7e4, 2e4, 0.9, 1.0))
-    found["two bodies"] = solve(model)
+    states["two bodies"] = solve(model)
     joint, setup = stacked("triangle")
-    found["degree 2"] = solve(Structure(joint, **setup | {"element": "P2"}).interface(coulomb("middle")))
-    found["to and fro"] = to_and_fro().last
-    return {name: Surface(state.model).contact(state) for name, state in found.items()}
+    states["degree 2"] = solve(Structure(joint, **setup | {"element": "P2"}).interface(coulomb("middle")))
+    states["to and fro"] = to_and_fro().last
+    return {name: Surface(state.model).contact(state) for name, state in states.items()}
 
 
 def contents() -> dict[str, dict]:
@@ -54,5 +54,5 @@ def resumed(folder: Path) -> dict[str, list]:
 
 def content(report):
     arrays = {"u_T": report.u_T, "u_N": report.u_N, "p": report.p, "t_T": report.t_T}
-    known = {"status": report.status.tolist(), "clapeyron": report.clapeyron}
-    return known | {name: array.ravel().tolist() for name, array in arrays.items()}
+    entries = {"status": report.status.tolist(), "clapeyron": report.clapeyron}
+    return entries | {name: array.ravel().tolist() for name, array in arrays.items()}

@@ -34,7 +34,7 @@ def anchors(text: str) -> list[str]:
 
 def sections() -> dict[str, list[Block]]:
     """Blocks by page and heading; a tutorial is one script."""
-    found = defaultdict(list)
+    blocks = defaultdict(list)
     for page, text in PAGES.items():
         for block in BLOCK.finditer(text):
             language, code, rest = block.groups()
@@ -42,5 +42,5 @@ def sections() -> dict[str, list[Block]]:
             line = text.count("\n", 0, block.start()) + 1
             below = dedent(shown[0]) if shown else ""
             name = page if "/tutorials/" in page else f"{page}#{anchors(text[: block.start()])[-1]}"
-            found[name].append(Block(language, line, code, below))
-    return found
+            blocks[name].append(Block(language, line, code, below))
+    return blocks

@@ -46,5 +46,5 @@ def imbalance(state: State) -> float:
     of[cells] = model.domain.on_cells(bricks)[: len(cells), None]
     moments = [x[:, i] * forces[:, j] - x[:, j] * forces[:, i] for i in range(d) for j in range(i + 1, d)]
     sums = np.array([np.bincount(of, part) for part in (*forces.T, *moments)])
-    held = np.unique(of[model.supports.bc_dofs_in(model.V) // d])
-    return float(np.abs(np.delete(sums, held, axis=1)).max()) / size
+    supported = np.unique(of[model.supports.bc_dofs_in(model.V) // d])
+    return float(np.abs(np.delete(sums, supported, axis=1)).max()) / size

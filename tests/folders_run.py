@@ -50,6 +50,6 @@ def same_errors(folder: Path) -> None:
         (folder / "t.csv").write_text("a,b\n1,2\n")
     COMM.barrier()
     for attempt in attempts(folder):
-        found = COMM.allgather(raised(attempt))
-        assert len(set(found)) == 1, found
-        assert "nothing" not in found
+        errors = COMM.allgather(raised(attempt))
+        assert len(set(errors)) == 1, errors
+        assert "nothing" not in errors

@@ -187,8 +187,8 @@ def part_of(joint, kept, **changes):
     new = np.full(len(joint.points), -1)
     new[used] = np.arange(len(used))
     around = {name: joint.table.cells[joint.table.index(rows)] for name, rows in joint.facets.items()}
-    own = {name: ((beside >= 0) & kept[beside]).any(axis=1) for name, beside in around.items()}
-    facets = {name: new[rows[own[name]]] for name, rows in joint.facets.items() if own[name].any()}
+    kept_facets = {name: ((adjacent >= 0) & kept[adjacent]).any(axis=1) for name, adjacent in around.items()}
+    facets = {name: new[rows[kept_facets[name]]] for name, rows in joint.facets.items() if kept_facets[name].any()}
     present, region = np.unique(joint.region[kept], return_inverse=True)
     regions = tuple(joint.regions[k] for k in present)
     parts = dict(points=joint.points[used], cells=cells.reshape(len(region), -1), facets=facets)

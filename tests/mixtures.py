@@ -99,32 +99,32 @@ def words(text: str) -> str:
     return re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?|inf|nan", "#", text)
 
 
-def told(value: Any) -> list[Any]:
+def summary(value: Any) -> list[Any]:
     """The numbers and words of an answer; of a large array some sums."""
     match value:
         case None | State() | Model():
             return []
         case History():
-            return told(value.table)
+            return summary(value.table)
         case Estimate():
-            return told([value.table, value.sentences, value.caveats])
+            return summary([value.table, value.sentences, value.caveats])
         case str():
             return [words(value)]
         case Table():
-            return told(value.rows)
+            return summary(value.rows)
         case Mapping():
-            rows = [told(one) for key, one in value.items() if not NOISE & {*str(key).split()}]
+            rows = [summary(item) for key, item in value.items() if not NOISE & {*str(key).split()}]
             return [number for row in rows for number in row]
         case list() | tuple():
-            return [number for one in value for number in told(one)]
+            return [number for item in value for number in summary(item)]
         case _ if is_dataclass(value):
-            return told([getattr(value, one.name) for one in fields_of(value)])
+            return summary([getattr(value, field.name) for field in fields_of(value)])
     a = np.asarray(value)
     if a.dtype.kind in "OU":
-        return told(sorted({*map(str, a.ravel())}))
+        return summary(sorted({*map(str, a.ravel())}))
     if a.size > 6:
-        return [float(one) for one in (a.sum(), (a**2).sum() ** 0.5, a.max(), a.min())]
-    return [float(one) for one in a.ravel()]
+        return [float(number) for number in (a.sum(), (a**2).sum() ** 0.5, a.max(), a.min())]
+    return [float(number) for number in a.ravel()]
 
 
 class Mixture:
@@ -182,7 +182,7 @@ class Mixture:
             data["eigenstrain"] = {upper: pick(0.002, lambda x, t: 1e-3 * (1 + x[0]) * t, in_situ, hot)}
         self.low = maybe(0.3)
         if self.low:
-            normals = any(isinstance(one, dict) and "n" in one for one in supports.values())
+            normals = any(isinstance(support, dict) and "n" in support for support in supports.values())
             data["element"] = (
                 pick("Q1", "Q1" if normals else "S2") if joint.cell_type in ("quadrilateral", "hexahedron") else "P1"
             )
@@ -192,7 +192,9 @@ class Mixture:
         self.structure = Structure(joint, body={name: pick(STEEL, STONE) for name in joint.regions}, **data)
         self.layers = {name: self.layer(pick, maybe, d) for name in joint.seams}
         curves = [
-            one for one in self.layers.values() if getattr(one, "profile", None) or (bent and hasattr(one, "order"))
+            layer
+            for layer in self.layers.values()
+            if getattr(layer, "profile", None) or (bent and hasattr(layer, "order"))
         ]
         self.bodies = "extended" if curves else "kept"
         self.answers: dict[str, Any] = {}
@@ -221,12 +223,12 @@ class Mixture:
         with warnings.catch_warnings(record=True, action="always", category=RangeWarning) as heard:
             try:
                 answer = question(*about)
-                found = told(answer)
+                entries = summary(answer)
             except ThinlayerError as refusal:
-                answer, found = None, [f"{type(refusal).__name__}: {words(str(refusal))}"]
+                answer, entries = None, [f"{type(refusal).__name__}: {words(str(refusal))}"]
         self.answers[name] = [
-            *found,
-            *sorted({words(str(one.message)) for one in heard if one.category is RangeWarning}),
+            *entries,
+            *sorted({words(str(warning.message)) for warning in heard if warning.category is RangeWarning}),
         ]
         return answer
 
@@ -239,12 +241,12 @@ class Mixture:
         for name, model in made.items():
             if model:
                 solved = self.ask(f"solve {name}", solve, model, 1.0)
-                if found := self.ask(f"march {name}", march, model, TIMES) or solved:
-                    reached[name] = solved if solved and self.seed % 2 else found
-                    self.of_state(name, getattr(found, "last", found))
+                if solution := self.ask(f"march {name}", march, model, TIMES) or solved:
+                    reached[name] = solved if solved and self.seed % 2 else solution
+                    self.of_state(name, getattr(solution, "last", solution))
                     for seam in seams:
-                        self.on_seam(f"{seam} {name}", getattr(found, "last", found), Surface(model, seam), seam)
-                    self.ask(f"file {name}", of_file, getattr(found, "last", found), folder / name)
+                        self.on_seam(f"{seam} {name}", getattr(solution, "last", solution), Surface(model, seam), seam)
+                    self.ask(f"file {name}", of_file, getattr(solution, "last", solution), folder / name)
         if made["S"] and not self.seed % 3 and self.joint.dim == 2:
             self.ask("adaptive", march, made["S"], Adaptive(end=1.6, first=0.3, tolerance=0.05))
         if "S" in reached:
@@ -284,14 +286,14 @@ class Mixture:
         plane = {} if d == 2 else {"plane": ((0.0, 0.0, 0.21), (0.0, 0.0, 1.0))}
         opening = (surface.jump(state) * surface.n).sum(axis=0)
         lines = lambda: [
-            [one.s @ one.values, sum(one.values), one.x[0], one.length] for one in surface.along(opening, **plane)
+            [line.s @ line.values, sum(line.values), line.x[0], line.length] for line in surface.along(opening, **plane)
         ]
         self.ask(f"along {name}", lines)
         places = np.einsum("qa,sfad->sfqd", surface.shapes, surface.faces)[:, 1, 0]
         for side, at in zip(("lower", "upper"), places, strict=True):
-            beside = {"side": side, "seam": seam}
-            self.ask(f"{side} {name}", lambda at=at, beside=beside: Probe(state).displacement(at, **beside))
-            self.ask(f"stress {side} {name}", lambda at=at, beside=beside: Probe(state).stress(at, **beside))
+            options = {"side": side, "seam": seam}
+            self.ask(f"{side} {name}", lambda at=at, options=options: Probe(state).displacement(at, **options))
+            self.ask(f"stress {side} {name}", lambda at=at, options=options: Probe(state).stress(at, **options))
         points = x[:d, [0, -1], 0].T
         self.ask(f"zoom {name}", lambda: [Zoom(state, seam).stress(points, height) for height in (-0.4, 0.2)])
 
@@ -309,8 +311,8 @@ class Mixture:
             self.ask(f"seams of {goal}", answer.by_seam, goal)
             self.ask(f"density of {goal}", answer.density, goal)
         if not self.seed % 4:
-            given = {"seam": seam, "t": 1.0, "bodies": self.bodies}
-            self.ask("thin enough", lambda: thin_enough(self.structure, self.layers, 0.05, **given).eps)
+            options = {"seam": seam, "t": 1.0, "bodies": self.bodies}
+            self.ask("thin enough", lambda: thin_enough(self.structure, self.layers, 0.05, **options).eps)
 
 
 def of_file(state: Any, folder: Path) -> list[Any]:

@@ -31,8 +31,8 @@ def wall_energy(element: str, joint: Joint | None = None) -> float:
     joint = joint or wall(3, 4, (1.0, 0.5), 0.25, cell=cell_of(element))
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
     bricks = Structure(joint, body=LinearElastic.young(20.0, 0.2), supports=supports, element=element)
-    found = solve(bricks.interface({"BED": springs(5.0, 2.1), "HEAD": springs(3.0, 1.3)})).energies()
-    return found["bodies"] + found["layer"]
+    energies = solve(bricks.interface({"BED": springs(5.0, 2.1), "HEAD": springs(3.0, 1.3)})).energies()
+    return energies["bodies"] + energies["layer"]
 
 
 def three_bricks(m: int, cell: str, cross: bool = False) -> Joint:
@@ -63,8 +63,8 @@ def pushed(joint: Joint, push: float, layer):
 def square(state) -> float:
     """Sum of the squares of all displacements."""
     dofmap = state.u.function_space.dofmap
-    own = state.u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
-    return float(state.model.comm.allreduce(float(own @ own)))
+    owned = state.u.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
+    return float(state.model.comm.allreduce(float(owned @ owned)))
 
 
 BED = HolonomicCoulomb(K_N=200.0, K_T=80.0, friction=0.5)

@@ -126,7 +126,7 @@ class Waiting:
         for _ in range(LAUNCHES):
             if self.process is None or self.process.poll() is not None:
                 self._launch()
-            asked, begin = self.own / f"{self.asked}.case", time.monotonic()
+            asked, begin = self.launch_folder / f"{self.asked}.case", time.monotonic()
             self.asked += 1
             _replace(asked, case)
             while not _answer(self.folder, case).exists() and self.process.poll() is None:
@@ -134,7 +134,7 @@ class Waiting:
                     self.stack.close()
                     return f"no answer in {PATIENCE} s"
                 time.sleep(POLL)
-            said = (self.own / "output").read_text()
+            said = (self.launch_folder / "output").read_text()
             if _answer(self.folder, case).exists() or BROKEN not in said:
                 break
         return said
@@ -142,9 +142,9 @@ class Waiting:
     def _launch(self) -> None:
         self.stack.close()
         self.asked = 0
-        self.own = Path(tempfile.mkdtemp(dir=self.folder))
-        output = self.stack.enter_context((self.own / "output").open("w"))
-        command = "-m", "tests.on_ranks", str(self.folder), str(self.own)
+        self.launch_folder = Path(tempfile.mkdtemp(dir=self.folder))
+        output = self.stack.enter_context((self.launch_folder / "output").open("w"))
+        command = "-m", "tests.on_ranks", str(self.folder), str(self.launch_folder)
         self.process = self.stack.enter_context(launched(self.ranks, *command, output=output))
 
 
@@ -159,10 +159,10 @@ def _replace(path: Path, text: str) -> None:
 
 
 # ---------------------------------------------------------------- on the ranks
-def main(folder: Path, own: Path) -> None:
+def main(folder: Path, launch_folder: Path) -> None:
     """Run functions as they are asked for, until this process is ended."""
     for number in itertools.count():
-        asked = own / f"{number}.case"
+        asked = launch_folder / f"{number}.case"
         while not asked.exists():
             time.sleep(POLL)
         run(asked.read_text(), folder)
@@ -170,30 +170,30 @@ def main(folder: Path, own: Path) -> None:
 
 def run(case: str, folder: Path) -> None:
     """Run a function and write what it gives on rank 0, or the errors of all ranks."""
-    found, error = None, ""
+    result, error = None, ""
     try:
-        found = _called(case, folder)
-        json.dumps(found)
+        result = _called(case, folder)
+        json.dumps(result)
     except (Exception, pytest.fail.Exception):
         error = traceback.format_exc()
     gc.collect()  # on all ranks together, as PETSc frees objects
     errors = MPI.COMM_WORLD.gather(error)
     if errors and any(errors):
-        said = "\n".join(f"rank {k}: {one}" for k, one in enumerate(errors))
+        said = "\n".join(f"rank {k}: {trace}" for k, trace in enumerate(errors))
         _write(_answer(folder, case), {"error": said})
     elif errors:
-        _write(_answer(folder, case), {"found": found})
+        _write(_answer(folder, case), {"found": result})
 
 
 def _called(case: str, folder: Path) -> Any:
     module, name = case.split(":")
     run = getattr(importlib.import_module(module), name)
-    if all(one.default is not one.empty for one in inspect.signature(run).parameters.values()):
+    if all(parameter.default is not parameter.empty for parameter in inspect.signature(run).parameters.values()):
         return run()
-    own = _own(folder, case)
-    own.mkdir(exist_ok=True)
+    case_folder = _own(folder, case)
+    case_folder.mkdir(exist_ok=True)
     MPI.COMM_WORLD.barrier()
-    return run(own)
+    return run(case_folder)
 
 
 if __name__ == "__main__":

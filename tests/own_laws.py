@@ -175,11 +175,11 @@ class Swelling(BulkLaw):
 
     lmbda: float
     mu: float
-    own: float
-    powers: ClassVar = {"lmbda": 1, "mu": 1, "own": -1}
+    swelling: float
+    powers: ClassVar = {"lmbda": 1, "mu": 1, "swelling": -1}
 
     def _elastic(self, e):
-        return e - self.own * ufl.Identity(3)
+        return e - self.swelling * ufl.Identity(3)
 
     def stress(self, step):
         return lame_stress(self.lmbda, self.mu, self._elastic(step.mid))

@@ -17,11 +17,11 @@ from thinlayer.surface.pressure_excess import FaceDisplacements, pressure_excess
 STIFF = LinearElastic.young(1e5, 0.3)
 
 
-def told(action):
+def with_warnings(action):
     """What it returns, and its RangeWarnings, each as "key: message"."""
-    with warnings.catch_warnings(record=True, action="always") as found:
+    with warnings.catch_warnings(record=True, action="always") as records:
         result = action()
-    return result, [f"{w.message.key}: {w.message}" for w in found if issubclass(w.category, RangeWarning)]
+    return result, [f"{w.message.key}: {w.message}" for w in records if issubclass(w.category, RangeWarning)]
 
 
 def opened(model, upper):

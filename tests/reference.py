@@ -59,11 +59,11 @@ def next_order_errors(lmbda: float, mu: float, eps: float) -> tuple[float, float
 
 def errors(layer: np.ndarray, limit: np.ndarray) -> tuple[float, float, float]:
     """Relative errors of traction, jump and compliance that a law's transfer leaves in kept geometry."""
-    body, found = expm(strip(*BODY) * HEIGHT), []
+    body, values = expm(strip(*BODY) * HEIGHT), []
     for between in (layer, limit):
         _, below, above, top = clamped(body, between, body)
-        found.append(((below[2:] + above[2:]) / 2, (above - below)[:2], TOP @ top[:2]))
-    return tuple(float(np.linalg.norm(a - b) / np.linalg.norm(b)) for a, b in zip(*found, strict=True))
+        values.append(((below[2:] + above[2:]) / 2, (above - below)[:2], TOP @ top[:2]))
+    return tuple(float(np.linalg.norm(a - b) / np.linalg.norm(b)) for a, b in zip(*values, strict=True))
 
 
 def stacked(sublayers: list, eps: float) -> np.ndarray:
@@ -173,7 +173,7 @@ def marched(layer: list, loads: np.ndarray, dt: float, theta: float = 1.0, eps: 
     circle = RADIUS * np.exp(2j * np.pi * np.arange(POINTS) / POINTS)
     for k, z in enumerate(circle):
         d = (1 - z) / (dt * (theta + (1 - theta) * z))
-        moduli = [(a, *one(d)) for a, one in layer]
+        moduli = [(a, *moduli_at(d)) for a, moduli_at in layer]
         if eps is None:
             layers = [np.linalg.multi_dot([np.eye(4), *(spring(lmbda / a, mu / a) for a, lmbda, mu in moduli)])] * 2
         else:

@@ -10,8 +10,8 @@ import pytest
 Raised = TypeVar("Raised", bound=Exception)
 
 
-def refused(error: type[Raised], words: str, call: Callable[..., object], /, *given: object, **named: object) -> Raised:
+def refused(error: type[Raised], words: str, call: Callable[..., object], /, *args: object, **named: object) -> Raised:
     """The call raises this error, and its message has these words (a regular expression); the error."""
     with pytest.raises(error, match=words) as caught:
-        call(*given, **named)
+        call(*args, **named)
     return caught.value

@@ -74,5 +74,5 @@ def on_base(law, *, contact: bool = False):
 def out_of_balance(state: State) -> float:
     """Sum of all reactions and loads, force and moment, over the largest of them."""
     every = [*state.reactions_by_place().values(), state.applied()]
-    rows = np.array([[*one.force, *np.atleast_1d(one.moment)] for one in every])
+    rows = np.array([[*resultant.force, *np.atleast_1d(resultant.moment)] for resultant in every])
     return float(np.abs(rows.sum(axis=0)).max() / np.abs(rows).max())

@@ -22,7 +22,7 @@ def sums(path: Path) -> dict[str, list[float]]:
     """Of each column of numbers: of its values, and of its values times the number of their row."""
     with path.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    found = {}
+    columns = {}
     for name in rows[0] if rows else ():
         try:
             values = np.array([float(row[name] or "nan") for row in rows])
@@ -30,26 +30,26 @@ def sums(path: Path) -> dict[str, list[float]]:
             continue
         if not COSTS & {*name.split()}:
             three = np.nansum(values), np.nansum(values * np.arange(1, len(rows) + 1)), np.nanmax(np.abs([*values, 0]))
-            found[name] = [float(f"{value:.9g}") for value in three]
-    return found
+            columns[name] = [float(f"{value:.9g}") for value in three]
+    return columns
 
 
 def main(out: str, *options: str) -> int:
     """Print what differs; 1 if something does."""
-    tables = {path.relative_to(out): path for path in sorted(Path(out).rglob("*.csv"))}
-    found = {str(name): sums(path) for name, path in tables.items() if name.parts[0] not in BENCHMARKS}
+    files = {path.relative_to(out): path for path in sorted(Path(out).rglob("*.csv"))}
+    tables = {str(name): sums(path) for name, path in files.items() if name.parts[0] not in BENCHMARKS}
     if "--write" in options:
-        rows = [f"{json.dumps(name)}: {json.dumps(columns)}" for name, columns in found.items()]
+        rows = [f"{json.dumps(name)}: {json.dumps(columns)}" for name, columns in tables.items()]
         NUMBERS.write_text("{" + ",\n".join(rows) + "}\n", encoding="utf-8")
         return 0
     golden, differ = json.loads(NUMBERS.read_text(encoding="utf-8")), []
-    for name in {**golden, **found}:
-        theirs, ours = golden.get(name, {}), found.get(name, {})
+    for name in {**golden, **tables}:
+        theirs, ours = golden.get(name, {}), tables.get(name, {})
         for column in {**theirs, **ours}:
             a, b = theirs.get(column, [np.inf]), ours.get(column, [np.inf])
             if len(a) != len(b) or not np.allclose(a, b, rtol=CLOSE, atol=max(CLOSE * a[-1], ROUNDING)):
                 differ.append(f"{name}, {column}: {a} -> {b}")
-    print("\n".join(differ) or f"{len(found)} tables are as they were")
+    print("\n".join(differ) or f"{len(tables)} tables are as they were")
     return bool(differ)
 
 

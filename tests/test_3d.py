@@ -30,7 +30,7 @@ def turned(joint: Joint) -> Joint:
     return replace(joint, points=joint.points @ TURN.T)
 
 
-@pytest.mark.parametrize(("cell", "element", "eps"), [(*one, eps) for one, eps in zip(ELEMENTS, EPS, strict=True)])
+@pytest.mark.parametrize(("cell", "element", "eps"), [(*pair, eps) for pair, eps in zip(ELEMENTS, EPS, strict=True)])
 def test_column_of_two_bodies(cell, element, eps):
     joint = sandwich(1.0, 0.5, 0.7, 0.5, depth=0.8, cell=cell)
     check_column(turned(joint), TURN, {"LOWER": LOWER, "UPPER": UPPER}, eps, element=element)
@@ -88,7 +88,7 @@ def test_fourier_box(cell):
         x, w, (lower, upper) = surface.x, surface.jump(state), surface.displacements(state)
         t = np.array([mu * w[0], (lmbda + 2 * mu) * w[1], mu * w[2]])
         pairs = [(lower, mode(x, BELOW[:2])), (upper, mode(x, ABOVE[:2])), (t, mode(x, BELOW[2:]))]
-        errors.append([surface.norm(found - wanted) / surface.norm(wanted) for found, wanted in pairs])
+        errors.append([surface.norm(field - wanted) / surface.norm(wanted) for field, wanted in pairs])
     assert max(errors[1]) < 2e-3
     assert np.log2(np.array(errors[0]) / errors[1]).min() > 2.9
 

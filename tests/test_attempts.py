@@ -27,12 +27,12 @@ def failing(monkeypatch, times, after=0):
     """Let some solves fail: so many, after so many others."""
     solves = iter(range(after + times))
 
-    def find(self, start=None, real=NewtonSolver.find):
+    def find(self, start=None, real=NewtonSolver.solve_step):
         if next(solves, -1) >= after:
             raise SolveError("it was told to", residuals=(1.0, 0.5))
         return real(self, start)
 
-    monkeypatch.setattr(NewtonSolver, "find", find)
+    monkeypatch.setattr(NewtonSolver, "solve_step", find)
 
 
 def messages(caplog, name, level=logging.INFO):
@@ -43,9 +43,9 @@ def test_what_succeeds_at_once_is_said_to_those_alone_who_ask_for_everything(cap
     with caplog.at_level(logging.DEBUG, "thinlayer"):
         solve(model(), 1.0)
     assert not messages(caplog, "thinlayer.solve")
-    (told,) = messages(caplog, "thinlayer.solve", logging.DEBUG)
-    assert "newton, lu: " in told
-    assert "iterations, residual" in told
+    (line,) = messages(caplog, "thinlayer.solve", logging.DEBUG)
+    assert "newton, lu: " in line
+    assert "iterations, residual" in line
 
 
 def test_the_next_attempt_is_told_with_the_reason(caplog, monkeypatch):
@@ -53,12 +53,12 @@ def test_the_next_attempt_is_told_with_the_reason(caplog, monkeypatch):
     straight = solve(model(), 1.0)
     failing(monkeypatch, 1)
     with caplog.at_level(logging.INFO, "thinlayer"):
-        found = solve(model(), 1.0)
+        state = solve(model(), 1.0)
     assert messages(caplog, "thinlayer.solve") == ["t = 1: eased laws is tried, as newton, lu failed: it was told to"]
-    assert found.report.iterations >= 2
-    assert found.report.homotopy_steps > 0
+    assert state.report.iterations >= 2
+    assert state.report.homotopy_steps > 0
     near = 1e-8 * np.abs(straight.u.x.array).max()
-    np.testing.assert_allclose(found.u.x.array, straight.u.x.array, rtol=0, atol=near)
+    np.testing.assert_allclose(state.u.x.array, straight.u.x.array, rtol=0, atol=near)
 
 
 def test_shorter_steps_are_told(caplog, monkeypatch):
@@ -82,8 +82,8 @@ def test_leaves_that_multigrid_does_not_solve_are_solved_by_newton(caplog, monke
     refused(SolveError, "try method='newton'", solve, leaves, method="multigrid", options={"snes_max_it": 3})
     monkeypatch.setitem(MAX_CONDENSED, 2, 0)
     with caplog.at_level(logging.INFO, "thinlayer"):
-        found = solve(leaves)
-    assert found.report.method == "newton"
-    assert found.u.x.array == pytest.approx(wanted, abs=1e-8 * np.abs(wanted).max())
-    (told,) = messages(caplog, "thinlayer.solve")
-    assert told.startswith("t = 0: newton, lu is tried, as multigrid failed: Newton's method for contact failed after")
+        state = solve(leaves)
+    assert state.report.method == "newton"
+    assert state.u.x.array == pytest.approx(wanted, abs=1e-8 * np.abs(wanted).max())
+    (line,) = messages(caplog, "thinlayer.solve")
+    assert line.startswith("t = 0: newton, lu is tried, as multigrid failed: Newton's method for contact failed after")

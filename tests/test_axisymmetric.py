@@ -65,13 +65,13 @@ def test_integrals_of_users_are_over_the_whole_revolution():
     on = lambda model, name: model.ds(model.domain.values(name))
     springs = UflPart(energy=lambda u, model: 15.0 * u[0] ** 2 * on(model, "RIGHT"))
     supports, loads = {"BOTTOM": {"y": 0.0}}, {"TOP": (0.0, P)}
-    held = lambda part: structure(rods(), supports, tractions=loads, parts=[part]).interface(
+    model_with = lambda part: structure(rods(), supports, tractions=loads, parts=[part]).interface(
         ThinLayer(GLUE, EPS, at=1.0)
     )
-    by_part, state = solve(held(Springs("RIGHT", normal=30.0))), solve(held(springs))
+    by_part, state = solve(model_with(Springs("RIGHT", normal=30.0))), solve(model_with(springs))
     assert state.u.x.array == pytest.approx(by_part.u.x.array, abs=EXACT * abs(by_part.u.x.array).max())
     stiffens = UflPart(energy=lambda u, model: (15.0 * u[0] ** 2 + 1e5 * u[0] ** 4) * on(model, "RIGHT"))
-    bent = solve(held(stiffens))
+    bent = solve(model_with(stiffens))
     assert bent.energies()["own form"] == pytest.approx(bent.integral(stiffens.energy(bent.u, bent.model)), rel=EXACT)
     work = lambda u, model: P * u[1] * on(model, "TOP")
     loads = by_part.energies()["loads"]
@@ -95,11 +95,11 @@ def test_order_1_knows_the_hoops(order):
     supports = {"BOTTOM": {"y": 0.0}, "RIGHT": {"x": a * R}, "TOP": {"y": 0.03}}
     layer, whole = ThinLayer(GLUE, EPS, order=order, at=1.0), structure(rods(), supports)
     full, limit = solve(whole.full(layer)), solve(whole.interface(layer))
-    found = compare(full, limit)
+    row = compare(full, limit)
     if order == 1:
-        assert max(found["error_traction"], found["error_jump"]) < 1e-8
+        assert max(row["error_traction"], row["error_jump"]) < 1e-8
     else:
-        assert found["error_traction"] > 1e-3
+        assert row["error_traction"] > 1e-3
     surface = Surface(limit.model)
     t, w = (surface.integral(f[1]) / (np.pi * R**2) for f in (surface.traction(limit), surface.jump(limit)))
     assert t == pytest.approx((GLUE.lmbda + 2 * GLUE.mu) * w + order * 2 * GLUE.lmbda * EPS * a, rel=1e-8)

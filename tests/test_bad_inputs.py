@@ -34,8 +34,8 @@ GLUE = forms.LinearElastic(3.0, 2.0)
 
 
 def structure(**changed):
-    given = {"body": forms.LinearElastic.young(90.0, 0.3), "supports": {"BOTTOM": 0}, "tractions": {"TOP": (1, 2)}}
-    return thinlayer.Structure(geometry.sandwich(2.0, 1.0, 1.0, 1.0), **given | changed)
+    data = {"body": forms.LinearElastic.young(90.0, 0.3), "supports": {"BOTTOM": 0}, "tractions": {"TOP": (1, 2)}}
+    return thinlayer.Structure(geometry.sandwich(2.0, 1.0, 1.0, 1.0), **data | changed)
 
 
 def model(**changed):
@@ -62,15 +62,15 @@ content = lambda folder: {path: path.read_bytes() for path in folder.rglob("*") 
 
 def changed(file, old, new):
     """Change a file of characters of one byte each, where something stands first."""
-    text, found = re.subn(old, new, file.read_text(), count=1, flags=re.DOTALL)
-    assert found
+    text, count = re.subn(old, new, file.read_text(), count=1, flags=re.DOTALL)
+    assert count
     file.write_bytes(text.encode("latin-1"))
 
 
-def assert_refused(words, file, *given):
+def assert_refused(words, file, *options):
     """The command ends with the status 2, and its message has all words; nothing is written or changed."""
     before = content(file.parent)
-    done = command("estimate", file, "--out", file.parent / "out", *given)
+    done = command("estimate", file, "--out", file.parent / "out", *options)
     assert (done.returncode, [word for word in words if word not in done.stderr]) == (2, []), done.stderr
     assert not re.search("InputError|DescriptionError|Traceback", done.stderr)
     assert content(file.parent) == before
@@ -114,8 +114,8 @@ def test_errors_of_other_processes():
     """A pool of processes waits for ever for an error that cannot be read."""
     error = LooseBody("the reason", "the motion", "the advice")
     error.history = structure
-    found = pickle.loads(pickle.dumps(error))
-    assert (type(found), str(found), found.motion, found.history) == (LooseBody, str(error), "the motion", None)
+    loaded = pickle.loads(pickle.dumps(error))
+    assert (type(loaded), str(loaded), loaded.motion, loaded.history) == (LooseBody, str(error), "the motion", None)
 
 
 @of("runs", "old", "new")

@@ -25,8 +25,8 @@ def dual(bar, delta):
         return bar.eps * bar.l * layer + bar.l * (1 - bar.eps) * s**2 / (2 * bar.K) - s * delta
 
     most = bar.K * (abs(delta) + 2 * bar.l * bar.alpha / bar.kbar) / bar.l + 2 * bar.alpha
-    found = minimize_scalar(complementary, bounds=(-most, most), method="bounded", options={"xatol": 1e-10})
-    return -found.fun, found.x
+    minimum = minimize_scalar(complementary, bounds=(-most, most), method="bounded", options={"xatol": 1e-10})
+    return -minimum.fun, minimum.x
 
 
 NUMBERS = {0.1: (1.2925, 1.6925, 1.7625, 1.2225, 0.275744680851), 0.0: (1.375, 1.775, 1.875, 1.275, 0.288)}

@@ -120,9 +120,9 @@ def test_the_tangent_is_that_of_the_residual(body, theta):
 def test_bodies_reach_their_limit():
     """Ideal plasticity in shear: Y/sqrt(3)."""
     model = models(VonMises(60.0, MU, strength=Y), "shear", load=lambda t: t)[0]
-    found = refused(LimitLoad, "", march, model, [0.1 * k for k in range(1, 9)])
-    assert found.t == pytest.approx(Y / math.sqrt(3), rel=2e-3)
-    assert found.t <= Y / math.sqrt(3) * (1 + 1e-9)
+    error = refused(LimitLoad, "", march, model, [0.1 * k for k in range(1, 9)])
+    assert error.t == pytest.approx(Y / math.sqrt(3), rel=2e-3)
+    assert error.t <= Y / math.sqrt(3) * (1 + 1e-9)
 
 
 def test_laws_that_are_no_bodies():
@@ -158,16 +158,16 @@ def test_a_body_that_does_not_yield_is_elastic(name):
     """What is read off states is the same: tractions, also around junctions, reactions, energies, mean stresses."""
     place, load = PLACES[name]
     made = lambda body: Structure(place, body=body, supports={"BOTTOM": 0.0}, tractions={"TOP": load})
-    one, other = (solve(made(body).interface(LAYER)) for body in (ELASTIC, STRONG))
+    elastic, other = (solve(made(body).interface(LAYER)) for body in (ELASTIC, STRONG))
     same = 1e-7
     tractions = []
-    for state in (one, other):
+    for state in (elastic, other):
         surface = Surface(state.model)
         tractions.append(surface.profile(surface.traction(state))[1])
     assert tractions[1] == pytest.approx(tractions[0], abs=same * np.abs(tractions[0]).max())
-    assert other.energies() == pytest.approx(one.energies(), rel=same, abs=1e-12)
-    assert other.mean_stress() == pytest.approx(one.mean_stress(), abs=same * np.abs(one.mean_stress()).max())
-    assert other.reaction("BOTTOM").force == pytest.approx(one.reaction("BOTTOM").force, abs=1e-8)
+    assert other.energies() == pytest.approx(elastic.energies(), rel=same, abs=1e-12)
+    assert other.mean_stress() == pytest.approx(elastic.mean_stress(), abs=same * np.abs(elastic.mean_stress()).max())
+    assert other.reaction("BOTTOM").force == pytest.approx(elastic.reaction("BOTTOM").force, abs=1e-8)
 
 
 def test_adaptive_steps_see_stresses_that_no_displacement_shows():
@@ -179,8 +179,8 @@ def test_adaptive_steps_see_stresses_that_no_displacement_shows():
     errors, steps = [], []
     for tolerance in (1e-2, 1e-3):
         history = march(bar, Adaptive(end=6, first=0.05, tolerance=tolerance))
-        apart = pushed(history) - np.interp(history.t, exact.t, pushed(exact))
-        errors.append(np.abs(apart).max() / np.abs(pushed(exact)).max())
+        difference = pushed(history) - np.interp(history.t, exact.t, pushed(exact))
+        errors.append(np.abs(difference).max() / np.abs(pushed(exact)).max())
         steps.append(len(history))
     assert errors[0] < 0.03
     assert errors[1] < errors[0] / 2  # the error of a step falls with its square, and there are more of them

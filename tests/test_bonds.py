@@ -58,8 +58,8 @@ def test_a_rigid_base_holds_what_is_bonded_to_it():
     based = replace(joint, facets=facets, seams=dict(joint.seams) | {"FOOT": Seam()})
     sides = {"LEFT": {"x": 0.0}}
     bonded = solve(loaded(based, sides).interface({"LOW": LAYERS["LOW"], "FOOT": Bond()}))
-    held = solve(loaded(joint, sides | {"BOTTOM": 0.0}).interface({"LOW": LAYERS["LOW"]}))
-    assert bonded.energies()["bodies"] == pytest.approx(held.energies()["bodies"], rel=1e-10)
+    supported = solve(loaded(joint, sides | {"BOTTOM": 0.0}).interface({"LOW": LAYERS["LOW"]}))
+    assert bonded.energies()["bodies"] == pytest.approx(supported.energies()["bodies"], rel=1e-10)
 
 
 def test_meshed_models_and_other_bonds_are_refused():
@@ -84,7 +84,7 @@ BODIES = 2.0 / (STEEL.lmbda + 2 * STEEL.mu)
 
 def ignored() -> dict[str, list[float]]:
     """Of each layer: relative change of the compliance as it is ignored beside the other one, and its part beside none."""
-    structure, found = loaded(three_bodies("LOW", "HIGH"), traction=lambda x, t: (0.0, -0.6 * t)), {}
+    structure, changes = loaded(three_bodies("LOW", "HIGH"), traction=lambda x, t: (0.0, -0.6 * t)), {}
     both = estimate(solve(structure.bonded(), 0.5), LAYERS)
     parts = both.by_seam()
     assert sum(parts.values()) == pytest.approx(both.goals["compliance"].change, rel=1e-9)
@@ -92,27 +92,27 @@ def ignored() -> dict[str, list[float]]:
         alone = estimate(solve(structure.interface(LAYERS | {name: Bond()}), 0.5), layer, seam=name)
         assert str(alone).startswith(f"perfect bond of {name}, order 0: ")
         assert [*alone.layers] == [name]
-        found[name] = [alone.goals["compliance"].relative, parts[name]]
-    return found
+        changes[name] = [alone.goals["compliance"].relative, parts[name]]
+    return changes
 
 
 @on_ranks(ignored, 2)
 def test_which_of_two_layers_may_be_ignored(there):
     """Uniaxial strain: a layer left out takes its share of the compliance with it."""
     whole = BODIES + sum(map(closing, LAYERS.values()))
-    for found in (ignored(), there):
+    for changes in (ignored(), there):
         for name, layer in LAYERS.items():
-            assert found[name] == pytest.approx([closing(layer) / whole, WIDTH * 0.09 * closing(layer)], rel=1e-6)
+            assert changes[name] == pytest.approx([closing(layer) / whole, WIDTH * 0.09 * closing(layer)], rel=1e-6)
 
 
 def test_thickness_of_a_layer_beside_another_one():
     """The layer LOW may be ignored up to c of the compliance: eps/M = c/(1 - c) of the rest."""
     structure, share = loaded(three_bodies("LOW", "HIGH")), 0.2
-    found = thin_enough(structure, LAYERS, share, goals.Compliance(), seam="LOW", bonded=True)
+    result = thin_enough(structure, LAYERS, share, goals.Compliance(), seam="LOW", bonded=True)
     bent = loaded(three_bodies("LOW", "HIGH"), {"BOTTOM": 0.0})
     rows = thin_enough(bent, LAYERS, 0.9, seam="LOW").table
     layers = LAYERS | {"LOW": ThinLayer(LAYERS["LOW"].material, rows["eps"][-1])}
     alone = estimate(solve(bent.interface(layers)), seam="LOW")
     assert rows["error"][-1] == pytest.approx(alone.traction, rel=1e-6)  # that of the layer HIGH does not count
     rest = BODIES + closing(LAYERS["HIGH"])
-    assert found.eps == pytest.approx(share / (1 - share) * rest * closing(LAYERS["LOW"]) ** -1 * 0.03, rel=0.02)
+    assert result.eps == pytest.approx(share / (1 - share) * rest * closing(LAYERS["LOW"]) ** -1 * 0.03, rel=0.02)

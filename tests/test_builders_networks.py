@@ -34,8 +34,10 @@ def check(joint: Joint, area: float) -> None:
 def shifted(joint: Joint, layer) -> float:
     """Energy of a body whose top is shifted."""
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
-    found = solve(Structure(joint, body=LinearElastic.young(10.0, 0.25), supports=supports).interface(layer)).energies()
-    return found["bodies"] + found["layer"]
+    energies = solve(
+        Structure(joint, body=LinearElastic.young(10.0, 0.25), supports=supports).interface(layer)
+    ).energies()
+    return energies["bodies"] + energies["layer"]
 
 
 def ends_on_sides(joint: Joint) -> int:
@@ -52,17 +54,17 @@ def test_grains_meet_by_threes(number, seed):
     check(joint, 6.0)
     assert joint.regions == tuple(f"GRAIN {k + 1}" for k in range(number))
     assert joint.split_mesh.pieces.max() + 1 == number
-    found = counts(joint)
-    assert max(found) <= 3
-    assert found.get(3, 0) + ends_on_sides(joint) == 2 * (number - 1)
+    by_valence = counts(joint)
+    assert max(by_valence) <= 3
+    assert by_valence.get(3, 0) + ends_on_sides(joint) == 2 * (number - 1)
     assert np.array_equal(grains(3.0, 2.0, number, 2.0 / np.sqrt(number) / 4, seed=seed).points, joint.points)
 
 
 def test_grains_do_not_depend_on_cells_or_units_but_on_their_seed():
     """They have what is next to their points."""
 
-    def junctions(points=12, **given):
-        joint = grains(3.0, 2.0, points, **given)
+    def junctions(points=12, **options):
+        joint = grains(3.0, 2.0, points, **options)
         return joint.points[joint.split_mesh.valence > 2]
 
     coarse, fine, other = junctions(h=0.15), junctions(h=0.1, h_ends=0.05), junctions(h=0.15, seed=1)
@@ -115,8 +117,8 @@ def test_faults_that_cross_at_an_angle():
 
 def test_a_fault_that_branches_and_one_that_ends():
     """B ends on A, which has a kink; C has two tips."""
-    given = {"A": ((0, 1), (4, 2), (8, 5)), "B": ((4, 6), (2, 1.5)), "C": ((5.5, 1), (6.5, 2), (7.5, 1.5))}
-    joint = faults(8.0, 6.0, given, 0.5)
+    polylines = {"A": ((0, 1), (4, 2), (8, 5)), "B": ((4, 6), (2, 1.5)), "C": ((5.5, 1), (6.5, 2), (7.5, 1.5))}
+    joint = faults(8.0, 6.0, polylines, 0.5)
     check(joint, 48.0)
     assert counts(joint)[3] == 1
     assert joint.points[joint.split_mesh.valence == 3][0] == pytest.approx((2.0, 1.5))
@@ -130,7 +132,7 @@ def test_a_fault_that_branches_and_one_that_ends():
 
 
 def test_refused_faults():
-    for given, message in (
+    for polylines, message in (
         ({}, "faults is {}; it must be {name: points of the fault}"),
         ({"A": ((0, 1),)}, "the fault 'A' is .*; it must be two points"),
         ({"A": ((0, 1), (0, 1), (2, 1))}, r"'A' turns back at \(0, 1\)"),
@@ -142,11 +144,11 @@ def test_refused_faults():
         ({"A": ((0, 1), (8, 1)), "B": ((3, 6), (3, 1.1))}, r"nearly touch .* at \(3, 1.05\): 0.1, less than 0.5 cells"),
         ({"A": ((0, 1), (7.9, 1))}, r"nearly touch each other or a side at \(7.95, 1\)"),
     ):
-        refused(InputError, message, faults, 8.0, 6.0, given, 0.5)
+        refused(InputError, message, faults, 8.0, 6.0, polylines, 0.5)
 
 
 def test_refused_grains():
-    for given, message in (
+    for options, message in (
         (dict(grains=1), "grains is 1; it must be a whole number >= 2"),
         (dict(grains=[(1.0, 1.0), (4.0, 1.0)]), r"the point \(4, 1\) of a grain is not inside"),
         (dict(grains=[(1.0, 1.0), (2.0, 1.0), (1.0, 1.0)]), r"two points of grains are the same, \(1, 1\)"),
@@ -155,7 +157,7 @@ def test_refused_grains():
         (dict(grains=7, seams=lambda a, b: "TOP"), "facets of 'TOP' lie on the outer boundary"),
         (dict(grains=7, h=5.0), "cell size h is 5.0"),
     ):
-        refused(InputError, message, grains, **{"width": 3.0, "height": 2.0, "h": 0.2} | given)
+        refused(InputError, message, grains, **{"width": 3.0, "height": 2.0, "h": 0.2} | options)
 
 
 # ---------------------------------------------------------------- fibre
@@ -183,10 +185,10 @@ def test_fibre(around, cell, degree):
 
 
 def test_refused_fibres():
-    for given, message in (
+    for options, message in (
         (dict(around=0.3), "radius is 0.4; it must be less than the radius of the matrix"),
         (dict(around=(2.0, 0.7)), "less than the smaller half side of the matrix"),
         (dict(around=(1.0, 2.0, 3.0)), "around is .*; it must be a radius, or a width and a height"),
         (dict(around=(2.0, 2.0), cell="quadrilateral"), "needs a matrix with an outer circle"),
     ):
-        refused(InputError, message, fibre, 0.4, **given)
+        refused(InputError, message, fibre, 0.4, **options)

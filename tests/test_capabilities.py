@@ -49,11 +49,11 @@ def near(a, b, rel=ROUNDING, size=0.0):
 
 def in_balance(c: Column, state) -> np.ndarray:
     """Force of the place that holds the lower body, once all forces have been found to add up to zero."""
-    if not (forces := [one.force for one in state.reactions_by_place().values()]):
+    if not (forces := [reaction.force for reaction in state.reactions_by_place().values()]):
         return np.zeros(2)
     unseen = c.unseen(state, state.model.domain.joint.regions) if c.unseen else 0.0
     near(sum(forces) + state.applied().force + unseen, 0.0, size=np.abs(forces).max())
-    return state.reaction(c.held).force
+    return state.reaction(c.supported).force
 
 
 def forces(c: Column, state) -> Numbers:
@@ -94,26 +94,26 @@ def compared(c, folder):
     assert 1e-6 < min(errors) < max(errors) < 0.25
     names = {"too_stiff", f"too_stiff {c.seam}"}
     assert {name for name in compare(meshed, c.state, seam=c.seam) if "stiff" in name} <= names
-    return [*forces(c, meshed), *((one, 0, 0) for one in errors)]
+    return [*forces(c, meshed), *((error, 0, 0) for error in errors)]
 
 
 def estimated(goal: Callable[[Column], goals.Goal], powers, c, folder):
     """A goal's bounds contain that of the structure with the same cells in its layer; its change is known to a tenth."""
     asked = goal(c)
-    found = estimate(c.follow(c.model), c.layers if c.bonded else None, [asked])
-    one, rounding = found.goals[asked.name], 1e-6 * found.goals[asked.name].scale
-    meshed = asked.value(c.meshed({name: each.layer for name, each in found.layers.items()}), found.better.model)
-    assert not one.bounded or one.lower - rounding <= meshed <= one.upper + rounding
-    assert abs(one.better - meshed) <= max(0.1 * abs(meshed - one.value), rounding)
-    errors = [(value, 0, 0) for value in (found.traction, found.jump) if np.isfinite(value)]
+    result = estimate(c.follow(c.model), c.layers if c.bonded else None, [asked])
+    goal_error, rounding = result.goals[asked.name], 1e-6 * result.goals[asked.name].scale
+    meshed = asked.value(c.meshed({name: each.layer for name, each in result.layers.items()}), result.better.model)
+    assert not goal_error.bounded or goal_error.lower - rounding <= meshed <= goal_error.upper + rounding
+    assert abs(goal_error.better - meshed) <= max(0.1 * abs(meshed - goal_error.value), rounding)
+    errors = [(value, 0, 0) for value in (result.traction, result.jump) if np.isfinite(value)]
     share = c.whole(*powers(len(c.at))) if asked.name == "compliance" else 1.0
-    return [*((value / share, *powers(len(c.at))) for value in (one.value, one.better)), *errors]
+    return [*((value / share, *powers(len(c.at))) for value in (goal_error.value, goal_error.better)), *errors]
 
 
 AXIS = (1.0, 0.4, 0.1)
 GOALS = {
     "Compliance": (lambda c: goals.Compliance(), lambda d: (d, 1)),
-    "Reaction": (lambda c: goals.Reaction(c.held, c.turned(AXIS)), lambda d: (d - 1, 1)),
+    "Reaction": (lambda c: goals.Reaction(c.supported, c.turned(AXIS)), lambda d: (d - 1, 1)),
     "MeanTraction": (lambda c: goals.MeanTraction(c.turned(AXIS), c.seam), lambda d: (0, 1)),
     "Displacement": (lambda c: goals.Displacement(c.at, c.turned(AXIS)), lambda d: (1, 0)),
     "Functional": (lambda c: goals.Functional("square", lambda u, model: ufl.inner(u, u)
@@ -123,23 +123,25 @@ GOALS = {
 
 def thin(c, folder):
     """At the thickness found the meshed layer errs by the tolerance, and by no more."""
-    given = {"times": c.times or None, "bodies": c.bodies, "bonded": c.bonded}
+    options = {"times": c.times or None, "bodies": c.bodies, "bonded": c.bonded}
     goal, seam = goals.Compliance(), {"seam": c.seam} if isinstance(c.layers, dict) else {}
-    found = thin_enough(c.structure, c.layers, 0.02, goal, t=1.0, **given, **seam)
-    layer = {**c.layers, c.seam: replace(c.layers[c.seam], eps=found.eps)} if seam else replace(c.layers, eps=found.eps)
+    result = thin_enough(c.structure, c.layers, 0.02, goal, t=1.0, **options, **seam)
+    layer = (
+        {**c.layers, c.seam: replace(c.layers[c.seam], eps=result.eps)} if seam else replace(c.layers, eps=result.eps)
+    )
     state = c.state if c.bonded else c.reach(c.interface(layer))
     error = abs(goal.value(state, state.model) / goal.value(c.meshed(layer), state.model) - 1)
     assert error < 1.1 * 0.02
-    assert error > 0.8 * 0.02 or not found.at_tolerance
-    return [(found.eps, 1, 0)]
+    assert error > 0.8 * 0.02 or not result.at_tolerance
+    return [(result.eps, 1, 0)]
 
 
 def zoomed(c, folder):
     """The stress in the middle of the layer is that in the meshed one."""
     x = Surface(c.model, c.seam).x[:, 1, 0]
-    found, meshed = (Zoom(one, c.seam).stress(x) for one in (c.state, c.meshed()))
-    near(found, meshed, 0.15)
-    return [((c.turned(c.turned(found).T))[1, 1], 0, 1)]
+    stress, meshed = (Zoom(state, c.seam).stress(x) for state in (c.state, c.meshed()))
+    near(stress, meshed, 0.15)
+    return [((c.turned(c.turned(stress).T))[1, 1], 0, 1)]
 
 
 def probed(c, folder):
@@ -154,12 +156,12 @@ def probed(c, folder):
 def crossed(field, c, folder):
     """All that loads the upper body goes through S to the place that holds the lower one."""
     surface = Surface(c.model, c.seam)
-    found = surface.integral(getattr(surface, field)(c.state))
+    force = surface.integral(getattr(surface, field)(c.state))
     if c.structure.plane == "axisymmetric":
-        found[0] = 0.0  # forces along radii add up to zero over the revolution
+        force[0] = 0.0  # forces along radii add up to zero over the revolution
     unseen = c.unseen(c.state, ("LOWER",)) if c.unseen else 0.0
-    near(found, -in_balance(c, c.state) - unseen, size=np.abs(LOAD).max() * c.stress)
-    return [(value, len(c.at) - 1, 1) for value in c.turned(found)]
+    near(force, -in_balance(c, c.state) - unseen, size=np.abs(LOAD).max() * c.stress)
+    return [(value, len(c.at) - 1, 1) for value in c.turned(force)]
 
 
 def opened(c, folder):
@@ -170,13 +172,13 @@ def opened(c, folder):
     inner = [*joint.seams, *(joint.periods.names if joint.periods else ())]
     sides = [model.ds(model.domain.values(name)) for name in joint.facets if name not in inner]
     outside = sum(c.state.integral(ufl.inner(u, n) * ds) for ds in sides)
-    found = surface.integral((surface.jump(c.state) * surface.n).sum(axis=0))
+    opening = surface.integral((surface.jump(c.state) * surface.n).sum(axis=0))
     rel = ROUNDING if c.bodies == "kept" else EPS  # others stand half a thickness away from S
-    near(found, outside - c.state.integral(divergence * model.dx), rel, abs(outside))
-    return [(found / c.whole(joint.dim, 0), joint.dim, 0)]
+    near(opening, outside - c.state.integral(divergence * model.dx), rel, abs(outside))
+    return [(opening / c.whole(joint.dim, 0), joint.dim, 0)]
 
 
-def told(c, folder):
+def status_shares(c, folder):
     """Each facet has one of the statuses that its law can have, and shares of the areas add up to one."""
     surface = Surface(c.model)
     rows = surface.table(c.state).rows
@@ -221,16 +223,16 @@ def described(c, folder):
     """A structure that a file describes has the same work of its loads."""
     case = DescribedCase.of(Description.read(on_root(c.model.comm, lambda: c.described(folder))))
     model, times = case.structure.bonded() if case.description.bonded else case.model(), case.description.times
-    found = march(model, times).last if times else solve(model)
-    near(found.load_work(), c.state.load_work())
-    return [(found.load_work() / c.whole(len(c.at), 1), len(c.at), 1)]
+    state = march(model, times).last if times else solve(model)
+    near(state.load_work(), c.state.load_work())
+    return [(state.load_work() / c.whole(len(c.at), 1), len(c.at), 1)]
 
 
 ROWS = {
     "solve": solved, "march": marched, "resume": resumed, "compare": compared,
-    **{f"estimate {name}": partial(estimated, *given) for name, given in GOALS.items()}, "thin_enough": thin,
+    **{f"estimate {name}": partial(estimated, *args) for name, args in GOALS.items()}, "thin_enough": thin,
     "Zoom": zoomed, "Probe": probed, **{name: partial(crossed, name) for name in ("traction", "reaction")}, "jump": opened,
-    "status": told, "files": filed, "ensemble": in_ensemble, "sweep": swept, "TOML": described,
+    "status": status_shares, "files": filed, "ensemble": in_ensemble, "sweep": swept, "TOML": described,
 }  # fmt: skip
 
 # ---------------------------------------------------------------- the table
@@ -273,7 +275,7 @@ def test_a_cell(row, name, tmp_path):
     if (row, name) in REFUSED:
         refused(ThinlayerError, re.escape(REFUSED[row, name]), numbers, row, name, tmp_path)
     else:
-        found, c = numbers(row, name, tmp_path), column(name)
+        values, c = numbers(row, name, tmp_path), column(name)
         if plain := {"units": "plain", "march": "plain", "twin": "free"}.get(name):
             (tmp_path / "plain").mkdir()
             wanted = [x * c.length**a * c.stress**b for x, a, b in numbers(row, plain, tmp_path / "plain")]
@@ -281,7 +283,7 @@ def test_a_cell(row, name, tmp_path):
             rel = {"thin_enough march": 1e-3, "thin_enough twin": 0.1}.get(
                 f"{row} {name}", 1e-5 if name == "twin" else 1e-6
             )
-            near([x for x, *_ in found], wanted, rel)
+            near([x for x, *_ in values], wanted, rel)
 
 
 for row in ROWS:  # for `Asked`, which finds functions by their names

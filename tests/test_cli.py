@@ -183,7 +183,7 @@ def test_failed_check(tmp_path, quiet):
 @pytest.mark.long
 def test_verbose(tmp_path):
     """What solves do is told on standard error, and only there."""
-    told = process(*ELASTIC, "--quick", "--eps", "0.1", "--out", tmp_path, "-v")
-    assert told.returncode == 0
-    assert "eps = 0.1, t = 0: linear, " in told.stderr
-    assert "thinlayer." not in told.stdout
+    completed = process(*ELASTIC, "--quick", "--eps", "0.1", "--out", tmp_path, "-v")
+    assert completed.returncode == 0
+    assert "eps = 0.1, t = 0: linear, " in completed.stderr
+    assert "thinlayer." not in completed.stdout

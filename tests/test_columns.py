@@ -71,14 +71,14 @@ def check_column(joint, turn, bodies, eps, glue=GLUE, tensor=None, cells_through
     stresses = {name: uniform(tensor_of(isotropic_voigt(law)), t, n)[1] for name, law in bodies.items()}
     tractions = {"TOP": tuple(t)}
     for name, axis, sign in (("LEFT", 0, -1), ("RIGHT", 0, 1), ("BACK", 2, -1), ("FRONT", 2, 1))[: 2 * d - 2]:
-        for part, one in (stresses | {"LAYER": stress}).items():
-            tractions[f"{name}/{part}"] = tuple(sign * one @ turn[:, axis])
+        for part, sigma in (stresses | {"LAYER": stress}).items():
+            tractions[f"{name}/{part}"] = tuple(sign * sigma @ turn[:, axis])
     supports = {"BOTTOM": 0.0} if "BOTTOM" in joint.facets else {}
     structure = Structure(joint, body=bodies, supports=supports, tractions=tractions, **options)
     layer = ThinLayer(glue, eps, at=1.0)
     interface, full = solve(structure.interface(layer)), solve(structure.full(layer, cells_through=cells_through))
     surface = Surface(interface.model)
-    jump, traction = (np.multiply.outer(one, np.ones_like(surface.weights)) for one in (w, t))
+    jump, traction = (np.multiply.outer(vector, np.ones_like(surface.weights)) for vector in (w, t))
     for state in (interface, full):
         assert surface.norm(surface.jump(state) - jump) < EXACT * surface.norm(jump), state.model
         assert surface.norm(surface.traction(state) - traction) < EXACT * surface.norm(traction), state.model
@@ -86,7 +86,7 @@ def check_column(joint, turn, bodies, eps, glue=GLUE, tensor=None, cells_through
     assert np.abs(u.x.array - v.x.array).max() < EXACT * np.abs(v.x.array).max()
 
 
-TWO_BODIES = [(*one, *two) for one, two in zip(ELEMENTS, cycle([(0.3, 1), (1e-2, 7), (1e-4, 4)]))]
+TWO_BODIES = [(*element, *layer) for element, layer in zip(ELEMENTS, cycle([(0.3, 1), (1e-2, 7), (1e-4, 4)]))]
 
 
 @pytest.mark.few(1)
@@ -119,6 +119,6 @@ def test_sign(pull, share, size, swap):
     limit = solve(structure.interface(layer))
     surface = Surface(limit.model)
     for state in (limit, solve(structure.full(layer))):
-        opening, traction = (surface.frame(one(state))[joint.dim - 1] for one in (surface.jump, surface.traction))
+        opening, traction = (surface.frame(field(state))[joint.dim - 1] for field in (surface.jump, surface.traction))
         assert surface.integral(opening) == pytest.approx(area * pull / (share * 29.0), rel=1e-9)
         assert surface.integral(traction) == pytest.approx(area * pull, rel=1e-9)

@@ -76,16 +76,16 @@ ORDERS = [(1.0, 1), (0.5, 2)]  # of both time schemes
 
 def crept(law, mode, end, steps, theta):
     """Jump of a point after some steps under a held traction; laws that answer at once get it before."""
-    held = {"w_T": 0.0, "t_N": LOAD[mode]} if mode == "normal" else {"t_T": LOAD[mode], "w_N": 0.0}
+    prescribed = {"w_T": 0.0, "t_N": LOAD[mode]} if mode == "normal" else {"t_T": LOAD[mode], "w_N": 0.0}
     lengths = [*([] if law.traits.rate else [0.0]), *[end / steps] * steps]
-    return drive(law, [held] * len(lengths), dt=lengths, theta=theta).jumps[-1, AXIS[mode]]
+    return drive(law, [prescribed] * len(lengths), dt=lengths, theta=theta).jumps[-1, AXIS[mode]]
 
 
-def check_order(found, expected, order, number=None):
+def check_order(computed, expected, order, number=None):
     """Numbers of 16 and 32 steps; their extrapolation to steps of length zero is what is expected."""
-    coarse, fine = np.abs(np.array(found) / expected - 1)
+    coarse, fine = np.abs(np.array(computed) / expected - 1)
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.12)
-    extrapolated = found[1] + (found[1] - found[0]) / (2**order - 1)
+    extrapolated = computed[1] + (computed[1] - computed[0]) / (2**order - 1)
     assert extrapolated == pytest.approx(expected, rel=2e-3 if order == 1 else 2e-5)
     assert number is None or expected == pytest.approx(number, rel=1e-11)
 
@@ -96,11 +96,11 @@ def check_order(found, expected, order, number=None):
 def test_order_in_time_of_creep(name, theta, order):
     law, mode, end, closed, number = CREEPS[name]
     expected = float(closed(mode, end))
-    found = [crept(law, mode, end, steps, theta) for steps in (16, 32)]
+    jumps = [crept(law, mode, end, steps, theta) for steps in (16, 32)]
     if name in STRAIGHT:
-        assert found == pytest.approx([expected] * 2, rel=1e-9)
+        assert jumps == pytest.approx([expected] * 2, rel=1e-9)
     else:
-        check_order(found, expected, order, number)
+        check_order(jumps, expected, order, number)
 
 
 def kelvin_moved(t):
@@ -135,11 +135,11 @@ COLUMNS = {  # law, mode, end of time, what is held, jump(t), number at t = 1 fr
 @pytest.mark.parametrize("name", COLUMNS)
 def test_order_in_time_of_a_column(name, theta, order):
     """Whose end is moved, or loaded, at once."""
-    law, mode, end, held, closed, number = COLUMNS[name]
-    given = {held: (MOVE if held == "move" else LOAD)[mode]}
+    law, mode, end, control, closed, number = COLUMNS[name]
+    loading = {control: (MOVE if control == "move" else LOAD)[mode]}
     times = [np.linspace(0, end, steps + 1)[1:] for steps in (16, 32)]
-    found = [jump_of(marched(law, mode, theta, one, **given), mode) for one in times]
-    check_order(found, float(closed(end)), order, number)
+    jumps = [jump_of(marched(law, mode, theta, grid, **loading), mode) for grid in times]
+    check_order(jumps, float(closed(end)), order, number)
 
 
 def test_incompressible_column():
@@ -193,17 +193,17 @@ def test_energies_of_steps(law, mode, theta):
     """The remainder is (2 theta - 1) times the energy of the increments; what is dissipated has its closed form."""
     sizes, dt, axis = np.array([0.01, 0.03, 0.02, 0.025]), np.array([0.02, 0.05, 0.03, 0.1]), AXIS[mode]
     path = [{"w_T": 0.0, "w_N": w} if mode == "normal" else {"w_T": w, "w_N": 0.0} for w in sizes]
-    found = drive(law, path, dt=dt, theta=theta)
-    change, t = np.diff(sizes, prepend=0.0), found.tractions[:, axis]
+    history = drive(law, path, dt=dt, theta=theta)
+    change, t = np.diff(sizes, prepend=0.0), history.tractions[:, axis]
     rate = np.abs(change / dt)
     if law is MAXWELL:  # it remembers its stress, here the component sqrt2 12
-        stresses = found.memory[:, 3] / np.sqrt(2)
+        stresses = history.memory[:, 3] / np.sqrt(2)
         lost, increments = dt * t**2 / (K[mode] * T1), np.diff(stresses, prepend=0.0) ** 2 / K[mode]
     else:
         p, c = (2.0, G[mode]) if law is KELVIN else (law.p, 5.0 * (2 ** (-law.p / 2) if mode == "shear" else 1.0))
         lost, increments = dt * c * rate**p, K[mode] * change**2
-    assert found.energies[:, 1] == pytest.approx(lost, rel=1e-8)
-    assert found.energies[:, 2] == pytest.approx((2 * theta - 1) * increments / 2, rel=1e-8, abs=1e-14)
+    assert history.energies[:, 1] == pytest.approx(lost, rel=1e-8)
+    assert history.energies[:, 2] == pytest.approx((2 * theta - 1) * increments / 2, rel=1e-8, abs=1e-14)
 
 
 FLUID, SOLID = AgeingFluid(MU, 0.4, 3.0), AgeingKelvinVoigt(LMBDA, MU, 0.3, 0.5, 2.0)

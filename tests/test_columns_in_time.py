@@ -19,7 +19,7 @@ pytestmark = pytest.mark.few(10)
 
 
 SANDWICHES = [(0.3, 1.0, "shear"), (1e-2, 0.5, "normal"), (1e-4, 1.0, "normal")]
-COLUMNS = [*(("sandwich", *one) for one in SANDWICHES), ("block", 0.02, 0.5, "shear")]
+COLUMNS = [*(("sandwich", *case) for case in SANDWICHES), ("block", 0.02, 0.5, "shear")]
 
 
 @pytest.mark.parametrize(("kind", "eps", "theta", "mode"), COLUMNS)

@@ -34,9 +34,9 @@ def modules(monkeypatch):
     compiled = dolfinx.jit.ffcx_jit
 
     def recorded(*arguments, **options):
-        found = compiled(*arguments, **options)
-        names.append(found[1].__name__)
-        return found
+        result = compiled(*arguments, **options)
+        names.append(result[1].__name__)
+        return result
 
     monkeypatch.setattr(dolfinx.jit, "ffcx_jit", recorded)
     return names
@@ -76,15 +76,15 @@ def test_compiled_once(law, other, modules):
 @pytest.mark.parametrize("law", [LinearElastic(60.0, 40.0), NORTON, Cubic(30.0, 2.0)])
 def test_compiled_once_for_all_seams(law, modules):
     """Three seams ask for the code of one."""
-    found = []
+    module_sets = []
     for heights in ([0.4], [0.25, 0.5, 0.75]):
         modules.clear()
         joint = faults(1.3, 1.0, {f"S {y}": ((0.0, y), (1.3, y)) for y in heights}, 0.3)
         data = {"body": LinearElastic.young(100.0, 0.3), "tractions": {"TOP": (0.1, 0.2)}, "supports": {"BOTTOM": 0}}
         state = march(Structure(joint, **data).interface(ThinLayer(law, 0.01, at=1.0)), [0.1]).last
         Surface(state.model).traction(state)
-        found.append({*modules})
-    assert found[1] <= found[0]
+        module_sets.append({*modules})
+    assert module_sets[1] <= module_sets[0]
 
 
 @pytest.mark.parametrize(("build", "law"), [(Structure.full, Incompressible(40.0)), (Structure.interface, NORTON)])

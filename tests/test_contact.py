@@ -47,8 +47,8 @@ def test_profiles_on_another_mesh(case):
     for (name, x), values in PROFILE.items():
         if name == case:
             at = np.argmin(np.abs(report.x[:, 0] - x))
-            found = (report.u_T[at, 0], report.u_N[at], report.p[at], report.t_T[at, 0])
-            assert found == pytest.approx(values, rel=2e-6)
+            computed = (report.u_T[at, 0], report.u_N[at], report.p[at], report.t_T[at, 0])
+            assert computed == pytest.approx(values, rel=2e-6)
     assert np.abs(np.subtract(counts(report), COUNTS[case])).max() <= 1
 
 

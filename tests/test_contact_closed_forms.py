@@ -36,10 +36,10 @@ def test_friction_cycle_of_a_rigid_block():
     slip, expected, dissipated = 0.0, [], []
     for t in [0.0, *times]:
         g = np.interp(t, list(path), list(path.values()))
-        found = np.clip(K_T * (g - slip), -bound, bound)
-        dissipated.append(3.0 * found * (g - found / K_T - slip))
-        slip = g - found / K_T
-        expected.append(found)
+        t_T = np.clip(K_T * (g - slip), -bound, bound)
+        dissipated.append(3.0 * t_T * (g - t_T / K_T - slip))
+        slip = g - t_T / K_T
+        expected.append(t_T)
     assert history.table["t_T"] == pytest.approx(np.array(expected), abs=1e-5)
     assert history.table["dissipated"] == pytest.approx(np.array(dissipated), abs=1e-5)
     assert max(dissipated) > 0.05
@@ -48,11 +48,11 @@ def test_friction_cycle_of_a_rigid_block():
 
 def test_solvers_agree_on_a_march_that_turns():
     histories = [to_and_fro(method=method) for method in (*SOLVERS, "relaxation")]
-    for one in histories[1:]:
-        for state, other in zip(one, histories[0], strict=True):
+    for history in histories[1:]:
+        for state, other in zip(history, histories[0], strict=True):
             assert state.u.x.array == pytest.approx(other.u.x.array, rel=1e-7, abs=1e-7 * np.abs(other.u.x.array).max())
             assert state.memory["contact"] == pytest.approx(other.memory["contact"], rel=1e-5, abs=1e-6)
-        assert np.abs(one.table["imbalance"]).max() < 1e-6
+        assert np.abs(history.table["imbalance"]).max() < 1e-6
     assert (np.array(histories[0].table["dissipated"])[-3:] > 1e-3).all()
 
 
@@ -68,8 +68,8 @@ def sheared(law, q, method):
 def test_uniform_stress_without_any_support(method):
     """Pressure and shear that S alone carries, up to f p + C: the stiffness of the body is singular, the answer is not."""
     law = HolonomicCoulomb(300.0, 80.0, 0.4, 0.2)
-    for one, q in ((law, 2.1), (Tresca(300.0, 80.0, 2.0), 1.7)):
-        report = sheared(one, q, method)
+    for contact_law, q in ((law, 2.1), (Tresca(300.0, 80.0, 2.0), 1.7)):
+        report = sheared(contact_law, q, method)
         assert report.p == pytest.approx(5.0, rel=1e-7)
         assert report.t_T == pytest.approx(q, rel=1e-7)
         assert report.u_T == pytest.approx(q / 80.0, rel=1e-7)
@@ -90,16 +90,16 @@ def test_a_march_ends_at_the_limit_of_contact(method, load, limit):
     setup = {"supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}, "element": "Q1"}
     structure = Structure(joint, body=LinearElastic.young(1e3, 0.2), **setup)
     model = structure.interface(IncrementalCoulomb(300.0, 80.0, 0.35, 0.2))
-    found = refused(LimitLoad, "", march, model, [0.5, limit, 2.0], method=method, **few)
+    error = refused(LimitLoad, "", march, model, [0.5, limit, 2.0], method=method, **few)
     longest = max(limit - 0.5, 2.0 - limit)
-    assert found.t == found.history.last.t > 0.5
-    assert found.t <= limit * (1 + 1e-9)
-    assert found.failed_at >= limit * (1 - 1e-9)
-    assert found.failed_at - found.t < (0.02 if few else 1.01 / 1024) * longest
-    assert found.growth > 1e3
-    assert not re.search("smaller|supported", str(found))  # what a solver that fails advises
-    report = Surface(found.history.last.model).contact(found.history.last)
-    assert abs(report.friction_force[0]) == pytest.approx(load(0, found.t)[0], rel=1e-6)
+    assert error.t == error.history.last.t > 0.5
+    assert error.t <= limit * (1 + 1e-9)
+    assert error.failed_at >= limit * (1 - 1e-9)
+    assert error.failed_at - error.t < (0.02 if few else 1.01 / 1024) * longest
+    assert error.growth > 1e3
+    assert not re.search("smaller|supported", str(error))  # what a solver that fails advises
+    report = Surface(error.history.last.model).contact(error.history.last)
+    assert abs(report.friction_force[0]) == pytest.approx(load(0, error.t)[0], rel=1e-6)
 
 
 @pytest.mark.few(5)
@@ -107,10 +107,10 @@ def test_a_march_ends_at_the_limit_of_contact(method, load, limit):
 def test_a_body_pulled_off(method):
     joint, setup = sliding_bar(12)
     pulled = setup | {"tractions": {"TOP": (0.0, 50.0)}}
-    held = solved(joint, coulomb("middle"), pulled, method=method)
-    assert held.counts["separated"] >= 11
-    assert held.counts["stick"] == held.counts["sliding"] == 0
-    assert not held.p.any()
+    report = solved(joint, coulomb("middle"), pulled, method=method)
+    assert report.counts["separated"] >= 11
+    assert report.counts["stick"] == report.counts["sliding"] == 0
+    assert not report.p.any()
     with pytest.raises(SolveError):
         solved(joint, coulomb("middle"), pulled | {"supports": {"RIGHT": {"x": 0.0}}}, method=method)
 

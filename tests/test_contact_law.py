@@ -19,7 +19,7 @@ COULOMB = [HolonomicCoulomb(K_N, K_T, F), HolonomicCoulomb(K_N, K_T, F, C), Incr
 LAWS = [*COULOMB, Tresca(K_N, K_T, 0.9)]
 
 
-def one(*w: float) -> np.ndarray:
+def row(*w: float) -> np.ndarray:
     return np.array([w])
 
 
@@ -39,8 +39,8 @@ BY_HAND = [  # law, jump, traction, status
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("law", "w", "t", "status"), BY_HAND)
 def test_tractions_by_hand(law, w, t, status):
-    assert law.traction(one(*w)) == pytest.approx(one(*t))
-    assert law.status(one(*w)) == status
+    assert law.traction(row(*w)) == pytest.approx(row(*t))
+    assert law.status(row(*w)) == status
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -53,13 +53,13 @@ def test_tangent_is_the_derivative(law, d):
     same = law.status(w, slip) == law.status(w + 1e-4 * v, slip)
     same &= law.threshold_rate(law.pressure(w)) == law.threshold_rate(law.pressure(w + 1e-4 * v))
     assert same.sum() > 300
-    for one in (law, law.homotopy(0.3)):
-        predicted = np.einsum("nij,nj->ni", one.tangent(w, slip), v)
-        steps = [(h, one.traction(w + h * v, slip) - one.traction(w, slip)) for h in (1e-4, 1e-5)]
+    for variant in (law, law.homotopy(0.3)):
+        predicted = np.einsum("nij,nj->ni", variant.tangent(w, slip), v)
+        steps = [(h, variant.traction(w + h * v, slip) - variant.traction(w, slip)) for h in (1e-4, 1e-5)]
         errors = [np.abs((change - h * predicted)[same]).max() for h, change in steps]
         assert errors[1] <= max(0.02 * errors[0], 1e-14)
-    apart = w - np.column_stack([slip, np.zeros(400)])
-    bonded = np.einsum("nij,nj->ni", law.bonded(400, d), apart)
+    elastic_jump = w - np.column_stack([slip, np.zeros(400)])
+    bonded = np.einsum("nij,nj->ni", law.bonded(400, d), elastic_jump)
     assert law.homotopy(1.0).traction(w, slip) == pytest.approx(bonded, rel=1e-12)
     assert law.homotopy(0.3).traction(w, slip) == pytest.approx(0.7 * law.traction(w, slip) + 0.3 * bonded, rel=1e-12)
 
@@ -68,15 +68,15 @@ def test_slip_memory():
     """Slide forth, turn: the return starts elastic, with twice the threshold to go."""
     law = IncrementalCoulomb(K_N, K_T, F)
     pressure, bound = 0.74, F * 0.74
-    slip = law.slip_after(one(0.3, -0.02), np.zeros((1, 1)))
+    slip = law.slip_after(row(0.3, -0.02), np.zeros((1, 1)))
     assert slip[0, 0] == pytest.approx(0.3 - bound / K_T)
-    back = one(0.3 - bound / K_T, -0.02)
+    back = row(0.3 - bound / K_T, -0.02)
     assert law.traction(back, slip)[0, 0] == pytest.approx(0.0, abs=1e-12)
-    assert law.traction(one(-0.3, -0.02), slip) == pytest.approx(one(-bound, -pressure))
+    assert law.traction(row(-0.3, -0.02), slip) == pytest.approx(row(-bound, -pressure))
     holonomic = HolonomicCoulomb(K_N, K_T, F)
     assert holonomic.traction(back)[0, 0] == pytest.approx(bound)
-    assert holonomic.slip_after(one(0.3, -0.02), np.zeros((1, 1))) == pytest.approx(0.0)
-    assert law.slip_after(one(0.4, 0.1), np.zeros((1, 1)))[0, 0] == pytest.approx(0.4)
+    assert holonomic.slip_after(row(0.3, -0.02), np.zeros((1, 1))) == pytest.approx(0.0)
+    assert law.slip_after(row(0.4, 0.1), np.zeros((1, 1)))[0, 0] == pytest.approx(0.4)
 
 
 def lists(n):
@@ -116,7 +116,7 @@ def test_stiffness_of_a_layer():
     assert IncrementalCoulomb.of_layer(lmbda=0.0, mu=5.0, friction=0.3, cohesion=2.0).K_N == 10.0
 
 
-def own(bound):
+def law_with_threshold(bound):
     """A law of one's own with a threshold."""
     methods = {"threshold": lambda self, p: bound(p), "threshold_rate": lambda self, p: 0.3 * np.ones_like(p)}
     return type("Own", (ContactLaw,), methods)(K_N, K_T)
@@ -131,16 +131,16 @@ class Other(HolonomicCoulomb):
 WRONG = [
     (ContactLaw(K_N, K_T), "has no threshold"),
     (Other(K_N, K_T, F), "numbers = None"),
-    (own(lambda p: p.__imul__(0.3)), "changes p"),
-    (own(lambda p: -0.3 * p), "finite, >= 0"),
-    (own(lambda p: np.nan * p), "finite, >= 0"),
-    (own(lambda p: p[1:]), "array of 11 floats"),
-    (own(lambda p: 0.3), "array of 11 floats"),
-    (own(lambda p: np.ones(len(p), int)), "array of 11 floats"),
+    (law_with_threshold(lambda p: p.__imul__(0.3)), "changes p"),
+    (law_with_threshold(lambda p: -0.3 * p), "finite, >= 0"),
+    (law_with_threshold(lambda p: np.nan * p), "finite, >= 0"),
+    (law_with_threshold(lambda p: p[1:]), "array of 11 floats"),
+    (law_with_threshold(lambda p: 0.3), "array of 11 floats"),
+    (law_with_threshold(lambda p: np.ones(len(p), int)), "array of 11 floats"),
 ]
 
 
 def test_laws_of_ones_own_are_checked():
     for law, words in WRONG:
         refused(InputError, words, law.check_threshold)
-    own(lambda p: 0.3 * p).check_threshold()
+    law_with_threshold(lambda p: 0.3 * p).check_threshold()

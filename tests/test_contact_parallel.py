@@ -15,14 +15,14 @@ def serial():
     return contents()
 
 
-def require_same(one, two):
-    assert one["status"] == two["status"]
-    assert one["clapeyron"] == pytest.approx(two["clapeyron"], rel=1e-6, abs=1e-8)
-    size = np.abs(one["u_T"]).max() + np.abs(one["u_N"]).max()
+def require_same(first, second):
+    assert first["status"] == second["status"]
+    assert first["clapeyron"] == pytest.approx(second["clapeyron"], rel=1e-6, abs=1e-8)
+    size = np.abs(first["u_T"]).max() + np.abs(first["u_N"]).max()
     for name in ("u_T", "u_N"):
-        assert np.abs(np.subtract(one[name], two[name])).max() <= 1e-8 * size
+        assert np.abs(np.subtract(first[name], second[name])).max() <= 1e-8 * size
     for name in ("p", "t_T"):
-        assert np.abs(np.subtract(one[name], two[name])).max() <= 1e-6 * np.abs(one["p"]).max()
+        assert np.abs(np.subtract(first[name], second[name])).max() <= 1e-6 * np.abs(first["p"]).max()
 
 
 @pytest.mark.long

@@ -57,9 +57,9 @@ def test_frames_in_three_dimensions():
 
 
 def test_pictures(tmp_path):
-    one, two = bar(12, coulomb("middle")), bar(12, coulomb("soft"))
-    given = {"save": tmp_path / "two.png", "length": "mm", "stress": "MPa", "title": "contact"}
-    plotting.along(one.surface, {"a": one, "b": two}, **given)
+    middle, soft = bar(12, coulomb("middle")), bar(12, coulomb("soft"))
+    options = {"save": tmp_path / "two.png", "length": "mm", "stress": "MPa", "title": "contact"}
+    plotting.along(middle.surface, {"a": middle, "b": soft}, **options)
     joint, setup = sliding_bar(4, depth=True)
     solid = solve(Structure(joint, **setup).interface(coulomb("middle")))
     report = contact(solid)
@@ -67,7 +67,7 @@ def test_pictures(tmp_path):
     assert_coloured(picture, {*report.status.tolist()})
     plotting.on_surface({"p": solid}, report.p, save=tmp_path / "p.png", quantity="p")
     assert_drawn(tmp_path / "two.png", tmp_path / "solid.png", tmp_path / "p.png")
-    refused(InputError, "nothing to draw", lambda: plotting.along(one.surface, {}))
+    refused(InputError, "nothing to draw", lambda: plotting.along(middle.surface, {}))
     refused(InputError, "3 components", lambda: plotting.on_surface(solid, Surface.jump))
     refused(InputError, "is no field on S", lambda: plotting.on_surface(solid, np.array(["a"])))
     refused(InputError, "no state to draw", lambda: plotting.on_surface({}, Surface.status))
@@ -116,8 +116,8 @@ def test_refused_solves():
         (InputError, "for another one, with the same element", elastic, {"like": solve(squared)}),
         (InputError, "same joint", model, {"like": solve(Structure(other, **data).interface(coulomb("middle")))}),
     ]
-    for kind, words, one, choices in rows:
-        refused(kind, words, solve, one, **choices)
+    for kind, words, case_model, choices in rows:
+        refused(kind, words, solve, case_model, **choices)
     for name, value in {"omega": 2.5, "tolerance": 0.0, "max_sweeps": 0}.items():
         refused(InputError, "allowed", solve, model, method="relaxation", options={f"relaxation_{name}": value})
     for name in ("snes_max_it", "relaxation_omga", "ksp_type"):

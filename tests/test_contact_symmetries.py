@@ -35,14 +35,14 @@ def test_swapped_bodies(method):
     """Calling the upper body the lower one turns n: the same jumps, seen from the other side."""
     law = HolonomicCoulomb(7e4, 2e4, 0.5)
     joint, setup = stacked()
-    one = solved(joint, law, setup, method=method)
-    two = solved(joint.swapped(), law, setup, method=method)
-    assert {"separated", "sliding"} <= {*one.status}
-    at = np.argsort(one.x[:, 0]), np.argsort(two.x[:, 0])
-    assert two.p[at[1]] == pytest.approx(one.p[at[0]], rel=1e-7, abs=1e-7)
-    assert np.abs(two.u_T[at[1]]) == pytest.approx(np.abs(one.u_T[at[0]]), rel=1e-7, abs=1e-11)
-    assert (two.status[at[1]] == one.status[at[0]]).all()
-    assert two.force == pytest.approx(-one.force, rel=1e-7)
+    original = solved(joint, law, setup, method=method)
+    swapped = solved(joint.swapped(), law, setup, method=method)
+    assert {"separated", "sliding"} <= {*original.status}
+    at = np.argsort(original.x[:, 0]), np.argsort(swapped.x[:, 0])
+    assert swapped.p[at[1]] == pytest.approx(original.p[at[0]], rel=1e-7, abs=1e-7)
+    assert np.abs(swapped.u_T[at[1]]) == pytest.approx(np.abs(original.u_T[at[0]]), rel=1e-7, abs=1e-11)
+    assert (swapped.status[at[1]] == original.status[at[0]]).all()
+    assert swapped.force == pytest.approx(-original.force, rel=1e-7)
 
 
 @pytest.mark.parametrize("angle", [0.4, 2.5])
@@ -52,15 +52,15 @@ def test_rotated_structure(angle):
     setup["supports"] = {"BOTTOM": 0.0}
     law = HolonomicCoulomb(7e4, 2e4, 0.5)
     setup["tractions"] = {"TOP": (5.0, -12.0)}
-    one = solved(joint, law, setup)
+    original = solved(joint, law, setup)
     c, s = np.cos(angle), np.sin(angle)
     turned = joint.rotated(angle), law, setup | {"tractions": {"TOP": (5 * c + 12 * s, 5 * s - 12 * c)}}
-    two = solved(*turned)
-    assert two.force == pytest.approx(np.array([[c, -s], [s, c]]) @ one.force, rel=1e-6)
-    assert solved(*turned, method="relaxation").u_T == pytest.approx(two.u_T, rel=1e-6, abs=1e-9)
-    for report in (one, two):
+    rotated = solved(*turned)
+    assert rotated.force == pytest.approx(np.array([[c, -s], [s, c]]) @ original.force, rel=1e-6)
+    assert solved(*turned, method="relaxation").u_T == pytest.approx(rotated.u_T, rel=1e-6, abs=1e-9)
+    for report in (original, rotated):
         (line,) = report.surface.along(report.p)
         assert line.length == pytest.approx(6.0)
     way = slice(None, None, 1 if np.cos(angle) > 0 else -1)  # a report starts at the lower coordinates
-    assert two.p[way] == pytest.approx(one.p, rel=1e-6, abs=1e-6)
-    assert two.u_T[way] == pytest.approx(one.u_T, rel=1e-6, abs=1e-10)
+    assert rotated.p[way] == pytest.approx(original.p, rel=1e-6, abs=1e-6)
+    assert rotated.u_T[way] == pytest.approx(original.u_T, rel=1e-6, abs=1e-10)

@@ -12,8 +12,8 @@ RATIOS = (0.1, 0.3, 0.45, 0.5)
 
 def test_exponents_that_are_known():
     """Of Williams; tests of the field hold the others."""
-    for nu, known in ((0.0, 1.0), (0.3, 0.71117), (0.5, 0.59461)):  # 0.3: stresses ~ r^-0.289
-        assert CornerField(nu).exponent == pytest.approx(known, abs=1e-5)
+    for nu, exponent in ((0.0, 1.0), (0.3, 0.71117), (0.5, 0.59461)):  # 0.3: stresses ~ r^-0.289
+        assert CornerField(nu).exponent == pytest.approx(exponent, abs=1e-5)
 
 
 @pytest.mark.parametrize("nu", RATIOS)

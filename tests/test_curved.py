@@ -111,8 +111,8 @@ def test_bodies_are_kept_on_shallow_arcs():
     with pytest.warns(RangeWarning, match=r"its thickness is 0\.978 to 1\.010 of eps"):
         meshed = solve(structure.full(layer))
     goal = goals.Displacement((2.0, 0.0), (1.0, 0.3))
-    found = estimate(solve(structure.interface(layer)), goals=[goal])
-    bounds, value = found.goals[goal.name], goal.value(meshed, found.better.model)
+    result = estimate(solve(structure.interface(layer)), goals=[goal])
+    bounds, value = result.goals[goal.name], goal.value(meshed, result.better.model)
     assert bounds.lower <= value <= bounds.upper < bounds.lower + 1e-3 * abs(bounds.better - bounds.value)
 
 

@@ -35,7 +35,7 @@ def lame(E, nu):
 
 # ---------------------------------------------------------------- keys
 def test_all_keys(tmp_path):
-    found = described(
+    parsed = described(
         tmp_path,
         """
         mesh = {path = "joint.msh", S = "GLUE", upper = ["A", "B"], lower = "C", direction = [-1, 2], scale = 1e3}
@@ -59,23 +59,23 @@ def test_all_keys(tmp_path):
         """,
     )
     sides = {"S": "GLUE", "upper": ["A", "B"], "lower": "C", "direction": (-1.0, 2.0), "scale": 1e3}
-    assert found.mesh == {"path": str(tmp_path / "joint.msh"), **sides}
-    assert (found.units, found.plane, found.element) == (("mm", "MPa"), "stress", "S2")
-    assert (found.bodies, found.times, found.bonded) == ("extended", (0.5, 2.0), True)
-    assert found.body_force == {"A": (0.0, -1e-5), "GLUE": (1e-6, 0.0)}
-    assert found.body["A"].law.parameters() == lame(210e3, 0.3)
-    assert isinstance(found.body["B"].law, VonMises)
-    assert found.body["B"].law.lmbda == pytest.approx(160e3 - 2 * 80e3 / 3)
-    layer = found.layer[None]
+    assert parsed.mesh == {"path": str(tmp_path / "joint.msh"), **sides}
+    assert (parsed.units, parsed.plane, parsed.element) == (("mm", "MPa"), "stress", "S2")
+    assert (parsed.bodies, parsed.times, parsed.bonded) == ("extended", (0.5, 2.0), True)
+    assert parsed.body_force == {"A": (0.0, -1e-5), "GLUE": (1e-6, 0.0)}
+    assert parsed.body["A"].law.parameters() == lame(210e3, 0.3)
+    assert isinstance(parsed.body["B"].law, VonMises)
+    assert parsed.body["B"].law.lmbda == pytest.approx(160e3 - 2 * 80e3 / 3)
+    layer = parsed.layer[None]
     assert isinstance(layer.law, Norton)
     assert (layer.law.eta, layer.law.p, layer.eps, layer.eigenstrain) == (7, 2, 0.2, -0.01)
-    assert found.supports == {"LEFT": 0.0, "BOTTOM": {"y": 0.5, "n": 0.0}, (40.0, -0.5): {"x": 1.0}}
-    assert found.tractions == {"TOP": (3.0, -50.0), "RIGHT/A": {"pressure": 5.0}}
-    assert found.loads == (
+    assert parsed.supports == {"LEFT": 0.0, "BOTTOM": {"y": 0.5, "n": 0.0}, (40.0, -0.5): {"x": 1.0}}
+    assert parsed.tractions == {"TOP": (3.0, -50.0), "RIGHT/A": {"pressure": 5.0}}
+    assert parsed.loads == (
         {"place": (1.0, 2.0), "force": (0.0, -30.0), "body": "A"},
         {"first": "TOP", "second": "FRONT", "force": (1.0, 2.0, 3.0)},
     )
-    assert found.goals == {
+    assert parsed.goals == {
         "compliance": {"kind": "compliance"},
         "pull": {"kind": "displacement", "x": (80.0, 1.0), "direction": (1.0, 0.0), "side": "upper"},
         "reaction": {"kind": "reaction", "place": "LEFT", "direction": (0.0, 1.0)},
@@ -84,9 +84,9 @@ def test_all_keys(tmp_path):
 
 
 def test_least(tmp_path):
-    found = described(tmp_path, LEAST)
-    assert found.mesh == {"path": str(tmp_path / "joint.msh")}
-    assert (found.bodies, found.times, found.goals, found.tolerance, found.bonded) == ("kept", (), {}, {}, False)
+    parsed = described(tmp_path, LEAST)
+    assert parsed.mesh == {"path": str(tmp_path / "joint.msh")}
+    assert (parsed.bodies, parsed.times, parsed.goals, parsed.tolerance, parsed.bonded) == ("kept", (), {}, {}, False)
     assert described(tmp_path, LEAST + "tolerance = 0.07").tolerance == {"traction": 0.07}
     both = LEAST + "tolerance = {jump = 0.1, pull = 0.02}\ngoals = {pull = {kind = 'compliance'}}"
     assert described(tmp_path, both).tolerance == {"jump": 0.1, "pull": 0.02}
@@ -95,8 +95,8 @@ def test_least(tmp_path):
 
 @pytest.mark.parametrize("moduli", ["E = 26, nu = 0.3", "G = 10, nu = 0.3", "mu = 10, nu = 0.3", "lmbda = 15, mu = 10"])
 def test_pairs_of_moduli(tmp_path, moduli):
-    found = described(tmp_path, LEAST.replace("E = 900, nu = 0.35", moduli))
-    assert found.layer[None].law.parameters() == lame(26, 0.3)
+    parsed = described(tmp_path, LEAST.replace("E = 900, nu = 0.35", moduli))
+    assert parsed.layer[None].law.parameters() == lame(26, 0.3)
 
 
 def test_other_laws(tmp_path):
@@ -114,7 +114,7 @@ def test_other_laws(tmp_path):
 
 
 def test_histories(tmp_path):
-    found = described(
+    parsed = described(
         tmp_path,
         """
         times = [0.5, 2]
@@ -125,7 +125,7 @@ def test_histories(tmp_path):
         "tractions.TOP={times = [0, 2], values = [[0, 0], [3, -50]]}",
         "tractions.END={pressure = {times = [-1, 0.5, 2], values = [0, 5, 1]}}",
     )
-    assert {".".join(one.keys): dict(one.values) for one in found.section.histories} == {
+    assert {".".join(history.keys): dict(history.values) for history in parsed.section.histories} == {
         "supports.LEFT.x": {0: 0, 2: 0.1},
         "tractions.TOP": {0: (0, 0), 2: (3, -50)},
         "tractions.END.pressure": {-1: 0, 0.5: 5, 2: 1},
@@ -181,10 +181,10 @@ def test_a_setting_says_what_a_file_may(tmp_path):
 
 def test_settings_of_laws_and_meshes(tmp_path):
     """One parameter, a law with what it needs, the last one of a key; meshes of the command line are where it is."""
-    found = described(tmp_path, LEAST, "layer.E=1", "layer.E=2e3", "layer.eps=0.1", "body.nu=0", "mesh.scale=1e3")
-    assert (found.layer[None].law.parameters(), found.layer[None].eps) == (lame(2e3, 0.35), 0.1)
-    assert found.body[None].law.parameters() == lame(70e3, 0)
-    assert found.mesh == {"path": str(tmp_path / "joint.msh"), "scale": 1e3}
+    parsed = described(tmp_path, LEAST, "layer.E=1", "layer.E=2e3", "layer.eps=0.1", "body.nu=0", "mesh.scale=1e3")
+    assert (parsed.layer[None].law.parameters(), parsed.layer[None].eps) == (lame(2e3, 0.35), 0.1)
+    assert parsed.body[None].law.parameters() == lame(70e3, 0)
+    assert parsed.mesh == {"path": str(tmp_path / "joint.msh"), "scale": 1e3}
     other = described(tmp_path, LEAST, "layer.law=VonMises", "layer.strength=7", "mesh=b.msh")
     assert (other.layer[None].law.strength, other.mesh) == (7, {"path": "b.msh"})
     stack = "layer={eps = 1, sublayers = [{fraction = 0.4, E = 6, nu = 0.1}, {fraction = 0.6, G = 3, nu = 0.2}]}"

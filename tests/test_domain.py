@@ -85,8 +85,8 @@ def of_rank_0() -> dict[str, Any]:
 
     def in_memory() -> float:
         rollup = Path("/proc/self/smaps_rollup").read_text().splitlines()
-        own = next(int(line.split()[1]) * 1024 for line in rollup if line.startswith("Pss_Shmem"))
-        return float(MPI.COMM_WORLD.allreduce(own))
+        n_bytes = next(int(line.split()[1]) * 1024 for line in rollup if line.startswith("Pss_Shmem"))
+        return float(MPI.COMM_WORLD.allreduce(n_bytes))
 
     def copies() -> float:
         before = in_memory()

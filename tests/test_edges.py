@@ -67,9 +67,9 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     def energy(stations):
         return sum(float((s.share * s.law.energy(Step(s.strain(s.law, faces), n_ufl)))(())) for s in stations)
 
-    found, plain = energy(law.stations_at_ends(weights)), energy(law.stations())
+    at_end, plain = energy(law.stations_at_ends(weights)), energy(law.stations())
     infinite = written(law, eps, n, m, jump, gradient, 0, 0, 1, 1)
-    assert found - plain == pytest.approx(written(law, eps, n, m, jump, gradient, *values) - infinite, rel=1e-10)
+    assert at_end - plain == pytest.approx(written(law, eps, n, m, jump, gradient, *values) - infinite, rel=1e-10)
     none = EndWeights(ufl.as_vector(m.tolist()), *map(ufl.as_ufl, (0.0, 0.0, 1.0, 1.0, 1.0)))
     assert energy(law.stations_at_ends(none)) == pytest.approx(plain, rel=1e-12)
     # with a pressure: the part of shear, which has none, and the flow
@@ -103,31 +103,31 @@ def test_weights_have_the_deficit_of_the_end(cell):
     assert len(ends) == (2 if cell == "triangle" else 4)
     c, s = math.cos(0.2), math.sin(0.2)
     opposite = [end for end in ends if abs(abs(end.m[:2] @ [c, s]) - 1) < 1e-9]
-    found, area, strips, _ = weights_on(joint, eps, opposite)
+    weights, area, strips, _ = weights_on(joint, eps, opposite)
     length = 2 * depth.get("depth", 1.0)
-    assert found.a_N @ area == pytest.approx(strips.opening.c * eps * length, rel=1e-12)
-    assert found.a_T @ area == pytest.approx(strips.shear.c * eps * length, rel=1e-12)
+    assert weights.a_N @ area == pytest.approx(strips.opening.c * eps * length, rel=1e-12)
+    assert weights.a_T @ area == pytest.approx(strips.shear.c * eps * length, rel=1e-12)
     of_pressure = FacetWeights.of(opposite, Sheet(joint), eps, EndStrips.with_pressure(free_end(0.3)))
     assert of_pressure.resistance @ area == pytest.approx((1 / free_end(0.3).kappa - 1) * eps * length, rel=1e-12)
     assert not of_pressure.a_N.any()
-    np.testing.assert_array_equal(of_pressure.a_T, found.a_T)
-    assert np.linalg.norm(found.m, axis=1) == pytest.approx(1.0)
+    np.testing.assert_array_equal(of_pressure.a_T, weights.a_T)
+    assert np.linalg.norm(weights.m, axis=1) == pytest.approx(1.0)
 
 
 # ---------------------------------------------------------------- errors
 def errors(structure_at, law):
     """Errors of the law that knows its ends and of one that does not: traction and jump on the inner half of S, work."""
-    found = {"free": [], "plain": []}
+    table = {"free": [], "plain": []}
     for eps in EPS:
-        one = structure_at(eps)
-        full = solve(one.full(ThinLayer(law, eps, at=1.0), cells_through=8))
-        for edges, rows in found.items():
-            limit = solve(one.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0)))
+        structure = structure_at(eps)
+        full = solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=8))
+        for edges, rows in table.items():
+            limit = solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0)))
             assert (limit.model.free_ends("S") is None) == (edges == "free")
             row = compare(full, limit, where=lambda x: abs(x[0] - 0.5) < 0.25)
             work = limit.energies()["loads"] / full.energies()["loads"] - 1
             rows.append([row["error_traction"], row["error_jump"], abs(work)])
-    return map(np.array, found.values())
+    return map(np.array, table.values())
 
 
 def stack(eps):
@@ -185,10 +185,10 @@ def test_ends_are_corrected_where_they_may_be(caplog):
 
 def kinds(joint, supports, parts=(), **data):
     """What the layer's side is at the ridges of the rim, the one with the least x first."""
-    held = {"BOTTOM": 0.0} | supports
+    all_supports = {"BOTTOM": 0.0} | supports
     layer = ThinLayer(LinearElastic.young(1.0, 0.35), 0.1)
-    one = SeamLayer("S", layer, Structure(joint, body=BODY, supports=held, parts=parts, **data))
-    return side_kinds(one)[joint.points[one.sheet.rim.vertices].mean(axis=1)[:, 0].argsort()].tolist()
+    seam_layer = SeamLayer("S", layer, Structure(joint, body=BODY, supports=all_supports, parts=parts, **data))
+    return side_kinds(seam_layer)[joint.points[seam_layer.sheet.rim.vertices].mean(axis=1)[:, 0].argsort()].tolist()
 
 
 def test_supports_of_the_side_of_a_layer():
@@ -228,8 +228,8 @@ def test_sides_held_across_s_are_no_free_ends():
     for order in (0, 1):
         error = compare(full, solve(sheared.interface(ThinLayer(law, eps, order=order, at=1.0))))
         assert max(error["error_traction"], error["error_jump"]) < 1e-9  # rounding of the layer's stiffness
-    found = estimate(solve(sheared.interface(ThinLayer(law, eps, at=1.0))))
-    assert max(found.traction, found.jump) < 1e-9
+    result = estimate(solve(sheared.interface(ThinLayer(law, eps, at=1.0))))
+    assert max(result.traction, result.jump) < 1e-9
 
 
 def test_rubber_between_plates_is_held():

@@ -43,30 +43,30 @@ def test_ends_of_an_angular_plate(shape, count, length, cell):
     """Each side is an end, the two in line beside a notch, too; where strips overlap their weights add up, below 1."""
     eps = 0.05
     joint = plate(shape, eps, cell)
-    found, area, strips, ends = weights_on(joint, eps)
+    weights, area, strips, ends = weights_on(joint, eps)
     assert len(ends) == count
     assert sum(end.length for end in ends) == pytest.approx(length)
-    for c, a in ((strips.opening.c, found.a_N), (strips.shear.c, found.a_T)):
+    for c, a in ((strips.opening.c, weights.a_N), (strips.shear.c, weights.a_T)):
         # triangles at the ends of a strip are in it or not, by their middles
         assert a @ area == pytest.approx(c * eps * length, rel=1e-9 if cell == "hexahedron" else 0.1)
     corner = np.abs(joint.points[joint.surface].mean(axis=1)[:, [0, 2]]).max(axis=1).argmin()
-    beside = np.sort(found.a_N)[-1]
-    assert found.a_N[corner] == pytest.approx(beside)
-    assert beside < 1
+    largest = np.sort(weights.a_N)[-1]
+    assert weights.a_N[corner] == pytest.approx(largest)
+    assert largest < 1
 
 
 def test_a_straight_edge_along_which_loads_vary():
     """It opens, and is sheared across and along the edge; without its constants errors are of order 1."""
     eps = 1 / 16
     structure = edge(eps, 2, "tetrahedron")
-    meshed, found = solve(structure.full(ThinLayer(LAW, eps, at=1.0), cells_through=2)), {}
+    meshed, errors = solve(structure.full(ThinLayer(LAW, eps, at=1.0), cells_through=2)), {}
     for edges in ("free", "plain"):
         limit = solve(structure.interface(ThinLayer(LAW, eps, order=1, edges=edges, at=1.0)))
         row = compare(meshed, limit, where=lambda x: x[0] > 0.5)
         work = limit.energies()["loads"] / meshed.energies()["loads"] - 1
-        found[edges] = np.array([row["error_traction"], row["error_jump"], abs(work)])
-    assert np.all(found["free"] < [0.25 * one for one in found["plain"]])
-    assert found["free"].max() < 6e-4
+        errors[edges] = np.array([row["error_traction"], row["error_jump"], abs(work)])
+    assert np.all(errors["free"] < [0.25 * error for error in errors["plain"]])
+    assert errors["free"].max() < 6e-4
 
 
 @pytest.mark.few(5)

@@ -24,17 +24,17 @@ def dropped(name):
     return Dropped.of(KNOWN[name], COARSE)
 
 
-def _ratios(one: Dropped, state) -> tuple[float, float]:
+def _ratios(dropped: Dropped, state) -> tuple[float, float]:
     """Changes of traction and jump to a state over the true ones, on the inner half of S."""
-    changes, truth = one.inner(state), one.inner(one.full)
+    changes, truth = dropped.inner(state), dropped.inner(dropped.full)
     return changes["traction"] / truth["traction"], changes["jump"] / truth["jump"]
 
 
-def _with_layer(one: Dropped, **choices):
+def _with_layer(dropped: Dropped, **choices):
     """The state with another law of order 1 in place of the better one."""
-    layer = one.estimate.state.model.layers["S"].thin_layer
+    layer = dropped.estimate.state.model.layers["S"].thin_layer
     with warnings.catch_warnings(action="ignore", category=RangeWarning):
-        return solved(one.case, one.estimate.state.model.with_layer(replace(layer, order=1, **choices)))
+        return solved(dropped.case, dropped.estimate.state.model.with_layer(replace(layer, order=1, **choices)))
 
 
 def test_between_rollers_changes_are_those_to_the_meshed_layer():
@@ -42,20 +42,20 @@ def test_between_rollers_changes_are_those_to_the_meshed_layer():
 
     Leading terms of the compliance cancel: 1.26 of order 1 alone.
     """
-    one = dropped("between rollers: nu = 0.3")
-    row, (compliance, _) = effectivities(one)
-    traction, jump = _ratios(one, _with_layer(one))
+    dropped_case = dropped("between rollers: nu = 0.3")
+    row, (compliance, _) = effectivities(dropped_case)
+    traction, jump = _ratios(dropped_case, _with_layer(dropped_case))
     assert (traction, jump) == (pytest.approx(0.993799, abs=2e-4), pytest.approx(1.007739, abs=2e-4))
     assert (row["traction"], row["jump"], compliance["effectivity"]) == pytest.approx((1, 1, 1), abs=0.01)
 
 
 def test_free_ends_are_in_the_estimate_and_without_them_it_is_too_low():
-    one = dropped("free ends: nu = 0.3")
-    row, _ = effectivities(one)
+    dropped_case = dropped("free ends: nu = 0.3")
+    row, _ = effectivities(dropped_case)
     assert (row["traction"], row["jump"]) == pytest.approx((1, 1), abs=0.01)
-    traction, jump = _ratios(one, _with_layer(one))
+    traction, jump = _ratios(dropped_case, _with_layer(dropped_case))
     assert (traction, jump) == (pytest.approx(0.965, abs=0.02), pytest.approx(0.987, abs=0.02))  # of another program
-    traction, jump = _ratios(one, _with_layer(one, edges="plain"))
+    traction, jump = _ratios(dropped_case, _with_layer(dropped_case, edges="plain"))
     assert (traction, jump) == (pytest.approx(0.83, abs=0.02), pytest.approx(0.95, abs=0.02))
 
 
@@ -69,21 +69,23 @@ def test_goals_change_as_to_the_meshed_layer():
 
 def test_a_rubbery_layer_needs_its_pressure():
     """Without it the law of order 1 does not know the flow along S: its jump is 14 % off."""
-    one = dropped("between rollers: nu = 0.499")
-    row, _ = effectivities(one)
+    dropped_case = dropped("between rollers: nu = 0.499")
+    row, _ = effectivities(dropped_case)
     assert (row["traction"], row["jump"]) == pytest.approx((1, 1), abs=0.02)
-    traction, jump = _ratios(one, _with_layer(one))
+    traction, jump = _ratios(dropped_case, _with_layer(dropped_case))
     assert max(abs(traction - 1), abs(jump - 1)) > 0.1
 
 
 def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
     """Full models have their bodies apart: a place of the interface model is another one there."""
     case = replace(KNOWN["free ends: nu = 0.3"], asked=(goals.Displacement((0.3, 0.4), (0.0, 1.0)),))
-    one = Dropped.of(case, COARSE)
+    dropped = Dropped.of(case, COARSE)
     (goal,) = case.asked
     shifted = goals.Displacement((0.3, 0.4 + COARSE / 2), (0.0, 1.0))
-    there = shifted.value(replace(one.full, model=one.full.model), one.full.model)  # the same point, by its own place
-    assert goal.value(one.full, one.estimate.better.model) == pytest.approx(there, rel=1e-9)
+    there = shifted.value(
+        replace(dropped.full, model=dropped.full.model), dropped.full.model
+    )  # the same point, by its own place
+    assert goal.value(dropped.full, dropped.estimate.better.model) == pytest.approx(there, rel=1e-9)
 
 
 def test_where_there_is_no_number_a_sentence_says_why():

@@ -89,14 +89,14 @@ def test_bodies_that_yield_know_the_strain_less_the_eigenstrain(plane):
     """As a linear one below their strength, also what is across the plane; beyond it they carry no more."""
     tube = replace(FLAT, points=np.add(FLAT.points, (1.0, 0.0)))
     hot = ThermalExpansion((1e-3, 2e-3, 4e-3), lambda x, t: t * (1 + x[0]))
-    found = {}
-    yields = [VonMises(LAW.lmbda, LAW.mu, **one) for one in ({"strength": 9.0}, {"strength": 0.04, "hardening": 1.0})]
+    energies = {}
+    yields = [VonMises(LAW.lmbda, LAW.mu, **args) for args in ({"strength": 9.0}, {"strength": 0.04, "hardening": 1.0})]
     for law in (LAW, *yields):
         data = {"body": law, "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.01}}, "plane": plane, "eigenstrain": hot}
         state = march(Structure(tube, **data).bonded(), [0.5, 1.0]).last
         assert abs(state.audit.imbalance) < 1e-8
-        found[law] = state.energies()["bodies"]
-    linear, strong, weak = found.values()
+        energies[law] = state.energies()["bodies"]
+    linear, strong, weak = energies.values()
     projected = plane == "axisymmetric"  # volume strains of VonMises, see `Term.volume`
     assert strong == pytest.approx(linear, rel=1e-4 if projected else 1e-8)
     assert weak < 0.7 * linear
@@ -169,7 +169,7 @@ def test_rock_under_its_weight_does_not_move(law, shape):
 def test_a_prestress_of_two_components_has_the_third_of_plane_strain():
     nu = LAW.lmbda / (2 * (LAW.lmbda + LAW.mu))
     sigma = np.array([[0.3, 0.1], [0.1, -0.2]])
-    strips = lambda given, held: solve(Structure(FLAT, body=LAW, supports=held, eigenstrain=Prestress(given)).bonded())
+    strips = lambda stress, bcs: solve(Structure(FLAT, body=LAW, supports=bcs, eigenstrain=Prestress(stress)).bonded())
     assert strips(sigma, dict.fromkeys(ROLLERS, 0.0)).mean_stress() == pytest.approx(sigma, rel=1e-12, abs=1e-12)
     # a free body keeps none, s_33 vanishes too
     assert strips(np.diag([0.3, -0.2]), AT_REST).energies()["bodies"] < 1e-20
@@ -278,7 +278,7 @@ def test_temperatures_that_do_not_cover_the_bodies_or_are_no_scalars_are_refused
 
 
 def test_refused():
-    for given, match in [
+    for strain, match in [
         ("hot", "the eigenstrain of the body 'LOWER' is 'hot'"),
         ([1.0, 2.0], "a list of these that add up"),
         ([], "a list of these that add up"),
@@ -288,7 +288,7 @@ def test_refused():
         (lambda x, t: ufl.lt(x[0], 1), "it needs .*of finite real numbers"),
         ({"MIDDLE": 1.0}, "unknown body 'MIDDLE'"),
     ]:
-        make = lambda given=given: Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=given).bonded()
+        make = lambda strain=strain: Structure(FLAT, body=LAW, supports=ROLLERS, eigenstrain=strain).bonded()
         refused(InputError, match, make)
 
 

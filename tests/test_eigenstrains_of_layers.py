@@ -75,9 +75,9 @@ def test_the_stress_of_a_held_layer_follows_the_history_of_its_shrinkage(kind):
     times, shrinkage = [0.5, 1.0, 2.0], piecewise({0: 0.0, 1: -2e-3, 2: -3e-3})
     for law in (GLUE, Maxwell(70.0, 50.0, t1=1e12)):
         history = march(model(kind, law, ThermalExpansion(1.0, shrinkage), HELD), times)
-        found = [across(state)[0] for state in history][1:]
+        stresses = [across(state)[0] for state in history][1:]
         near = 2e-2 if kind == "full" else 1e-7  # the meshed layer also shrinks along S, at its free ends
-        assert found == pytest.approx([M[1] * e * series for e in (1e-3, 2e-3, 3e-3)], rel=near)
+        assert stresses == pytest.approx([M[1] * e * series for e in (1e-3, 2e-3, 3e-3)], rel=near)
         assert max(abs(state.audit.imbalance) for state in history) < 1e-10
     t1 = 0.8
     relaxing = march(model("interface", Maxwell(70.0, 50.0, t1=t1), ThermalExpansion(1.0, shrinkage), HELD), times)
@@ -142,12 +142,12 @@ def test_the_next_order_knows_the_eigenstrain(law, scaled):
     for e in eps:
         strain, structure = varying(1e-3 / e if scaled else 2e-2), Structure(joint, **setup)
         full = solve(structure.full(ThinLayer(law, e, eigenstrain=strain, at=1.0)))
-        for name, order, given in (("order 1", 1, strain), ("order 0", 0, strain), ("none", 1, None)):
-            layer = ThinLayer(law, e, order, eigenstrain=given, at=1.0)
+        for name, order, eigenstrain in (("order 1", 1, strain), ("order 0", 0, strain), ("none", 1, None)):
+            layer = ThinLayer(law, e, order, eigenstrain=eigenstrain, at=1.0)
             surface = Surface((limit := solve(structure.interface(layer))).model)
             t = surface.reaction(limit)
             errors[name].append(surface.norm(surface.reaction(full) - t) / surface.norm(t))
-    orders = {name: observed_orders(eps, found)[-1] for name, found in errors.items()}
+    orders = {name: observed_orders(eps, values)[-1] for name, values in errors.items()}
     assert orders["order 1"] == pytest.approx(2.0, abs=0.12)
     assert orders["order 0"] == pytest.approx(1.0, abs=0.15)
     assert orders["none"] == pytest.approx(0.0 if scaled else 1.0, abs=0.12)

@@ -41,12 +41,12 @@ def flat(scale):
 def test_flat_laws_at_any_scale(scale):
     """Loads and stresses times a number: so are the jumps."""
 
-    def found(s):
+    def scaled_jump(s):
         loads = {"TOP": (6 * s, -30 * s), "LEFT/UPPER": (-60 * s, 5 * s)}
         model = Structure(PLATES, body=STEEL, supports=HELD, tractions=loads).interface(ThinLayer(flat(s), 0.4, at=1.0))
         return mean_jump(model, solve(model)) / s
 
-    assert found(scale) == pytest.approx(found(1.0), rel=1e-9)
+    assert scaled_jump(scale) == pytest.approx(scaled_jump(1.0), rel=1e-9)
 
 
 def test_a_soft_flat_layer_between_stiff_plates():
@@ -95,11 +95,11 @@ def test_options_do_not_weaken_the_check(option):
     """An option that ends Newton's method early leads to an error, or to the same state."""
     for make, method in ((yielding, None), (contact, "newton")):
         try:
-            found = solve(make(), options=dict([option]), method=method)
+            state = solve(make(), options=dict([option]), method=method)
         except (SolveError, ValueError):
             continue
         exact = solve(make(), method=method)
-        assert np.abs(found.u.x.array - exact.u.x.array).max() <= 1e-5 * np.abs(exact.u.x.array).max()
+        assert np.abs(state.u.x.array - exact.u.x.array).max() <= 1e-5 * np.abs(exact.u.x.array).max()
 
 
 @pytest.mark.parametrize("solver", ["linear", "newton", "condensed", "multigrid", "relaxation", "contact newton"])
@@ -107,12 +107,12 @@ def test_a_solver_that_lies_is_found_out(solver, monkeypatch):
     """Whoever finds the unknowns: a thousandth more of them is no equilibrium."""
     for finder in (NewtonSolver, ContactSolver):
 
-        def find(self, *given, real=finder.solve_step):
-            found = real(self, *given)
-            found.x.scale(1.001)
-            return found
+        def find(self, *args, real=finder.solve_step):
+            solution = real(self, *args)
+            solution.x.scale(1.001)
+            return solution
 
-        monkeypatch.setattr(finder, "find", find)
+        monkeypatch.setattr(finder, "solve_step", find)
     model = linear() if solver == "linear" else yielding() if solver == "newton" else contact()
     refused(SolveError, "no equilibrium", lambda: solve(model, method=solver.removeprefix("contact ")))
 
@@ -182,11 +182,11 @@ def test_a_lent_matrix_is_the_sum_with_supports_and_afterwards_what_it_was(place
         return PETSc.Mat().createAIJ(dense.shape, csr=(csr.indptr, csr.indices, csr.data), comm=PETSc.COMM_SELF)
 
     chain = np.diag(np.sqrt(np.arange(2.0, 9.0))) - 0.3 * np.eye(7, k=1) - 0.7 * np.eye(7, k=-1)
-    spring, held = np.zeros((7, 7)), np.array([0, 4], PETSc.IntType)
+    spring, bc_dofs = np.zeros((7, 7)), np.array([0, 4], PETSc.IntType)
     spring[np.ix_([1, 6], [1, 6])] = [[3.0, -1 / 3], [-1 / 3, 2.0]]
     K, whole = matrix(chain, places * spring), chain + 0.1 * spring
-    whole[held], whole[:, held], whole[held, held] = 0.0, 0.0, 5.0
-    with augmented_in_place(MPI.COMM_SELF, K, [Block(matrix(spring), 0.1)], held, 5.0) as A:
+    whole[bc_dofs], whole[:, bc_dofs], whole[bc_dofs, bc_dofs] = 0.0, 0.0, 5.0
+    with augmented_in_place(MPI.COMM_SELF, K, [Block(matrix(spring), 0.1)], bc_dofs, 5.0) as A:
         np.testing.assert_allclose(A[:, :], whole, rtol=1e-15)
     assert np.array_equal(K[:, :], chain)
 

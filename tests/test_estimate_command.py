@@ -51,11 +51,11 @@ def numbers(path):
 def test_description_and_script_agree_and_another_glue_does_not(lap, wanted, tmp_path):
     done = thinlayer("estimate", lap, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
-    found = numbers(tmp_path / "out" / "estimate.csv")
-    assert [*found] == [("law", name) for name in ("traction", "jump", "compliance", "pull")]
+    values = numbers(tmp_path / "out" / "estimate.csv")
+    assert [*values] == [("law", name) for name in ("traction", "jump", "compliance", "pull")]
     for row, name in zip(wanted.table.rows, ("traction", "jump", "compliance", "pull"), strict=True):
         expected = [row[key] for key in ("value", "better", "error")]
-        assert found["law", name] == pytest.approx(expected, rel=1e-8, nan_ok=True)
+        assert values["law", name] == pytest.approx(expected, rel=1e-8, nan_ok=True)
     for sentence in wanted.sentences:
         assert sentence.replace(PULL, "pull") in done.stdout
     assert done.stdout.startswith("lengths in mm, stresses in MPa\nMay you drop the layer's mesh")
@@ -73,7 +73,7 @@ def test_description_and_script_agree_and_another_glue_does_not(lap, wanted, tmp
     for name in ("map_law_compliance.png", "map_law_pull.png"):
         assert_drawn(tmp_path / "out" / name)
     changes = ["layer.E=2e3", "layer.eigenstrain=-0.002", "bodies='extended'"]
-    words = [word for one in changes for word in ("--set", one)]
+    words = [word for change in changes for word in ("--set", change)]
     softer = thinlayer("estimate", lap, *words, "--out", tmp_path / "out")
     assert softer.returncode == 0, softer.stderr
     assert json.loads((tmp_path / "out" / "run.json").read_text())["options"] == {"set": changes}
@@ -81,8 +81,8 @@ def test_description_and_script_agree_and_another_glue_does_not(lap, wanted, tmp
     state = solve(lap_files.structure().interface(glue, bodies="extended"))
     expected = goals.Reaction("LEFT", (0, 1)).value(state, state.model)
     assert other["law", "pull"][0] == pytest.approx(expected, rel=1e-8)
-    assert other["law", "pull"][0] != pytest.approx(found["law", "pull"][0], rel=1e-3)
-    assert numbers(tmp_path / "out" / "previous-1" / "estimate.csv")["law", "compliance"] == found["law", "compliance"]
+    assert other["law", "pull"][0] != pytest.approx(values["law", "pull"][0], rel=1e-3)
+    assert numbers(tmp_path / "out" / "previous-1" / "estimate.csv")["law", "compliance"] == values["law", "compliance"]
 
 
 def test_a_goal_of_another_name_is_of_its_kind(lap, wanted):
@@ -105,11 +105,11 @@ def test_bonded(lap, wanted, tmp_path):
     alike = "goals={compliance = true, 'compliance!' = {kind = 'compliance'}}"
     done = thinlayer("estimate", lap, "--set", "bonded=true", "--set", alike, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
-    found, bonded = numbers(tmp_path / "estimate.csv"), solve(lap_files.structure().bonded())
-    assert found["bond", "compliance"][0] == pytest.approx(goals.Compliance().value(bonded, bonded.model), rel=1e-8)
-    assert found["bond", "compliance"][1] == pytest.approx(found["law", "compliance"][1], rel=1e-8)
-    assert found["bond", "compliance"][2] > 3 * found["law", "compliance"][2]
-    assert math.isnan(found["bond", "jump"][2])
+    values, bonded = numbers(tmp_path / "estimate.csv"), solve(lap_files.structure().bonded())
+    assert values["bond", "compliance"][0] == pytest.approx(goals.Compliance().value(bonded, bonded.model), rel=1e-8)
+    assert values["bond", "compliance"][1] == pytest.approx(values["law", "compliance"][1], rel=1e-8)
+    assert values["bond", "compliance"][2] > 3 * values["law", "compliance"][2]
+    assert math.isnan(values["bond", "jump"][2])
     pictures = {f"map_{name}_compliance{end}.png" for name in ("law", "bond") for end in ("", "_")}
     assert {path.name for path in tmp_path.glob("*.png")} == pictures
     assert (tmp_path / "previous-1" / "map_law_compliance.png").read_text() == "of the user"
@@ -134,7 +134,7 @@ def test_loads_that_grow(lap, tmp_path):
     grown = "tractions.'LEFT/UPPER'={times = [0, 3], values = [[0, 0], [-60, 5]]}"
     done = thinlayer(*alike, "--set", "times=[1, 3]", "--set", grown, "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
-    found = numbers(tmp_path / "out" / "estimate.csv")
+    values = numbers(tmp_path / "out" / "estimate.csv")
     at_once = thinlayer(*alike, "--json", "--out", tmp_path / "at once")
     assert at_once.returncode == 0, at_once.stderr
     wanted = numbers(tmp_path / "at once" / "estimate.csv")
@@ -142,12 +142,12 @@ def test_loads_that_grow(lap, tmp_path):
     assert answer == json.loads((tmp_path / "at once" / "run.json").read_text())["results"]
     assert answer["law"]["quantities"][2]["value"] == wanted["law", "compliance"][0]
     for name in ("compliance", "pull"):
-        assert found["law", name] == pytest.approx(wanted["law", name], rel=1e-6)
+        assert values["law", name] == pytest.approx(wanted["law", name], rel=1e-6)
     assert_drawn(tmp_path / "out" / "map_law_compliance.png")
 
 
 def test_wrong_descriptions_write_nothing(lap, tmp_path):
-    for given, message in [
+    for setting, message in [
         ("supports.LFT=0", "unknown facet set 'LFT', did you mean 'LEFT'?; known: LEFT, LEFT/LAYER, "),
         ("loads=[{place = [0, 0], force = [0, 1], body = 'UP'}]", "unknown body 'UP'"),
         ("goals.pull.place=BACK", "nothing holds 'BACK'"),
@@ -155,7 +155,7 @@ def test_wrong_descriptions_write_nothing(lap, tmp_path):
         ("mesh.path=other.msh", "other.msh: there is no such file in "),
         ("layer.eps=1e-300", "layer.eps: 1e-300; allowed beside bodies of "),
     ]:
-        done = thinlayer("estimate", lap, "--set", given, "--out", tmp_path / "out")
+        done = thinlayer("estimate", lap, "--set", setting, "--out", tmp_path / "out")
         assert (done.returncode, (tmp_path / "out").exists()) == (2, False), done.stderr
         assert message in done.stderr
         assert not re.search("InputError|DescriptionError|Traceback", done.stderr)
@@ -201,15 +201,15 @@ def test_several_sets_inside_have_a_layer_each(tmp_path):
     cut = squares(tmp_path / "a.msh", more=[("line", [[1, 4]], 3)], names={**NAMES_OF_SQUARES, "CUT": (3, 1)})
     text = thinlayer("estimate", cut, "--new").stdout
     assert f'mesh = {{path = "{cut}", S = {{"S" = ["LOW", "UP"], "CUT" = "?"}}}}\n' in text
-    found = re.findall(r'^(?:"(\w+)" = |\[layer."(\w+)"\])', text, re.MULTILINE)
-    assert found == [("", "S"), ("", "CUT"), ("TOP", ""), ("TOP", "")]
+    matches = re.findall(r'^(?:"(\w+)" = |\[layer."(\w+)"\])', text, re.MULTILINE)
+    assert matches == [("", "S"), ("", "CUT"), ("TOP", ""), ("TOP", "")]
 
 
 def test_sizes_and_loads_of_revolution(lap):
     """A disc under a traction on its rim: over the whole revolution, at the last of the times."""
     pulled = "tractions={'RIGHT/UPPER' = {times = [0, 3], values = [[0, 0], [7, 5]]}}"
     settings = ("plane=axisymmetric", pulled, "supports={'RIGHT/LOWER' = 0}", "goals={}", "times=[1, 3]")
-    done = thinlayer("estimate", lap, "--check", *(word for one in settings for word in ("--set", one)))
+    done = thinlayer("estimate", lap, "--check", *(word for setting in settings for word in ("--set", setting)))
     assert done.returncode == 0, done.stderr
     rim = 2 * math.pi * 20 * 4
     assert f"volume = {20 * rim / 2:.6g}\nlayer GLUE: " in done.stdout
@@ -224,7 +224,7 @@ def commands(folder: Path) -> list[list]:
     asked |= {"check": ["lap.toml", "--check"], "new": ["lap.msh", "--new"]}
     run = lambda out, file, *words: thinlayer("estimate", folder / file, *words, "--out", folder / out)
     done = [run(out, *words) for out, words in asked.items()]
-    return [COMM.allgather([one.returncode, one.stdout, one.stderr]) for one in done]
+    return [COMM.allgather([process.returncode, process.stdout, process.stderr]) for process in done]
 
 
 @pytest.mark.long
@@ -232,10 +232,10 @@ def commands(folder: Path) -> list[list]:
 def test_two_ranks(wanted, there, their_folder):
     said = ((0, 1, "May you drop"), (2, 2, "unknown facet set 'TOP'"), (0, 1, "force (-240, 20),"), (0, 1, "eps = "))
     for ranks, (expected, stream, text) in zip(there, said, strict=True):
-        assert [one[0] for one in ranks] == [expected] * 2, ranks
-        assert "".join(one[stream] for one in ranks).count(text) == 1  # told by one rank
+        assert [result[0] for result in ranks] == [expected] * 2, ranks
+        assert "".join(result[stream] for result in ranks).count(text) == 1  # told by one rank
     assert not (their_folder / "load").exists()
-    found = numbers(their_folder / "right" / "estimate.csv")
-    assert found["law", "traction"][2] == pytest.approx(wanted.traction, rel=1e-8)
-    for name, one in zip(("compliance", "pull"), wanted.goals.values(), strict=True):
-        assert found["law", name][:2] == pytest.approx([one.value, one.better], rel=1e-9)
+    values = numbers(their_folder / "right" / "estimate.csv")
+    assert values["law", "traction"][2] == pytest.approx(wanted.traction, rel=1e-8)
+    for name, goal in zip(("compliance", "pull"), wanted.goals.values(), strict=True):
+        assert values["law", name][:2] == pytest.approx([goal.value, goal.better], rel=1e-9)

@@ -22,8 +22,8 @@ def joined(tractions=PULL, **data) -> Structure:
     return Structure(JOINT, body=STEEL, tractions=tractions, **{"supports": SUPPORTS} | data)
 
 
-def apart(one, other) -> float:
-    return float(np.abs(one.u.x.array - other.u.x.array).max() / np.abs(other.u.x.array).max())
+def difference(state, other) -> float:
+    return float(np.abs(state.u.x.array - other.u.x.array).max() / np.abs(other.u.x.array).max())
 
 
 OF_ORDER_1 = ThinLayer(LinearElastic(60.0, 40.0), 0.01, order=1, at=1.0)
@@ -35,13 +35,13 @@ OTHERS = [SOFT, OF_ORDER_1, {"S": ThinLayer(Incompressible(mu=40.0), 0.01, at=1.
 def test_another_layer_is_as_in_a_model_of_its_own(layer):
     first = joined().interface(GLUE)
     solve(first)
-    own = joined().interface(layer)
+    reference = joined().interface(layer)
     for _ in range(2):  # the second time with what the family keeps
         derived = first.with_layer(layer)
-        assert derived.made_from == own.made_from
+        assert derived.made_from == reference.made_from
         assert derived.V is first.V
-        assert apart(solve(derived), solve(own)) < 1e-10
-    assert apart(solve(first), solve(joined().interface(GLUE))) < 1e-12  # the first one is what it was
+        assert difference(solve(derived), solve(reference)) < 1e-10
+    assert difference(solve(first), solve(joined().interface(GLUE))) < 1e-12  # the first one is what it was
 
 
 @pytest.mark.parametrize("kind", ["interface", "full", "bonded"])
@@ -50,18 +50,18 @@ def test_other_loads_are_as_in_a_model_of_its_own(kind):
     supports = {"BOTTOM": 0, "TOP": {"x": lambda x, t: -0.001 * x[0]}}
     springs = (Springs("RIGHT", normal=3.0, tangential=1.0),)
     first = getattr(joined(parts=springs), kind)(*layer)
-    own = getattr(joined(OTHER, supports=supports, body_force=(0.1, -0.2), parts=springs), kind)(*layer)
+    reference = getattr(joined(OTHER, supports=supports, body_force=(0.1, -0.2), parts=springs), kind)(*layer)
     for _ in range(2):
         derived = first.with_loads(tractions=OTHER, supports=supports).with_loads(body_force=(0.1, -0.2))
-        assert derived.made_from == own.made_from
-        assert apart(solve(derived), solve(own)) < 1e-11
-    assert apart(solve(first.with_loads(tractions=PULL)), solve(first)) < 1e-12
+        assert derived.made_from == reference.made_from
+        assert difference(solve(derived), solve(reference)) < 1e-11
+    assert difference(solve(first.with_loads(tractions=PULL)), solve(first)) < 1e-12
 
 
 def test_a_meshed_layer_keeps_its_shape():
     first = joined().full(GLUE)
     same = ThinLayer(LinearElastic(20.0, 30.0), 0.01, at=1.0)
-    assert apart(solve(first.with_layer(same)), solve(joined().full(same))) < 1e-11
+    assert difference(solve(first.with_layer(same)), solve(joined().full(same))) < 1e-11
     words = r"made room for a layer 'S' of .* \(0\.01, None, \(\)\), not \(0\.03, None, \(\)\)"
     refused(InputError, words, first.with_layer, SOFT)
     with pytest.raises(InputError, match="is a law on S, without a thickness"):

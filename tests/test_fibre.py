@@ -20,8 +20,8 @@ def stretched(joint, laws, K_N, K_T, stretch) -> float:
     """Energy of the interface model."""
     rim = {"x": lambda x, t: stretch[0] * x[0], "y": lambda x, t: stretch[1] * x[1]}
     structure = Structure(joint, body=dict(zip(("FIBRE", "MATRIX"), laws, strict=True)), supports={"OUTSIDE": rim})
-    found = solve(structure.interface(springs(K_N, K_T))).energies()
-    return found["bodies"] + found["layer"]
+    energies = solve(structure.interface(springs(K_N, K_T))).energies()
+    return energies["bodies"] + energies["layer"]
 
 
 def test_cylinders_of_one_law_are_one():
@@ -29,24 +29,24 @@ def test_cylinders_of_one_law_are_one():
     a, b = 0.1, -0.04
     exact = pi / 2 * (BODY.lmbda * (a + b) ** 2 + 2 * BODY.mu * (a**2 + b**2)) * 1.5**2
     for between in (None, (1e12, 1e12)):
-        found = Cylinders.stretched((BODY, BODY, BODY), (0.4, 0.7, 1.5), [between, None], (a, b))
-        assert found.energy == pytest.approx(exact, rel=1e-9)
+        cylinders = Cylinders.stretched((BODY, BODY, BODY), (0.4, 0.7, 1.5), [between, None], (a, b))
+        assert cylinders.energy == pytest.approx(exact, rel=1e-9)
         r, theta = 1.1, 0.7
         x, y = r * np.cos(theta), r * np.sin(theta)
         turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
-        assert found.displacement(2, r, theta) == pytest.approx(turn @ [a * x, b * y])
+        assert cylinders.displacement(2, r, theta) == pytest.approx(turn @ [a * x, b * y])
 
 
 def test_number_of_an_independent_program():
-    found = Cylinders.stretched((BODY, BODY), (0.4, 1.0), [(2.0, 0.7)], (0.1, 0.1))
-    assert found.energy == pytest.approx(0.03699068, abs=5e-9)
-    error = stretched(fibre(0.4, 1.0, 0.08), (BODY, BODY), 2.0, 0.7, (0.1, 0.1)) / found.energy - 1
+    cylinders = Cylinders.stretched((BODY, BODY), (0.4, 1.0), [(2.0, 0.7)], (0.1, 0.1))
+    assert cylinders.energy == pytest.approx(0.03699068, abs=5e-9)
+    error = stretched(fibre(0.4, 1.0, 0.08), (BODY, BODY), 2.0, 0.7, (0.1, 0.1)) / cylinders.energy - 1
     assert error == pytest.approx(-5.5e-4, rel=0.1)  # of a circle with 32 sides, another mesh
 
 
 def test_curved_cells_follow_the_circle():
     """The closed form to five digits."""
     right = Cylinders.stretched((GLASS, BODY), (0.4, 1.0), [(2.0, 0.7)], (0.1, -0.03)).energy
-    found = stretched(fibre(0.4, 1.0, 0.1, cell="quadrilateral", degree=2), (GLASS, BODY), 2.0, 0.7, (0.1, -0.03))
-    assert found == pytest.approx(right, rel=3e-5)
+    energy = stretched(fibre(0.4, 1.0, 0.1, cell="quadrilateral", degree=2), (GLASS, BODY), 2.0, 0.7, (0.1, -0.03))
+    assert energy == pytest.approx(right, rel=3e-5)
     assert abs(stretched(fibre(0.4, 1.0, 0.1), (GLASS, BODY), 2.0, 0.7, (0.1, -0.03)) / right - 1) > 1e-3

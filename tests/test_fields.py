@@ -41,9 +41,9 @@ def written(tmp_path, capfd):
 
     def write(solution, name="a.pvd"):
         fields.write(solution, tmp_path / name)
-        found = last(tmp_path / name)
+        blocks = last(tmp_path / name)
         assert "ERR" not in capfd.readouterr().err
-        return found
+        return blocks
 
     return write
 
@@ -68,8 +68,8 @@ def packed(stress, nu):
 def test_uniform_stresses_are_read_again(written, d, cell_type, element):
     """All times; traction and jump by hand; t_N and w_N along n, t_T and w_T along S."""
     structure, stress, jump = uniform(d, cell_type, element)
-    found = written(march(structure.interface(ThinLayer(K, EPS, at=1.0)), [0.4, 1.0]))
-    bodies, on_s = found["bodies"], found["S"]
+    blocks = written(march(structure.interface(ThinLayer(K, EPS, at=1.0)), [0.4, 1.0]))
+    bodies, on_s = blocks["bodies"], blocks["S"]
     wanted = packed(stress, BODY.lmbda / (2 * (BODY.lmbda + BODY.mu)))
     assert bodies["stress"] == pytest.approx(np.tile(wanted, (bodies.n_cells, 1)), rel=1e-9, abs=1e-10)
     p, s = wanted[:3], wanted[3:]
@@ -104,7 +104,7 @@ def test_all_times_are_there(written, tmp_path):
     reader.set_active_time_value(0.4)
     assert reader.read()[0]["bodies"]["stress"][:, 0] == pytest.approx(0.4 * stress[0, 0], rel=1e-9)
     written(solve(structure.interface(ThinLayer(K, EPS, at=1.0))))
-    assert sorted(one.name for one in (tmp_path / "a_pvd").iterdir()) == ["0000", "0000.vtm"]  # no old times
+    assert sorted(path.name for path in (tmp_path / "a_pvd").iterdir()) == ["0000", "0000.vtm"]  # no old times
 
 
 def test_meshed_layer_is_a_block(written):
@@ -112,13 +112,13 @@ def test_meshed_layer_is_a_block(written):
     joint = sandwich(2.0, 0.5, 0.7, 0.5)
     rollers = {"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     structure = Structure(joint, body=BODY, supports=rollers, tractions={"TOP": (0.0, -0.3)})
-    found = written(solve(structure.full(ThinLayer(Stack((0.3, K), (0.7, LinearElastic(1.0, 5.0))), EPS, at=1.0))))
-    assert list(found.keys()) == ["bodies", "layer"]
+    blocks = written(solve(structure.full(ThinLayer(Stack((0.3, K), (0.7, LinearElastic(1.0, 5.0))), EPS, at=1.0))))
+    assert list(blocks.keys()) == ["bodies", "layer"]
     laws = {"LOWER": BODY, "UPPER": BODY, "LAYER/1": K, "LAYER/2": LinearElastic(1.0, 5.0)}
     heights = {"LAYER/1": 0.3 * EPS, "LAYER/2": 0.7 * EPS}
-    regions = list(found["layer"].field_data["regions"])
+    regions = list(blocks["layer"].field_data["regions"])
     assert sorted(regions) == sorted(laws)
-    for part in found:
+    for part in blocks:
         for number in np.unique(part["region"]):
             name = regions[number]
             here, law = part["region"] == number, laws[name]
@@ -127,7 +127,7 @@ def test_meshed_layer_is_a_block(written):
             assert part["stress"][here] == pytest.approx(wanted, rel=1e-8, abs=1e-10), name
             if name in heights:
                 assert part.extract_cells(here).area == pytest.approx(2.0 * heights[name])
-    assert set(found["layer"]["seam"]) == {0}
+    assert set(blocks["layer"]["seam"]) == {0}
 
 
 @pytest.mark.parametrize("stacked", [False, True])
@@ -143,7 +143,7 @@ def test_slip_of_a_layer_is_what_its_traction_says(written, stacked):
     assert ("plastic" in names) != stacked
     assert set(on_s["status"]) <= {0, 1}
     assert list(on_s.field_data["status codes"])[:2] == ["0 elastic", "1 sliding"]
-    t_T, w_T, n = (on_s.point_data_to_cell_data()[one] for one in ("t_T", "w_T", "normal"))
+    t_T, w_T, n = (on_s.point_data_to_cell_data()[key] for key in ("t_T", "w_T", "normal"))
     tangent = np.column_stack([n[:, 1], -n[:, 0]])
     e = on_s[name]
     plastic = np.stack([e[:, [0, 3]], e[:, [3, 1]]], axis=1)
@@ -167,7 +167,7 @@ def test_contact(written):
     on_s, report = written(history)["S"], Surface(history.last.model).contact(history.last)
     codes = {code.split()[1]: int(code.split()[0]) for code in on_s.field_data["contact codes"]}
     place = [np.linalg.norm(report.x - x, axis=1).argmin() for x in on_s.points]
-    assert [codes[str(one)] for one in report.status[place]] == list(on_s["contact"])
+    assert [codes[str(status)] for status in report.status[place]] == list(on_s["contact"])
     assert len(set(report.status)) > 1
     free = report.status[place] != "pinned"
     assert -on_s["t_N"][free] == pytest.approx(report.p[place][free], rel=1e-6, abs=1e-9)
@@ -192,9 +192,9 @@ def test_files_do_not_depend_on_the_ranks(tmp_path, there, their_folder):
     """To rounding, and in the same order."""
     write_all(tmp_path)
     for path in sorted(tmp_path.glob("*.pvd")):
-        one, two = last(path), last(their_folder / path.name)
-        assert one.keys() == two.keys()
-        for a, b in zip(one, two, strict=True):
+        serial, two = last(path), last(their_folder / path.name)
+        assert serial.keys() == two.keys()
+        for a, b in zip(serial, two, strict=True):
             assert np.array_equal(a.cells, b.cells)
             assert a.points == pytest.approx(b.points, abs=1e-12)
             assert sorted(a.array_names) == sorted(b.array_names)
@@ -225,13 +225,13 @@ def test_names_in_any_language(written, tmp_path):
     joint = replace(joint, regions=tuple(names[name] for name in joint.regions), facets=facets)
     structure = Structure(joint, body=K, supports={"BOTTOM": 0}, tractions={"côté": lambda x, t: (0.1 * t, 0.3)})
     model = structure.interface(ThinLayer(K, EPS, at=1.0))
-    for one in (model, structure.full(ThinLayer(K, EPS, at=1.0))):
-        history = march(one, [0.5, 1.0], observe={"größte": lambda state: 1.0}, out=tmp_path / f"ü{one.name}")
+    for case in (model, structure.full(ThinLayer(K, EPS, at=1.0))):
+        history = march(case, [0.5, 1.0], observe={"größte": lambda state: 1.0}, out=tmp_path / f"ü{case.name}")
         mesh = written(history)
         assert {*names.values()} <= {*map(str, mesh[0].field_data["regions"])}
-        assert "Stoßfuge" in map(str, mesh[-1 if one is model else 0].field_data["seams"])
+        assert "Stoßfuge" in map(str, mesh[-1 if case is model else 0].field_data["seams"])
         history.table.write(tmp_path / "größe.csv")
         assert "größte" in (tmp_path / "größe.csv").read_text(encoding="utf-8")
-        march(one, [0.5, 1.0, 1.5], observe={"größte": lambda state: 1.0}, out=tmp_path / f"ü{one.name}", resume=True)
+        march(case, [0.5, 1.0, 1.5], observe={"größte": lambda state: 1.0}, out=tmp_path / f"ü{case.name}", resume=True)
     surface = Surface(model)
     plotting.along(surface, {"größte": surface.traction(solve(model, 1.0))}, title="层", save=tmp_path / "层.png")

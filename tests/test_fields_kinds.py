@@ -66,9 +66,9 @@ def test_s_of_a_meshed_layer(tmp_path):
     full, limit = solve(structure.full(ThinLayer(K, EPS, at=1.0))), structure.interface(ThinLayer(K, EPS, at=1.0))
     surface = Surface(limit)
     fields.write(full, tmp_path / "a.pvd", surface=surface)
-    found = last(tmp_path / "a.pvd")
-    assert found.keys() == ["bodies", "layer", "S"]
-    on_s = found["S"]
+    blocks = last(tmp_path / "a.pvd")
+    assert blocks.keys() == ["bodies", "layer", "S"]
+    on_s = blocks["S"]
     x, t = surface.profile(surface.traction(full))
     at = [np.linalg.norm(on_s.points[:, :2] - place, axis=1).argmin() for place in x]
     assert on_s["traction"][at, :2] == pytest.approx(t, rel=1e-9)

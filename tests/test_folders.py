@@ -104,15 +104,15 @@ def test_file_systems_without_locks(tmp_path, monkeypatch):
 
 # ---------------------------------------------------------------- sweeps
 def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
-    path, found = tmp_path / "t.csv", []
+    path, calls = tmp_path / "t.csv", []
 
     def run(e):
-        found.append(e)  # what it collects is no part of what it is
+        calls.append(e)  # what it collects is no part of what it is
         return row(e)
 
     sweep(run, [0.4, 0.2], path)
     sweep(run, [0.4, 0.2, 0.1], path, resume=True)
-    assert found == [0.4, 0.2, 0.1]
+    assert calls == [0.4, 0.2, 0.1]
     before = path.read_bytes()
     monkeypatch.setitem(globals(), "FACTOR", 3.0)
     words = r"is the table of another sweep \(row\.scaled\.FACTOR: 2\.0 there, 3\.0 here\); give another name"
@@ -120,10 +120,10 @@ def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
     assert path.read_bytes() == before
     assert sweep(run, [0.4], path)["error_traction"] == pytest.approx([1.2])
     assert (tmp_path / "previous-1" / "t.csv").read_bytes() == before
-    beside = tmp_path / "t.csv.json"
-    beside.write_text(beside.read_text().replace("0.4", "0.5"))
+    sidecar = tmp_path / "t.csv.json"
+    sidecar.write_text(sidecar.read_text().replace("0.4", "0.5"))
     refused(InputError, r"t\.csv\.json' cannot be read", lambda: sweep(run, [0.4], path, resume=True))
-    beside.unlink()
+    sidecar.unlink()
     refused(InputError, "that tells what it is made from", lambda: sweep(run, [0.4], path, resume=True))
 
 
@@ -141,7 +141,7 @@ def test_rows_that_do_not_fit():
 
 def test_errors_of_zero_have_no_order(recwarn):
     table = sweep(lambda e: row(e) | {"error_jump": 0.0}, [0.4, 0.2, 0.1])
-    assert [one["order_jump"] for one in table.rows] == [None, None, None]
+    assert [entry["order_jump"] for entry in table.rows] == [None, None, None]
     assert table["order_traction"][1:] == pytest.approx([1.0, 1.0])
     assert not recwarn
 
@@ -232,8 +232,8 @@ def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys)
     monkeypatch.setattr(rates, "run", writes_too_much)
     words = ["run", "rates", "--law", "elastic", "--out", str(tmp_path / "a")]
     assert cli.main(words) == 3
-    told = "more.csv' could not be written or read: No space left on device\nresults so far are kept in"
-    assert told in capsys.readouterr().err
+    message = "more.csv' could not be written or read: No space left on device\nresults so far are kept in"
+    assert message in capsys.readouterr().err
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["run.json", "table.csv", "table.csv.json"]
     monkeypatch.undo()
     monkeypatch.setattr(rates, "run", lambda *_, **__: 1 / 0)
@@ -250,10 +250,10 @@ def test_files_that_cannot_be_written_and_defects(tmp_path, monkeypatch, capsys)
 def test_nobody_reads():
     """A pipe that is closed early: no traceback, no report by PETSc."""
     words = [sys.executable, "-m", "thinlayer", "info"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as one:
-        one.stdout.close()
-        assert one.stderr.read() == ""
-    assert one.returncode == 0
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 0
 
 
 # ---------------------------------------------------------------- damage
@@ -298,7 +298,7 @@ def test_pictures_are_whole_or_as_they_were(tmp_path, monkeypatch):
     monkeypatch.setattr(Figure, "savefig", half)
     refused(OSError, "No space", lambda: plotting.rates(table, save=path))
     assert path.read_bytes() == before
-    assert [one.name for one in tmp_path.iterdir()] == ["rates.png"]
+    assert [file.name for file in tmp_path.iterdir()] == ["rates.png"]
 
 
 # ---------------------------------------------------------------- several ranks

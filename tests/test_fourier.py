@@ -42,7 +42,7 @@ def interface_errors(h: float, element: str) -> list[float]:
     w, (lower, upper) = surface.jump(state), surface.displacements(state)
     t = np.array([mu * w[0], (lmbda + 2 * mu) * w[1]])
     pairs = [(lower, exact(BELOW[:2])), (upper, exact(ABOVE[:2])), (t, exact(BELOW[2:]))]
-    return [surface.norm(found - wanted) / surface.norm(wanted) for found, wanted in pairs]
+    return [surface.norm(computed - wanted) / surface.norm(wanted) for computed, wanted in pairs]
 
 
 @pytest.mark.few(5)

@@ -53,22 +53,22 @@ def errors(law_at, times, *, limits=(None,), eps=EPS, cell="quadrilateral", thet
 
     None stands for the layer's own law; `law_at` is that law, or a function of the thickness.
     """
-    found, choices = [], (tuple(times), theta, cell)
+    rows, choices = [], (tuple(times), theta, cell)
     for e in eps:
         law = law_at(e) if callable(law_at) else law_at
         full = marched(Structure.full, law, e, *choices, bodies)
         for limit in limits:
             row = compare(full, marched(Structure.interface, limit or law, e, *choices))
-            found.append((row["error_traction"], row["error_jump"]))
-    return np.array(found).reshape(len(eps), len(limits), 2).swapaxes(0, 1)
+            rows.append((row["error_traction"], row["error_jump"]))
+    return np.array(rows).reshape(len(eps), len(limits), 2).swapaxes(0, 1)
 
 
 def steps(dt: float, n: int = 5) -> list[float]:
     return [dt * k for k in range(1, n + 1)]
 
 
-def last_orders(found, eps=EPS):
-    return [observed_orders(eps, column)[-1] for column in found.T]
+def last_orders(errors, eps=EPS):
+    return [observed_orders(eps, column)[-1] for column in errors.T]
 
 
 # ---------------------------------------------------------------- orders
@@ -86,8 +86,8 @@ ORDER_ONE = [
 
 @pytest.mark.parametrize(("law", "dt", "options"), ORDER_ONE, ids=str)
 def test_order_one(law, dt, options):
-    (found,) = errors(law, steps(dt, 3), **options)
-    assert last_orders(found) == pytest.approx([1.0, 1.0], abs=0.07)
+    (law_errors,) = errors(law, steps(dt, 3), **options)
+    assert last_orders(law_errors) == pytest.approx([1.0, 1.0], abs=0.07)
 
 
 # ---------------------------------------------------------------- numbers of other codes
@@ -123,12 +123,12 @@ def test_against_transfer_matrices(name):
     for eps in (1 / 8, 1 / 128):
         builds = (Structure.full, Structure.interface)
         models = [build(Structure(joint, **setup), ThinLayer(law, eps, at=1.0)) for build in builds]
-        found = [march(model, steps(dt), theta=theta).last for model in models]
-        surface = Surface(found[1].model)
-        for state, thickness in zip(found, (eps, None), strict=True):
+        states = [march(model, steps(dt), theta=theta).last for model in models]
+        surface = Surface(states[1].model)
+        for state, thickness in zip(states, (eps, None), strict=True):
             exact = reference.marched(layer, loads, dt, theta, thickness)[-1]
             assert amplitudes(surface, state) == pytest.approx(exact, rel=1e-3), thickness
-        row = compare(*found)
+        row = compare(*states)
         exact = reference.marched_errors(layer, loads, dt, theta, eps)
         assert (row["error_traction"], row["error_jump"]) == pytest.approx(exact, rel=3e-4)
 
@@ -191,8 +191,8 @@ TRACTION_LAWS = [
 @pytest.mark.parametrize(("law", "limit", "dt"), TRACTION_LAWS, ids=str)
 def test_right_traction_laws_are_the_layers_law(law, limit, dt):
     """Written as equations between jumps and tractions: errors of the law to rounding, of order 1."""
-    found, right = errors(law, steps(dt, 3), limits=(limit, None))
-    assert found == pytest.approx(right, rel=1e-6)
+    limit_errors, right = errors(law, steps(dt, 3), limits=(limit, None))
+    assert limit_errors == pytest.approx(right, rel=1e-6)
     assert last_orders(right) == pytest.approx([1.0, 1.0], abs=0.07)
 
 
@@ -205,7 +205,7 @@ WRONG = [  # E/(1 + nu) = 2 mu stands in (19)
 @pytest.mark.parametrize(("law", "dt", "wrong", "floors"), WRONG)
 def test_printed_laws_leave_an_error(law, dt, wrong, floors):
     """As `docs/laws/maxwell.md` says: errors beside a wrong law stay, those of the right one go to zero with order 1."""
-    found, right = errors(law, steps(dt), limits=(wrong, None))
+    wrong_errors, right = errors(law, steps(dt), limits=(wrong, None))
     assert last_orders(right) == pytest.approx([1.0, 1.0], abs=0.07)
-    assert max(last_orders(found)) < 0.2
-    assert (found[-1] > floors).all()
+    assert max(last_orders(wrong_errors)) < 0.2
+    assert (wrong_errors[-1] > floors).all()

@@ -38,9 +38,9 @@ INDEPENDENT = {
 @pytest.mark.parametrize("nu", [0.07, 0.33, 0.4985, 0.5])
 def test_the_table_is_what_the_half_strip_gives(nu):
     """Where volumes stay the same the constants of openings are infinite, in both."""
-    found, table = half_strip(nu, DEGREE, LEVELS), free_end(nu)
+    computed, table = half_strip(nu, DEGREE, LEVELS), free_end(nu)
     for name in (*TABLE_COLUMNS, "kappa"):
-        assert getattr(found, name) == pytest.approx(getattr(table, name), rel=ROUGH), name
+        assert getattr(computed, name) == pytest.approx(getattr(table, name), rel=ROUGH), name
     assert math.isinf(table.c_N) == (nu == 0.5)
 
 
@@ -69,8 +69,8 @@ def test_the_factor_of_the_flow():
     delta, factor, n = 0.35, 0.46, 4000
     h = 8.0 / n
     flow = delta**2 * np.where((np.arange(n) + 0.5) * h < 1, factor, 1.0) / h
-    main, beside = h + flow + np.append(flow[1:], 0.0), np.append(0.0, -flow[1:])
-    p = solveh_banded(np.stack([beside, main]), np.full(n, h))
+    main, off_diagonal = h + flow + np.append(flow[1:], 0.0), np.append(0.0, -flow[1:])
+    p = solveh_banded(np.stack([off_diagonal, main]), np.full(n, h))
     assert flow_factor(delta, h / 2 + h * np.sum(1 - p) - delta) == pytest.approx(factor, rel=1e-4)
 
 

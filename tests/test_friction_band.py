@@ -66,7 +66,7 @@ def errors(eps):
 @pytest.mark.parametrize("name", ["error_traction", "error_jump"])
 def test_order_1(name):
     eps = (1 / 64, 1 / 128)
-    found = [errors(e)[name] for e in eps]
-    *_, order = observed_orders(eps, found)
+    values = [errors(e)[name] for e in eps]
+    *_, order = observed_orders(eps, values)
     assert order == pytest.approx(1.0, abs=0.1)
-    assert found[1] < 0.013
+    assert values[1] < 0.013

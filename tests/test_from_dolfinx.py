@@ -26,8 +26,8 @@ COMM = MPI.COMM_WORLD
 
 def built() -> dict[str, Joint]:
     """Joints of all types of cells, straight and curved, with and without a rigid base."""
-    apart = ("layer", "layer in space", "tip", "fewer cells than ranks")
-    return {name: joint for name, joint in joints().items() if name not in apart}
+    excluded = ("layer", "layer in space", "tip", "fewer cells than ranks")
+    return {name: joint for name, joint in joints().items() if name not in excluded}
 
 
 def taken_back(joint: Joint) -> Joint:
@@ -49,9 +49,9 @@ def tagged(plane: mesh.Mesh) -> tuple[mesh.MeshTags, mesh.MeshTags]:
     plane.topology.create_connectivity(1, 2)
     cells = np.arange(plane.topology.index_map(2).size_local, dtype=np.int32)
     above = mesh.compute_midpoints(plane, 2, cells)[:, 1] > 0
-    found = {tag: mesh.locate_entities(plane, 1, lambda x, y=y: np.isclose(x[1], y)) for tag, y in PLACES.items()}
-    facets = np.concatenate(list(found.values()))
-    values = np.repeat(list(found), [len(f) for f in found.values()]).astype(np.int32)
+    entities = {tag: mesh.locate_entities(plane, 1, lambda x, y=y: np.isclose(x[1], y)) for tag, y in PLACES.items()}
+    facets = np.concatenate(list(entities.values()))
+    values = np.repeat(list(entities), [len(f) for f in entities.values()]).astype(np.int32)
     order = np.argsort(facets)
     sides = mesh.meshtags(plane, 1, facets[order], values[order])
     return mesh.meshtags(plane, 2, cells, np.where(above, 2, 1).astype(np.int32)), sides
@@ -67,28 +67,28 @@ def made_by_dolfinx() -> dict[str, Joint]:
     """A mesh of DOLFINx, a part of one, a refined one, and gmsh's by DOLFINx."""
     plane, *tags = strip()
     ghosted = mesh.create_rectangle(COMM, [(0, -1), (2, 1)], (6, 6), ghost_mode=mesh.GhostMode.shared_facet)
-    found = {"rectangle": read((plane, *tags), **NAMES), "ghosted": read((ghosted, *tagged(ghosted)), **NAMES)}
-    assert found["ghosted"].identity() == found["rectangle"].identity()
+    joints = {"rectangle": read((plane, *tags), **NAMES), "ghosted": read((ghosted, *tagged(ghosted)), **NAMES)}
+    assert joints["ghosted"].identity() == joints["rectangle"].identity()
     inside = mesh.locate_entities(plane, 2, lambda x: x[0] < 1.4)
     part = mesh.create_submesh(plane, 2, inside[inside < plane.topology.index_map(2).size_local])[0]
-    found["a part of it"] = read((part, *tagged(part)), **NAMES)
+    joints["a part of it"] = read((part, *tagged(part)), **NAMES)
     plane.topology.create_entities(1)
     finer = mesh.refine(plane)[0]
-    found["refined"] = read((finer, *tagged(finer)), **NAMES)
+    joints["refined"] = read((finer, *tagged(finer)), **NAMES)
     with drawing() as occ:
         if COMM.rank == 0:
             stack(occ, None, h=0.4)
-        solid, *tags, known = model_to_mesh(COMM, 3)  # a plane mesh in space
-    found["gmsh"] = read((solid, *tags), names={name: group for group, name in known.items()}, upper="UPPER")
-    return found
+        solid, *tags, groups = model_to_mesh(COMM, 3)  # a plane mesh in space
+    joints["gmsh"] = read((solid, *tags), names={name: group for group, name in groups.items()}, upper="UPPER")
+    return joints
 
 
 def norm(joint: Joint) -> float:
     """Of the displacements of the joint, held at one side or at two corners, and pushed at another side."""
-    held = [name for name in ("BOTTOM", "INSIDE") if name in joint.facets] or [(0.0, -1.0), (2.0, -1.0)]
+    supported = [name for name in ("BOTTOM", "INSIDE") if name in joint.facets] or [(0.0, -1.0), (2.0, -1.0)]
     pushed = next(name for name in ("TOP", "OUTSIDE") if name in joint.facets)
     push = (0.3, -1.0, 0.2)[: joint.dim]
-    supports = {} if joint.rigid_base else dict.fromkeys(held, 0.0)
+    supports = {} if joint.rigid_base else dict.fromkeys(supported, 0.0)
     structure = Structure(joint, body=LinearElastic.young(30.0, 0.1), supports=supports, tractions={pushed: push})
     state = solve(structure.interface(ThinLayer(LinearElastic(6.0, 4.0), 0.05, at=1.0)))
     return float(state.u.x.petsc_vec.norm())
@@ -97,9 +97,9 @@ def norm(joint: Joint) -> float:
 def numbers() -> dict[str, list]:
     """Name -> identity of the joint and norm of its displacements."""
     every = {f"back: {name}": taken_back(joint) for name, joint in built().items()} | made_by_dolfinx()
-    found = {name: [joint.identity(), norm(joint)] for name, joint in every.items()}
-    assert all(other == COMM.allgather(found)[0] for other in COMM.allgather(found))
-    return found
+    results = {name: [joint.identity(), norm(joint)] for name, joint in every.items()}
+    assert all(other == COMM.allgather(results)[0] for other in COMM.allgather(results))
+    return results
 
 
 def errors() -> list[list[str]]:
@@ -113,8 +113,8 @@ def errors() -> list[list[str]]:
     ):
         try:
             read(data, names=NAMES["names"] if len(data) > 1 else None, upper=upper)
-        except InputError as found:
-            said.append(str(found))
+        except InputError as error:
+            said.append(str(error))
     return COMM.allgather(said)
 
 
@@ -182,9 +182,9 @@ def test_refused():
         ({"S": "GLUE"}, "tags: unknown set of facets 'GLUE'; known: BOTTOM, S, TOP"),
         ({"names": REGIONS | {"S": (1, 3, 4)}}, "6 of 12 facets of 'S' lie on the outer boundary"),
     ):
-        given = {"mesh": plane, "cell_tags": bodies, "facet_tags": sides, **NAMES, **change}
-        data = [given.pop(name) for name in ("mesh", "cell_tags", "facet_tags")]
-        refused(InputError, message, read, data, **given)
+        arguments = {"mesh": plane, "cell_tags": bodies, "facet_tags": sides, **NAMES, **change}
+        data = [arguments.pop(name) for name in ("mesh", "cell_tags", "facet_tags")]
+        refused(InputError, message, read, data, **arguments)
     for other, message in (
         (mesh.create_unit_interval(COMM, 3), "cells are of type interval; allowed: one of tri"),
         (mesh.create_unit_cube(COMM, 1, 1, 1, mesh.CellType.prism), "cells are of type prism; allowed: one of"),
@@ -196,8 +196,8 @@ def test_refused():
 @on_ranks(errors, 2)
 def test_errors_on_two_ranks(there):
     """All ranks have them, and none waits."""
-    (one, two, three), others = there
-    assert others == [one, two, three]
-    assert one == "mesh is None; give the name of a file, or a dolfinx.mesh.Mesh"
+    (first, two, three), others = there
+    assert others == [first, two, three]
+    assert first == "mesh is None; give the name of a file, or a dolfinx.mesh.Mesh"
     assert two.startswith("tags: unknown region 'UPPERS', did you mean 'UPPER'")
     assert three.startswith("the mesh is distributed on 1 ranks, comm has 2; give comm the communicator")

@@ -23,13 +23,13 @@ def stiffness(rng, size, spread=1e3):
     return (axes * np.geomspace(1, spread, size)) @ axes.T
 
 
-def pairs_of(law, ends, frames, weights, slip, gap=None, held=()):
+def pairs_of(law, ends, frames, weights, slip, gap=None, bc_dofs=()):
     """Pairs of nodes, upper and lower one."""
     d = frames.shape[1]
     gap = np.zeros(len(ends)) if gap is None else gap
     nodes = SimpleNamespace(dim=d, pairs=ends, frames=frames, weights=weights, gap=gap)
     mask = np.zeros((ends.max() + 1) * d, bool)
-    mask[list(held)] = True
+    mask[list(bc_dofs)] = True
     return ContactPairs([SimpleNamespace(nodes=nodes, now=law, slip=slip)], mask)
 
 
@@ -60,7 +60,7 @@ TWO = np.array([[0, -1], [0, -1]])  # as where a body meets two others
 def test_a_node_is_solved(name, stiff, ends, d):
     """In all regimes; hardly any nodes with strong friction, which have several solutions or none, stay as they were."""
     rng = np.random.default_rng(d)
-    law, found, failed = replace(LAWS[name], K_N=3.0 * stiff, K_T=stiff), set(), 0
+    law, statuses, failed = replace(LAWS[name], K_N=3.0 * stiff, K_T=stiff), set(), 0
     for trial in range(300):
         pairs, A, g = problem(rng, law, ends, d)
         u = np.zeros(d)
@@ -69,9 +69,9 @@ def test_a_node_is_solved(name, stiff, ends, d):
             assert not u.any()
             continue
         assert residual(pairs, A, g, u) < 10 * EXACT, trial
-        found |= set(law.status(pairs.separation(u), pairs._parts[0].slip))
+        statuses |= set(law.status(pairs.separation(u), pairs._parts[0].slip))
     assert failed <= (9 if name == "strong friction" else 3)
-    assert found == set(Status) - ({Status.STICK} if name == "no friction" else set())
+    assert statuses == set(Status) - ({Status.STICK} if name == "no friction" else set())
 
 
 # ------------------------------------------------------------------ many nodes

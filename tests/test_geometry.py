@@ -79,7 +79,7 @@ def test_s_must_separate_two_bodies():
         ({"TOP": np.array([[0, 1]])}, "not facets of the mesh"),
     ):
         changed = SANDWICH.facets | facets
-        refused(InputError, message, lambda given=changed: inflate(replace(SANDWICH, facets=given), 0.1))
+        refused(InputError, message, lambda facet_sets=changed: inflate(replace(SANDWICH, facets=facet_sets), 0.1))
     refused(InputError, "unknown set of facets 'S'", lambda: replace(SANDWICH, facets={"TOP": SANDWICH.facets["TOP"]}))
     refused(InputError, "already", lambda: inflate(inflate(SANDWICH, 0.1), 0.1))
 

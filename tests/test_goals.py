@@ -33,8 +33,8 @@ TALL = sandwich(1.0, 6.0, 0.5, 0.25)  # of two ranks one has no facet of S
 BLOCK, LOAD = block(4.0, 1.5, h=0.5, cell="quadrilateral"), (0.3, -0.5)
 
 
-def structure(joint=RODS, **given):
-    return Structure(joint, **{"body": BODY, "supports": {"BOTTOM": 0}, "tractions": {"TOP": LOAD}} | given)
+def structure(joint=RODS, **overrides):
+    return Structure(joint, **{"body": BODY, "supports": {"BOTTOM": 0}, "tractions": {"TOP": LOAD}} | overrides)
 
 
 SHARED = {"supports": {"BOTTOM": 0, "LEFT/LOWER": {"x": 0}}, "parts": [Springs("LEFT/UPPER", normal=5.0)]}
@@ -56,14 +56,14 @@ HOLDERS = {
 @pytest.mark.parametrize("kind", HOLDERS)
 def test_a_reaction_is_of_all_that_holds_a_place(kind):
     """Its better value, and so bounds, are those of the model whose layer is meshed between the same cells."""
-    given, place, direction = HOLDERS[kind]
-    made, goal = structure(**given), goals.Reaction(place, direction)
+    overrides, place, direction = HOLDERS[kind]
+    made, goal = structure(**overrides), goals.Reaction(place, direction)
     limit = solve(made.interface(LAYER), 1.0)
-    full, found = solve(made.full(LAYER), 1.0), estimate(limit, goals=[goal, goals.Compliance()]).goals
-    told, meshed = found[goal.name], goal.value(full, limit.model)
-    assert goals.Compliance().value(full, full.model) == pytest.approx(found["compliance"].better, rel=1e-6)
-    assert meshed == pytest.approx(told.better, rel=1e-6)
-    assert told.lower <= meshed <= told.upper
+    full, errors = solve(made.full(LAYER), 1.0), estimate(limit, goals=[goal, goals.Compliance()]).goals
+    error, meshed = errors[goal.name], goal.value(full, limit.model)
+    assert goals.Compliance().value(full, full.model) == pytest.approx(errors["compliance"].better, rel=1e-6)
+    assert meshed == pytest.approx(error.better, rel=1e-6)
+    assert error.lower <= meshed <= error.upper
     if kind == "revolution":
         assert meshed == pytest.approx(np.pi * 16 * 0.5 / np.sqrt(2), rel=1e-9)
         refused(InputError, "radii", lambda: estimate(limit, goals=[goals.Reaction(place, (1, 0))]))
@@ -86,16 +86,16 @@ def of_wall() -> list[float]:
     """Mean tractions on the beds and all of S of a wall under a uniform stress, and bounds of the latter."""
     state = solve(structure(WALL).interface({"BED": LAYER, "HEAD": ThinLayer(LinearElastic.young(2.0, 0.3), 0.1)}))
     every = [goals.MeanTraction(d, seam) for d in ((0, 1), (1, 0)) for seam in ("BED", "S")]
-    found = estimate(state, goals=every).goals
+    errors = estimate(state, goals=every).goals
     surface = Surface(state.model)
     whole = surface.integral(surface.traction(state)) / surface.integral(1.0)
-    last = found[every[1].name]
+    last = errors[every[1].name]
     tall = structure(TALL).interface(LAYER)
     alone = goals.MeanTraction((0, 1)).value(solve(tall), tall)
     turned = ROLLER | {"supports": {"RIGHT/LOWER": 0}, "parts": [RigidPlate("LEFT", moment=0.1)]}
     tied = solve(structure(TALL, **turned).interface(ThinLayer(LAYER.law, 0.1, order=1)))
     refused(InputError, "tie nodes on S", estimate, tied)
-    return [*(found[one.name].value for one in every), *whole, last.lower, last.upper, alone, tied.energies()["layer"]]
+    return [*(errors[g.name].value for g in every), *whole, last.lower, last.upper, alone, tied.energies()["layer"]]
 
 
 @on_ranks(of_wall, 2)
@@ -114,8 +114,8 @@ def test_what_meets_a_layer_by_itself():
     both = solve(structure(WALL).interface({"BED": LAYER, "HEAD": LAYER}))
     refused(InputError, "BED meets HEAD", lambda: estimate(both, seam="BED"))
     bed, ends = Surface(both.model, "BED"), WALL.points[:, 0]
-    own = np.minimum(bed.x[0] - ends.min(), ends.max() - bed.x[0])
-    assert bed.distance_to_ends == pytest.approx(own)  # not from where HEAD ends
+    distances = np.minimum(bed.x[0] - ends.min(), ends.max() - bed.x[0])
+    assert bed.distance_to_ends == pytest.approx(distances)  # not from where HEAD ends
     moving = march(structure(parts=[Inertia(1.0)]).interface(LAYER), [0.1, 0.2])
     refused(InputError, "'inertia' remembers steps beside the layers", estimate, moving.last)
 

@@ -96,21 +96,21 @@ def plates(dim: int = 2, h: float = 0.25, cell: str | None = "quadrilateral", **
     return sandwich(1.5, 0.25, 0.5, h, cell=shape, structured=True, **depth, **more)
 
 
-def pushed(joint: Joint | None = None, **given: Any) -> Structure:
+def pushed(joint: Joint | None = None, **overrides: Any) -> Structure:
     """Plates that are pressed and pushed in time."""
     joint = plates() if joint is None else joint
     load = (0.3, -1.0, 0.2)[: joint.dim]
     data: dict[str, Any] = {"body": {"LOWER": STEEL, "UPPER": STONE}, "supports": {"BOTTOM": 0}}
     data["tractions"] = {"TOP": lambda x, t: tuple((1 + 0.5 * x[0]) * t * c for c in load)}
-    return Structure(joint, **(data | given))
+    return Structure(joint, **(data | overrides))
 
 
-def told(state: State) -> list[float]:
+def summary(state: State) -> list[float]:
     """Energies, reaction and norms on S."""
     energies, surface = state.energies(), Surface(state.model)
     force = state.reaction("BOTTOM").force
-    found = [energies[name] for name in ("bodies", "layer", "loads") if name in energies]
-    return [*found, *np.ravel(force).tolist(), *map(surface.norm, (surface.traction(state), surface.jump(state)))]
+    values = [energies[name] for name in ("bodies", "layer", "loads") if name in energies]
+    return [*values, *np.ravel(force).tolist(), *map(surface.norm, (surface.traction(state), surface.jump(state)))]
 
 
 TIMES = [0.5, 1.0, 2.0]
@@ -137,7 +137,7 @@ def of_law(name: str) -> Callable[[], list[float]]:
         structure, glue = pushed(), layer(LAWS[name])
         models = structure.interface(glue), structure.full(glue, cells_through=2)
         first, second = (march(model, TIMES).last for model in models)
-        return [*told(first), *list(second.energies().values())[:2], *np.ravel(second.reaction("BOTTOM").force)]
+        return [*summary(first), *list(second.energies().values())[:2], *np.ravel(second.reaction("BOTTOM").force)]
 
     return run
 
@@ -149,25 +149,25 @@ for _name in LAWS:
 @case()
 def orders() -> list[float]:
     """Order 1 between rollers and at free ends, of one law, sublayers, rubber and a pressure; errors against meshes."""
-    found = []
+    values = []
     rollers = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     steady = {"tractions": {"TOP": lambda x, t: (0.3 * x[0], -1 + x[0])}}
     for supports in (rollers, {"BOTTOM": 0}):
         structure = pushed(supports=supports, **steady)
         for law in (GLUE, Stack((0.4, GLUE), (0.6, SOFT)), Rubber.shear(1.1, 0.485), Incompressible(1.1)):
             for order in (0, 1):
-                found += told(solve(structure.interface(layer(law, order=order))))[:2]
+                values += summary(solve(structure.interface(layer(law, order=order))))[:2]
     full = solve(structure.full(layer(GLUE), cells_through=2))
     for edges in ("plain", "free"):
         row = compare(full, solve(structure.interface(layer(GLUE, order=1, edges=edges))))
-        found += [row["error_traction"], row["error_jump"]]
-    return found
+        values += [row["error_traction"], row["error_jump"]]
+    return values
 
 
 @case()
 def kinematics() -> list[float]:
     """Plane stress, bodies of revolution, three dimensions, both shapes of cells, extended bodies, a profile, curves."""
-    found = []
+    values = []
     for model in (
         pushed(plane="stress").interface(layer(LAWS["von Mises"])),
         pushed(plane="axisymmetric").interface(layer(GLUE, order=1)),
@@ -177,12 +177,12 @@ def kinematics() -> list[float]:
         pushed().interface(layer(GLUE, order=1), bodies="extended"),
         pushed().interface(layer(GLUE, profile=lambda x: 1 + 0.3 * x[0])),
     ):
-        found += told(march(model, [1.0]).last)
+        values += summary(march(model, [1.0]).last)
     pressed = {"supports": {"INSIDE": 0}, "tractions": {"OUTSIDE": Pressure(0.3)}}
     shaft = Structure(ring(1.0, 2.0, 3.0, 0.5, cell="quadrilateral"), body=STEEL, **pressed)
     for model in (shaft.interface(layer(GLUE)), shaft.full(layer(GLUE), bodies="extended", cells_through=2)):
-        found += list(solve(model).energies().values())[:2]
-    return found
+        values += list(solve(model).energies().values())[:2]
+    return values
 
 
 @case()
@@ -204,26 +204,26 @@ def supports_and_loads() -> list[float]:
         pushed(eigenstrain={"UPPER": 0.002, "LOWER": lambda x, t: 1e-3 * (1 + x[0] * t)}),
         pushed(eigenstrain={"UPPER": Prestress(((-0.4, 0.1), (0.1, -0.7)))}),
     ]
-    states = [march(one.interface(layer(GLUE)), [1.0, 2.0]).last for one in structures]
+    states = [march(structure.interface(layer(GLUE)), [1.0, 2.0]).last for structure in structures]
     sides = pushed(tractions={"RIGHT/UPPER": (0.3, -0.1), "RIGHT/LAYER": (0.4, 0.2)})
     states.append(solve(sides.interface(layer(GLUE, order=1))))
     states.append(solve(pushed().interface(layer(GLUE, eigenstrain=0.01))))
-    found = []
+    values = []
     for state in states:
         force = next(iter(state.reactions_by_place().values())).force if state.model.holders else state.applied().force
         energies = state.energies()
-        found += [energies["bodies"], energies["layer"], *np.ravel(force)]
-    return found
+        values += [energies["bodies"], energies["layer"], *np.ravel(force)]
+    return values
 
 
 MORTAR = {"BED": layer(LinearElastic(0.008, 0.021)), "HEAD": layer(LinearElastic(0.004, 0.013), 0.7 * EPS)}
 
 
-def bricks(dim: int = 2, **given: Any) -> Structure:
+def bricks(dim: int = 2, **overrides: Any) -> Structure:
     depth = {} if dim == 2 else {"depth": 0.5}
     supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: 0.01 * t, "y": lambda x, t: -0.02 * t}}
     data = {"body": LinearElastic.young(1.0, 0.2), "supports": supports}
-    return Structure(wall(2, 2, (1.0, 0.5), 0.25, **depth), **(data | given))
+    return Structure(wall(2, 2, (1.0, 0.5), 0.25, **depth), **(data | overrides))
 
 
 @case()
@@ -234,11 +234,11 @@ def networks() -> list[float]:
     models += [bricks().interface(MORTAR | {"HEAD": None}), bricks().full(MORTAR | {"HEAD": Gap(EPS)}, cells_through=2)]
     models += [bricks(3).interface(MORTAR), bricks().interface(MORTAR | heads)]
     states = [march(model, [0.5, 1.0]).last for model in models]
-    found = [energy for state in states for energy in list(state.energies().values())[:2]]
+    values = [energy for state in states for energy in list(state.energies().values())[:2]]
     for seam in ("BED", "HEAD"):
         surface = Surface(models[0], seam)
-        found += [surface.norm(surface.traction(states[0])), surface.norm(surface.jump(states[0]))]
-    return found
+        values += [surface.norm(surface.traction(states[0])), surface.norm(surface.jump(states[0]))]
+    return values
 
 
 @case()
@@ -251,8 +251,8 @@ def periodic_cells() -> list[float]:
     heads = {"HEAD": layer(MohrCoulomb(0.02, 0.02, cohesion=2e-5, friction_angle=30.0))}
     state = march(strained.interface(MORTAR | heads), [0.5, 1.0]).last
     other = solve(stressed.interface(MORTAR))
-    found = [homogenised_stiffness(Structure(cell, body=body, supports={}).interface(MORTAR)), state.mean_stress()]
-    return [float(value) for one in (*found, other.mean_strain(), other.mean_stress()) for value in np.ravel(one)]
+    arrays = [homogenised_stiffness(Structure(cell, body=body, supports={}).interface(MORTAR)), state.mean_stress()]
+    return [float(value) for array in (*arrays, other.mean_strain(), other.mean_stress()) for value in np.ravel(array)]
 
 
 def pressed_block() -> Structure:
@@ -274,18 +274,18 @@ def contact_by_multigrid() -> list[float]:
 @case(ITERATED)
 def contact() -> list[float]:
     """Contact by other methods, two bodies, a wall."""
-    found = [number for method in ("condensed", "newton") for number in to_and_fro(method)]
+    values = [number for method in ("condensed", "newton") for number in to_and_fro(method)]
     sliding = pressed_block()
     for law in (HolonomicCoulomb(300.0, 80.0, 0.4, 0.1), Tresca(300.0, 80.0, 2.0)):
-        found += amounts(solve(sliding.interface(law), 1.0))
-    found += amounts(solve(pushed(element="Q1").interface(IncrementalCoulomb(300.0, 80.0, 0.6)), 1.0))
+        values += amounts(solve(sliding.interface(law), 1.0))
+    values += amounts(solve(pushed(element="Q1").interface(IncrementalCoulomb(300.0, 80.0, 0.6)), 1.0))
     dry = {"BED": IncrementalCoulomb(200.0, 80.0, 0.5), "HEAD": IncrementalCoulomb(100.0, 40.0, 0.3)}
     loads = {"TOP": lambda x, t: (0.2 * t, -1.0)}
     stones = bricks(supports={"BOTTOM": 0.0}, tractions=loads, body=LinearElastic.young(50.0, 0.2), element="Q1")
     for method in ("condensed", "newton"):
         state = march(stones.interface(dry), [0.5, 1.0], method=method).last
-        found += [state.energies()["bodies"], *state.reaction("BOTTOM").force]
-    return found
+        values += [state.energies()["bodies"], *state.reaction("BOTTOM").force]
+    return values
 
 
 def amounts(state: State) -> list[float]:
@@ -298,17 +298,17 @@ def amounts(state: State) -> list[float]:
 def limits_and_paths() -> list[float]:
     """The load at which a layer has yielded everywhere; a bar that snaps, and its path by arc length."""
     yielding = layer(LAWS["Mohr-Coulomb"])
-    found = []
+    values = []
     for method in (None, "newton"):
         with pytest.raises(LimitLoad) as stopped:
             march(pushed(tractions={"TOP": lambda x, t: (t, -1.0)}).interface(yielding), [0.2, 0.4, 3.0], method=method)
-        found += [stopped.value.history.last.t, *stopped.value.history.last.applied().force]
+        values += [stopped.value.history.last.t, *stopped.value.history.last.applied().force]
     pulled = piecewise({0: 0, 1: -2.0, 2: 0})
     rollers = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
     bar = pushed(supports=rollers, tractions={"TOP": lambda x, t: (0, pulled(x, t))})
     history = march(bar.interface(layer(LAWS["pure phases"])), [0.5, 1.0, 1.5, 2.0])
-    found += [*history.t, *(state.energies()["layer"] for state in history), float(len(history.snaps))]
-    return found
+    values += [*history.t, *(state.energies()["layer"] for state in history), float(len(history.snaps))]
+    return values
 
 
 @case()
@@ -324,11 +324,11 @@ def paths_by_arc_length() -> list[float]:
 def bodies_that_yield() -> list[float]:
     metal = VonMises(120.0, 90.0, strength=1.6, hardening=40.0)
     soil = MohrCoulomb(120.0, 90.0, cohesion=1.1, friction_angle=20.0)
-    found = []
+    values = []
     for body in (metal, soil, KelvinVoigt(120.0, 90.0, 1.5, 0.8)):
-        found += told(march(pushed(body=body).interface(layer(LAWS["Mohr-Coulomb"])), [0.5, 0.75]).last)
+        values += summary(march(pushed(body=body).interface(layer(LAWS["Mohr-Coulomb"])), [0.5, 0.75]).last)
     varying = LinearElastic(lambda x: 400 + 100 * x[0], 290.0)
-    return [*found, *told(solve(pushed(body=varying).interface(layer(GLUE)), 1.0))]
+    return [*values, *summary(solve(pushed(body=varying).interface(layer(GLUE)), 1.0))]
 
 
 @case(ITERATED)
@@ -340,17 +340,17 @@ def estimates() -> list[float]:
     states = [solve(steady.interface(layer(law))) for law in (GLUE, SOFT)]
     states.append(march(steady.interface(layer(LAWS["Maxwell"])), [0.5, 1.0]))
     states.append(solve(steady.interface(layer(VonMises(4.0, 3.0, strength=0.15, hardening=2.0)))))
-    found = []
-    answers = [estimate(one, goals=some) for one in states]
+    values = []
+    answers = [estimate(state, goals=some) for state in states]
     answers.append(estimate(solve(steady.bonded()), layer(GLUE), goals=some))
     for told_of in answers:
-        found += [told_of.traction, told_of.jump]
-        found += [number for one in told_of.goals.values() for number in (one.value, one.change)]
+        values += [told_of.traction, told_of.jump]
+        values += [number for goal in told_of.goals.values() for number in (goal.value, goal.change)]
     rollers = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
-    held = pushed(supports=rollers, tractions={"TOP": lambda x, t: (0.3 * x[0], -1 + x[0])})
-    found.append(thin_enough(held, layer(GLUE), tolerance=0.02, goal="traction").eps)
-    found += Surface(states[1].model).table(states[1])["too_stiff"].tolist()
-    return [math.nan if value is None else float(value) for value in found]
+    confined = pushed(supports=rollers, tractions={"TOP": lambda x, t: (0.3 * x[0], -1 + x[0])})
+    values.append(thin_enough(confined, layer(GLUE), tolerance=0.02, goal="traction").eps)
+    values += Surface(states[1].model).table(states[1])["too_stiff"].tolist()
+    return [math.nan if value is None else float(value) for value in values]
 
 
 @case()
@@ -358,10 +358,10 @@ def inside() -> list[float]:
     """Stresses inside a layer, strengths of its corners, values at places."""
     state = solve(pushed(plates(h=0.125)).interface(layer(GLUE, order=1, edges="free")), 1.0)
     zoom, probe = Zoom(state), Probe(state)
-    found = [zoom.stress([[0.7, 0.0], [0.04, 0.0], [1.49, 0.0]], [-0.2, 0.1, 0.4])]
-    found += [one.H for one in zoom.corners]
-    found += [probe.displacement([[0.4, 0.1], [0.9, 0.6 - 0.4]], side=None), probe.stress([[0.4, 0.1]])]
-    return [float(value) for one in found for value in np.ravel(one)]
+    arrays = [zoom.stress([[0.7, 0.0], [0.04, 0.0], [1.49, 0.0]], [-0.2, 0.1, 0.4])]
+    arrays += [corner.H for corner in zoom.corners]
+    arrays += [probe.displacement([[0.4, 0.1], [0.9, 0.6 - 0.4]], side=None), probe.stress([[0.4, 0.1]])]
+    return [float(value) for array in arrays for value in np.ravel(array)]
 
 
 def numbers(name: str) -> list[float]:
@@ -376,13 +376,13 @@ def on_several_ranks() -> dict[str, list[float]]:
     return {name: numbers(name) for name in ON_RANKS}
 
 
-def assert_golden(name: str, found: list[float]) -> None:
+def assert_golden(name: str, values: list[float]) -> None:
     golden, close = np.array(json.loads(NUMBERS.read_text())[name], float), CASES[name][1]
     size = np.maximum(np.abs(golden), 1e-4 * np.nanmax(np.abs(golden)))
-    assert len(found) == len(golden)
-    assert np.isnan(found).tolist() == np.isnan(golden).tolist()
-    apart = np.nan_to_num(np.abs(found - golden) / size)
-    assert apart.max() <= close, f"number {apart.argmax()} of {name!r}: {found[apart.argmax()]!r}"
+    assert len(values) == len(golden)
+    assert np.isnan(values).tolist() == np.isnan(golden).tolist()
+    deviation = np.nan_to_num(np.abs(values - golden) / size)
+    assert deviation.max() <= close, f"number {deviation.argmax()} of {name!r}: {values[deviation.argmax()]!r}"
 
 
 @pytest.mark.few(5)
@@ -394,8 +394,8 @@ def test_golden(name: str) -> None:
 
 @on_ranks(on_several_ranks, 2, 3)
 def test_golden_on_several_ranks(there: dict[str, list[float]]) -> None:
-    for name, found in there.items():
-        assert_golden(name, found)
+    for name, values in there.items():
+        assert_golden(name, values)
 
 
 if __name__ == "__main__":

@@ -59,8 +59,8 @@ def test_metals_dissipate_yield_stress_times_plastic_strain(name, theta):
 def test_a_layer_of_metal_under_shear():
     law = VonMises(LMBDA, MU, Y, hardening=8.0, kinematic=6.0)
     w = np.linspace(0.001, 0.05, 12)
-    found = drive(law, [{"w_T": one, "w_N": 0.0} for one in w]).tractions[:, 0]
-    assert found == pytest.approx(closed_forms.von_mises_shear(MU, Y, 14.0, w), rel=1e-10)
+    t_T = drive(law, [{"w_T": jump, "w_N": 0.0} for jump in w]).tractions[:, 0]
+    assert t_T == pytest.approx(closed_forms.von_mises_shear(MU, Y, 14.0, w), rel=1e-10)
 
 
 def test_a_layer_that_slips_hardens():
@@ -69,9 +69,9 @@ def test_a_layer_that_slips_hardens():
     path = [(0.004, -0.001), (0.008, -0.002), (-0.004, -0.002), (0.01, 0.0005)]
     history = drive(law, [{"w_T": a, "w_N": b} for a, b in path])
     slip, gone, n = np.zeros(2), 0.0, np.array([0.0, 1.0])
-    for w, found in zip(np.array(path), history.tractions, strict=True):
+    for w, traction in zip(np.array(path), history.tractions, strict=True):
         t, new = closed_forms.penalised_coulomb(LMBDA, MU, C, OMEGA, w, slip, n, hardening=H, accumulated=gone)
-        assert found == pytest.approx(t, rel=1e-10)
+        assert traction == pytest.approx(t, rel=1e-10)
         gone, slip = gone + float(np.linalg.norm(new - slip)), new
 
 
@@ -79,16 +79,16 @@ def test_a_torn_point_bears_the_mean_stress_of_the_apex():
     """psi = 0: the deviator is gone, the larger part of it hardens, and the cohesion is that of this flow."""
     law = SOILS["hardening"]
     e = np.array([[0.02, 0.011, 0.012, 0.002, 0.0, 0.0], [0.02, 0.019, 0.008, 0.002, 0.0, 0.0]])
-    found = respond(law, e, 0 * e, at_rest(law, 2), normals(2))
+    answer = respond(law, e, 0 * e, at_rest(law, 2), normals(2))
     deviators = np.linalg.eigvalsh(tensor(e)) - e[:, :3].mean(axis=1, keepdims=True)
-    assert found.q[:, 6] == pytest.approx(2 * np.cos(np.radians(OMEGA)) * np.abs(deviators).max(axis=1), rel=1e-12)
-    apex = reached(law, found.q) / np.tan(np.radians(OMEGA))
-    assert found.stress == pytest.approx(np.outer(apex, [1, 1, 1, 0, 0, 0]), abs=1e-12)
+    assert answer.q[:, 6] == pytest.approx(2 * np.cos(np.radians(OMEGA)) * np.abs(deviators).max(axis=1), rel=1e-12)
+    apex = reached(law, answer.q) / np.tan(np.radians(OMEGA))
+    assert answer.stress == pytest.approx(np.outer(apex, [1, 1, 1, 0, 0, 0]), abs=1e-12)
 
 
 def test_a_layer_that_slips_far_is_on_its_yield_surface():
     """Most of the cohesion that can be gained is, in one step."""
     law = SOILS["hardening, monodirectional"]
-    found = drive(law, [{"w_T": 2.0, "w_N": -0.001}])
-    (t_T, t_N), cohesion = found.tractions[0], reached(law, found.memory)[0]
+    history = drive(law, [{"w_T": 2.0, "w_N": -0.001}])
+    (t_T, t_N), cohesion = history.tractions[0], reached(law, history.memory)[0]
     assert t_T == pytest.approx(cohesion - np.tan(np.radians(OMEGA)) * t_N, rel=1e-10)

@@ -68,7 +68,7 @@ FILES = {
 
 
 @pytest.fixture
-def own(tmp_path, monkeypatch):
+def user_module(tmp_path, monkeypatch):
     """The functions of a user's file, as another process finds them once a file has been rewritten."""
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
@@ -85,7 +85,7 @@ def own(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
-def test_functions_are_the_files_of_ones_own_that_they_stand_in(own):
+def test_functions_are_the_files_of_ones_own_that_they_stand_in(user_module):
     """A comment is enough; of what a function reads elsewhere the numbers count."""
     for changed, others in [
         (dict(loads=FILES["loads"] + "# more\n"), ["load", "late"]),
@@ -93,15 +93,15 @@ def test_functions_are_the_files_of_ones_own_that_they_stand_in(own):
         (dict(units="F = 0.75\n"), ["load"]),
         (dict(units="F = 1 / 2\n"), []),
     ]:
-        of = lambda files: {name: describe(vars(own(**files))[name]) for name in ("load", "late")}
+        of = lambda files: {name: describe(vars(user_module(**files))[name]) for name in ("load", "late")}
         before, after = of({}), of(changed)
         assert [name for name in before if before[name] != after[name]] == others
         assert differences_text([*differences(before, after)]).count("(file): ") in (0, 1)  # it is named once
 
 
-def test_a_march_of_another_file_is_resumed_by_who_knows_better(own, tmp_path):
+def test_a_march_of_another_file_is_resumed_by_who_knows_better(user_module, tmp_path):
     def model(**changed):
-        return Structure(JOINT, tractions={"TOP": own(**changed).load}, **SETUP).interface(LAYER)
+        return Structure(JOINT, tractions={"TOP": user_module(**changed).load}, **SETUP).interface(LAYER)
 
     whole, times = march(model(), [0.1, 0.2], out=tmp_path), [0.1, 0.2, 0.3]
     other = model(helpers="def twice(t):\n    return 3 * t\n")
@@ -128,7 +128,7 @@ class Times:
         self.function, self.factor = function, factor
 
     def __call__(self, *place):
-        return [self.factor * one for one in self.function(*place)]
+        return [self.factor * value for value in self.function(*place)]
 
 
 def executed(text):
@@ -151,7 +151,7 @@ THINGS = {
     "law of a place": lambda v: LinearElastic(lambda x: v + x[0], 40.0),
     "long array": lambda v: np.append(np.ones(100), v),
     "joint": lambda v: replace(JOINT, points=JOINT.points * v),
-    "twice": lambda v: (lambda one, other: [one, other, one if v > 5 else other])(
+    "twice": lambda v: (lambda first, other: [first, other, first if v > 5 else other])(
         Times(scaled, 1.0), Times(scaled, 2.0)
     ),
 }
@@ -162,13 +162,13 @@ def descriptions():
 
 
 def test_things_are_the_same_in_another_process_and_others_if_they_differ():
-    found = descriptions()
-    assert [name for name, (one, other) in found.items() if one == other] == []
+    pairs = descriptions()
+    assert [name for name, (first, other) in pairs.items() if first == other] == []
     code = "import json; from tests.test_identity import *; print(json.dumps(descriptions()))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True,
                           env=os.environ | {"PYTHONHASHSEED": "1"}, cwd=Path(__file__).parents[1])  # fmt: skip
     there = json.loads(done.stdout)
-    assert [name for name in found if there[name] != found[name]] == []
+    assert [name for name in pairs if there[name] != pairs[name]] == []
 
 
 def frozen():
@@ -178,7 +178,7 @@ def frozen():
 
 
 STATES = {
-    "generator": (lambda: [np.random.default_rng(1)], lambda held: held[0].random()),
+    "generator": (lambda: [np.random.default_rng(1)], lambda generators: generators[0].random()),
     "method": (lambda: np.random.default_rng(1).random, lambda draw: draw()),
     "legacy": (lambda: np.random.RandomState(1), lambda generator: generator.random()),
     "iterator": (lambda: iter([1.0, 2.0]), next),
@@ -190,10 +190,10 @@ STATES = {
 @pytest.mark.parametrize("name", STATES)
 def test_what_gives_other_numbers_each_time_has_a_state(name):
     make, draw = STATES[name]
-    one, other = make(), make()
-    assert random_states(partial(scaled, one)) == random_states(partial(scaled, other)) != []
-    draw(one)
-    assert random_states(partial(scaled, one)) != random_states(partial(scaled, other))
+    first, other = make(), make()
+    assert random_states(partial(scaled, first)) == random_states(partial(scaled, other)) != []
+    draw(first)
+    assert random_states(partial(scaled, first)) != random_states(partial(scaled, other))
 
 
 def test_observed_functions_are_all_code_that_they_call():
@@ -204,8 +204,8 @@ def test_observed_functions_are_all_code_that_they_call():
 
     for way in (functools.cache, partial, lambda f: lambda state: f(state), lambda f: Times(f, 1)):
         assert observed(way(scaled)) == observed(way(scaled)) != observed(way(same))
-    one, again, other = (partial(same, found, at=at) for found, at in (([], 1), ([3.0], 1), ([], 2)))
-    assert observed(one) == observed(again) != observed(other)
+    first, again, other = (partial(same, collected, at=at) for collected, at in (([], 1), ([3.0], 1), ([], 2)))
+    assert observed(first) == observed(again) != observed(other)
 
 
 def test_what_no_other_process_knows_is_not_resumed(tmp_path, monkeypatch):
@@ -222,17 +222,17 @@ def test_what_no_other_process_knows_is_not_resumed(tmp_path, monkeypatch):
 
 def test_two_functions_on_one_mesh_are_two():
     V = Structure(JOINT, **SETUP).bonded().V
-    one, other = fem.Function(V), fem.Function(V)
-    assert describe(one) == describe(one) != describe(other)
+    u, other = fem.Function(V), fem.Function(V)
+    assert describe(u) == describe(u) != describe(other)
 
 
 def test_models_are_what_they_were_built_with():
     load, spring = np.array([0.0, 1.0]), ThinLayer(Spring(60.0, 40.0), 0.1, at=1.0)
     pulled = Structure(JOINT, **SETUP, tractions={"TOP": load})
     full, interface = pulled.full(spring), pulled.interface(spring)
-    before = [json.dumps(one.identity()) for one in (full, interface)]
+    before = [json.dumps(model.identity()) for model in (full, interface)]
     load[1] = 2.0
-    assert [json.dumps(one.identity()) for one in (full, interface)] == before
+    assert [json.dumps(model.identity()) for model in (full, interface)] == before
     assert 0 < compare(solve(full), solve(interface))["error_jump"] < 1
     read = Structure(JOINT, **SETUP, tractions={"TOP": lambda x, t: (load[0], load[1])})
     first, load[1] = read.full(spring), 3.0

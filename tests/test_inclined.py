@@ -38,9 +38,9 @@ def test_turned_columns(kind):
     for name, energy in straight.energies().items():
         assert turned.energies()[name] == pytest.approx(energy, rel=1e-9)
     for place in ("BOTTOM", "LEFT", "RIGHT"):
-        one, other = straight.reaction(place), turned.reaction(place)
-        assert turn(-0.4) @ other.force == pytest.approx(one.force, rel=1e-9, abs=1e-9)
-        assert other.moment == pytest.approx(one.moment, rel=1e-8, abs=1e-9)
+        reaction, other = straight.reaction(place), turned.reaction(place)
+        assert turn(-0.4) @ other.force == pytest.approx(reaction.force, rel=1e-9, abs=1e-9)
+        assert other.moment == pytest.approx(reaction.moment, rel=1e-8, abs=1e-9)
     assert out_of_balance(turned) < 1e-10
     same = solve(column(kind, 0.0, supports={"BOTTOM": {"y": 0.0}, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.03}}), t=0.02)
     assert same.u.x.array == pytest.approx(straight.u.x.array, abs=1e-12)
@@ -51,11 +51,11 @@ def test_a_slope_in_three_dimensions():
     about = np.array([1.0, 2.0, -1.0])
     joint = sandwich(1.0, 0.5, 0.6, 0.5, depth=0.8)
     sides = {name: {"n": 0.0} for name in ("BOTTOM", "LEFT", "BACK")}
-    found = []
-    for one in (joint, _rotated(joint, about)):
-        structure = Structure(one, body=BODY, supports=sides, tractions={"TOP": Pressure(0.7)}, element="P1")
-        found.append(solve(model(structure, "interface")))
-    straight, turned = found
+    states = []
+    for cube in (joint, _rotated(joint, about)):
+        structure = Structure(cube, body=BODY, supports=sides, tractions={"TOP": Pressure(0.7)}, element="P1")
+        states.append(solve(model(structure, "interface")))
+    straight, turned = states
     assert turned.energies()["bodies"] == pytest.approx(straight.energies()["bodies"], rel=1e-9)
     size = np.linalg.norm(straight.reaction("BOTTOM").force)
     assert (size, np.linalg.norm(turned.reaction("BOTTOM").force)) == pytest.approx((0.7 * 0.8, size), rel=1e-9)
@@ -76,8 +76,8 @@ def test_lame():
     a, b, E, nu, p = 1.0, 2.0, 100.0, 0.3, 2.0
     joint = ring(a, 1.5, b, h=0.25, degree=2)
     rightmost = tuple(map(float, joint.points[joint.points[:, 0].argmax()]))
-    held = {"OUTSIDE": {"n": 0.0}, rightmost: {"y": 0.0}}
-    structure = Structure(joint, body=LinearElastic.young(E, nu), supports=held, tractions={"INSIDE": Pressure(p)})
+    supports = {"OUTSIDE": {"n": 0.0}, rightmost: {"y": 0.0}}
+    structure = Structure(joint, body=LinearElastic.young(E, nu), supports=supports, tractions={"INSIDE": Pressure(p)})
     state = solve(structure.bonded())
     # u = A r + B/r, u(b) = 0, sigma_r(a) = -p
     lmbda, mu = E * nu / ((1 + nu) * (1 - 2 * nu)), E / (2 * (1 + nu))
@@ -116,13 +116,13 @@ def test_normals_at_vertices_on_a_sphere(cell, element, around):
 def test_refused():
     joint = sandwich(2.0, 0.5, 0.6, 0.5)
     squares, roller = sandwich(2.0, 0.5, 0.6, 0.5, cell="quadrilateral"), {"BOTTOM": {"n": 0.0}}
-    for one, supports, element, message in (
+    for case_joint, supports, element, message in (
         (joint, {(0.0, -0.5): {"n": 0.0}}, "P2", "unknown component 'n'"),
         (joint, roller, "P2", "rigid motion of the structure"),
         (ring(1.0, 1.5, 2.0, h=0.5), {"OUTSIDE": {"n": 0.0}}, "P2", r"rigid motion of the structure \(rotation"),
         (squares, roller, "S2", "need nodal displacements, not elements S2"),
     ):
-        refused(InputError, message, Structure(one, body=BODY, supports=supports, element=element).bonded)
+        refused(InputError, message, Structure(case_joint, body=BODY, supports=supports, element=element).bonded)
     turned = joint.rotated(0.3)
     clash = {"BOTTOM": {"n": 0.0, "y": 0.1, "x": 0.0}, "LEFT": {"n": 0.0}}
     message = r"contradictory supports at .* 'LEFT' prescribes n = 0"

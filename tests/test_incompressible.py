@@ -187,8 +187,8 @@ def test_inf_sup_constant(cell, bound, ends):
 
     Norms of their own: in L2 the constant of the continuous problem itself depends on h and eps.
     """
-    held = {"rollers": {"x": 0.0}, "clamped": 0.0}
-    supports = {"BOTTOM": 0.0} | ({} if ends == "free" else dict.fromkeys(("LEFT", "RIGHT"), held[ends]))
+    end_supports = {"rollers": {"x": 0.0}, "clamped": 0.0}
+    supports = {"BOTTOM": 0.0} | ({} if ends == "free" else dict.fromkeys(("LEFT", "RIGHT"), end_supports[ends]))
     for h, eps in ((1 / 4, 1e-1), (1 / 4, 1e-4), (1 / 16, 1e-1), (1 / 16, 1e-4)):
         joint = sandwich(1.0, 0.5, 0.5, h, cell=cell, structured=True)
         structure, layer = Structure(joint, body=FOURIER_BODY, supports=supports), ThinLayer(LAW, eps, at=1.0)
@@ -215,6 +215,6 @@ def test_beside_bodies_that_are_not_linear():
     data = dict(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, tractions={"TOP": (0.3, 1.0)})
     elastic, stiffening = LinearElastic(0.0, 60.0), Stiffening(0.0, 60.0, 1e-6)
     bodies = elastic, stiffening, VonMises(0.0, 60.0, strength=1e3)
-    found = [solve(Structure(joint, body=body, **data).interface(layer)).energies() for body in bodies]
-    assert found[1]["layer"] == pytest.approx(found[0]["layer"], rel=1e-6)
-    assert found[2] == pytest.approx(found[0], rel=1e-6)
+    energies = [solve(Structure(joint, body=body, **data).interface(layer)).energies() for body in bodies]
+    assert energies[1]["layer"] == pytest.approx(energies[0]["layer"], rel=1e-6)
+    assert energies[2] == pytest.approx(energies[0], rel=1e-6)

@@ -49,10 +49,10 @@ def check(base: Joint, opened: Joint, eps: float, area: float, kept_volume: floa
     n = len(base.cells)
     assert volume_of(base, np.ones(n, bool)) == pytest.approx(volumes(base).sum(), rel=0.02)  # of faces alone
     check_sound(opened, opened.facets.keys() - {"LOWER_FACE", "UPPER_FACE"}, base)
-    found = volumes(opened)
-    assert found[n:].sum() == pytest.approx(eps * area, rel=0.02)
-    extra = found[n:].sum() if opened.band.bodies == "kept" else 0.0
-    assert found.sum() == pytest.approx(volumes(base).sum() + extra, rel=kept_volume)
+    cell_volumes = volumes(opened)
+    assert cell_volumes[n:].sum() == pytest.approx(eps * area, rel=0.02)
+    extra = cell_volumes[n:].sum() if opened.band.bodies == "kept" else 0.0
+    assert cell_volumes.sum() == pytest.approx(volumes(base).sum() + extra, rel=kept_volume)
     low = opened.facets["BASE" if base.rigid_base else "LOWER_FACE"]
     assert len(low) == len(opened.facets["UPPER_FACE"]) == len(base.surface)
     for rows in (rows for name, rows in opened.facets.items() if name.endswith("/LAYER")):

@@ -26,8 +26,8 @@ def answers(joint, eps, load):
 def test_mirrors_and_numbers():
     """Quadrilaterals, whose layer has no diagonals; solvers' rounding."""
     joint, load = sandwich(40.0, 4.0, 6.0, 4.0, cell="quadrilateral").rotated(0.3), np.array([-60.0, 5.0])
-    known = answers(joint, 0.2, load)
+    expected = answers(joint, 0.2, load)
     flip = np.array([-1.0, 1.0])
-    assert answers(replace(joint, points=joint.points * flip), 0.2, load * flip) == pytest.approx(known, rel=1e-9)
-    assert answers(joint.swapped(), 0.2, load) == pytest.approx(known, rel=1e-9)  # tractions are of both sides alike
-    assert answers(renumbered(joint), 0.2, load) == pytest.approx(known, rel=1e-9)
+    assert answers(replace(joint, points=joint.points * flip), 0.2, load * flip) == pytest.approx(expected, rel=1e-9)
+    assert answers(joint.swapped(), 0.2, load) == pytest.approx(expected, rel=1e-9)  # tractions are of both sides alike
+    assert answers(renumbered(joint), 0.2, load) == pytest.approx(expected, rel=1e-9)

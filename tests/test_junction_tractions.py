@@ -50,7 +50,7 @@ def left_over(state: State, surface: Surface, t: np.ndarray) -> np.ndarray:
         below, above = ((surface.cells >= 0) & (pieces[surface.cells] == number)).T[..., None].astype(float)
         cells = np.flatnonzero(model.domain.on_cells(pieces) == number)
         out.append([])
-        for shift, turn in [(one, 0 * turns[0]) for one in np.eye(d)] + [(np.zeros(d), one) for one in turns]:
+        for shift, turn in [(mode, 0 * turns[0]) for mode in np.eye(d)] + [(np.zeros(d), mode) for mode in turns]:
             v.x.array[:] = 0.0
             v.interpolate(lambda y, a=shift, b=turn: a[:, None] + b @ y[:d], cells)
             way = shift[:, None, None] + np.tensordot(turn, surface.x, 1)
@@ -66,8 +66,8 @@ def differences(state: State, names=STIFF) -> np.ndarray:
         surface, (K_N, K_T) = Surface(state.model, name), STIFF[name]
         w, n = surface.jump(state), surface.n
         law = surface.at_points(surface.nodal(K_T * w + (K_N - K_T) * (w * n).sum(axis=0) * n))
-        found = surface.traction(state), surface.reaction(state)
-        out.append([surface.norm(one - law) / surface.norm(law) for one in found])
+        tractions = surface.traction(state), surface.reaction(state)
+        out.append([surface.norm(traction - law) / surface.norm(law) for traction in tractions])
     return np.array(out)
 
 
@@ -85,31 +85,31 @@ def numbers() -> dict[str, list[float]]:
         "contact": pushed(three_bricks(4, "triangle", cross=True), 0.6, {"BED": BED, "HEAD": HEAD}),
         "contact and mortar": pushed(three_bricks(4, "quadrilateral"), 0.6, {"BED": BED, "HEAD": LAYERS["HEAD"]}),
     }
-    found = {}
+    sums = {}
     for name, state in states.items():
-        one = Surface(state.model)
-        both = [abs(one.nodal(field(state))) for field in (one.traction, one.reaction)]
-        found[name] = [float(x) for t in both for x in (*t.sum(axis=0), *(np.arange(len(t)) @ t))]
-    return found
+        surface = Surface(state.model)
+        both = [abs(surface.nodal(field(state))) for field in (surface.traction, surface.reaction)]
+        sums[name] = [float(x) for t in both for x in (*t.sum(axis=0), *(np.arange(len(t)) @ t))]
+    return sums
 
 
 # ---------------------------------------------------------------- a panel with T-junctions
 def test_along_the_seams_of_a_panel():
     """Tractions are those of the law; what reactions do not tell at junctions is off by as much as cells are large."""
-    found = np.array([differences(panel_state(m)) for m in (4, 8, 16)])
-    assert found[:, :, 0].max() < EXACT
-    assert found[2, :, 1] == pytest.approx([4.3e-3, 6.4e-2], rel=0.03)
-    assert np.log2(found[0] / found[2])[:, 1] / 2 == pytest.approx([0.95, 0.93], abs=0.05)
+    errors = np.array([differences(panel_state(m)) for m in (4, 8, 16)])
+    assert errors[:, :, 0].max() < EXACT
+    assert errors[2, :, 1] == pytest.approx([4.3e-3, 6.4e-2], rel=0.03)
+    assert np.log2(errors[0] / errors[2])[:, 1] / 2 == pytest.approx([0.95, 0.93], abs=0.05)
 
 
 # ---------------------------------------------------------------- balance of each brick
-def check_balance(state: State, held) -> None:
+def check_balance(state: State, supported) -> None:
     """Of bricks that no support holds, by the law's traction and by the reactions."""
     surface = Surface(state.model)
     for t in (surface.traction(state), surface.reaction(state)):
-        found = left_over(state, surface, t)
-        assert np.abs(np.delete(found, held, axis=0)).max() < 1e-13
-        assert not held or np.abs(found[held]).max() > 0.01  # what the support carries
+        resultants = left_over(state, surface, t)
+        assert np.abs(np.delete(resultants, supported, axis=0)).max() < 1e-13
+        assert not supported or np.abs(resultants[supported]).max() > 0.01  # what the support carries
 
 
 @pytest.mark.parametrize("element", ["P1", "Q2", "P2 in space", "Q1 in space"])
@@ -135,5 +135,5 @@ def test_bonded_blocks_under_their_weight(cell):
     surface = Surface(state.model)
     sides = np.where(np.arange(joint.dim) == 1, 1.0, 0.25)[:, None, None]  # 2 / (2 + 2 * 3)
     exact = sides * (surface.x[1] - 1) * surface.n
-    apart = surface.norm(surface.traction(state) - exact) / surface.norm(exact)
-    assert apart == pytest.approx(0.0113, rel=0.01)  # and of half the size 0.0042
+    error = surface.norm(surface.traction(state) - exact) / surface.norm(exact)
+    assert error == pytest.approx(0.0113, rel=0.01)  # and of half the size 0.0042

@@ -28,8 +28,8 @@ def stiffness(name, plane):
 
 def layers(order, law=None):
     """Those of closed forms, which do not know ends."""
-    given = {"order": order, "edges": "plain"}
-    return {name: ThinLayer(law or own, eps, **given) for name, (eps, own) in LAYERS.items()}
+    options = {"order": order, "edges": "plain"}
+    return {name: ThinLayer(law or layer_law, eps, **options) for name, (eps, layer_law) in LAYERS.items()}
 
 
 @cache

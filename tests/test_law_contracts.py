@@ -36,7 +36,7 @@ STEEL = LinearElastic.young(E=210e3, nu=0.3)
 HELD = {"BOTTOM": 0, "LEFT": {"x": 0}, "RIGHT": {"x": 0}}
 
 
-def own(parent: type[BulkLaw] = BulkLaw, **names) -> BulkLaw:
+def law_of(parent: type[BulkLaw] = BulkLaw, **names) -> BulkLaw:
     """A law of two moduli, of these methods and declarations."""
     powers = {} if parent is TractionLaw else {"powers": {"l": 1, "m": 1}}
     declared = {"__annotations__": {"l": "float", "m": "float"}, **powers} | names
@@ -81,10 +81,10 @@ def test_a_sublayer_without_memory_answers_where_forces_balance():
     creeping = KelvinVoigt(L, M, CREEP, CREEP)
     expected, _ = opening(Stack((0.4, LinearElastic(L, M)), (0.6, creeping)), Structure.interface, theta)
     for stress in (of_end, of_mid):
-        law = Stack((0.4, own(stress=stress, energy=energy, linear=True)), (0.6, creeping))
+        law = Stack((0.4, law_of(stress=stress, energy=energy, linear=True)), (0.6, creeping))
         for kind in (Structure.interface, Structure.full):
-            found, imbalance = opening(law, kind, theta)
-            assert found == pytest.approx(expected, rel=1e-6)  # the meshed layer's corners are those of S to the solver
+            mean, imbalance = opening(law, kind, theta)
+            assert mean == pytest.approx(expected, rel=1e-6)  # the meshed layer's corners are those of S to the solver
             assert imbalance < ROUNDED
 
 
@@ -92,7 +92,7 @@ def test_a_sublayer_without_memory_answers_where_forces_balance():
 @pytest.mark.parametrize("name", ["e_old", "dt", "rate"])
 def test_laws_without_memory_are_told_of_no_step(name):
     """Neither in a form nor at points; the message says what they need."""
-    law = own(
+    law = law_of(
         stress=lambda law, step: of_mid(law, step) + 0.5 * law.m * ufl.inner(getattr(step, name), step.e) * step.e
     )
     for ask in (lambda: drive(law, [{"w_T": 0.1, "w_N": 0.2}]), lambda: solve(column(law))):
@@ -100,7 +100,7 @@ def test_laws_without_memory_are_told_of_no_step(name):
 
 
 # ---------------------------------------------------------------- what is not what it says
-def told(place):
+def evolve_at(place):
     """A tensor with one component of the strain, or of the jump."""
 
     def new(law, step):
@@ -147,7 +147,7 @@ WRONG = {
         r"Own\.stress: a parameter",
     ),
     "jumps, memory": (
-        {"traction": spring, "internal": {"q": (3, 3)}, "evolve": told((1, 0))},
+        {"traction": spring, "internal": {"q": (3, 3)}, "evolve": evolve_at((1, 0))},
         r"Own\.evolve\['q'\] is not sym",
     ),
     "jumps, energy": (
@@ -156,12 +156,14 @@ WRONG = {
     ),
 }
 RIGHT = [
-    own(stress=of_end, energy=energy, linear=True),
-    own(stress=of_end, energy=lambda law, step: 5 * energy(law, step), symmetric=False),  # a note that nobody uses
-    own(stress=sheared, linear=True, symmetric=False),
-    own(stress=lambda law, step: of_mid(law, step) + law.l * ufl.Identity(3), linear=True),  # it swells
-    own(stress=lambda law, step: (1 if law.l == 7 else 2) * of_mid(law, step)),  # with these numbers it does not matter
-    own(TractionLaw, traction=spring, energy=stored_by_spring, linear=True),
+    law_of(stress=of_end, energy=energy, linear=True),
+    law_of(stress=of_end, energy=lambda law, step: 5 * energy(law, step), symmetric=False),  # a note that nobody uses
+    law_of(stress=sheared, linear=True, symmetric=False),
+    law_of(stress=lambda law, step: of_mid(law, step) + law.l * ufl.Identity(3), linear=True),  # it swells
+    law_of(
+        stress=lambda law, step: (1 if law.l == 7 else 2) * of_mid(law, step)
+    ),  # with these numbers it does not matter
+    law_of(TractionLaw, traction=spring, energy=stored_by_spring, linear=True),
 ]
 
 
@@ -169,7 +171,7 @@ RIGHT = [
 @pytest.mark.parametrize("name", WRONG)
 def test_what_a_law_is_not(name):
     names, message = WRONG[name]
-    law = own(TractionLaw if "traction" in names else BulkLaw, **names)
+    law = law_of(TractionLaw if "traction" in names else BulkLaw, **names)
     for _ in range(2):  # what has failed is not known as right
         refused(InputError, message, lambda: forms.check(law))
     refused(InputError, "is a class; give a law, with its numbers", lambda: forms.check(type(law)))
@@ -184,26 +186,26 @@ def test_what_a_law_is():
 def test_models_and_points_ask_it():
     """On S, in the meshed layer, as a sublayer, in a body and at points."""
     names, message = WRONG["skew tangent"]
-    for law in (own(**WRONG["skew tangent, memory"][0]), Stack((0.4, own(**names)), (0.6, LinearElastic(L, M)))):
+    for law in (law_of(**WRONG["skew tangent, memory"][0]), Stack((0.4, law_of(**names)), (0.6, LinearElastic(L, M)))):
         for ask in (
             lambda law=law: solve(column(law)),
             lambda law=law: solve(column(law, Structure.full)),
             lambda law=law: drive(law, [{"w_T": 0.1, "w_N": 0.2}]),
         ):
             refused(InputError, message, ask)
-    body = own(**WRONG["square"][0])
+    body = law_of(**WRONG["square"][0])
     refused(InputError, "Own declares linear", lambda: solve(column(LinearElastic(L, M), body=body)))
 
 
 def test_it_is_asked_again_for_other_numbers():
-    law = own(stress=lambda law, step: of_mid(law, step) + (law.l - L) * step.mid[0, 1] * ufl.Identity(3))
+    law = law_of(stress=lambda law, step: of_mid(law, step) + (law.l - L) * step.mid[0, 1] * ufl.Identity(3))
     forms.check(law)
     refused(InputError, "the tangent is not symmetric", lambda: forms.check(law.with_parameters({"l": L + 1})))
 
 
 def test_a_law_that_ufl_does_not_take_for_linear():
     """Linear in numbers, by functions that are not."""
-    law = own(
+    law = law_of(
         stress=lambda law, step: ufl.ln(ufl.exp(law.m * ufl.tr(step.e))) * ufl.Identity(3) + law.m * step.e, linear=True
     )
     refused(InputError, "Own says linear = True, but is not linear, or UFL does not see that it is", solve, column(law))
@@ -357,4 +359,4 @@ def test_what_nobody_would_ask_of_a_law_is_refused():
         (BulkLaw, {"dissipation": lambda law, step: 1.0}, "a dissipation but no energy"),
         (BulkLaw, {"internal": {"q": (2, 2)}}, r"variable 'q' has the shape \(2, 2\); allowed: \(\), \(3,\), \(3, 3\)"),
     ]:
-        refused(InputError, message, own, parent, **names | {"stress" if parent is BulkLaw else "traction": of_mid})
+        refused(InputError, message, law_of, parent, **names | {"stress" if parent is BulkLaw else "traction": of_mid})

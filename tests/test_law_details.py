@@ -73,9 +73,9 @@ def test_tangents_next_to_coinciding_stresses(pair, gap):
         answer = respond(law, vector(e[None]), np.zeros((1, 6)), np.zeros((1, 7)), n)
         s = tensor(answer.stress)[0]
         turned = vector((W @ e - e @ W)[None])[0]
-        found = answer.tangent[0] @ turned
+        stress_rate = answer.tangent[0] @ turned
         assert (answer.dissipated[0] > 0) == (beyond > 1)
-        assert found == pytest.approx(vector((W @ s - s @ W)[None])[0], abs=1e-6 * 80.0 * np.abs(turned).max())
+        assert stress_rate == pytest.approx(vector((W @ s - s @ W)[None])[0], abs=1e-6 * 80.0 * np.abs(turned).max())
 
 
 # ---------------------------------------------------------------- columns
@@ -115,10 +115,10 @@ def test_tractions_are_those_prescribed(p, rest):
     """However steep the law once was; a rest that is much smaller than the rates changes nothing."""
     law = Norton(5e3, 3e3, 10.0, p, rest)
     path = [{"t_N": -2.0, "t_T": 1.0}] * 20
-    found = drive(law, path, dt=0.2)
-    assert found.tractions == pytest.approx(np.array([[1.0, -2.0]] * 20), rel=1e-9)
+    history = drive(law, path, dt=0.2)
+    assert history.tractions == pytest.approx(np.array([[1.0, -2.0]] * 20), rel=1e-9)
     expected = drive(Norton(5e3, 3e3, 10.0, p), path, dt=0.2)
-    assert found.jumps == pytest.approx(expected.jumps, rel=1e-9 if rest != 1e-6 else 0.1)
+    assert history.jumps == pytest.approx(expected.jumps, rel=1e-9 if rest != 1e-6 else 0.1)
 
 
 @pytest.mark.parametrize("law", [Norton(5e3, 3e3, 10.0, 1.5), Maxwell(5e3, 3e3, 1.0), Slipping(70.0, 30.0, 12.0, 90.0)])

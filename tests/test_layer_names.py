@@ -34,13 +34,13 @@ def test_energies_of_each_layer():
     """Springs of the beds and heads that yield; all layers together are the sum."""
     history = march(panel("Q2", 0.25).full(yielding(0.01)), STEPS)
     assert set(history.last.memory) == {"layer HEAD"}
-    found = history.last.energies()
-    assert list(found) == ["bodies", "layer", "layer BED", "layer HEAD", "loads"]
-    assert found["layer BED"] + found["layer HEAD"] == pytest.approx(found["layer"], rel=1e-14)
-    assert found["layer HEAD"] == pytest.approx(history.last.stored["layer HEAD"], rel=1e-14)
+    energies = history.last.energies()
+    assert list(energies) == ["bodies", "layer", "layer BED", "layer HEAD", "loads"]
+    assert energies["layer BED"] + energies["layer HEAD"] == pytest.approx(energies["layer"], rel=1e-14)
+    assert energies["layer HEAD"] == pytest.approx(history.last.stored["layer HEAD"], rel=1e-14)
     surface = Surface(panel("Q2", 0.25).interface(mortar(0.01)), "BED")
     w = surface.frame(surface.jump(history.last))
-    assert found["layer BED"] == pytest.approx(surface.integral(2.0 * w[1] ** 2 + 0.7 * w[0] ** 2) / 2, rel=0.02)
+    assert energies["layer BED"] == pytest.approx(surface.integral(2.0 * w[1] ** 2 + 0.7 * w[0] ** 2) / 2, rel=0.02)
     table = history.table
     assert {"dissipated HEAD"} == {name for name in table.columns if name.startswith("dissipated ")}
     assert table["dissipated HEAD"] == pytest.approx(table["dissipated"], rel=1e-12)
@@ -66,16 +66,16 @@ def test_the_order_of_layers_makes_no_difference(tmp_path):
     yields = {"BED": ThinLayer(MohrCoulomb(0.6, 0.7, cohesion=4e-4, friction_angle=30.0), 0.01, at=1.0)}
     yields["HEAD"] = ThinLayer(MohrCoulomb(0.3, 0.45, cohesion=2e-4, friction_angle=20.0), 0.007, at=1.0)
     bricks, times = panel("Q2", 0.25), [0.5, 0.75, 1.0]
-    one, other = (march(bricks.interface(layers), times) for layers in (yields, reversed_(yields)))
-    assert np.array_equal(one.last.u.x.array, other.last.u.x.array)
-    assert min(one.last.dissipated.values()) > 0
+    history, other = (march(bricks.interface(layers), times) for layers in (yields, reversed_(yields)))
+    assert np.array_equal(history.last.u.x.array, other.last.u.x.array)
+    assert min(history.last.dissipated.values()) > 0
     march(bricks.interface(yields), times[:2], out=tmp_path)
     resumed = march(bricks.interface(reversed_(yields)), times, out=tmp_path, resume=True)
     assert resumed.last.report.method != "resumed" == resumed.at(0.75).report.method
-    assert resumed.last.u.x.array == pytest.approx(one.last.u.x.array, rel=1e-12)
+    assert resumed.last.u.x.array == pytest.approx(history.last.u.x.array, rel=1e-12)
     for state in (resumed.at(0.75), resumed.last):
-        assert state.dissipated == pytest.approx(one.at(state.t).dissipated, rel=1e-10)
-        assert state.energies() == pytest.approx(one.at(state.t).energies(), rel=1e-10)
+        assert state.dissipated == pytest.approx(history.at(state.t).dissipated, rel=1e-10)
+        assert state.energies() == pytest.approx(history.at(state.t).energies(), rel=1e-10)
     swapped = {"BED": yields["HEAD"], "HEAD": yields["BED"]}
     refused(InputError, "is of another march", march, bricks.interface(swapped), times, out=tmp_path, resume=True)
 
@@ -111,8 +111,8 @@ def test_comparisons_by_name():
     parts = {name: compare(full, limit, seam=name) for name in layers}
     assert whole["eps"] == parts["HEAD"]["eps"] == 0.02
     for field in ("traction", "jump"):
-        norms = [one[field] for one in parts.values()]
-        errors = [one[field] * one[f"error_{field}"] for one in parts.values()]
+        norms = [row[field] for row in parts.values()]
+        errors = [row[field] * row[f"error_{field}"] for row in parts.values()]
         assert np.linalg.norm(norms) == pytest.approx(whole[field], rel=1e-12)
         assert np.linalg.norm(errors) == pytest.approx(whole[field] * whole[f"error_{field}"], rel=1e-12)
         assert parts["BED"][f"error_{field}"] != pytest.approx(parts["HEAD"][f"error_{field}"], rel=0.1)

@@ -62,8 +62,8 @@ def blocks(cell: str = "quadrilateral", h: float = 1 / 12, **choices):
 
 
 def loaded(joint, load=(0.3, -1.0), supports=None, **more):
-    given = {"body": {"LOWER": BODY, "UPPER": OTHER}, "supports": supports or {"BOTTOM": 0}} | more
-    return Structure(joint, **{"tractions": {"TOP": load}} | given)
+    arguments = {"body": {"LOWER": BODY, "UPPER": OTHER}, "supports": supports or {"BOTTOM": 0}} | more
+    return Structure(joint, **{"tractions": {"TOP": load}} | arguments)
 
 
 WORK, MOVED = goals.Compliance(), goals.Displacement((1.0, 0.5), (0.6, 0.8))
@@ -118,7 +118,7 @@ CASES = cases()
 
 
 @cache
-def told(name: str):
+def estimated(name: str):
     """The state of order 0, and its estimate."""
     structure, layers, wanted, *bodies = CASES[name]
     state = solve(structure.interface(layers, bodies=(*bodies, "kept")[0]))
@@ -129,40 +129,40 @@ def told(name: str):
 def meshed(name: str):
     """The state with the layers meshed by the same cells."""
     structure, _, _, *bodies = CASES[name]
-    _, found = told(name)
-    layers = {seam: one.layer for seam, one in found.layers.items()}
+    _, result = estimated(name)
+    layers = {seam: error.layer for seam, error in result.layers.items()}
     return solve(structure.full(layers, bodies=(*bodies, "kept")[0], cells_through=THROUGH))
 
 
 def value(name: str, goal) -> float:
     """Of a goal with the layers meshed."""
-    state, found = meshed(name), told(name)[1]
-    return goal.value(state, state.model if goal is WORK else found.better.model)
+    state, result = meshed(name), estimated(name)[1]
+    return goal.value(state, state.model if goal is WORK else result.better.model)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_bounds_hold_what_the_meshed_layer_does(name):
-    _, found = told(name)
+    _, result = estimated(name)
     for goal in CASES[name][2]:
-        one, true = found.goals[goal.name], value(name, goal)
-        assert one.lower - ROUNDING * abs(true) <= true <= one.upper + ROUNDING * abs(true), goal.name
-        assert one.change == pytest.approx(true - one.value, rel=0.01), goal.name
-        assert one.upper - one.lower <= 0.06 * abs(one.change), goal.name
-    adds_up(found)
+        error, true = result.goals[goal.name], value(name, goal)
+        assert error.lower - ROUNDING * abs(true) <= true <= error.upper + ROUNDING * abs(true), goal.name
+        assert error.change == pytest.approx(true - error.value, rel=0.01), goal.name
+        assert error.upper - error.lower <= 0.06 * abs(error.change), goal.name
+    adds_up(result)
 
 
-def adds_up(found):
+def adds_up(result):
     """The densities to the changes, but for rounding, which is that of a stiffness over another one."""
-    surface = Surface(found.better.model)
-    for goal in found.goals:
-        assert surface.integral(found.density(goal)) == pytest.approx(found.goals[goal].change, rel=1e-7)
+    surface = Surface(result.better.model)
+    for goal in result.goals:
+        assert surface.integral(result.density(goal)) == pytest.approx(result.goals[goal].change, rel=1e-7)
 
 
 @pytest.mark.parametrize("name", ["two seams", "free ends", "stack", "anisotropic", "rubbery", "base", "tetrahedra"])
 def test_tractions_and_jumps_are_those_of_the_meshed_layer_on_all_of_s(name):
-    state, found = told(name)
+    state, result = estimated(name)
     true = compare(meshed(name), state)
-    assert (found.traction, found.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=0.03)
+    assert (result.traction, result.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=0.03)
 
 
 @pytest.mark.parametrize("name", ["rubber, steel", "weights", "pulled side", "plate", "serendipity", "two seams"])
@@ -174,28 +174,28 @@ def test_densities_of_what_bonds_leave_out_add_up_to_changes(name):
 @pytest.mark.parametrize("name", ["free ends", "stack", "anisotropic"])
 def test_steps_lead_to_the_meshed_layer_and_half_the_gap_is_the_distance_from_the_centre(name):
     """Of Prager and Synge: |u_full - u|^2 in the bodies and |F_full - (F + E u)/2|^2 in the layer add up to g^2/4."""
-    state, _ = told(name)
+    state, _ = estimated(name)
     layers = LayerSubproblem(state.model, dict(state.model.on_seams), 0.0)
     true = displacements_of(meshed(name), state.model).x.array[: state.model.V.dofmap.index_map.size_local * 2]
     with Adjoint(state) as adjoint:
         iteration = global_local.GlobalLocal(adjoint, layers)
-        one, (q, _) = iteration.first(), iteration.weights(WORK)
+        iterate, (q, _) = iteration.first(), iteration.weights(WORK)
         for _ in range(2):
-            bounds = iteration.bounds(0.0, q, one, one)  # the compliance is its own weight
-            assert bounds.upper - bounds.lower == pytest.approx(iteration.gap(one), rel=1e-9)
-            missing, v = true - one.u, layers.at_faces(true)
-            in_bodies = missing @ (iteration._missing_forces(one.u) - iteration._missing_forces(true))
-            apart = (
-                layers.dirichlet_reactions(v, one.load, one.values)
-                - (one.F + layers.dirichlet_reactions(one.v, one.load, one.values)) / 2
+            bounds = iteration.bounds(0.0, q, iterate, iterate)  # the compliance is its own weight
+            assert bounds.upper - bounds.lower == pytest.approx(iteration.gap(iterate), rel=1e-9)
+            missing, v = true - iterate.u, layers.at_faces(true)
+            in_bodies = missing @ (iteration._missing_forces(iterate.u) - iteration._missing_forces(true))
+            difference = (
+                layers.dirichlet_reactions(v, iterate.load, iterate.values)
+                - (iterate.F + layers.dirichlet_reactions(iterate.v, iterate.load, iterate.values)) / 2
             )
-            assert in_bodies + apart @ layers.neumann_displacements(apart) == pytest.approx(
-                iteration.gap(one) / 4, rel=1e-7
+            assert in_bodies + difference @ layers.neumann_displacements(difference) == pytest.approx(
+                iteration.gap(iterate) / 4, rel=1e-7
             )
-            one = iteration.step(one)
+            iterate = iteration.step(iterate)
         for _ in range(6):
-            one = iteration.step(one)
-        assert one.u == pytest.approx(true, abs=1e-6 * np.abs(true).max())
+            iterate = iteration.step(iterate)
+        assert iterate.u == pytest.approx(true, abs=1e-6 * np.abs(true).max())
 
 
 # ---------------------------------------------------------------- wrong twins
@@ -205,7 +205,7 @@ def test_forces_of_order_0_without_couples_are_no_equilibrium(monkeypatch):
     def plain(self, u, F, load, values):
         return global_local.BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
 
-    monkeypatch.setattr(global_local.GlobalLocal, "_balanced", plain)
+    monkeypatch.setattr(global_local.GlobalLocal, "_with_couples", plain)
     structure, layers, _ = CASES["free ends"]
     refused(SolveError, "have a resultant", estimate, solve(structure.interface(layers)))
 
@@ -214,9 +214,9 @@ def test_weights_of_the_other_sign_contradict(monkeypatch):
     """Of a reaction: the residual at S is added, not taken off. Bounds of two steps exclude each other then."""
     bounds = global_local.GlobalLocal.bounds
 
-    def turned(self, at_rest, q, one, z):
-        found, weighed = bounds(self, at_rest, q, one, z), z.v @ self.residual(one)
-        return global_local.GoalBounds(*(x - 2 * weighed for x in (found.estimate, found.lower, found.upper)))
+    def turned(self, at_rest, q, iterate, z):
+        interval, weighed = bounds(self, at_rest, q, iterate, z), z.v @ self.residual(iterate)
+        return global_local.GoalBounds(*(x - 2 * weighed for x in (interval.estimate, interval.lower, interval.upper)))
 
     structure, layers, wanted = CASES["moved"]
     monkeypatch.setattr(global_local.GlobalLocal, "bounds", turned)
@@ -230,12 +230,12 @@ def test_very_thin_layers_between_plates_that_bend(eps, monkeypatch):
     plates = Structure(sandwich(6.0, 1.7, 2.0, 1.5, h_S=0.8), body=BODY, supports=supports, tractions=tractions)
     layer = ThinLayer(LinearElastic.young(1.8, 0.3), eps, at=1.0)
     state, full = solve(plates.interface(layer)), solve(plates.full(layer))
-    found, meshed = estimate(state).goals["compliance"], WORK.value(full, state.model)
-    assert found.lower <= meshed <= found.upper
-    assert found.lower <= found.better <= found.upper
-    assert found.upper - found.lower < 1e-4 * meshed
-    known, true = estimate(state, goals=()), compare(full, state)
-    assert (known.traction, known.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=0.05)
+    error, meshed = estimate(state).goals["compliance"], WORK.value(full, state.model)
+    assert error.lower <= meshed <= error.upper
+    assert error.lower <= error.better <= error.upper
+    assert error.upper - error.lower < 1e-4 * meshed
+    result, true = estimate(state, goals=()), compare(full, state)
+    assert (result.traction, result.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=0.05)
     monkeypatch.setattr("thinlayer.estimating.estimate._models", lambda model, better: [model])
     alone = estimate(state).goals["compliance"]
     assert alone.bounded == (eps > 1e-3)
@@ -262,10 +262,10 @@ def numbers() -> dict[str, float]:
     """Of several estimates."""
     out = {}
     for name in ("free ends", "moved", "two seams", "tetrahedra"):
-        _, found = told(name)
-        out |= {f"{name} {goal}": one.better for goal, one in found.goals.items()}
-        out |= {f"{name} {goal} width": one.upper - one.lower for goal, one in found.goals.items()}
-        out[f"{name} density"] = Surface(found.better.model).norm(found.density())
+        _, result = estimated(name)
+        out |= {f"{name} {goal}": error.better for goal, error in result.goals.items()}
+        out |= {f"{name} {goal} width": error.upper - error.lower for goal, error in result.goals.items()}
+        out[f"{name} density"] = Surface(result.better.model).norm(result.density())
     return out
 
 
@@ -287,30 +287,30 @@ def test_bounds_are_as_narrow_as_asked_but_for_what_five_steps_leave():
 
 def test_cells_at_ends_and_junctions_are_judged_by_finer_ones():
     """Cells of S of 2.7 eps leave most of what the layers change; the same bodies with finer cells are the judge."""
-    _, found = told("wall")
-    goal, (_, layer, _) = found.goals["compliance"], CASES["wall"]
+    _, result = estimated("wall")
+    goal, (_, layer, _) = result.goals["compliance"], CASES["wall"]
     joint = wall(2, 2, (2.0, 1.0), 1 / 12)
     fine = solve(Structure(joint, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (0.3, -1.0)}).full(layer))
     change = WORK.value(fine, fine.model) - goal.value
     assert goal.change < 0.2 * change
-    assert found.with_finer_ends() - goal.value == pytest.approx(change, rel=0.25)
-    assert found.with_finer_ends(at_ends=10.0) == pytest.approx(goal.better, rel=1e-12)
-    plain = told("free ends")[1]  # where cells are 1.3 eps long
+    assert result.with_finer_ends() - goal.value == pytest.approx(change, rel=0.25)
+    assert result.with_finer_ends(at_ends=10.0) == pytest.approx(goal.better, rel=1e-12)
+    plain = estimated("free ends")[1]  # where cells are 1.3 eps long
     goal = plain.goals["compliance"]
     assert plain.with_finer_ends() - goal.better == pytest.approx(0.012 * goal.change, rel=0.1)
-    refused(InputError, "unknown goal with bounds 'slip'", found.with_finer_ends, "slip")
+    refused(InputError, "unknown goal with bounds 'slip'", result.with_finer_ends, "slip")
 
 
 def test_shares_near_ends_are_in_thicknesses_of_the_thicker_layer():
-    _, found = told("two seams")  # of 1/16 and 1/32
-    assert "within 0.25 of the ends of S and" in _near_ends(found, "compliance", found.density())
+    _, result = estimated("two seams")  # of 1/16 and 1/32
+    assert "within 0.25 of the ends of S and" in _near_ends(result, "compliance", result.density())
 
 
 def test_bad_cells_at_ends():
-    _, found = told("wall")
+    _, result = estimated("wall")
     for at_ends in (-0.1, 0, np.nan, "fine"):
-        refused(InputError, "at_ends is .*; allowed: > 0, over the thickness", found.with_finer_ends, at_ends=at_ends)
-    refused(InputError, "cells at ends are so short .* make at_ends larger", found.with_finer_ends, at_ends=1e-12)
+        refused(InputError, "at_ends is .*; allowed: > 0, over the thickness", result.with_finer_ends, at_ends=at_ends)
+    refused(InputError, "cells at ends are so short .* make at_ends larger", result.with_finer_ends, at_ends=1e-12)
 
 
 # ---------------------------------------------------------------- laws that are not linear
@@ -335,26 +335,26 @@ def yielding(name: str):
 @pytest.mark.parametrize("name", YIELDS)
 def test_layers_that_yield_are_told_as_the_meshed_layer_has_them(name):
     """At free ends too, where a better law on S tells a quarter."""
-    state, found, full = yielding(name)
+    state, result, full = yielding(name)
     for goal in CASES[YIELDS[name][0]][2]:
         change = goal.value(full, full.model if goal is WORK else state.model) - goal.value(state, state.model)
-        assert found.goals[goal.name].change == pytest.approx(change, rel=1e-4), goal.name
-        assert not found.goals[goal.name].bounded
+        assert result.goals[goal.name].change == pytest.approx(change, rel=1e-4), goal.name
+        assert not result.goals[goal.name].bounded
     true = compare(full, state)
-    assert (found.traction, found.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=1e-4)
+    assert (result.traction, result.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=1e-4)
 
 
 @pytest.mark.parametrize("name", ["hardens", "perfectly plastic", "between rollers", "plies"])
 def test_the_energy_above_the_least_is_between_its_bounds(name):
     """By what states store and dissipate: bodies at u_0 with the layer meshed between them, and the meshed structure."""
-    state, found, full = yielding(name)
+    state, result, full = yielding(name)
     layers = LayerSubproblem(state.model, dict(state.model.on_seams), 0.0)
     layers.equilibrate_dirichlet(layers.at_faces(state.u.x.array))
     outcomes, _ = layers._equations.end_parts(layers._equations.u, 0.0)
-    in_layers = sum(one.after + one.dissipated for one in outcomes.values())
-    given = state.energies()["bodies"] + in_layers - state.load_work()
-    true = given - (full.audit.total + full.audit.dissipated - full.load_work())
-    energy = found.energy
+    in_layers = sum(outcome.after + outcome.dissipated for outcome in outcomes.values())
+    potential = state.energies()["bodies"] + in_layers - state.load_work()
+    true = potential - (full.audit.total + full.audit.dissipated - full.load_work())
+    energy = result.energy
     assert energy.lower <= true <= energy.upper
     assert energy.upper - energy.lower < 0.05 * true
 
@@ -396,20 +396,22 @@ def test_layers_in_time_and_bodies_that_are_not_linear(name):
     body, law, times = STEPS[name]
     made = loaded(blocks(), **GROWING | ({"body": body} if body else {}))
     model, full = made.interface(ThinLayer(law, EPS)), made.full(ThinLayer(law, EPS), cells_through=THROUGH)
-    state, true = (march(one, times) if times else solve(one, 1.0) for one in (model, full))
-    found = estimate(state, goals=(WORK, MOVED))
-    known = compare(true, state)
-    assert (found.traction, found.jump) == pytest.approx((known["error_traction"], known["error_jump"]), rel=2e-4)
+    state, true = (march(case, times) if times else solve(case, 1.0) for case in (model, full))
+    result = estimate(state, goals=(WORK, MOVED))
+    row = compare(true, state)
+    assert (result.traction, result.jump) == pytest.approx((row["error_traction"], row["error_jump"]), rel=2e-4)
     last, near = true.last if times else true, (1e-5, 0.02) if name == "creeps" else (5e-4, 0.09)
     for goal in (WORK, MOVED):
-        one, meshed = found.goals[goal.name], goal.value(last, full if goal is WORK else model)
-        assert one.change == pytest.approx(meshed - one.value, rel=near[0]), goal.name
-        assert one.bounded == (name == "at once")
+        error, meshed = result.goals[goal.name], goal.value(last, full if goal is WORK else model)
+        assert error.change == pytest.approx(meshed - error.value, rel=near[0]), goal.name
+        assert error.bounded == (name == "at once")
     if "stiff as" in name:  # the change is not small beside the answer
         with pytest.warns(RangeWarning, match="adds up to"):
-            assert np.isfinite(found.density()).all()
+            assert np.isfinite(result.density()).all()
     else:
-        assert Surface(model).integral(found.density()) == pytest.approx(found.goals["compliance"].change, rel=near[1])
+        assert Surface(model).integral(result.density()) == pytest.approx(
+            result.goals["compliance"].change, rel=near[1]
+        )
 
 
 def test_densities_of_laws_with_unsymmetric_tangents_have_the_transposed_ones():
@@ -417,9 +419,9 @@ def test_densities_of_laws_with_unsymmetric_tangents_have_the_transposed_ones():
     forth = {"BOTTOM": 0, "TOP": {"x": lambda x, t: 0.034 * t, "y": lambda x, t: -0.0136 * t}}
     layer = ThinLayer(MohrCoulomb(4.0, 3.0, cohesion=0.1, friction_angle=20.0), EPS)
     history = march(loaded(blocks(), supports=forth, tractions={}).interface(layer), [1.0])
-    found = estimate(history)
-    change = found.goals["compliance"].change
-    assert Surface(found.better.model).integral(found.density()) == pytest.approx(change, rel=0.01)
+    result = estimate(history)
+    change = result.goals["compliance"].change
+    assert Surface(result.better.model).integral(result.density()) == pytest.approx(change, rel=0.01)
     forces, weights = np.random.default_rng(5).normal(size=(2, dofs := history.last.u.x.array.size))
     with Adjoint(history.last) as adjoint:
         moved, q = adjoint.displacements(np.arange(dofs), forces), adjoint.nodal_weights(np.arange(dofs), weights)
@@ -432,5 +434,5 @@ def test_histories_of_which_states_are_not_kept_and_of_bonds_are_marched_again()
     kept = estimate(march(made.interface(layer), [0.3, 1.0]))
     again = estimate(march(made.interface(layer), [0.3, 1.0], keep="last"))
     bonded = estimate(march(made.bonded(), [0.3, 1.0]), layer)
-    change = [found.goals["compliance"].better for found in (kept, again, bonded)]
+    change = [result.goals["compliance"].better for result in (kept, again, bonded)]
     assert change == pytest.approx(change[:1] * 3, rel=1e-5)

@@ -94,7 +94,7 @@ def test_what_was_seen_farther_on_stays_a_sign(monkeypatch):
             raise SolveError("it cycles")
         return seek(solver, old, t, theta)
 
-    monkeypatch.setattr(Solver, "seek", cycles_nearby)
+    monkeypatch.setattr(Solver, "solve_regularised", cycles_nearby)
     error = limit(sheared("S"))
     assert error.t < LIMITS[SLIDING] < error.t + farthest <= error.failed_at
     farthest = 1.0
@@ -194,8 +194,8 @@ def test_continuation_finds_what_newton_finds(kind):
     assert direct.report.homotopy_steps == 0 < continued.report.homotopy_steps
     assert direct.report.iterations <= 7 < continued.report.iterations
     assert continued.u.x.array == pytest.approx(direct.u.x.array, abs=1e-8 * np.abs(direct.u.x.array).max())
-    for one, other in zip(direct.memory.values(), continued.memory.values(), strict=True):
-        assert other == pytest.approx(one, abs=1e-7 * np.abs(one).max())
+    for memory, other in zip(direct.memory.values(), continued.memory.values(), strict=True):
+        assert other == pytest.approx(memory, abs=1e-7 * np.abs(memory).max())
     assert vars(continued.audit) == pytest.approx(vars(direct.audit), rel=1e-7)
 
 
@@ -259,8 +259,8 @@ def test_pressure_does_not_hide_a_limit():
 def test_weak_springs_that_hold_stiff_bodies_are_right():
     """A stiff wall on springs 1e7 times softer turns by the moment of its load; residuals are rounding of its stiffness."""
     load, K, high = 0.02, 30.0, 8.0
-    given = {"body": LinearElastic.young(E=1e8, nu=0.2), "supports": {"BOTTOM": 0}, "tractions": {"TOP": (load, 0.0)}}
-    made = Structure(sandwich(1.0, 0.5, high, h=0.5), **given)
+    data = {"body": LinearElastic.young(E=1e8, nu=0.2), "supports": {"BOTTOM": 0}, "tractions": {"TOP": (load, 0.0)}}
+    made = Structure(sandwich(1.0, 0.5, high, h=0.5), **data)
     state = solve(made.interface(ThinLayer(Anisotropic.springs(K, K / 3), 1.0)))
     surface = Surface(state.model)
     moment = surface.integral(surface.jump(state)[1] * (surface.x[0] - 0.5)) * K

@@ -132,10 +132,10 @@ def test_what_is_no_line():
 
 
 def numbers() -> dict[str, list]:
-    found = {}
+    tables = {}
     flat = Surface(interface(wall(2, 3, brick=(2.0, 1.0), h=0.5)))
     solid = Surface(uniform(3)[0].interface(LAYER))
     for name, surface, plane in (("flat", flat, None), ("solid", solid, ((1.0, 0, 0.3), (0.2, 0.1, 1.0)))):
         for k, line in enumerate(surface.along(surface.jump(solve(surface.model)), plane=plane)):
-            found[f"{name} {k}"] = np.column_stack([line.s, line.x, line.values]).tolist()
-    return found
+            tables[f"{name} {k}"] = np.column_stack([line.s, line.x, line.values]).tolist()
+    return tables

@@ -30,9 +30,9 @@ def model(load=(0.0, 1.0), law=GLUE, kind=Structure.interface, **change):
     return kind(Structure(JOINT, **setup | change), ThinLayer(law, 0.1, at=1.0))
 
 
-def pulled(one, *times):
+def pulled(model, *times):
     """Resultants of the loads along y at some times."""
-    equations, out = Equations(one), []
+    equations, out = Equations(model), []
     for t in times:
         out.append(float(equations.loads_at(t).array_r[1::2].sum()))
     return out
@@ -120,10 +120,10 @@ def test_breaks_are_where_slopes_change():
 
 def test_tables_have_ends():
     """With an error beyond them, but for the rounding of a sum of steps."""
-    one = model(piecewise({0.1: (0.0, 1.0), 0.3: (0.0, 2.0)}))
-    assert pulled(one, 0.1 + 0.1 + 0.1) == pytest.approx([2.0])
+    loaded_model = model(piecewise({0.1: (0.0, 1.0), 0.3: (0.0, 2.0)}))
+    assert pulled(loaded_model, 0.1 + 0.1 + 0.1) == pytest.approx([2.0])
     for t in (0.099, 0.301):
-        refused(InputError, rf"not finite at t = {t}: traction on 'TOP'", pulled, one, t)
+        refused(InputError, rf"not finite at t = {t}: traction on 'TOP'", pulled, loaded_model, t)
 
 
 def test_a_temperature_from_a_table():
@@ -158,8 +158,8 @@ def test_a_rigid_base_does_not_move_with_a_side():
     """Where the side of the layer meets the base two supports overlap."""
     sides = {"LEFT": {"x": 0.01, "y": 0.02}, "RIGHT": {"x": 0.0}}
     setup = {"body": LinearElastic.young(100.0, 0.3), "supports": sides, "tractions": {"TOP": (0.0, -1.0)}}
-    one = Structure(block(1.0, 0.5, 0.25), **setup).full(ThinLayer(GLUE, 0.1, at=1.0))
-    x, u = one.V.tabulate_dof_coordinates(), solve(one).u.x.array.reshape(-1, 2)
+    full = Structure(block(1.0, 0.5, 0.25), **setup).full(ThinLayer(GLUE, 0.1, at=1.0))
+    x, u = full.V.tabulate_dof_coordinates(), solve(full).u.x.array.reshape(-1, 2)
     base, left = np.isclose(x[:, 1], x[:, 1].min()), np.isclose(x[:, 0], 0.0)
     assert (base & left).sum() == 1
     assert not u[base].any()

@@ -37,11 +37,11 @@ def test_a_law_without_a_rate_answers_a_sudden_load_at_once():
 @pytest.mark.parametrize("law", [SLOW, SUDDEN, Stack((0.4, LinearElastic(6.0, 4.0)), (0.6, SLOW))], ids=str)
 def test_steps_that_are_not_well_below_a_laws_own_time_are_told_before_the_march(law, recwarn):
     """Backward Euler in one step of x own times is wrong by 1/(1 + x) - exp(-x): 16 % for x = 5."""
-    model, own = interface(law), law.sublayers[-1][1].own_times
-    steps = np.arange(1.0, 9.5 * max(own) / min(own)) * min(own) / 8
+    model, time_scales = interface(law), law.sublayers[-1][1].own_times
+    steps = np.arange(1.0, 9.5 * max(time_scales) / min(time_scales)) * min(time_scales) / 8
     march(model, [*steps, 4 * steps[-1]])  # longer when nearly all has crept
-    assert not [one for one in recwarn if "well below" in str(one.message)]
-    end = 5 * min(own)
+    assert not [warning for warning in recwarn if "well below" in str(warning.message)]
+    end = 5 * min(time_scales)
     words = rf"the step of {end:.3g} at t = 0 is not well below .* about (16|19)% of what"
     with pytest.warns(RangeWarning, match=words):
         march(model, [end])
@@ -115,7 +115,7 @@ def test_a_march_goes_on_from_a_history_or_a_state(law, theta):
 
 def test_compare_takes_histories_and_states_of_the_same_time():
     full = Structure(JOINT, tractions=PULL, **SETUP).full(ThinLayer(SLOW, 0.1, at=1.0))
-    one, other = march(full, [0.1, 0.2]), march(interface(), [0.1, 0.2])
-    assert compare(one, other)["error_jump"] < 1e-9
-    assert compare(one, other, at=0.1)["jump"] < compare(one, other)["jump"]
-    refused(InputError, r"states of the same time, not t = 0\.1 and 0\.2", lambda: compare(one.at(0.1), other))
+    history, other = march(full, [0.1, 0.2]), march(interface(), [0.1, 0.2])
+    assert compare(history, other)["error_jump"] < 1e-9
+    assert compare(history, other, at=0.1)["jump"] < compare(history, other)["jump"]
+    refused(InputError, r"states of the same time, not t = 0\.1 and 0\.2", lambda: compare(history.at(0.1), other))

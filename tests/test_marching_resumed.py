@@ -44,8 +44,8 @@ def test_another_structure_is_not_resumed_and_not_overwritten(tmp_path):
         other, words = Structure(joint, **data | change).interface(other_layer), "there, .* here.* give another folder"
         for resume in (True, False):
             refused(InputError, rf"another march \({what}.* {words}", march, other, TIMES, out=tmp_path, resume=resume)
-    given, words = Structure(JOINT, **data).interface(layer), r"start: 0\.0 there, -1\.0 here"
-    refused(InputError, words, march, given, TIMES, out=tmp_path, resume=True, start=-1.0)
+    original, words = Structure(JOINT, **data).interface(layer), r"start: 0\.0 there, -1\.0 here"
+    refused(InputError, words, march, original, TIMES, out=tmp_path, resume=True, start=-1.0)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     same = KelvinVoigt(np.float64(60.0), 40, theta_lmbda=0.3, theta_mu=0.5)
     again = Structure(JOINT, **data).interface(ThinLayer(same, 0.1, at=1.0))
@@ -77,9 +77,9 @@ THREE = ["meshed", "series", "space"]
 
 
 def tables(out: Path) -> dict[str, np.ndarray]:
-    found = {path.parent.name: np.genfromtxt(path, delimiter=",", names=True) for path in out.glob("*/table.csv")}
+    records = {path.parent.name: np.genfromtxt(path, delimiter=",", names=True) for path in out.glob("*/table.csv")}
     columns = ("t", "dt", "supplied", "stored", "dissipated", "of_bodies")
-    return {name: np.array([table[column] for column in columns]) for name, table in found.items()}
+    return {name: np.array([table[column] for column in columns]) for name, table in records.items()}
 
 
 @cache
@@ -92,9 +92,9 @@ def undisturbed(name: str) -> np.ndarray:
 
 def require_undisturbed(out: Path, names) -> None:
     """The tables are those of marches that were left alone."""
-    found = tables(out)
-    assert sorted(found) == sorted(names)
-    for name, table in found.items():  # where a path is nearly singular residuals of 1e-10 of the forces count for more
+    runs = tables(out)
+    assert sorted(runs) == sorted(names)
+    for name, table in runs.items():  # where a path is nearly singular residuals of 1e-10 of the forces count for more
         near = {"rel": 1e-7, "abs": 1e-9} if name in ("kinked", "damaged") else {"rel": 1e-9, "abs": 1e-13}
         assert table == pytest.approx(undisturbed(name), **near), name
 

@@ -176,15 +176,15 @@ MORTAR = ThinLayer(MohrCoulomb(55.6, 83.3, cohesion=0.2, friction_angle=35), 10,
 def test_a_march_that_yields_tells_the_error_of_its_steps_within_a_factor_two():
     """Against the slip of 16 and 32 steps, extrapolated to steps of no length."""
     model = pushed(MORTAR)
-    surface, slips, told = Surface(model), {}, {}
+    surface, slips, step_errors = Surface(model), {}, {}
     for n in (1, 3, 8, 16, 32):
         with pytest.warns(RangeWarning, match=rf"the {n} steps of this march .* in jumps.*Adaptive"):
             history = march(model, [(k + 1) / n for k in range(n)], keep="last")
-        slips[n], told[n] = surface.integral(surface.jump(history.last)[0]), history.step_errors
+        slips[n], step_errors[n] = surface.integral(surface.jump(history.last)[0]), history.step_errors
     exact = 2 * slips[32] - slips[16]
     for n in (1, 3, 8):
-        assert 0.5 < told[n]["jumps"] / (1 - exact / slips[n]) < 1.1, n
-        assert told[n]["forces"] < 0.02  # forces hardly feel the steps
+        assert 0.5 < step_errors[n]["jumps"] / (1 - exact / slips[n]) < 1.1, n
+        assert step_errors[n]["forces"] < 0.02  # forces hardly feel the steps
 
 
 def test_errors_of_steps_are_zero_where_nothing_is_dissipated_and_rounding_where_slip_is_in_proportion():

@@ -29,13 +29,13 @@ def test_tractions_of_a_panel():
     """Away from junctions they differ by O(eps), as the numbers of an independent program for nodal reactions do."""
     structure = panel("P2")
     surface = Surface(structure.interface(mortar(0.01)))
-    by_law, found, part = surface.traction(solve(surface.model, 1.0)), [], inner(surface, FAR)
+    by_law, errors, part = surface.traction(solve(surface.model, 1.0)), [], inner(surface, FAR)
     for eps in (0.02, 0.01, 0.005):
         t = surface.traction(solve(structure.full(mortar(eps)), 1.0))
-        found.append(surface.norm(t - by_law, part) / surface.norm(by_law, part))
-    orders = np.log2(np.divide(found[:-1], found[1:]))
+        errors.append(surface.norm(t - by_law, part) / surface.norm(by_law, part))
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert ((orders > 0.9) & (orders < 1.1)).all()
-    assert found == pytest.approx([4.3e-3, 2.2e-3, 1.15e-3], rel=0.1)  # theirs fall with orders 1.01, .98
+    assert errors == pytest.approx([4.3e-3, 2.2e-3, 1.15e-3], rel=0.1)  # theirs fall with orders 1.01, .98
 
 
 def limit_of(structure: Structure, layers, want: float) -> LimitLoad:
@@ -100,12 +100,12 @@ def test_status(law, move, status):
     joint = cut_at(sandwich(2.0, 4.0, 4.0, 1.0, cell="quadrilateral"), cuts)
     supports = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: move[0] * t, "y": lambda x, t: move[1] * t}}
     structure = Structure(joint, body=LinearElastic(0.0, 1e5), supports=supports, element="Q1")
-    given = {"LOW": springs(3e4, 1e4), "HIGH": None if law is None else ThinLayer(law, 0.1, at=1.0)}
-    last = march(structure.interface(given), [0.5, 1.0]).last
+    layers = {"LOW": springs(3e4, 1e4), "HIGH": None if law is None else ThinLayer(law, 0.1, at=1.0)}
+    last = march(structure.interface(layers), [0.5, 1.0]).last
     surface = Surface(last.model)
-    found = surface.status(last)[:, 0]
-    assert set(found[surface.seams == "HIGH"]) == {status}
-    assert set(found[surface.seams == "LOW"]) == {"elastic"}
+    statuses = surface.status(last)[:, 0]
+    assert set(statuses[surface.seams == "HIGH"]) == {status}
+    assert set(statuses[surface.seams == "LOW"]) == {"elastic"}
     assert Surface(last.model, "HIGH").table(last)[status] == pytest.approx(1.0)
     assert surface.table(last)["size"] == pytest.approx(2.0)
 

@@ -46,8 +46,8 @@ def test_bodies_that_keep_volumes_in_the_mean_are_not_told_to_lock():
 
 @pytest.mark.parametrize("element", ["S2", "P2", "Q2", "Q1"])
 def test_a_tube_of_revolution_has_its_limit_load(element):
-    found = refused(LimitLoad, "", march, tube(element), [100.0, 120.0, 124.0, 130.0], keep="last")
-    assert found.t == pytest.approx(LIMIT, rel=0.02 if element == "Q1" else 0.01)
+    error = refused(LimitLoad, "", march, tube(element), [100.0, 120.0, 124.0, 130.0], keep="last")
+    assert error.t == pytest.approx(LIMIT, rel=0.02 if element == "Q1" else 0.01)
 
 
 def test_without_projection_loads_beyond_the_limit_are_borne_and_told():
@@ -66,7 +66,7 @@ def test_kept_stresses_do_the_work_of_the_projected_ones_and_energies_balance(tm
     free = np.setdiff1d(np.arange(len(inner)), model.bc_dofs_in(model.V))
     size = np.abs(fem.assemble_vector(model.form(model.external_work(v, state.t))).array).max()
     assert np.abs(inner[free]).max() < 1e-7 * size
-    assert all(abs(one.audit.imbalance) < 1e-7 for one in history)
+    assert all(abs(step.audit.imbalance) < 1e-7 for step in history)
     assert state.audit.dissipated > 0.1 * state.audit.supplied
     on = march(tube("Q2"), [80.0, 110.0, 120.0, 123.0], out=tmp_path, resume=True).last
     whole = march(model, [80.0, 110.0, 120.0, 123.0]).last

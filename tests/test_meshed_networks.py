@@ -36,8 +36,8 @@ def lengths(joint: Joint) -> dict[str, float]:
 
 def areas(opened: Joint) -> dict[str, float]:
     """Area of each region of the layers."""
-    found, numbers = volumes(opened), opened.region
-    return {name: float(found[numbers == opened.regions.index(name)].sum()) for name in opened.band.regions}
+    cell_areas, numbers = volumes(opened), opened.region
+    return {name: float(cell_areas[numbers == opened.regions.index(name)].sum()) for name in opened.band.regions}
 
 
 def check(base: Joint, opened: Joint, least: float = 0.1) -> None:
@@ -64,12 +64,12 @@ def test_running_bond(cell, bodies):
         bed, head = ratio * 0.5, 0.7 * ratio * 0.5
         opened = inflate(base, {"BED": bed, "HEAD": head}, bodies=bodies)
         check(base, opened)
-        found = areas(opened)
+        region_areas = areas(opened)
         triangles = n_T * bed * head / 2
         sign = 1 if bodies == "kept" else -1
-        assert found["LAYER/JUNCTIONS"] == pytest.approx(triangles, rel=1e-9)
+        assert region_areas["LAYER/JUNCTIONS"] == pytest.approx(triangles, rel=1e-9)
         mortar = bed * length["BED"] + head * length["HEAD"] + sign * triangles
-        assert sum(found.values()) == pytest.approx(mortar, rel=1e-10)
+        assert sum(region_areas.values()) == pytest.approx(mortar, rel=1e-10)
         whole = volumes(opened).sum()
         if bodies == "kept":
             assert whole == pytest.approx(3.0 + mortar, rel=1e-12)
@@ -111,10 +111,10 @@ def test_stars(angles):
         if min(np.diff(angles)) < 45 and ratio == RATIOS[0]:
             continue  # the bodies between are too thin
         thick = {name: 0.5 * ratio * (1 + 0.5 * k / len(angles)) for k, name in enumerate(base.seams)}
-        for a, one in zip(angles, base.seams, strict=True):  # layers in line have one thickness
+        for a, seam in zip(angles, base.seams, strict=True):  # layers in line have one thickness
             for b, other in zip(angles, base.seams, strict=True):
                 if (a - b) % 360 == 180:
-                    thick[one] = thick[other]
+                    thick[seam] = thick[other]
         check(base, inflate(base, thick, bodies="extended"))
 
 
@@ -128,8 +128,8 @@ def test_layers_that_meet_on_the_boundary():
     eps = 0.01
     opened = inflate(base, eps, bodies="extended")
     check(base, opened)
-    one = replace(base, facets=base.facets | {"SIDE": facets["SIDE"][:4]})  # of B0 alone: it ends where S begins
-    assert "SIDE/LAYER" not in inflate(one, eps, bodies="extended").facets
+    truncated = replace(base, facets=base.facets | {"SIDE": facets["SIDE"][:4]})  # of B0 alone: it ends where S begins
+    assert "SIDE/LAYER" not in inflate(truncated, eps, bodies="extended").facets
     assert areas(opened)["LAYER/JUNCTIONS"] == pytest.approx(eps**2 / 2, rel=1e-9)
     x = opened.points[opened.facets["SIDE/LAYER"]]
     assert x[..., 0] == pytest.approx(0.0, abs=1e-12)
@@ -140,8 +140,8 @@ def test_layers_that_meet_on_the_boundary():
 def test_sublayers_and_profiles_away_from_junctions():
     """Three plates with two glue lines: each seam has its own sublayers and thickness."""
     base = cut_at(SQUARE, {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))})
-    given = {"fractions": {"HIGH": (0.25, 0.75)}, "profile": {"LOW": lambda x: 1 + x[0] / 8}, "bodies": "extended"}
-    opened = inflate(base, {"LOW": 0.1, "HIGH": 0.2}, **given)
+    options = {"fractions": {"HIGH": (0.25, 0.75)}, "profile": {"LOW": lambda x: 1 + x[0] / 8}, "bodies": "extended"}
+    opened = inflate(base, {"LOW": 0.1, "HIGH": 0.2}, **options)
     assert areas(opened) == pytest.approx({"LAYER/LOW": 0.1 * 12, "LAYER/HIGH/1": 0.05 * 8, "LAYER/HIGH/2": 0.15 * 8})
     assert volumes(opened).sum() == pytest.approx(64.0)
     assert volumes(inflate(base, {"LOW": 0.1, "HIGH": 0.2})).sum() == pytest.approx(64.0 + 8 * 0.3)
@@ -170,11 +170,11 @@ def test_open_joints_are_gaps(cell, bodies):
     n_T = int((base.split_mesh.valence == 3).sum())
     for gap in eps:
         opened = inflate(base, eps, bodies=bodies, gaps=[gap])
-        found = areas(opened)
+        region_areas = areas(opened)
         (layer,) = set(eps) - {gap}
         cut = eps["BED"] * eps["HEAD"] / 2 * n_T if bodies == "extended" else 0.0
-        assert found.pop(f"LAYER/{layer}") == pytest.approx(eps[layer] * length[layer] - cut, rel=1e-10)
-        assert list(found.values()) == pytest.approx([n_T * 0.02 * 0.01 / 2] if gap == "HEAD" else [])
+        assert region_areas.pop(f"LAYER/{layer}") == pytest.approx(eps[layer] * length[layer] - cut, rel=1e-10)
+        assert list(region_areas.values()) == pytest.approx([n_T * 0.02 * 0.01 / 2] if gap == "HEAD" else [])
         assert opened.band.of_seam == {layer: (f"LAYER/{layer}",)}
         assert opened.band.faces == (f"{layer}/UPPER_FACE", f"{layer}/LOWER_FACE")
         assert np.array_equal(np.unique(opened.cells), np.arange(len(opened.points)))
@@ -219,14 +219,14 @@ def test_jumps_converge_beside_gaps():
 def test_incompressible_layers_have_one_pressure():
     """Beds, heads and junctions keep their area together, and open as layers that are nearly incompressible."""
     structure, eps = panel("P2"), 0.05
-    surface, found = Surface(structure.interface(mortar(eps))), []
+    surface, rows = Surface(structure.interface(mortar(eps))), []
     for law in (Incompressible(0.5), LinearElastic(500.0, 0.5)):
         state = solve(structure.full({"BED": ThinLayer(law, eps, at=1.0), "HEAD": ThinLayer(law, eps, at=1.0)}), 1.0)
         w, model = surface.jump(state), state.model
         layers = model.dx(model.domain.cell_values(*model.domain.joint.band.regions))
-        found.append([state.integral(ufl.div(state.u) * layers), state.energies()["bodies"], surface.norm(w)])
-    assert abs(found[0][0]) < 1e-12 * found[0][2]
-    assert found[0][1:] == pytest.approx(found[1][1:], rel=0.02)
+        rows.append([state.integral(ufl.div(state.u) * layers), state.energies()["bodies"], surface.norm(w)])
+    assert abs(rows[0][0]) < 1e-12 * rows[0][2]
+    assert rows[0][1:] == pytest.approx(rows[1][1:], rel=0.02)
 
 
 @pytest.mark.parametrize("depth", [{}, {"depth": 0.3}])
@@ -249,19 +249,19 @@ def test_gaps_carry_no_loads(recwarn):
     layers = mortar(0.02, HEAD=Gap(0.03))
     kept, whole = solve(structure.full(layers)), solve(structure.full(mortar(0.02), bodies="extended"))
     assert not recwarn.list
-    told = r"traction on 'TOP': the gap 'HEAD' ends there.* smaller than.*bodies='kept'"
-    with pytest.warns(RangeWarning, match=told):
+    message = r"traction on 'TOP': the gap 'HEAD' ends there.* smaller than.*bodies='kept'"
+    with pytest.warns(RangeWarning, match=message):
         extended = solve(structure.full(layers, bodies="extended"))
     for state, width in ((kept, 3.0), (whole, 3.0), (extended, 3.0 - 3 * 0.03)):
-        found = state.integral(state.model.external_work(ufl.as_vector([0.0, 1.0]), 0.0))
-        assert found == pytest.approx(-2.0 * width + 0.1 * 2, rel=1e-12)
+        resultant = state.integral(state.model.external_work(ufl.as_vector([0.0, 1.0]), 0.0))
+        assert resultant == pytest.approx(-2.0 * width + 0.1 * 2, rel=1e-12)
 
 
 # ---------------------------------------------------------------- what is refused
 def test_refused_meshes():
     joint = wall(2, 2, BRICK, 0.25)
     both = {"BED": 0.01, "HEAD": 0.02}
-    for given, message in (
+    for arguments, message in (
         (dict(eps={"BED": 0.01}), "the seam 'HEAD' has no eps"),
         (dict(eps=both | {"BEDS": 0.01}), "eps: unknown seam 'BEDS', did you mean 'BED'"),
         (dict(eps=both | {"HEAD": -1.0}), "eps of 'HEAD' is -1.0; it must be > 0"),
@@ -272,7 +272,7 @@ def test_refused_meshes():
         (dict(eps=both, profile={"BED": lambda x: 1 + x[0]}, bodies="extended"), r"S branches at \(.*uniform thicknes"),
         (dict(eps={"BED": 0.3, "HEAD": 1.2}, bodies="extended"), r"turn inside out, the first at \("),
     ):
-        refused(InputError, message, inflate, joint, **given)
+        refused(InputError, message, inflate, joint, **arguments)
     facets, seams = joint.facets | {"JUNCTIONS": joint.facets["BED"]}, {"JUNCTIONS": Seam(direction=(0, 1))}
     refused(InputError, "'JUNCTIONS' cannot be a name", replace, joint, facets=facets, seams=seams)
     thick = {"L0": 0.01, "L1": 0.01, "L2": 0.02}

@@ -81,12 +81,12 @@ def test_cubes_of_blocks(kind, cell, wanted):
         opened = inflate(base, {name: THICK[name] * eps for name in base.seams}, bodies=bodies, cells_through=through)
         check(base, opened)
         assert opened.band.junctions == {"LAYER/JUNCTIONS": "X"}
-        found = volumes(opened)
+        cell_volumes = volumes(opened)
         if bodies == "extended":
-            assert found.sum() == pytest.approx(8.0, rel=1e-12)
+            assert cell_volumes.sum() == pytest.approx(8.0, rel=1e-12)
             assert areas(opened)["LAYER/JUNCTIONS"] == pytest.approx(wanted * 0.7 * eps**2, rel=1e-7)
         else:
-            assert found[: len(base.cells)] == pytest.approx(volumes(base), rel=1e-10)
+            assert cell_volumes[: len(base.cells)] == pytest.approx(volumes(base), rel=1e-10)
         counts |= {(len(opened.points), len(opened.cells))} if through == 2 else set()
     assert len(counts) == 1
 
@@ -103,12 +103,12 @@ def test_a_wall_on_a_rigid_base(cell, depth, bodies):
     bed, head, bottom = 0.02, 0.01, 0.03
     opened = inflate(base, {"BED": bed, "HEAD": head, "BOTTOM": bottom}, bodies=bodies, junctions=["BED", "BOTTOM"])
     check(base, opened)
-    found = {name: volume / (depth or 1.0) for name, volume in areas(opened).items()}
-    assert found["LAYER/JUNCTIONS/BED"] == pytest.approx(3 * bed * head / 2)
-    assert found["LAYER/JUNCTIONS/BOTTOM"] == pytest.approx(bottom * head / 2)
+    region_areas = {name: volume / (depth or 1.0) for name, volume in areas(opened).items()}
+    assert region_areas["LAYER/JUNCTIONS/BED"] == pytest.approx(3 * bed * head / 2)
+    assert region_areas["LAYER/JUNCTIONS/BOTTOM"] == pytest.approx(bottom * head / 2)
     corners = (3 * bed + bottom) * head / 2 if bodies == "kept" else -(3 * bed / 2 + bottom) * head
     layers = 2 * bed + 1.5 * head + 2 * bottom + corners
-    assert sum(found.values()) == pytest.approx(layers, rel=1e-10)
+    assert sum(region_areas.values()) == pytest.approx(layers, rel=1e-10)
     kept = volumes(opened)[: len(base.cells)].sum() / (depth or 1.0)
     assert kept == pytest.approx(2.0 if bodies == "kept" else 2.0 - layers, rel=1e-10)
     ends = {name for name in opened.facets if name.endswith("/LAYER")}

@@ -55,17 +55,17 @@ def test_parameters_that_vary_in_time_are_those_where_forces_balance(kind, growt
     """
     p, mu, tau, end = 1.7, 20.0, 0.8, 2.0
     supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    one = model(AgeingFluid(mu, tau, growth), kind, supports=supports, tractions={"TOP": (0.0, p)})
+    column = model(AgeingFluid(mu, tau, growth), kind, supports=supports, tractions={"TOP": (0.0, p)})
     surface = Surface(model(ELASTIC))
 
     def error(parts):
-        history = march(one, [end * (k + 1) / parts for k in range(parts)], theta=0.5)
+        history = march(column, [end * (k + 1) / parts for k in range(parts)], theta=0.5)
         t = np.array(history.t)
         elastic = p / (2 * mu * (1 + growth * t))
         w = elastic + p / (2 * mu * tau) * np.log((1 + growth * t) / (1 + t)) / (growth - 1)
-        found = np.array([surface.integral(surface.jump(state)[1]) for state in history])
+        jumps = np.array([surface.integral(surface.jump(state)[1]) for state in history])
         stored = [state.energies()["layer"] for state in history]
-        return np.abs(found / w - 1).max(), np.abs(stored / (elastic * p / 2) - 1).max()
+        return np.abs(jumps / w - 1).max(), np.abs(stored / (elastic * p / 2) - 1).max()
 
     coarse, fine = error(12), error(24)
     assert fine[0] < 0.27 * coarse[0] < 0.01
@@ -76,8 +76,8 @@ def test_parameters_that_vary_in_time_are_those_where_forces_balance(kind, growt
 def test_elastic_layers_have_no_error():
     """Equilibria within steps and at their ends are the same ones, pressures too; also where moduli vary along S."""
     for law in (ELASTIC, Incompressible(40.0), AgeingSpring(40.0, 0.0, along=0.8)):
-        one = model(law, Structure.full if law.traits.constrained else Structure.interface)
-        midpoint, euler = (march(one, [0.2, 0.5, 0.9, 1.0], theta=theta).last for theta in (0.5, 1.0))
+        column = model(law, Structure.full if law.traits.constrained else Structure.interface)
+        midpoint, euler = (march(column, [0.2, 0.5, 0.9, 1.0], theta=theta).last for theta in (0.5, 1.0))
         assert midpoint.u.x.array == pytest.approx(euler.u.x.array, rel=1e-8, abs=1e-12)
         if law.traits.constrained:
             assert midpoint.p.x.array == pytest.approx(euler.p.x.array, rel=1e-7, abs=1e-9)

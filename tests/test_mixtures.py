@@ -23,21 +23,21 @@ CLOSE = 1e-4  # relative to a number, or to a thousandth of the largest of its a
 ROUNDING = 1e-9
 
 
-def differences(found: dict[str, list[Any]], golden: dict[str, list[Any]]) -> dict[str, Any]:
-    """Answers that differ, found and golden."""
+def differences(answers: dict[str, list[Any]], golden: dict[str, list[Any]]) -> dict[str, Any]:
+    """Answers that differ, computed and golden."""
     return {
-        name: (found.get(name), golden.get(name))
-        for name in {**golden, **found}
-        if not is_same(found.get(name, [name]), golden.get(name, []))
+        name: (answers.get(name), golden.get(name))
+        for name in {**golden, **answers}
+        if not is_same(answers.get(name, [name]), golden.get(name, []))
     }
 
 
-def is_same(found: list[Any], golden: list[Any]) -> bool:
+def is_same(answer: list[Any], golden: list[Any]) -> bool:
     """Whether words are the same, and numbers close."""
-    a, b = ([value if isinstance(value, str) else 0.0 for value in one] for one in (found, golden))
+    a, b = ([value if isinstance(value, str) else 0.0 for value in entries] for entries in (answer, golden))
     if a != b:
         return False
-    x, y = (np.array([value for value in one if not isinstance(value, str)], float) for one in (found, golden))
+    x, y = (np.array([value for value in entries if not isinstance(value, str)], float) for entries in (answer, golden))
     least = CLOSE * 1e-3 * np.abs(y[np.isfinite(y)]).max(initial=0.0) + ROUNDING
     return np.allclose(x, y, rtol=CLOSE, atol=least, equal_nan=True)
 
@@ -64,12 +64,12 @@ def test_mixtures_on_two_ranks(there: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    known = golden() if len(sys.argv) > 1 else {}
+    golden_answers = golden() if len(sys.argv) > 1 else {}
     for seed in sys.argv[1:] or map(str, range(COUNT)):
         with tempfile.TemporaryDirectory() as folder:
-            known[seed] = Mixture(int(seed)).all(Path(folder))
+            golden_answers[seed] = Mixture(int(seed)).all(Path(folder))
     short = lambda value: float(f"{value:.6g}") if isinstance(value, float) else value
-    for answers in known.values():
+    for answers in golden_answers.values():
         answers.update({name: [*map(short, answer)] for name, answer in answers.items()})
-    rows = [f'"{seed}": {json.dumps(known[seed])}' for seed in sorted(known, key=int)]
+    rows = [f'"{seed}": {json.dumps(golden_answers[seed])}' for seed in sorted(golden_answers, key=int)]
     NUMBERS.write_text("{" + ",\n".join(rows) + "}\n", encoding="utf-8")

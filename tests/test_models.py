@@ -124,7 +124,7 @@ def test_a_term_beside_those_of_a_model():
     model = structure(supports={"BOTTOM": 0.0, "LEFT": {"x": 0.0}}).interface(LAYER)
     u, v = solve(model).u, ufl.TestFunction(model.V)
     x = ufl.SpatialCoordinate(model.domain.mesh)
-    own = work(model.terms, u, v) - model.external_work(v, 0.0)
+    residual = work(model.terms, u, v) - model.external_work(v, 0.0)
     free = np.setdiff1d(np.arange(len(u.x.array)), model.constraints.bc_dofs)
     f, w = ufl.as_vector([x[0], 2.0]), model.sides.jump(v)
     for term, alone in (
@@ -133,18 +133,18 @@ def test_a_term_beside_those_of_a_model():
         (ufl.inner(f, w) * model.dS, ufl.inner(f, w) * model.dS),
     ):
         expected = fem.assemble_vector(fem.form(alone)).array
-        for form in (fem.form(own + term), model.form(own + term), model.form(own + alone)):
-            found = fem.assemble_vector(form).array
-            assert found[free] == pytest.approx(expected[free], abs=1e-12 * np.abs(expected).max() + 1e-13)
+        for form in (fem.form(residual + term), model.form(residual + term), model.form(residual + alone)):
+            forces = fem.assemble_vector(form).array
+            assert forces[free] == pytest.approx(expected[free], abs=1e-12 * np.abs(expected).max() + 1e-13)
     everywhere = ufl.inner(ufl.jump(u), ufl.jump(u))
     assert solve(model).integral(everywhere * ufl.dS) == pytest.approx(solve(model).integral(everywhere * model.dS))
     tags = meshtags(model.domain.mesh, 2, np.arange(3, dtype=np.int32), np.array([4, 5, 4], np.int32))
     term = ufl.inner(f, v) * ufl.dx(4, subdomain_data=tags)  # tags of another kind than the model's
     expected = fem.assemble_vector(fem.form(term)).array
-    found = fem.assemble_vector(model.form(own + term + ufl.inner(f, v) * model.dx + term)).array
-    found -= fem.assemble_vector(fem.form(ufl.inner(f, v) * ufl.dx)).array
+    forces = fem.assemble_vector(model.form(residual + term + ufl.inner(f, v) * model.dx + term)).array
+    forces -= fem.assemble_vector(fem.form(ufl.inner(f, v) * ufl.dx)).array
     assert np.linalg.norm(expected) > 0.01
-    assert found[free] == pytest.approx(2 * expected[free], abs=1e-12)
+    assert forces[free] == pytest.approx(2 * expected[free], abs=1e-12)
 
 
 def test_a_structure_is_shown_in_a_line():
@@ -170,8 +170,8 @@ def test_forms_whose_tags_overlap():
         2.0 * v[0] * model.dx(low, metadata={"quadrature_degree": 2}),
         v[1] * ufl.dx,
     ]
-    apart = sum(forces(model.form(one)) for one in several)
-    assert forces(model.form(sum(several))) == pytest.approx(apart, rel=1e-12, abs=1e-14)
+    expected = sum(forces(model.form(integral)) for integral in several)
+    assert forces(model.form(sum(several))) == pytest.approx(expected, rel=1e-12, abs=1e-14)
 
 
 def test_a_form_keeps_the_time_it_was_taken_at():
@@ -196,8 +196,8 @@ def test_a_form_keeps_the_time_it_was_taken_at():
 def total(model):
     """Sum of the nodal forces of its loads, (d,)."""
     forces = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), t=0.0))
-    own = model.V.dofmap.index_map.size_local * model.joint.dim
-    return forces.x.array[:own].reshape(-1, model.joint.dim).sum(axis=0)
+    owned = model.V.dofmap.index_map.size_local * model.joint.dim
+    return forces.x.array[:owned].reshape(-1, model.joint.dim).sum(axis=0)
 
 
 @pytest.mark.parametrize(("name", "depth"), [("LEFT", None), ("LEFT/LOWER", 0.6)])

@@ -41,10 +41,10 @@ def test_the_layer_is_its_closed_formula(path):
     """`closed_forms.mohr_coulomb`, any path in compression; absolute tolerances for jumps next to nothing."""
     history = drive(LAW, [{"w_T": w_T, "w_N": w_N} for w_T, w_N in path])
     w_old = s = np.zeros(2)
-    for w, found in zip(np.array(path), history.tractions, strict=True):
+    for w, traction in zip(np.array(path), history.tractions, strict=True):
         t, s = closed_forms.mohr_coulomb(LMBDA, MU, C, OMEGA, w, w_old, s)
         w_old = w
-        assert found == pytest.approx(t, rel=1e-9, abs=1e-13)
+        assert traction == pytest.approx(t, rel=1e-9, abs=1e-13)
 
 
 # ---------------------------------------------------------------- the return against enumeration
@@ -64,7 +64,7 @@ def enumerated(trial, psi, C, Omega, lmbda=LMBDA, mu=MU):
     size = np.abs(trial).max() + strength
     if (beyond <= 0).all():
         return [trial]
-    found = []
+    stresses = []
     for active in (list(some) for count in (1, 2, 3) for some in combinations(range(6), count)):
         A = N[active] @ D @ M[active].T
         if np.linalg.cond(A) > 1e10:
@@ -72,8 +72,8 @@ def enumerated(trial, psi, C, Omega, lmbda=LMBDA, mu=MU):
         g = np.linalg.solve(A, beyond[active])
         s = trial - D @ M[active].T @ g
         if (g >= -1e-12 * size).all() and (N @ s - strength <= 1e-10 * size).all():
-            found.append(s)
-    return found
+            stresses.append(s)
+    return stresses
 
 
 ANGLES = {"psi = 0": (30.0, 0.0), "0 < psi < Omega": (35.0, 10.0), "psi = Omega": (25.0, 25.0), "Tresca": (0.0, 0.0)}
@@ -103,10 +103,10 @@ def test_the_return_is_the_solution_of_the_six_planes(name, lmbda):
             assert trial[k, :3].mean() > apex * (1 - 1e-9)
             assert answer.stress[k] == pytest.approx(apex * ONE, rel=1e-12)
             continue
-        found = principal(answer.stress[k])
+        stress = principal(answer.stress[k])
         size = np.abs(trial[k]).max()
-        for one in solutions:
-            assert np.abs(found - np.sort(one)[::-1]).max() < 1e-9 * size
+        for solution in solutions:
+            assert np.abs(stress - np.sort(solution)[::-1]).max() < 1e-9 * size
         commute = tensor(answer.stress[k]) @ tensor(trial[k])
         assert np.abs(commute - commute.T).max() < 1e-11 * size**2  # the same axes
     counts = np.bincount(seen, minlength=4)

@@ -38,14 +38,14 @@ def test_friction_of_the_layer():
     first = formulas.first_yield_ratio(0.3, OMEGA)
     assert first == pytest.approx(0.3 / 1.4, rel=1e-12)
     for share, flows in ((1 - 1e-9, False), (1 + 1e-9, True)):
-        found = drive(law, [{"w_T": 0.0, "w_N": -0.01}, {"w_T": share * first * 1.4 / MU, "w_N": -0.01}])
-        assert found.memory[-1].any() == flows
+        history = drive(law, [{"w_T": 0.0, "w_N": -0.01}, {"w_T": share * first * 1.4 / MU, "w_N": -0.01}])
+        assert history.memory[-1].any() == flows
     assert formulas.first_yield_ratio(0.2, OMEGA) == 0.0
     for psi, value in ((0.0, 0.5), (10.0, 0.539221272), (20.0, 0.566769624), (30.0, 0.577350269)):
         assert formulas.apparent_friction(OMEGA, psi) == pytest.approx(value, rel=2e-9)
         dilatant = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi)
-        held = drive(dilatant, [{"w_T": w, "t_N": -1.4} for w in np.linspace(0, 2.0, 60)]).tractions[-1]
-        assert held == pytest.approx([1.4 * value, -1.4], rel=1e-7)
+        traction = drive(dilatant, [{"w_T": w, "t_N": -1.4} for w in np.linspace(0, 2.0, 60)]).tractions[-1]
+        assert traction == pytest.approx([1.4 * value, -1.4], rel=1e-7)
     pressed = [{"w_T": w, "w_N": -0.01} for w in np.linspace(0, 0.3, 50)]
     t = drive(law, [*pressed, *({"w_T": 0.3, "w_N": w} for w in np.linspace(-0.01, -0.002, 400))]).tractions
     assert t[49, 0] / -t[49, 1] == pytest.approx(0.5, rel=1e-8)
@@ -54,21 +54,21 @@ def test_friction_of_the_layer():
 
 def test_drive_under_a_constant_normal_stress():
     """The tractions asked for are there, the closed formula gives them at the jumps found, and energies balance."""
-    found = drive(LAW, [{"w_T": 0.0, "t_N": -1.0}, *({"t_T": t, "t_N": -1.0} for t in (0.2, 0.4, 0.55, -0.5, 0.3))])
-    assert found.tractions[:, 0] == pytest.approx([0.0, 0.2, 0.4, 0.55, -0.5, 0.3], abs=1e-11)
-    assert found.tractions[:, 1] == pytest.approx(-np.ones(6), abs=1e-11)
-    assert (found.parts == 1).all()
+    history = drive(LAW, [{"w_T": 0.0, "t_N": -1.0}, *({"t_T": t, "t_N": -1.0} for t in (0.2, 0.4, 0.55, -0.5, 0.3))])
+    assert history.tractions[:, 0] == pytest.approx([0.0, 0.2, 0.4, 0.55, -0.5, 0.3], abs=1e-11)
+    assert history.tractions[:, 1] == pytest.approx(-np.ones(6), abs=1e-11)
+    assert (history.parts == 1).all()
     w_old = s = np.zeros(2)
-    for w, t in zip(found.jumps, found.tractions, strict=True):
+    for w, t in zip(history.jumps, history.tractions, strict=True):
         expected, s = closed_forms.mohr_coulomb(LMBDA, MU, C, OMEGA, w, w_old, s)
         assert t == pytest.approx(expected, rel=1e-11)
         w_old = w
-    work = np.sum(found.tractions * np.diff(found.jumps, axis=0, prepend=0), axis=1)
-    stored, dissipated, remainder = found.energies.T
+    work = np.sum(history.tractions * np.diff(history.jumps, axis=0, prepend=0), axis=1)
+    stored, dissipated, remainder = history.energies.T
     assert work == pytest.approx(np.diff(stored, prepend=0) + dissipated + remainder, rel=1e-10)
-    assert found.stress[:, 1, 1] == pytest.approx(found.tractions[:, 1], rel=1e-12)
-    assert found.stress[:, 2, 2] == pytest.approx(LMBDA * found.jumps[:, 1], rel=1e-10)
-    assert found.table["w_T"] == pytest.approx(found.jumps[:, 0])
+    assert history.stress[:, 1, 1] == pytest.approx(history.tractions[:, 1], rel=1e-12)
+    assert history.stress[:, 2, 2] == pytest.approx(LMBDA * history.jumps[:, 1], rel=1e-10)
+    assert history.table["w_T"] == pytest.approx(history.jumps[:, 0])
 
 
 def test_traction_beyond_the_limit():

@@ -45,9 +45,9 @@ def test_elastic_and_monodirectional_sublayers():
         slips += bool(np.abs(slip - before).max() > 1e-9)
         path.append({"w_T": w @ tangent, "w_N": w @ n})
         expected.append([t @ tangent, t @ n])
-    found = drive(law, path, n=n)
+    history = drive(law, path, n=n)
     assert 3 < slips < 20
-    assert found.tractions == pytest.approx(np.array(expected), rel=1e-8, abs=1e-10)
+    assert history.tractions == pytest.approx(np.array(expected), rel=1e-8, abs=1e-10)
 
 
 PAIRS = {
@@ -72,11 +72,11 @@ def test_shares_of_sublayers_that_yield(name):
         assert np.abs(shares[done]).max() < 1.0
         assert np.einsum("i,kij->kj", fractions, shares[done]) == pytest.approx(0, abs=1e-14)
         first, tractions = 6, []
-        for i, one in enumerate(laws):
-            memory = q[:, first : first + material(one).memory]
+        for i, sublayer in enumerate(laws):
+            memory = q[:, first : first + material(sublayer).memory]
             first += memory.shape[1]
             ends = new + jump_strain(shares[:, i], n), e + jump_strain(old[:, i], n)
-            tractions.append(traction(respond(one, *ends, memory, n).stress, n)[done])
+            tractions.append(traction(respond(sublayer, *ends, memory, n).stress, n)[done])
         tractions = np.array(tractions)
         assert np.abs(tractions - tractions[0]).max() < 1e-7 * np.abs(tractions).max()
         if name == "equal":  # the law itself

@@ -28,29 +28,29 @@ def history():
 
 def frames(path):
     with Image.open(path) as movie:
-        found = []
+        images = []
         for number in range(movie.n_frames):
-            movie.solve_regularised(number)
-            found.append(np.asarray(movie.convert("RGB"), float) / 255)
-        return found, movie.info["duration"]
+            movie.seek(number)
+            images.append(np.asarray(movie.convert("RGB"), float) / 255)
+        return images, movie.info["duration"]
 
 
 def test_a_gif_has_a_frame_for_each_state(history, tmp_path):
-    given = {"save": tmp_path / "a.gif", "per_second": 5, "title": "strip", "time_unit": "h"}
-    found, duration = frames(plotting.movie(history, plotting.View(unit="mm"), **given))
-    assert len(found) == 4 == len(list(history))
+    options = {"save": tmp_path / "a.gif", "per_second": 5, "title": "strip", "time_unit": "h"}
+    images, duration = frames(plotting.movie(history, plotting.View(unit="mm"), **options))
+    assert len(images) == 4 == len(list(history))
     assert duration == 200
-    assert [one.name for one in tmp_path.iterdir()] == ["a.gif"]
-    for one in found:
-        assert one.std() > 0.05
+    assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
+    for image in images:
+        assert image.std() > 0.05
     # colours are common: at rest nothing is yellow but the colour bar, at the end a corner is
-    yellow = [((one[..., 0] > 0.85) & (one[..., 1] > 0.8) & (one[..., 2] < 0.35)).sum() for one in found]
+    yellow = [((image[..., 0] > 0.85) & (image[..., 1] > 0.8) & (image[..., 2] < 0.35)).sum() for image in images]
     assert yellow[0] == pytest.approx(yellow[1], rel=0.3)  # each frame has a palette of its own
     assert yellow[3] > 1.5 * yellow[0]
     # so is the window: the lower side is held and stays where it is, the upper side moves up
-    drawn = [np.flatnonzero(one[:, int(0.3 * one.shape[1])].min(axis=1) < 0.9) for one in found]
-    assert len({one[one < int(0.8 * len(found[0]))].max() for one in drawn}) == 1
-    tops = [one.min() for one in drawn]
+    drawn = [np.flatnonzero(image[:, int(0.3 * image.shape[1])].min(axis=1) < 0.9) for image in images]
+    assert len({rows[rows < int(0.8 * len(images[0]))].max() for rows in drawn}) == 1
+    tops = [rows.min() for rows in drawn]
     assert tops[0] > tops[1] > tops[3]
 
 
@@ -62,13 +62,13 @@ def test_an_mp4_has_as_many(history, tmp_path):
     reader = imageio_ffmpeg.read_frames(str(path))
     width, height = next(reader)["size"]
     pixels = [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader]
-    assert all(one.std() > 10 for one in pixels)
+    assert all(image.std() > 10 for image in pixels)
     assert np.abs(pixels[-1].astype(float) - pixels[0]).max() > 100
 
 
 def test_what_is_no_movie(history, tmp_path):
     gif, two = {"save": tmp_path / "a.gif"}, [history.last, pulled([1.0]).last]
-    for words, solution, given in (
+    for words, solution, options in (
         ("give a history that keeps them, or several states", history.last, gif),
         ("give a history that keeps them, or several states", [], gif),
         ("of several models", two, gif),
@@ -76,5 +76,5 @@ def test_what_is_no_movie(history, tmp_path):
         ("whole numbers from 1 to 50", history, gif | {"per_second": 2.5}),
         ("unknown component", history, gif | {"view": plotting.View("z")}),
     ):
-        refused(InputError, words, plotting.movie, solution, **given)
+        refused(InputError, words, plotting.movie, solution, **options)
     assert not [*tmp_path.iterdir()]

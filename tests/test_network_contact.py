@@ -27,8 +27,8 @@ pytestmark = pytest.mark.few(5)
 ROUNDED = 1e-7  # relative, of displacements: solvers stop at 1e-10 of all forces, and soft joints slide far
 
 
-def require_equal(one, other):
-    assert np.abs(one.u.x.array - other.u.x.array).max() < ROUNDED * np.abs(one.u.x.array).max()
+def require_equal(state, other):
+    assert np.abs(state.u.x.array - other.u.x.array).max() < ROUNDED * np.abs(state.u.x.array).max()
 
 
 # ---------------------------------------------------------------- equilibrium
@@ -36,27 +36,29 @@ def require_equal(one, other):
 def test_solvers_agree_on_a_wall(push, stiffer):
     """14 bricks, from pure pressure to beds that slide; forces and moments of each brick vanish."""
     model = dry_wall(stiffer=stiffer)
-    one, other = (solve(model, push, method=method) for method in ("condensed", "newton"))
-    require_equal(one, other)
-    assert max(imbalance(one), imbalance(other)) < 1e-12
-    sliding = Surface(one.model, "BED").contact(one).counts["sliding"]
+    state, other = (solve(model, push, method=method) for method in ("condensed", "newton"))
+    require_equal(state, other)
+    assert max(imbalance(state), imbalance(other)) < 1e-12
+    sliding = Surface(state.model, "BED").contact(state).counts["sliding"]
     assert sliding > 15 if push else sliding == 0
     assert solve(model, push).report.method == "condensed"  # the default
-    assert one.report.iterations <= 9
-    assert not one.report.homotopy_steps
+    assert state.report.iterations <= 9
+    assert not state.report.homotopy_steps
     assert bool(other.report.homotopy_steps) == (push == 0.4 or stiffer > 1)  # plain Newton finds no equilibrium
-    one.u.x.array[:] *= 1.001
-    assert imbalance(one) > 1e-6
+    state.u.x.array[:] *= 1.001
+    assert imbalance(state) > 1e-6
 
 
 @pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
 def test_a_wall_in_space(cell):
     model = dry_wall(lambda x, t: 0.3, bricks=2, courses=3, h=0.25, depth=0.3, cell=cell, stiffer=5.0)
-    one, other = (solve(model, method=method) for method in ("condensed", "newton"))
-    require_equal(one, other)
-    assert imbalance(one) < 1e-11  # where Newton's method may stop
+    state, other = (solve(model, method=method) for method in ("condensed", "newton"))
+    require_equal(state, other)
+    assert imbalance(state) < 1e-11  # where Newton's method may stop
     assert imbalance(other) < 1e-10
-    assert {"sliding", "separated"} <= {name for name, n in Surface(one.model, "HEAD").contact(one).counts.items() if n}
+    assert {"sliding", "separated"} <= {
+        name for name, n in Surface(state.model, "HEAD").contact(state).counts.items() if n
+    }
 
 
 def test_a_wall_of_many_joints_of_two_cells():
@@ -87,10 +89,10 @@ def on_a_floor():
 def test_a_wall_that_stands_on_a_rigid_floor():
     """Its weight and the push pass into the floor."""
     model = on_a_floor()
-    one, other = (solve(model, method=method) for method in ("condensed", "newton"))
-    require_equal(one, other)
-    assert imbalance(one) < 1e-12
-    assert Surface(one.model, "FLOOR").contact(one).force == pytest.approx([-0.6, 3.0], rel=1e-12)
+    state, other = (solve(model, method=method) for method in ("condensed", "newton"))
+    require_equal(state, other)
+    assert imbalance(state) < 1e-12
+    assert Surface(state.model, "FLOOR").contact(state).force == pytest.approx([-0.6, 3.0], rel=1e-12)
 
 
 def walls(method=None):
@@ -99,7 +101,7 @@ def walls(method=None):
     cases = [("hexahedron", 0.35, 100.0), ("tetrahedron", 0.3, 5.0)]
     models = [dry_wall(lambda x, t, p=p: p, cell=cell, stiffer=s, **space) for cell, p, s in cases]
     states = [solve(model, method=method) for model in (*models, on_a_floor())]
-    return [one.report.method for one in states], [square(one) for one in states]
+    return [state.report.method for state in states], [square(state) for state in states]
 
 
 @on_ranks(walls, 2)
@@ -128,16 +130,16 @@ def test_bodies_are_condensed_one_by_one(d, together, monkeypatch):
     inner = np.setdiff1d(np.arange(16 * d), kept)
     A = sp.bsr_matrix(K, blocksize=(d, d)).tocsr()
     rows = A.indptr, A.indices, A.data
-    found = Condensation(rows, np.zeros(16 * d, bool), kept, rng.normal(size=(16, d)), np.arange(d), len(bodies))
+    schur = Condensation(rows, np.zeros(16 * d, bool), kept, rng.normal(size=(16, d)), np.arange(d), len(bodies))
     moved = np.linalg.solve(K[np.ix_(inner, inner)], K[np.ix_(inner, kept)])
     whole = K[np.ix_(kept, kept)] - K[np.ix_(kept, inner)] @ moved
-    np.testing.assert_allclose(found.stiffness @ np.eye(len(kept)), whole, atol=1e-11 * np.abs(K).max())
+    np.testing.assert_allclose(schur.stiffness @ np.eye(len(kept)), whole, atol=1e-11 * np.abs(K).max())
     b = K @ (u := rng.normal(size=len(K)))
-    np.testing.assert_allclose(found.condense(b), whole @ u[kept], atol=1e-10 * np.abs(K).max())
+    np.testing.assert_allclose(schur.condense(b), whole @ u[kept], atol=1e-10 * np.abs(K).max())
     out = np.zeros(len(K))
-    found.expand(b, u[kept], out)
+    schur.expand(b, u[kept], out)
     np.testing.assert_allclose(out, u, atol=1e-8)
-    found.close()
+    schur.close()
 
 
 def test_every_second_place_along_curves():
@@ -150,9 +152,9 @@ def test_every_second_place_along_curves():
     np.testing.assert_array_equal(shares[kept].toarray(), np.eye(len(kept)))
     for place in np.setdiff1d(np.arange(len(x)), kept):
         near = [a + b - place for a, b in lines if place in (a, b)]
-        found = shares[[place]].toarray()[0, np.searchsorted(kept, near)]
-        assert found.sum() == pytest.approx(1)
-        assert np.ptp(found * np.linalg.norm(x[near] - x[place], axis=1)) == pytest.approx(0, abs=1e-12)
+        weights = shares[[place]].toarray()[0, np.searchsorted(kept, near)]
+        assert weights.sum() == pytest.approx(1)
+        assert np.ptp(weights * np.linalg.norm(x[near] - x[place], axis=1)) == pytest.approx(0, abs=1e-12)
     meeting = dict(zip(kept.tolist(), np.bincount(coarser.ravel()), strict=True))
     assert meeting == dict.fromkeys(kept.tolist(), 2) | {0: 1, 3: 3, 6: 1, 10: 1}
 
@@ -194,11 +196,11 @@ def test_a_wall_ends_at_its_limit_and_names_the_seams_that_slide(method):
     """All beds carry 0.5 of the pressure above them, least the uppermost one, which carries a course of weight 0.035."""
     with pytest.raises(LimitLoad, match=r"jumps at the seams 'BED' 9\d%, 'HEAD' \d%\. ") as error:
         march(dry_wall(h=0.25, weight=0.07, kind=IncrementalCoulomb), [0.3, 0.6], method=method)
-    found = error.value
-    assert found.t < 0.5 * 1.035 < found.failed_at == pytest.approx(found.t + 0.3 / 1024)
-    beds = Surface(found.history.last.model, "BED").contact(found.history.last)
-    assert found.history.last.t == found.t
-    assert beds.friction_force == pytest.approx(3 * 3.0 * found.t, rel=1e-9)
+    limit = error.value
+    assert limit.t < 0.5 * 1.035 < limit.failed_at == pytest.approx(limit.t + 0.3 / 1024)
+    beds = Surface(limit.history.last.model, "BED").contact(limit.history.last)
+    assert limit.history.last.t == limit.t
+    assert beds.friction_force == pytest.approx(3 * 3.0 * limit.t, rel=1e-9)
 
 
 # ---------------------------------------------------------------- friction that remembers
@@ -207,16 +209,16 @@ def test_forth_and_back():
     push = piecewise({0.0: 0.0, 1.0: 0.2, 2.0: 0.3, 3.0: 0.1, 4.0: -0.2, 5.0: 0.0})
     times = [1.0, 2.0, 3.0, 4.0, 5.0]
     walls = [dry_wall(push, kind=IncrementalCoulomb) for _ in range(2)]
-    one, other = ([*march(wall, times, method=m)] for wall, m in zip(walls, ("condensed", "newton"), strict=True))
-    stored = one[-1].audit.total
-    for state, again in zip(one, other, strict=True):
+    states, other = ([*march(wall, times, method=m)] for wall, m in zip(walls, ("condensed", "newton"), strict=True))
+    stored = states[-1].audit.total
+    for state, again in zip(states, other, strict=True):
         require_equal(state, again)
         assert imbalance(state) < 1e-11
         assert abs(state.audit.imbalance) < 1e-11 * stored
         assert state.audit.dissipated == pytest.approx(again.audit.dissipated, rel=1e-7, abs=1e-9 * stored)
-    assert all(state.audit.dissipated > 0 for state in one[2:])
-    there, back = one[2].u.x.array, one[-1].u.x.array  # under the same pressure without a push at rest
-    assert np.abs(back - one[0].u.x.array).max() > 0.02 * np.abs(there).max()
+    assert all(state.audit.dissipated > 0 for state in states[2:])
+    there, back = states[2].u.x.array, states[-1].u.x.array  # under the same pressure without a push at rest
+    assert np.abs(back - states[0].u.x.array).max() > 0.02 * np.abs(there).max()
 
 
 # ---------------------------------------------------------------- what is refused

@@ -72,16 +72,16 @@ def test_a_bed_of_several_bricks_is_one_way(pushed_wall):
 def test_loads_on_a_seam_are_refused():
     joint, layer = on_a_base(), springs(3.0, 1.3)
 
-    def made(**given):
-        return Structure(joint, body=ROCK, **({"supports": {}} | given)).interface(layer)
+    def made(**data):
+        return Structure(joint, body=ROCK, **({"supports": {}} | data)).interface(layer)
 
-    for what, given in (
+    for what, data in (
         ("support on 'BOTTOM'", dict(supports={"BOTTOM": {"x": 0.1}})),
         ("support on 'GLUE'", dict(supports={"GLUE": {"x": 0.1}})),
         ("traction on 'BOTTOM'", dict(tractions={"BOTTOM": (0.3, 0.0)})),
         ("springs on 'BOTTOM'", dict(parts=[Springs("BOTTOM", normal=2.0)])),
     ):
-        refused(InputError, f"{what}: its facets lie inside, or below a layer", made, **given)
+        refused(InputError, f"{what}: its facets lie inside, or below a layer", made, **data)
     bricks, loads = wall(2, 2, (1.0, 0.5), 0.25), {"BED/LOWER_FACE": (0.1, -1.0)}
     meshed = Structure(bricks, body=ROCK, supports={"BOTTOM": 0.0}, tractions=loads)
     refused(InputError, "traction on 'BED/LOWER_FACE': its facets lie inside", meshed.full, springs(3.0, 1.3))
@@ -91,9 +91,9 @@ def test_loads_on_a_seam_are_refused():
 def test_a_gap_on_a_rigid_base():
     """It is empty: the meshed model has the energies of one that does not know the base."""
     joint, glue = on_a_base(), springs(5.0, 2.1, 0.001)
-    held = Structure(joint, body=ROCK, supports={"LEFT/LOWER": 0.0}, tractions={"TOP": (0.1, -0.2)})
+    slab = Structure(joint, body=ROCK, supports={"LEFT/LOWER": 0.0}, tractions={"TOP": (0.1, -0.2)})
     layers = {"GLUE": glue, "BOTTOM": Gap(1e-6)}
-    full, limit = (solve(model).energies() for model in (held.full(layers, bodies="extended"), held.interface(layers)))
+    full, limit = (solve(model).energies() for model in (slab.full(layers, bodies="extended"), slab.interface(layers)))
     joint, loads = sandwich(8.0, 4.0, 4.0, 1.0, cell="quadrilateral"), {"TOP": (0.1, -0.2)}
     alone = Structure(joint, body=ROCK, supports={"LEFT/LOWER": 0.0}, tractions=loads)
     assert full["layer"] == pytest.approx(limit["layer"], rel=1e-3)  # the glue has a thickness

@@ -70,9 +70,9 @@ def test_components_around_vertices():
     tip = cut_at(SQUARE, {"S": (lambda x, n: on(1, 0.0)(x, n) & (x[:, 0] < 5), (0, 1))})
     assert counts(tip) == {1: 76, 2: 5}
     assert tip.split_mesh.components(1).sum() == 5  # facets
-    one = cut_at(SQUARE, {"S": (lambda x, n: on(1, 0.0)(x, n) & (np.abs(x[:, 0] - 3.5) < 0.1), (0, 1))})
-    assert counts(one) == {1: 81}
-    assert one.split_mesh.components(1).sum() == 1
+    single_facet = cut_at(SQUARE, {"S": (lambda x, n: on(1, 0.0)(x, n) & (np.abs(x[:, 0] - 3.5) < 0.1), (0, 1))})
+    assert counts(single_facet) == {1: 81}
+    assert single_facet.split_mesh.components(1).sum() == 1
     bond = wall(3, 4, (1.0, 0.5), 0.25)
     assert counts(bond) == {1: 63, 2: 39, 3: 15}
     assert bond.split_mesh.pieces.max() + 1 == 14
@@ -117,8 +117,8 @@ def test_a_law_for_each_seam(element):
 @pytest.mark.parametrize("element", YIELDED)
 def test_elastic_beds_and_heads_that_yield(element):
     history = march(panel(element, 0.0625).interface(yielding(0.01)), [0.25, 0.5, 0.75, 1.0])
-    found = history.last.audit.total, history.table["dissipated"].sum()
-    assert found == pytest.approx(YIELDED[element], rel=1e-8)  # the digits that are known
+    energies = history.last.audit.total, history.table["dissipated"].sum()
+    assert energies == pytest.approx(YIELDED[element], rel=1e-8)  # the digits that are known
     assert np.abs(history.table["imbalance"]).max() < 1e-12
 
 
@@ -127,8 +127,8 @@ def test_elastic_beds_and_heads_that_yield(element):
 def test_two_layers_in_series(build):
     """Three plates, two glue lines: in series with the plates, each with its law, by name."""
     column = cut_at(SQUARE, {"LOW": (on(1, -1.0), (0, 1)), "HIGH": (on(1, 2.0), (0, 1))})
-    held = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
-    structure = Structure(column, body=LinearElastic(0.0, 5.0), supports=held, tractions={"TOP": (0.0, 2.0)})
+    supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
+    structure = Structure(column, body=LinearElastic(0.0, 5.0), supports=supports, tractions={"TOP": (0.0, 2.0)})
     high = Stack((0.5, LinearElastic(0.0, 4.0)), (0.5, LinearElastic(0.0, 2.0)))
     layers = {"LOW": springs(4.0, 2.0, 0.1), "HIGH": ThinLayer(high, 0.2, at=1.0)}
     state, compliances = solve(build(structure, layers)), {"LOW": 1 / 4, "HIGH": 0.5 / 8 + 0.5 / 4}
@@ -184,7 +184,7 @@ def test_refused_joints():
 def test_order_one_beside_a_seam_that_ends():
     """Order 1 asks its own seam to have no ends inside and no junctions; elsewhere there may be some."""
     glue, up = on(1, 0.0), (0.0, 1.0)
-    apart = cut_at(SQUARE, {"GLUE": (glue, up), "CRACK": (lambda x, n: on(1, 2.0)(x, n) & (x[:, 0] < 3), up)})
+    parallel = cut_at(SQUARE, {"GLUE": (glue, up), "CRACK": (lambda x, n: on(1, 2.0)(x, n) & (x[:, 0] < 3), up)})
     above = lambda x, n: on(0, 4.0)(x, n) & (x[:, 1] > 0) & (x[:, 1] < 2)
     meeting = cut_at(SQUARE, {"GLUE": (glue, up), "CRACK": (above, (1.0, 0.0))})
     left, right = lambda x, n: glue(x, n) & (x[:, 0] < 3), lambda x, n: glue(x, n) & (x[:, 0] > 3)
@@ -194,18 +194,20 @@ def test_order_one_beside_a_seam_that_ends():
     bodies = lambda joint: Structure(joint, body=ROCK, supports=ends, element="Q2")
     total = lambda model: sum(solve(model).energies()[part] for part in ("bodies", "layer"))
     closed = ThinLayer(LinearElastic(1e8, 1e8), 1e-8, at=1.0)
-    found = []
+    energies = []
     for order in (0, 1):
         layer = ThinLayer(law, 0.2, order=order)
-        beside = bodies(apart).interface({"GLUE": layer, "CRACK": closed})
-        found.append((total(bodies(SQUARE).interface(layer)), total(beside)))
+        cracked = bodies(parallel).interface({"GLUE": layer, "CRACK": closed})
+        energies.append((total(bodies(SQUARE).interface(layer)), total(cracked)))
     for joint in (meeting, in_line):
         both = {"GLUE": layer, "CRACK": closed}
         refused(InputError, "the layer 'GLUE' meets another one", bodies(joint).interface, both)
-    (zero, zero_apart), (one, one_apart) = found
-    assert (zero_apart, one_apart) == pytest.approx((zero, one), rel=1e-6)  # the crack is closed by springs of 1e8
-    assert abs(one / zero - 1) > 1e-3
-    refused(InputError, r"the layer 'CRACK' ends at \(3, 2\)", bodies(apart).interface, {"GLUE": layer, "CRACK": layer})
+    (order0, cracked0), (order1, cracked1) = energies
+    assert (cracked0, cracked1) == pytest.approx((order0, order1), rel=1e-6)  # the crack is closed by springs of 1e8
+    assert abs(order1 / order0 - 1) > 1e-3
+    refused(
+        InputError, r"the layer 'CRACK' ends at \(3, 2\)", bodies(parallel).interface, {"GLUE": layer, "CRACK": layer}
+    )
 
 
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of the free ends
@@ -215,10 +217,10 @@ def test_two_incompressible_seams():
     rubber = lambda mu, eps: ThinLayer(Incompressible(mu), eps, at=1.0)
     layers = {"HEAD": rubber(hard, 0.007), "BED": rubber(soft, 0.01)}
     nearly = {"BED": springs(1e6, soft, 0.01), "HEAD": springs(1e6, hard, 0.007)}
-    state, other = (solve(panel("P2").interface(one), 1.0) for one in (layers, nearly))
-    found, expected = state.energies(), other.energies()
-    assert found["bodies"] == pytest.approx(expected["bodies"], rel=5e-3)  # held weakly, and at each point
-    assert found["layer"] == pytest.approx(expected["layer"], rel=0.01)
+    state, other = (solve(panel("P2").interface(case), 1.0) for case in (layers, nearly))
+    energies, expected = state.energies(), other.energies()
+    assert energies["bodies"] == pytest.approx(expected["bodies"], rel=5e-3)  # held weakly, and at each point
+    assert energies["layer"] == pytest.approx(expected["layer"], rel=0.01)
     for name in layers:
         surface = Surface(state.model, name)
         assert abs(surface.integral(surface.frame(surface.jump(state))[1])) < 1e-12 * surface.norm(surface.jump(state))

@@ -75,17 +75,17 @@ def least_of_laminates(e, chi, pair, random, starts=4):
         th, angles = x[0], [x[1], np.pi / 2 if d == 2 else x[-1]]
         k = np.array([np.cos(angles[0]) * np.sin(angles[1]), np.sin(angles[0]) * np.sin(angles[1]), np.cos(angles[1])])
         values = mean(th, np.concatenate([0 * unit[:1], unit, pairs]), k)
-        none, one = values[0], values[1 : 1 + d]
-        second = values[1 + d :].reshape(d, d) - one[:, None] - one[None] + none
-        best = -np.linalg.solve(second, one - none - np.diag(second) / 2) @ unit
+        f0, f1 = values[0], values[1 : 1 + d]
+        second = values[1 + d :].reshape(d, d) - f1[:, None] - f1[None] + f0
+        best = -np.linalg.solve(second, f1 - f0 - np.diag(second) / 2) @ unit
         return 1e2 * mean(th, best[None], k)[0]
 
     bounds = [(1e-4, 1 - 1e-4)] + [(None, None)] * (d - 1)
-    found = [
+    minima = [
         minimize(least, [0.5, *random.uniform(0, np.pi, d - 1)], method="L-BFGS-B", bounds=bounds, tol=1e-14).fun
         for _ in range(starts)
     ]
-    return min(min(found) / 1e2, *(density(e, z, chi) for z in pair))
+    return min(min(minima) / 1e2, *(density(e, z, chi) for z in pair))
 
 
 @pytest.mark.few(5)
@@ -97,12 +97,12 @@ def test_energy_is_the_least_of_all_laminates(name):
     chi, g = lifted(law.chi), ALPHA**2 * law.G
     wanted = np.array([1, -1, 1, -1, 1, -1]) * (C + g * np.array([-0.4, -0.1, 0.3, 0.45, -0.52, 0.6]))
     e += vector(((wanted - drives(law, e)) / (ALPHA * np.sum(chi**2)))[:, None, None] * chi)
-    found = at(law, e)
-    assert found.q[:, 0] == pytest.approx([0.1, -0.4, 0.8, -0.95, 0, -1], abs=1e-12)
-    for strain, energy, m in zip(tensor(e), found.stored, wanted, strict=True):
+    answer = at(law, e)
+    assert answer.q[:, 0] == pytest.approx([0.1, -0.4, 0.8, -0.95, 0, -1], abs=1e-12)
+    for strain, energy, m in zip(tensor(e), answer.stored, wanted, strict=True):
         assert energy == pytest.approx(least_of_laminates(strain, law.chi, (0, np.sign(m)), random), rel=1e-9)
         assert least_of_laminates(strain, law.chi, (-1, 1), random, 1) > energy * (1 - 1e-9)
-    assert (at(law.with_parameters({"mixing": 0.8}), e).stored[:3] > found.stored[:3] * (1 + 1e-4)).all()
+    assert (at(law.with_parameters({"mixing": 0.8}), e).stored[:3] > answer.stored[:3] * (1 + 1e-4)).all()
 
 
 @pytest.mark.few(1)

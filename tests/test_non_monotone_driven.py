@@ -31,27 +31,27 @@ def test_drive_is_the_closed_formula(n):
     limit = NonMonotoneLimit(LMBDA, MU, ALPHA, C, chi, np.eye(d)[1])
     for mixing in (0.4, 1.0):
         law = NonMonotone(LMBDA, MU, ALPHA, C, chi, mixing=mixing)
-        found = drive(law, pulled("w", path), n)
+        history = drive(law, pulled("w", path), n)
         t, phase = limit.relaxed(in_layer_axes(path), mixing)
-        assert found.tractions == pytest.approx(from_layer_axes(t), rel=1e-12, abs=1e-13)
-        assert found.memory[:, 0] == pytest.approx(phase, abs=1e-13)
+        assert history.tractions == pytest.approx(from_layer_axes(t), rel=1e-12, abs=1e-13)
+        assert history.memory[:, 0] == pytest.approx(phase, abs=1e-13)
         energy = limit.energy(in_layer_axes(path), phase, mixing)
-        assert found.energies[:, 0] == pytest.approx(energy, rel=1e-11)
-        work = np.sum(found.tractions * np.diff(path, axis=0, prepend=0), axis=1)
-        assert work == pytest.approx(np.diff(energy, prepend=0) + found.energies[:, 2], rel=1e-10, abs=1e-14)
+        assert history.energies[:, 0] == pytest.approx(energy, rel=1e-11)
+        work = np.sum(history.tractions * np.diff(path, axis=0, prepend=0), axis=1)
+        assert work == pytest.approx(np.diff(energy, prepend=0) + history.energies[:, 2], rel=1e-10, abs=1e-14)
         assert {-1, 0, 1} <= set(phase)
         assert mixing < 1 or any(0.1 < abs(z) < 0.9 for z in phase)
-    back = drive(law, pulled("t", found.tractions), n)
+    back = drive(law, pulled("t", history.tractions), n)
     assert back.jumps == pytest.approx(path, rel=1e-9, abs=1e-11)
-    assert back.tractions == pytest.approx(found.tractions, rel=1e-9, abs=1e-11)
-    assert back.memory == pytest.approx(found.memory, abs=1e-9)
+    assert back.tractions == pytest.approx(history.tractions, rel=1e-9, abs=1e-11)
+    assert back.memory == pytest.approx(history.memory, abs=1e-9)
 
 
 def test_pure_phases_have_the_closed_formula():
     """Where each of them holds, and no other one."""
     law, path = PURE["2D"], np.array(PATHS[2])
-    found = drive(law, pulled("w", path))
-    t, z = found.tractions, found.memory[:, 0]
+    history = drive(law, pulled("w", path))
+    t, z = history.tractions, history.memory[:, 0]
     assert set(z) == {-1, 0, 1}
     for phase in (-1, 0, 1):
         formula, holds = NonMonotoneLimit(LMBDA, MU, ALPHA, C, CHI2, np.eye(2)[1]).pure(path, phase)
@@ -86,12 +86,12 @@ def test_hysteresis_under_prescribed_traction(name, sign):
     least = 1e-9 * abs(up)
     sizes = np.array([up - least, up + least, 2 * up, up, down + least, down - least, down + least, up - least, 0])
     path = sign * sizes[:, None] * direction
-    found = drive(law, pulled("t", from_layer_axes(path)), np.eye(d)[1])
-    assert found.memory[:, 0].tolist() == [0, sign, sign, sign, sign, 0, 0, 0, 0]
-    expected = np.linalg.solve(K, path.T).T + found.memory[:, :1] * np.linalg.solve(K, b)
-    assert in_layer_axes(found.jumps) == pytest.approx(expected, rel=1e-9, abs=1e-12)
-    stored, dissipated, remainder = found.energies.T
-    t, change = found.tractions, np.diff(found.jumps, axis=0, prepend=0)
+    history = drive(law, pulled("t", from_layer_axes(path)), np.eye(d)[1])
+    assert history.memory[:, 0].tolist() == [0, sign, sign, sign, sign, 0, 0, 0, 0]
+    expected = np.linalg.solve(K, path.T).T + history.memory[:, :1] * np.linalg.solve(K, b)
+    assert in_layer_axes(history.jumps) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    stored, dissipated, remainder = history.energies.T
+    t, change = history.tractions, np.diff(history.jumps, axis=0, prepend=0)
     work = np.sum(t * change, axis=1)
     assert work == pytest.approx(np.diff(stored, prepend=0) + dissipated + remainder, abs=1e-13)
     assert (dissipated == 0).all()

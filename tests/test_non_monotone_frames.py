@@ -63,8 +63,8 @@ def test_axes_turn_with_the_normal(name):
         n = np.array(n) / np.linalg.norm(n)
         R = turn_to(n)
         assert np.abs(R @ E2 - n).max() < 1e-10
-        for one, phase in ((law, None), (tilted, np.resize([0, 1, -1], 100))):
-            now, there = at(one, e, phase=phase), at(one, vector(R @ tensor(e) @ R.T), n=n, phase=phase)
+        for variant, phase in ((law, None), (tilted, np.resize([0, 1, -1], 100))):
+            now, there = at(variant, e, phase=phase), at(variant, vector(R @ tensor(e) @ R.T), n=n, phase=phase)
             assert there.stress == pytest.approx(vector(R @ tensor(now.stress) @ R.T), abs=1e-9)
             assert there.q == pytest.approx(now.q, abs=1e-9)
             assert there.energies == pytest.approx(now.energies, abs=1e-11)

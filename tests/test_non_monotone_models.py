@@ -71,12 +71,12 @@ def test_pure_phases_in_columns():
         t, holds = limit_law.pure(point.jumps[k], phase)
         assert holds
         assert point.tractions[k] == pytest.approx(t, abs=1e-9)
-        one, other = limit.at(k + 1.0), full.at(k + 1.0)
-        for state in (one, other):
+        limit_state, other = limit.at(k + 1.0), full.at(k + 1.0)
+        for state in (limit_state, other):
             assert phases_on_s(state)[1] == pytest.approx(phase, abs=1e-14)
-        difference = displacements_of(other, limit.model).x.array - one.u.x.array
+        difference = displacements_of(other, limit.model).x.array - limit_state.u.x.array
         assert np.abs(difference).max() < 1e-9 * np.abs(point.jumps).max()
-        jump = surface.frame(surface.jump(one)) - np.reshape(point.jumps[k], (-1, 1, 1))
+        jump = surface.frame(surface.jump(limit_state)) - np.reshape(point.jumps[k], (-1, 1, 1))
         assert surface.norm(jump) < 1e-9 * np.abs(point.jumps).max()
     for history in (limit, full):
         assert np.abs(history.table["imbalance"]).max() < 1e-9
@@ -132,14 +132,14 @@ def test_bar():
     deltas = np.array([0.9, 1.4, 1.6, 1.8])
     for model, bar in ((limit, replace(BAR, eps=0.0)), (full, BAR)):
         history = march(model, deltas.tolist())
-        table, found = history.table, [history.at(delta) for delta in deltas]
+        table, states = history.table, [history.at(delta) for delta in deltas]
         share = bar.phase(deltas)
         assert np.sum((share > 0) & (share < 1)) >= 1
         assert table["energy"][1:] == pytest.approx(bar.energy(deltas), rel=1e-9)
         assert table["plus"][1:] == pytest.approx(share, abs=1e-9)
         assert table["boundary"][1:] == pytest.approx(BAR.eps * (1 - share), abs=1e-10)
-        assert [surface.integral(surface.jump(state)[1]) for state in found] == pytest.approx(bar.U(deltas), rel=1e-9)
-        tractions = [surface.integral(surface.traction(state)[1]) for state in found]
+        assert [surface.integral(surface.jump(state)[1]) for state in states] == pytest.approx(bar.U(deltas), rel=1e-9)
+        tractions = [surface.integral(surface.traction(state)[1]) for state in states]
         assert tractions == pytest.approx(bar.sigma(deltas), rel=1e-9)
         assert np.abs(table["imbalance"]).max() < 1e-9
 
@@ -156,8 +156,8 @@ def test_order_and_wrong_laws():
     plates = Structure(where, **setup)
     full = {eps: solve(plates.full(ThinLayer(law, eps, at=1.0), cells_through=1)) for eps in (1 / 32, 1 / 64)}
     errors = {}
-    for name, one in on_s.items():
-        state = solve(plates.interface(one if isinstance(one, Formula) else ThinLayer(one, 1.0)))
+    for name, law_on_s in on_s.items():
+        state = solve(plates.interface(law_on_s if isinstance(law_on_s, Formula) else ThinLayer(law_on_s, 1.0)))
         fields = [(surface.traction, state), (surface.jump, state)]
         sizes = [surface.norm(field(state)) for field, state in fields]
         differences = {e: [surface.norm(f(full[e]) - f(state)) for f, state in fields] for e in full}

@@ -34,9 +34,9 @@ def test_parameters_that_are_just_allowed():
     at_bound = NonMonotone(**GOOD | {"transformation_energy": BOUND})
     assert drive(at_bound, [{"w_T": 0.0, "w_N": 0.0}]).tractions == pytest.approx(0, abs=1e-14)
     assert NonMonotone(**{**GOOD, "transformation_energy": BOUND / 2, "mixing": 0.5}).mixing == 0.5
-    given = CHI2.copy()
-    law = NonMonotone(LMBDA, MU, ALPHA, C, given)
-    given[:] = 0
+    chi = CHI2.copy()
+    law = NonMonotone(LMBDA, MU, ALPHA, C, chi)
+    chi[:] = 0
     assert (law.chi == CHI2).all()
 
 

@@ -26,13 +26,13 @@ def symbols(text: str) -> set[str]:
 
 def test_symbols_have_one_meaning():
     everywhere, _, there = PAGES[NOTATION].partition("Further symbols of single pages:")
-    known = symbols(everywhere)
-    own: dict[str, set[str]] = {}
+    common_symbols = symbols(everywhere)
+    page_symbols: dict[str, set[str]] = {}
     for pages, meanings in re.findall(r"^\| (\[.*?) \| (.*) \|$", there, re.MULTILINE):
         for path in re.findall(r"\]\(\.\./(.*?)\)", pages):
-            own[DOCS + path] = symbols(meanings)
+            page_symbols[DOCS + path] = symbols(meanings)
             defined = symbols(" ".join(re.findall(r"((?:\$[^$]+\$(?:, )?)+):", meanings)))
-            assert not defined & known, path
+            assert not defined & common_symbols, path
     for page, text in PAGES.items():
         if PurePosixPath(page).suffix == ".md" and page != NOTATION:
-            assert not (more := symbols(text) - known - own.get(page, set())), (page, more)
+            assert not (more := symbols(text) - common_symbols - page_symbols.get(page, set())), (page, more)

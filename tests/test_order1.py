@@ -18,7 +18,7 @@ from thinlayer.errors import RangeWarning
 pytestmark = pytest.mark.few(5)
 
 
-def apart(full, state, where=1.0):
+def relative_errors(full, state, where=1.0):
     """Relative errors of an interface law on S: of the mean traction of both faces, and of the jump."""
     surface = Surface(state.model)
     fields = surface.reaction, surface.jump
@@ -27,12 +27,12 @@ def apart(full, state, where=1.0):
 
 def rows(law_at, eps, cell, order=1, h=1 / 32):
     joint, setup = fourier(h, cell=cell)
-    found = []
+    errors = []
     for e in eps:
         layer = ThinLayer(law_at(e), e, order=order, at=1.0)
         limit = solve(Structure(joint, **setup).interface(layer))
-        found.append(apart(solve(Structure(joint, **setup).full(layer)), limit))
-    return np.transpose(found)  # (2, eps)
+        errors.append(relative_errors(solve(Structure(joint, **setup).full(layer)), limit))
+    return np.transpose(errors)  # (2, eps)
 
 
 @pytest.mark.few(5)
@@ -78,8 +78,8 @@ def test_memory_and_rate(law):
     eps, errors, times = (1 / 16, 1 / 32), {0: [], 1: []}, [0.1, 0.2, 0.4]
     for e in eps:
         full = march(Structure(joint, **setup).full(ThinLayer(law, e, at=1.0)), times).last
-        for order, found in errors.items():
+        for order, order_errors in errors.items():
             limit = Structure(joint, **setup).interface(ThinLayer(law, e, order=order, at=1.0))
-            found.append(apart(full, march(limit, times).last)[0])
+            order_errors.append(relative_errors(full, march(limit, times).last)[0])
     assert observed_orders(eps, errors[0])[1] == pytest.approx(1.0, abs=0.1)
     assert observed_orders(eps, errors[1])[1] == pytest.approx(2.0, abs=0.1)

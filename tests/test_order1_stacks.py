@@ -13,7 +13,7 @@ from studies.problems import FOURIER_BODY, FOURIER_LAYER, fourier
 from tests import reference
 from tests.orders import observed_orders
 from tests.refused import refused
-from tests.test_order1 import apart
+from tests.test_order1 import relative_errors
 from thinlayer import Structure, ThinLayer, solve
 
 pytestmark = pytest.mark.few(5)
@@ -29,15 +29,15 @@ def stack(sublayers):
     return Stack(*((a, LinearElastic(lmbda, mu)) for a, lmbda, mu in sublayers))
 
 
-def found(law):
+def error_rows(law):
     """Errors (traction, jump, compliance) of the interface law against the meshed layer."""
     joint, setup = fourier(1 / 16, **MESH)
     structure, rows = Structure(joint, **setup), []
     for e in EPS:
         full = solve(structure.full(ThinLayer(law, e, at=1.0)))
         state = solve(structure.interface(ThinLayer(law, e, order=1, at=1.0)))
-        works = [one.energies()["loads"] for one in (full, state)]
-        rows.append((*apart(full, state), abs(works[0] / works[1] - 1)))
+        works = [solution.energies()["loads"] for solution in (full, state)]
+        rows.append((*relative_errors(full, state), abs(works[0] / works[1] - 1)))
     return rows
 
 
@@ -56,7 +56,7 @@ def test_moments(sublayers, A, B, lateral):
     assert (law.lateral_tangential, law.normal) == pytest.approx((A, B), abs=5e-7)
     assert lateral is None or law.lateral == pytest.approx(lateral, abs=5e-7)
     assert law.mu == pytest.approx(1 / sum(a / mu for a, _, mu in sublayers), rel=1e-14)
-    assert law.lmbda + 2 * law.mu == pytest.approx(1 / sum(a / (one + 2 * mu) for a, one, mu in sublayers), rel=1e-14)
+    assert law.lmbda + 2 * law.mu == pytest.approx(1 / sum(a / (lam + 2 * mu) for a, lam, mu in sublayers), rel=1e-14)
 
 
 # ---------------------------------------------------------------- models
@@ -64,7 +64,7 @@ def test_moments(sublayers, A, B, lateral):
 @pytest.mark.parametrize("sublayers", [TWO, THREE], ids=["two", "three"])
 def test_sublayers(sublayers):
     """Order 2 with the errors of the transfer matrices."""
-    rows = found(stack(sublayers))
+    rows = error_rows(stack(sublayers))
     for row, e in zip(rows, EPS, strict=True):
         wanted = reference.errors(reference.stacked(sublayers, e), reference.in_series(sublayers, e))
         assert row == pytest.approx(wanted, rel=0.03)
@@ -95,7 +95,7 @@ def test_planes(plane, sublayers):
     rows = []
     for e in EPS[1:]:
         full = solve(structure.full(ThinLayer(stack(sublayers), e, at=1.0)))
-        rows.append(apart(full, solve(structure.interface(ThinLayer(stack(sublayers), e, order=1, at=1.0)))))
+        rows.append(relative_errors(full, solve(structure.interface(ThinLayer(stack(sublayers), e, order=1, at=1.0)))))
     assert orders(rows, EPS[1:]) == pytest.approx([2.0, 2.0], abs=0.15)
 
 

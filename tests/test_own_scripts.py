@@ -75,15 +75,15 @@ def printed_by_all() -> dict[str, str]:
 @pytest.mark.parametrize("name", ["page", "bricks", "two_blocks"])
 def test_script_on_one_rank_and_two(there, name):
     """What it prints is the same, to all digits but the last, and what the page says."""
-    one, two = printed(name), there[name]
-    assert len(numbers(one)) >= 1
-    assert numbers(one) == pytest.approx(numbers(two), abs=2e-8)
+    serial, parallel = printed(name), there[name]
+    assert len(numbers(serial)) >= 1
+    assert numbers(serial) == pytest.approx(numbers(parallel), abs=2e-8)
     if name == "two_blocks":  # jumps on S and dissipation as in a march, with nodes that are open, stick and slide
-        mine, march_, status = one.splitlines()
+        mine, march_, status = serial.splitlines()
         assert numbers(mine) == pytest.approx(numbers(march_), rel=1e-8)
         assert min(map(int, status.split()[-3:])) > 0
     if name == "page":
-        assert all(line.strip() in PAGES["thinlayer/docs/tutorials/own_script.md"] for line in one.splitlines())
+        assert all(line.strip() in PAGES["thinlayer/docs/tutorials/own_script.md"] for line in serial.splitlines())
 
 
 @on_ranks(printed_by_all, 2)
@@ -109,8 +109,8 @@ def tagged(grid, dim, value):
     grid.topology.create_connectivity(dim, grid.topology.dim)
     n = grid.topology.index_map(dim).size_local
     values = value(mesh.compute_midpoints(grid, dim, np.arange(n, dtype=np.int32))).astype(np.int32)
-    found = np.flatnonzero(values >= 0).astype(np.int32)
-    return mesh.meshtags(grid, dim, found, values[found])
+    entities = np.flatnonzero(values >= 0).astype(np.int32)
+    return mesh.meshtags(grid, dim, entities, values[entities])
 
 
 class Blocks:
@@ -290,11 +290,11 @@ def test_refused_tags():
     blocks = Blocks("triangle", 1)
     grid, cells, facets = blocks.grid, blocks.cells, blocks.facets
     mixed = tagged(grid, 1, lambda x: np.where((abs(x[:, 1] - 0.5) < 1e-9) | (x[:, 1] < 1e-9), LAYER, -1))
-    one = tagged(grid, 2, lambda x: 0 * x[:, 0])
+    uniform = tagged(grid, 2, lambda x: 0 * x[:, 0])
     some = tagged(grid, 2, lambda x: np.where(x[:, 0] > 1, UPPER, -1))
     for bodies, tags, S, message in [
         (some, facets, LAYER, "24 cells have no tag"),
-        (one, facets, LAYER, r"6 facets of S lie inside a body.*\(.*, 0.5\)"),
+        (uniform, facets, LAYER, r"6 facets of S lie inside a body.*\(.*, 0.5\)"),
         (cells, mixed, LAYER, "6 of 12 facets with tag 3 lie on the boundary"),
         (cells, facets, {LAYER: {LOWER, UPPER}}, "one side in"),
     ]:
@@ -346,10 +346,10 @@ def test_refused_layers_parts_and_steps():
 
 def test_upper_side_changes_signs_alone():
     blocks = [Blocks("triangle", 2, upper) for upper in (UPPER, {LOWER}, (0, -1), None)]
-    for one in blocks:
-        terms = [body(STONE, one.dx), *one.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.1, at=1.0))]
-        one.solve(terms, [np.array([0.1, -0.05])], 0.0)
-    jumps = [one.broken.interface(LAYER).jump(one.u)[0] * one.broken.dS(LAYER) for one in blocks]
+    for block in blocks:
+        terms = [body(STONE, block.dx), *block.broken.layer(LAYER, ThinLayer(LinearElastic(6.0, 4.0), 0.1, at=1.0))]
+        block.solve(terms, [np.array([0.1, -0.05])], 0.0)
+    jumps = [block.broken.interface(LAYER).jump(block.u)[0] * block.broken.dS(LAYER) for block in blocks]
     slips = [fem.assemble_scalar(fem.form(jump)) for jump in jumps]
     assert slips[0] * np.array([1, -1, -1, 1]) == pytest.approx(slips, rel=1e-12)
     assert slips[0] > 0

@@ -37,7 +37,7 @@ LAP = CLONE / "studies/data/lap.toml"
 
 
 def numbers(text: str) -> list[float]:
-    return [float(one) for one in NUMBER.findall(text)]
+    return [float(number) for number in NUMBER.findall(text)]
 
 
 def assert_says(page: str, printed: str) -> None:
@@ -53,32 +53,32 @@ def run_script(path: Path, blocks: list) -> None:
         text += "\n" * (block.line - text.count("\n")) + block.code  # lines as in the page
     path.write_text(text)
 
-    def told(*args, **options):
+    def capture_print(*args, **options):
         print(*args, file=(out := io.StringIO()), **options)
         printed[sys._getframe(1).f_lineno] += out.getvalue()
 
     with warnings.catch_warnings(record=True, action="always", category=RangeWarning) as caught:
-        runpy.run_path(str(path), {"print": told}, run_name="__main__")
-    assert ("# warns" in text) == any(issubclass(one.category, RangeWarning) for one in caught)
+        runpy.run_path(str(path), {"print": capture_print}, run_name="__main__")
+    assert ("# warns" in text) == any(issubclass(warning.category, RangeWarning) for warning in caught)
     below = defaultdict(str)
     for line, words in printed.items():
         comment = numbers(text.splitlines()[line - 1].partition("  # ")[2])
         if comment:
-            found = numbers(words)
-            assert comment[: len(found)] == pytest.approx(found, rel=2e-2), f"line {line}"
+            values = numbers(words)
+            assert comment[: len(values)] == pytest.approx(values, rel=2e-2), f"line {line}"
         else:
-            below[max((one for one in blocks if one.line < line), key=lambda one: one.line)] += words
+            below[max((block for block in blocks if block.line < line), key=lambda block: block.line)] += words
     for block in blocks:
         assert_says(block.shown, below[block])
     for name in WRITTEN.findall(text):
         assert path.with_name(name).stat().st_size > 300, name
 
 
-@pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.long][: one in LONG]) for one in SECTIONS])
+@pytest.mark.parametrize("name", [pytest.param(key, marks=[pytest.mark.long][: key in LONG]) for key in SECTIONS])
 def test_blocks_print_what_the_page_says(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("studies").symlink_to(CLONE / "studies")
-    code = {kind: [one for one in SECTIONS[name] if one.language == kind] for kind in ("python", "sh", "toml")}
+    code = {kind: [block for block in SECTIONS[name] if block.language == kind] for kind in ("python", "sh", "toml")}
     assert sum(map(len, code.values())) == len(SECTIONS[name])
     lines = [(block, line) for block in code["sh"] for line in block.code.replace("\\\n", "").splitlines()]
     commands = [(block, shlex.split(line, comments=True)) for block, line in lines]
@@ -101,13 +101,13 @@ def test_the_first_scripts_are_short():
 
 
 def test_errors_of_the_first_example_are_those_of_a_meshed_layer():
-    given = DescribedCase.of(Description.read(LAP))
-    full, limit = (solve(make(given.layer)) for make in (given.structure.full, given.structure.interface))
+    case = DescribedCase.of(Description.read(LAP))
+    full, limit = (solve(make(case.layer)) for make in (case.structure.full, case.structure.interface))
     row = compare(full, limit)
     work = [state.energies()["loads"] for state in (full, limit)]
     said = re.search(r"errors are\s(\S+) % in traction, (\S+) % in jump and\s(\S+) % in compliance", PAGES["README.md"])
     true = (row["error_traction"], row["error_jump"], 1 - work[1] / work[0])
-    assert tuple(f"{100 * one:.2g}" for one in true) == said.groups()
+    assert tuple(f"{100 * value:.2g}" for value in true) == said.groups()
 
 
 def test_keys_of_descriptions_are_those_of_the_guide():
@@ -143,10 +143,10 @@ def test_built_pages_have_the_formulas_of_their_sources():
     for name, page in newer:
         code = re.sub(r"^```.*?^```$|`[^`]+`|^ {4}.*?$", "", PAGES[name], flags=re.DOTALL | re.MULTILINE)
         text = "".join(html.unescape(page.read_text()).split())
-        formulas = ["".join(one.strip("$").split()) for one in re.findall(r"\$\$.+?\$\$|\$[^$]+\$", code, re.DOTALL)]
-        assert [one for one in formulas if not re.search(rf"\\[(\[](\\begin{{split}})?{re.escape(one)}", text)] == []
+        formulas = ["".join(tex.strip("$").split()) for tex in re.findall(r"\$\$.+?\$\$|\$[^$]+\$", code, re.DOTALL)]
+        assert [tex for tex in formulas if not re.search(rf"\\[(\[](\\begin{{split}})?{re.escape(tex)}", text)] == []
         scripts = re.findall(r'<script[^>]* src="([^"?]+)', page.read_text())
-        assert not [one for one in scripts if "//" in one]
-        drawn = [page.parent / one for one in scripts if "tex-svg" in one]
+        assert not [src for src in scripts if "//" in src]
+        drawn = [page.parent / src for src in scripts if "tex-svg" in src]
         assert drawn or not formulas, name
-        assert all(one.stat().st_size > 1e6 for one in drawn), name
+        assert all(path.stat().st_size > 1e6 for path in drawn), name

@@ -57,11 +57,11 @@ def cases(rank: int, folder: Path):
 
 def errors(folder: Path) -> dict[str, str | list[str]]:
     """Case -> the error that all ranks have, or those that they have."""
-    found: dict[str, str | list[str]] = {}
+    messages: dict[str, str | list[str]] = {}
     for name, run in cases(COMM.rank, folder).items():
         texts = COMM.allgather(raised(run))
-        found[name] = texts[0] if len(set(texts)) == 1 else texts
-    return found
+        messages[name] = texts[0] if len(set(texts)) == 1 else texts
+    return messages
 
 
 COMM = MPI.COMM_WORLD
@@ -160,9 +160,9 @@ def estimated():
 
 def marched():
     """In time, with all that varies in it, and a plate; of a load that its strength may not carry: an error."""
-    law, held = VonMises.young(60.0, 0.3, strength=0.2), {"BOTTOM": {"x": lambda x, t: 1e-3 * t * x[0], "y": 0.0}}
+    law, supports = VonMises.young(60.0, 0.3, strength=0.2), {"BOTTOM": {"x": lambda x, t: 1e-3 * t * x[0], "y": 0.0}}
     plate = thinlayer.RigidPlate("TOP", force=lambda x, t: (0.1 * t, -0.3 * t), motion={"rotation": 0.0})
-    yielding = model(law=law, supports=held, tractions={}, parts=[plate])
+    yielding = model(law=law, supports=supports, tractions={}, parts=[plate])
     history = march(yielding, [0.5, 1.0])
     with pytest.raises(thinlayer.SolveError):
         solve(yielding, 40.0)
@@ -172,7 +172,7 @@ def marched():
 def family():
     first = model(law=LinearElastic(60.0, 40.0))
     other = first.with_layer(ThinLayer(LinearElastic(30.0, 20.0), 0.2))
-    return [first, other, *(solve(one) for one in (first, other, other.with_loads(tractions={"TOP": (0.3, 1.0)})))]
+    return [first, other, *(solve(case) for case in (first, other, other.with_loads(tractions={"TOP": (0.3, 1.0)})))]
 
 
 STRETCH = goals.Functional("stretch", lambda u, model: u[0] * u[1] * model.dx)
@@ -180,7 +180,7 @@ STRETCH = goals.Functional("stretch", lambda u, model: u[0] * u[1] * model.dx)
 
 def left(runs: int = 3) -> dict[str, list[Any]]:
     """Name -> communicators, memory and seconds after each of some runs, without Python's collector; what is there last."""
-    there, found = Counter[str](), dict[str, list[Any]]()
+    there, usage = Counter[str](), dict[str, list[Any]]()
     key = MPI.Comm.Create_keyval(lambda *_: there.update(comms=1), lambda *_: there.subtract(comms=1))
     for comm in (COMM, MPI.COMM_SELF):
         comm.Set_attr(key, None)
@@ -189,13 +189,13 @@ def left(runs: int = 3) -> dict[str, list[Any]]:
         rows, refs = [], list[Any]()
         for _ in range(runs):
             begin = time.perf_counter()
-            refs += [weakref.ref(one) for one in run()]
+            refs += [weakref.ref(item) for item in run()]
             rows.append((there["comms"], status("VmRSS"), time.perf_counter() - begin))
-        found[run.__name__] = [*rows, sum(one() is not None for one in refs)]
+        usage[run.__name__] = [*rows, sum(ref() is not None for ref in refs)]
     gc.enable()
     for comm in (COMM, MPI.COMM_SELF):
         comm.Delete_attr(key)
-    return found
+    return usage
 
 
 @on_ranks(left, 2)

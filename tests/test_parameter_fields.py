@@ -20,7 +20,7 @@ from tests.columns_in_time import column
 from tests.columns_in_time import joint as one_cell
 from tests.own_laws import Cubic, Slipping
 from tests.refused import refused
-from tests.test_order1 import apart
+from tests.test_order1 import relative_errors
 from thinlayer import RangeWarning, StepProblem, Structure, Surface, ThinLayer, drive, march, solve
 
 pytestmark = pytest.mark.few(5)
@@ -40,8 +40,8 @@ def structure(body=BODY, **data):
     return Structure(JOINT, **{"body": body, "supports": SUPPORTS, "tractions": LOADS} | data)
 
 
-def kinds(one, layer, **options):
-    return one.full(layer, **options), one.interface(layer)
+def kinds(structure, layer, **options):
+    return structure.full(layer, **options), structure.interface(layer)
 
 
 PAIRS = {
@@ -59,7 +59,7 @@ def test_a_constant_function_is_its_number(name):
     first, second, law, other = PAIRS[name]
     for k in (0, 1):
         pair = ((first, law), (second, other))
-        models = [kinds(structure(**data), ThinLayer(one, 0.1, at=1.0))[k] for data, one in pair]
+        models = [kinds(structure(**data), ThinLayer(layer_law, 0.1, at=1.0))[k] for data, layer_law in pair]
         a, b = (march(model, [0.5, 1.0]).last for model in models)
         assert a.report.method == b.report.method
         assert np.abs(b.u.x.array - a.u.x.array).max() < 1e-8 * np.abs(a.u.x.array).max()
@@ -81,11 +81,11 @@ def test_a_layer_that_is_graded_along_S():
     rigid, w = LinearElastic.young(1e7, 0.3), 0.02
     law = LinearElastic(lambda x: 60 * (1 + x[0] ** 2), lambda x: 40 * (1 + x[0] ** 2))
     supports = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": {"x": 0.0, "y": w}}
-    for one in (law, Stack((0.3, law), (0.7, law)), MohrCoulomb(law.lmbda, law.mu, 50.0, 30.0)):
-        model = structure(rigid, supports=supports, tractions=None).interface(ThinLayer(one, 0.1, at=1.0))
+    for layer_law in (law, Stack((0.3, law), (0.7, law)), MohrCoulomb(law.lmbda, law.mu, 50.0, 30.0)):
+        model = structure(rigid, supports=supports, tractions=None).interface(ThinLayer(layer_law, 0.1, at=1.0))
         state, surface = solve(model), Surface(model)
         assert surface.integral(surface.traction(state)[1]) == pytest.approx(140 * w * 4 / 3, rel=1e-3)
-        full = solve(structure(rigid, supports=supports, tractions=None).full(ThinLayer(one, 0.1, at=1.0)))
+        full = solve(structure(rigid, supports=supports, tractions=None).full(ThinLayer(layer_law, 0.1, at=1.0)))
         assert surface.integral(surface.traction(full)[1]) == pytest.approx(140 * w * 4 / 3, rel=1e-3)
         assert full.energies()["layer"] == pytest.approx(140 * w**2 / 2 * 4 / 3, rel=1e-3)
 
@@ -97,7 +97,7 @@ def test_the_error_of_a_graded_layer_falls_with_the_thickness(order, ratio):
     errors = []
     for eps in (1 / 16, 1 / 32):
         full, limit = kinds(Structure(joint, **setup), ThinLayer(law, eps, order=order, at=1.0))
-        errors.append(apart(solve(full), solve(limit)))
+        errors.append(relative_errors(solve(full), solve(limit)))
     for thick, thin in np.transpose(errors):
         assert ratio[0] < thick / thin < ratio[1]
 
@@ -187,4 +187,4 @@ def test_parameters_between_parted_bodies_are_those_on_s():
     """S, at y = 0, is halfway between faces of bodies that have given way."""
     laws = LinearElastic(60.0, 40.0), LinearElastic(60.0, lambda x: 40.0 + 900.0 * x[1])
     models = [structure().interface(ThinLayer(law, 0.05), bodies="extended") for law in laws]
-    assert max(apart(*(solve(model, 1.0) for model in models))) < 1e-9
+    assert max(relative_errors(*(solve(model, 1.0) for model in models))) < 1e-9

@@ -131,20 +131,20 @@ def test_a_laminate_is_in_series(cell, depth):
 def test_a_stiffness_that_is_not_symmetric_is_told(monkeypatch):
     """As of a wrong law; by a hundred millionth of it."""
     whole = State.mean_stress
-    monkeypatch.setattr(State, "mean_stress", lambda self: (found := whole(self)) + 1e-7 * np.diag([found[1, 1], 0.0]))
+    monkeypatch.setattr(State, "mean_stress", lambda self: (sigma := whole(self)) + 1e-7 * np.diag([sigma[1, 1], 0.0]))
     words = r"not symmetric: entries of 8\.0e\+00 differ by 5\.0e-07"
     refused(SolveError, words, stiffness, bond_cell(BRICK, 0.25), 1e3)
 
 
 def test_a_load_at_a_periodic_place_may_be_named_by_either_of_its_copies():
     """On top of one course, which is the bottom of the other: one node of one body."""
-    found = []
+    forces = []
     for y, body in product((0.0, 1.0), ("COURSE 1", "COURSE 2")):
         load = PointLoad((0.5, y), (0.3, -1.0), body=body)
         model = Structure(laminate(), body=ROCK, supports={}, loads=[load]).interface(springs(4.0, 1.5))
-        found.append(nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), 0.0)).x.array)
-    assert np.sort(found[0])[[0, 1, -2, -1]] == pytest.approx([-1.0, 0.0, 0.0, 0.3], abs=1e-12)
-    np.testing.assert_allclose(found, found[:1] * 4, atol=1e-12)
+        forces.append(nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), 0.0)).x.array)
+    assert np.sort(forces[0])[[0, 1, -2, -1]] == pytest.approx([-1.0, 0.0, 0.0, 0.3], abs=1e-12)
+    np.testing.assert_allclose(forces, forces[:1] * 4, atol=1e-12)
 
 
 # ---------------------------------------------------------------- loads
@@ -164,13 +164,13 @@ def test_energy_is_that_of_the_homogenised_cell():
     table = piecewise({0: 0.0, 1: 0.7, 2: 1.0})
     growing = bond(strain=lambda x, t: [[c * table(x, t) for c in row] for row in E]).interface(MORTAR)
     assert growing.break_times == {0.0, 1.0, 2.0}
-    found = np.array([s.mean_stress() for s in march(growing, [1.0, 2.0])][1:])
-    assert found == pytest.approx(np.array([0.7 * stress, stress]), rel=1e-9)
+    stresses = np.array([s.mean_stress() for s in march(growing, [1.0, 2.0])][1:])
+    assert stresses == pytest.approx(np.array([0.7 * stress, stress]), rel=1e-9)
     audits = [s.audit for s in march(growing, [1.0, 2.0])]
-    assert max(abs(one.imbalance) for one in audits) < 1e-11
+    assert max(abs(audit.imbalance) for audit in audits) < 1e-11
     assert audits[-1].total == pytest.approx(4.0 * e @ A @ e / 2, rel=1e-10)
     remainder = sum(4.0 * s**2 * e @ A @ e / 2 for s in (0.7, 0.3))
-    assert sum(one.remainder for one in audits) == pytest.approx(remainder, rel=1e-9)
+    assert sum(audit.remainder for audit in audits) == pytest.approx(remainder, rel=1e-9)
 
 
 def test_mean_stress_as_a_load():
@@ -185,9 +185,9 @@ def test_mean_stress_as_a_load():
     assert energies["bodies"] + energies["layer"] == pytest.approx(stored, rel=1e-10)
     growing = bond(stress=lambda x, t: [[c * t for c in row] for row in S]).interface(MORTAR)
     audits = [s.audit for s in march(growing, [0.7, 1.0])]
-    assert max(abs(one.imbalance) for one in audits) < 1e-11
+    assert max(abs(audit.imbalance) for audit in audits) < 1e-11
     assert audits[-1].total == pytest.approx(stored, rel=1e-10)
-    assert sum(one.supplied for one in audits) == pytest.approx(stored * (1 + 0.7**2 + 0.3**2), rel=1e-9)
+    assert sum(audit.supplied for audit in audits) == pytest.approx(stored * (1 + 0.7**2 + 0.3**2), rel=1e-9)
     creeping = dict.fromkeys(MORTAR, ThinLayer(KelvinVoigt(6.0, 4.0, theta_lmbda=3.0, theta_mu=5.0), 0.1))
     within = march(bond(stress=lambda x, t: (t * S).tolist()).interface(creeping), [0.7, 1.0], theta=0.75).last
     assert within.mean_stress() == pytest.approx(S, rel=1e-9)
@@ -275,10 +275,10 @@ def test_refused_joints():
     refused(InputError, words, periodic, replace(joint, points=moved), ("LEFT", "RIGHT"))
     refused(InputError, "do not match any more", lambda: replace(periodic(joint, ("LEFT", "RIGHT")), points=moved))
     words = r"needs three cells or more between its sides \('LEFT' and 'RIGHT'\)"
-    one, two, three = (sandwich(0.25 * n, 0.5, 0.5, 0.25, cell="quadrilateral") for n in (1, 2, 3))
-    refused(InputError, words, periodic, one, ("LEFT", "RIGHT"))
-    refused(InputError, words, periodic, two, ("LEFT", "RIGHT"))
-    periodic(three, ("LEFT", "RIGHT"))
+    strip1, strip2, strip3 = (sandwich(0.25 * n, 0.5, 0.5, 0.25, cell="quadrilateral") for n in (1, 2, 3))
+    refused(InputError, words, periodic, strip1, ("LEFT", "RIGHT"))
+    refused(InputError, words, periodic, strip2, ("LEFT", "RIGHT"))
+    periodic(strip3, ("LEFT", "RIGHT"))
     words = "the seam 'S' cannot be a periodic side.*cut the periodic cell through"
     refused(InputError, words, periodic, joint, ("S", "TOP"))
     for cut in ((0.5, 0.5), (0.25, 0.0), (0.25, 0.99)):
@@ -291,7 +291,7 @@ def test_refused_structures():
     def model(**options):
         return Structure(laminate(), **({"body": ROCK, "supports": {}} | options)).interface(layer)
 
-    for given, message in (
+    for options, message in (
         (dict(supports={"LEFT": 0.0}), "support on 'LEFT': this side is identified with another one"),
         (dict(tractions={"TOP/COURSE 2": (0.0, 1.0)}), "traction on 'TOP/COURSE 2': this side is identified"),
         (dict(strain=(1e-3, 0.0, 0.0)), "needs 2 x 2 finite components"),
@@ -300,7 +300,7 @@ def test_refused_structures():
         (dict(strain=((0.0, 1e-3), (0.0, 0.0))), "at t = 0 is not symmetric"),
         (dict(strain=lambda x, t: ((x[0], 0.0), (0.0, 0.0))), "depends on the place"),
     ):
-        refused(InputError, message, model, **given)
+        refused(InputError, message, model, **options)
     joint = periodic(sandwich(1.0, 0.5, 0.5, 0.25), ("LEFT", "RIGHT"))
     strip = Structure(joint, body=ROCK, supports={}, stress=np.eye(2))
     refused(InputError, "needs a joint periodic in 2 directions", lambda: strip.interface(layer))

@@ -28,11 +28,11 @@ def structure(joint: Joint, **loads) -> Structure:
 # ---------------------------------------------------------------- both ways
 def test_the_coating_meshed_and_as_a_law():
     """Rate 1 of the whole stiffness, and of each of its entries."""
-    one = structure(periodic(cell(), *SIDES))
+    composite = structure(periodic(cell(), *SIDES))
     errors = []
     for e in (0.04, 0.02, 0.01):
-        full = homogenised_stiffness(one.full(ThinLayer(COATING, e, at=1.0), bodies="extended"))
-        limit = homogenised_stiffness(one.interface(ThinLayer(COATING, e, at=1.0)))
+        full = homogenised_stiffness(composite.full(ThinLayer(COATING, e, at=1.0), bodies="extended"))
+        limit = homogenised_stiffness(composite.interface(ThinLayer(COATING, e, at=1.0)))
         assert np.abs(full - full.T).max() < 1e-12
         errors.append(np.abs(full - limit).max() / np.abs(limit).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
@@ -57,31 +57,31 @@ def test_mean_stresses_and_strains():
     stored = energies["bodies"] + energies["layer"]
     assert stored == pytest.approx(WIDTH * HEIGHT * E @ C @ E / 2, rel=1e-9)
     assert strained.audit.supplied == pytest.approx(2 * stored, rel=1e-9)
-    found = solve(made(stress=stress.tolist()))
-    assert found.mean_strain() == pytest.approx(np.array(STRAIN), rel=1e-8)
-    assert found.mean_stress() == pytest.approx(stress, rel=1e-8)
-    assert abs(found.audit.imbalance) < 1e-9
+    stressed = solve(made(stress=stress.tolist()))
+    assert stressed.mean_strain() == pytest.approx(np.array(STRAIN), rel=1e-8)
+    assert stressed.mean_stress() == pytest.approx(stress, rel=1e-8)
+    assert abs(stressed.audit.imbalance) < 1e-9
 
 
 def test_the_error_of_a_coating_as_a_law_is_known_without_meshing_the_cell():
     """That of the meshed coating, to the second order in its thickness."""
-    one, coat = structure(periodic(cell(0.15), *SIDES), strain=STRAIN), ThinLayer(COATING, 0.05, at=1.0)
-    limit, full = (solve(kind(coat, bodies="extended")) for kind in (one.interface, one.full))
-    known, true = estimate(limit), compare(full, limit)
-    assert (known.traction, known.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=5e-3)
+    composite, coat = structure(periodic(cell(0.15), *SIDES), strain=STRAIN), ThinLayer(COATING, 0.05, at=1.0)
+    limit, full = (solve(kind(coat, bodies="extended")) for kind in (composite.interface, composite.full))
+    errors, true = estimate(limit), compare(full, limit)
+    assert (errors.traction, errors.jump) == pytest.approx((true["error_traction"], true["error_jump"]), rel=5e-3)
 
 
 def test_a_coating_that_creeps():
     """Compiled laws of meshed coatings know the mean strain: after long the coating has no shear stress left."""
     joint = periodic(cell(0.15), *SIDES)
     layer = ThinLayer(Maxwell(COATING.lmbda, COATING.mu, t1=0.5), 0.02, at=1.0)
-    one = structure(joint, strain=lambda x, t: STRAIN)
+    composite = structure(joint, strain=lambda x, t: STRAIN)
     stresses = {}
-    for name, made in (("full", one.full(layer, bodies="extended")), ("interface", one.interface(layer))):
+    for name, made in (("full", composite.full(layer, bodies="extended")), ("interface", composite.interface(layer))):
         history = march(made, [0.1, 0.3, 0.6])
         stresses[name] = history.last.mean_stress()
         assert np.abs(history.table["imbalance"]).max() < 1e-9
-    first = solve(one.interface(ThinLayer(COATING, 0.02, at=1.0))).mean_stress()
+    first = solve(composite.interface(ThinLayer(COATING, 0.02, at=1.0))).mean_stress()
     change = np.abs(stresses["interface"] - first).max()
     assert change > 0.01 * np.abs(first).max()
     assert np.abs(stresses["full"] - stresses["interface"]).max() < 0.2 * change

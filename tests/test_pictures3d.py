@@ -106,11 +106,11 @@ def test_cut_leaves_the_half_behind(pulled):
 def test_errors(pulled, tmp_path):
     plane = sandwich(1.0, 0.4, 0.4, 0.4)
     flat = solve(Structure(plane, body=BODY, supports={"BOTTOM": 0}, tractions={"TOP": (1, 0)}).interface(LAYER))
-    for state, words, given in (
+    for state, words, options in (
         (pulled["law"], "three components", {"towards": (0, 0, 0)}),
         (pulled["law"], "three components", {"towards": (1, np.nan, 0)}),
         (pulled["law"], "nothing to draw", {"zoom": (5, 6, 5, 6)}),
         (flat, "for three-dimensional structures", {"towards": (0, 0, 1)}),
         (flat, "for three-dimensional structures", {"cut": True}),
     ):
-        refused(ValueError, words, plotting.deformed, state, plotting.View(**given))
+        refused(ValueError, words, plotting.deformed, state, plotting.View(**options))

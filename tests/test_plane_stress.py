@@ -65,8 +65,8 @@ class Point:
         """Advance to strains e, whose `free` components are changed until their stresses are the given ones."""
         free, e = np.array(free), np.array(e, float)
         for _ in range(60):
-            found, C = (a[0] for a in self.respond(e, dt)[:2])
-            left = (np.asarray(stress) - found)[free]
+            sigma, C = (a[0] for a in self.respond(e, dt)[:2])
+            left = (np.asarray(stress) - sigma)[free]
             if np.abs(left).max() < 1e-13:
                 break
             e[free] += np.linalg.solve(C[np.ix_(free, free)], left)
@@ -175,7 +175,7 @@ def test_laws_with_a_closed_form_are_the_same():
     """Elastic laws through the local solve against their own; plane strain is another one."""
     w = {"w_T": 0.01, "w_N": 0.02}
     for law in (LinearElastic(L, M), Anisotropic(C6)):
-        ours, theirs, strained = (drive(one, [w]) for one in (PlaneStressLaw(law), law.plane_stress(), law))
+        ours, theirs, strained = (drive(variant, [w]) for variant in (PlaneStressLaw(law), law.plane_stress(), law))
         assert ours.tractions == pytest.approx(theirs.tractions, rel=ROUNDED)
         assert abs(strained.tractions[0, 1] / ours.tractions[0, 1] - 1) > 0.05
     law = LinearElastic(L, M)

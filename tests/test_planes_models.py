@@ -66,7 +66,7 @@ def test_traction_of_a_sheet():
 def test_tangents_of_models_are_those_of_the_residual():
     mesh, setup = fourier(1 / 2)
     structure = Structure(mesh, **setup | {"body": Stiffening(3.0, 1.7, 3.0)}, plane="stress")
-    thinning, stiffening = (ThinLayer(one, EPS, at=1.0) for one in (Norton(L, M, 5.0, 3.0), Stiffening(3.0, 1.7, 9.0)))
+    thinning, stiffening = (ThinLayer(law, EPS, at=1.0) for law in (Norton(L, M, 5.0, 3.0), Stiffening(3.0, 1.7, 9.0)))
     for model in (structure.interface(thinning), structure.full(stiffening)):
         with Solver(model) as solver:
             assert taylor_order(solver) > 1.9

@@ -13,7 +13,7 @@ from geometry import sandwich
 from tests.orders import taylor_order
 from tests.refused import refused
 from tests.supports_run import BODY, CREEP, EPS, GLUE, KINDS, MORTAR, model, out_of_balance, plate
-from tests.test_order1 import apart
+from tests.test_order1 import relative_errors
 from thinlayer import (
     LimitLoad,
     Probe,
@@ -62,30 +62,30 @@ def test_given_forces_and_prescribed_motions_are_conjugate(dim, kind):
     top, loaded = plate(dim, kind)
     first = solve(loaded)
     assert out_of_balance(first) < 1e-10
-    motion, given = top.motion_in(first), first.reaction("TOP")
+    motion, reaction = top.motion_in(first), first.reaction("TOP")
     names = "xyz"[:dim]
     turns = ["rotation"] if dim == 2 else [f"rotation {axis}" for axis in names]
     all_motions = dict(zip([*names, *turns], [*motion.translation, *np.atleast_1d(motion.rotation)], strict=True))
-    for held in ([*all_motions], ["x", turns[-1]]):
+    for prescribed in ([*all_motions], ["x", turns[-1]]):
         moved = RigidPlate(
-            "TOP", motion={name: float(all_motions[name]) for name in held},
-            force=[0.0 if name in held else f for name, f in zip(names, given.force, strict=True)],
-            moment=_moment({name: 0.0 for name in held}, turns, given.moment),
+            "TOP", motion={name: float(all_motions[name]) for name in prescribed},
+            force=[0.0 if name in prescribed else f for name, f in zip(names, reaction.force, strict=True)],
+            moment=_moment({name: 0.0 for name in prescribed}, turns, reaction.moment),
         )  # fmt: skip
         structure = loaded.structure
         again = Structure(structure.joint, body=BODY, supports={"BOTTOM": 0}, parts=[moved], element=structure.element)
         state = solve(model(again, kind))
-        assert state.reaction("TOP").force == pytest.approx(given.force, rel=1e-7)
-        assert state.reaction("TOP").moment == pytest.approx(given.moment, rel=1e-7)
+        assert state.reaction("TOP").force == pytest.approx(reaction.force, rel=1e-7)
+        assert state.reaction("TOP").moment == pytest.approx(reaction.moment, rel=1e-7)
         assert moved.motion_in(state).rotation == pytest.approx(motion.rotation, rel=1e-7)
         assert out_of_balance(state) < 1e-10
     stored = sum(value for name, value in first.energies().items() if name != "loads")
-    work = given.force @ motion.translation + np.sum(given.moment * motion.rotation)
+    work = reaction.force @ motion.translation + np.sum(reaction.moment * motion.rotation)
     assert stored == pytest.approx(work / 2, rel=1e-9)
 
 
-def _moment(held, turns, given):
-    values = [held.get(name, m) for name, m in zip(turns, np.atleast_1d(given), strict=True)]
+def _moment(prescribed, turns, moment):
+    values = [prescribed.get(name, m) for name, m in zip(turns, np.atleast_1d(moment), strict=True)]
     return values[0] if len(values) == 1 else values
 
 
@@ -131,11 +131,11 @@ def test_a_plate_that_holds_nothing():
         model(Structure(joint, body=BODY, supports={}, parts=[RigidPlate("TOP", force=(0.0, -1.0))]), "interface")
     with pytest.raises(InputError, match=r"rigid motion of the structure .rotation"):
         model(Structure(joint, body=BODY, supports={}, parts=[RigidPlate("TOP", motion={"x": 0, "y": 0})]), "interface")
-    held = RigidPlate("TOP", motion={"x": 0.0, "y": 0.0, "rotation": 0.0})
-    structure = Structure(joint, body=BODY, supports={}, parts=[held], tractions={"BOTTOM": (0.1, -0.2)})
+    plate = RigidPlate("TOP", motion={"x": 0.0, "y": 0.0, "rotation": 0.0})
+    structure = Structure(joint, body=BODY, supports={}, parts=[plate], tractions={"BOTTOM": (0.1, -0.2)})
     assert solve(model(structure, "interface")).reaction("TOP").force == pytest.approx([-0.2, 0.4], rel=1e-9)
-    one = RigidPlate("TOP", motion={"x": 0.0, "rotation": 0.0})
-    structure = Structure(joint, body=BODY, supports={}, parts=[one, Springs("BOTTOM", normal=1.0)])
+    guided_plate = RigidPlate("TOP", motion={"x": 0.0, "rotation": 0.0})
+    structure = Structure(joint, body=BODY, supports={}, parts=[guided_plate, Springs("BOTTOM", normal=1.0)])
     solve(model(structure, "interface"))
 
 
@@ -144,13 +144,13 @@ def test_a_body_that_is_loose_beside_a_plate():
     joint = sandwich(2.0, 0.5, 0.6, 0.5)
     structure = Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[RigidPlate("TOP", motion={"x": 0.0})])
     refused(LooseBody, "body 'UPPER'", lambda: solve(structure.interface({"S": None})))
-    held = RigidPlate("TOP", motion={"x": 0.01, "y": 0.0, "rotation": 0.0})
-    state = solve(Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[held]).interface({"S": None}))
+    plate = RigidPlate("TOP", motion={"x": 0.01, "y": 0.0, "rotation": 0.0})
+    state = solve(Structure(joint, body=BODY, supports={"BOTTOM": 0.0}, parts=[plate]).interface({"S": None}))
     assert state.reaction("TOP").force == pytest.approx([0.0, 0.0], abs=1e-10)
 
 
 def test_refused():
-    for given, message in [
+    for options, message in [
         (dict(place="TOB"), "did you mean 'TOP'"),
         (dict(place="TOP", force=(1.0,)), "2 finite components"),
         (dict(place="TOP", about=(True, 0.0)), "a point of 2 finite coordinates"),
@@ -160,8 +160,8 @@ def test_refused():
         (dict(place="TOP", force=lambda x, t: (x[0], 0.0)), "depends on the place"),
     ]:
 
-        def made(given=given):
-            parts = [RigidPlate(**given)]
+        def made(options=options):
+            parts = [RigidPlate(**options)]
             structure = Structure(sandwich(2.0, 0.5, 0.6, 0.5), body=BODY, supports={"BOTTOM": 0}, parts=parts)
             return solve(structure.interface(ThinLayer(GLUE, EPS, at=1.0)))
 
@@ -178,7 +178,7 @@ def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():
         law = LinearElastic.young(1.0, 0.35).scaled(1 / eps)
         full = solve(beam.full(ThinLayer(law, eps, at=1.0), cells_through=4))
         limit = solve(beam.interface(ThinLayer(law, eps, order=1, at=1.0)))
-        errors.append(apart(full, limit)[0])
+        errors.append(relative_errors(full, limit)[0])
         assert limit.load_work() == pytest.approx(full.load_work(), rel=1e-3)
         thick = ThinLayer(law, 2 * eps, order=1, at=1.0)
         anew, other = (solve(model).load_work() for model in (beam.interface(thick), limit.model.with_layer(thick)))
@@ -193,8 +193,8 @@ def test_a_plate_across_s_that_turns_has_the_thickness_for_an_arm():
 
 class Late(RigidPlate):
     def multi_point_constraint(self, model):
-        given = lambda t: model.coordinates.coefficient(LATE, "force", (2,)).at_time(t)
-        return replace(super().multi_point_constraint(model), resultant=lambda t: np.append(given(t), 0.0))
+        force = lambda t: model.coordinates.coefficient(LATE, "force", (2,)).at_time(t)
+        return replace(super().multi_point_constraint(model), resultant=lambda t: np.append(force(t), 0.0))
 
 
 LATE = piecewise({0.0: (0.0, 0.0), 1.0: (0.0, -1.0), 2.0: (0.0, -3.0)})

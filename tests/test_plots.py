@@ -36,11 +36,11 @@ def test_contact_along_s():
     (line,) = report.surface.along(report.p)
     for axes, values in ((p, report.p), (t_T, report.t_T[:, 0]), (u_T, report.u_T[:, 0]), (opening, -report.u_N)):
         x, y = axes.lines[0].get_xydata().T
-        known = np.isfinite(y)
+        is_finite = np.isfinite(y)
         assert x == pytest.approx(line.s)
-        assert y[known] == pytest.approx(values[known])
+        assert y[is_finite] == pytest.approx(values[is_finite])
         hidden = report.status == "pinned" if axes in (p, t_T) else False  # of which the force is the support's
-        assert (known == ~np.isin(x, line.s[np.broadcast_to(hidden, x.shape)])).all()
+        assert (is_finite == ~np.isin(x, line.s[np.broadcast_to(hidden, x.shape)])).all()
 
 
 def test_jumps_along_s():

@@ -87,10 +87,10 @@ def test_a_node_of_one_body(kind):
     for body, sense in (("UPPER", 1), ("LOWER", -1)):
         state = solve(model(Structure(FLAT, **HELD, loads=[PointLoad((2.0, 0.0), (0.3, 0.1), body=body)]), kind))
         assert out_of_balance(state) < 1e-10
-        found = state.applied(about=(0.0, 0.0))
+        resultant = state.applied(about=(0.0, 0.0))
         height = sense * EPS / 2 if kind == "full" else 0.0
-        assert found.force == pytest.approx([0.3, 0.1], rel=1e-12)
-        assert found.moment == pytest.approx(2 * 0.1 - height * 0.3, rel=1e-12)
+        assert resultant.force == pytest.approx([0.3, 0.1], rel=1e-12)
+        assert resultant.moment == pytest.approx(2 * 0.1 - height * 0.3, rel=1e-12)
         assert sense * (state.energies()["layer"] - 0.002) > 0  # the layer carries what loads the upper body
 
 
@@ -126,9 +126,9 @@ def test_lines_on_curved_edges():
     joint = ring(1.0, 1.5, 2.0, h=0.5, degree=2, depth=1.0)
     ends = [name for name in joint.facets if name not in ("INSIDE", "OUTSIDE", "S")]
     loads = [LineLoad("OUTSIDE", ends[0], (0.0, 0.0, 1.0))]
-    found = solve(Structure(joint, body=BODY, supports={ends[1]: 0.0}, loads=loads).bonded()).applied().force
-    assert found[2] == pytest.approx(4 * np.pi, rel=1e-4)
-    assert np.abs(found[:2]).max() < 1e-10
+    force = solve(Structure(joint, body=BODY, supports={ends[1]: 0.0}, loads=loads).bonded()).applied().force
+    assert force[2] == pytest.approx(4 * np.pi, rel=1e-4)
+    assert np.abs(force[:2]).max() < 1e-10
 
 
 def test_a_line_around_a_face_has_no_chords():
@@ -159,12 +159,12 @@ def test_a_pressure_all_around_is_hydrostatic(kind, bodies):
     state = solve(made)
     assert np.abs(state.applied().force).max() < 1e-12
     assert state.applied().moment == pytest.approx(0.0, abs=1e-12)
-    assert max(np.abs(one.force).max() for one in state.reactions_by_place().values()) < 1e-10
+    assert max(np.abs(reaction.force).max() for reaction in state.reactions_by_place().values()) < 1e-10
 
 
 def test_pressures_in_time_and_refused():
     joint = ring(1.0, 1.5, 2.0, h=0.5, degree=2)
-    bush = lambda **given: Structure(joint, body=BODY, supports={"OUTSIDE": 0.0}, **given).bonded()
+    bush = lambda **data: Structure(joint, body=BODY, supports={"OUTSIDE": 0.0}, **data).bonded()
     state = solve(bush(tractions={"INSIDE": Pressure(lambda x, t: t * (1 + x[0]))}), t=2.0)
     assert state.applied().force == pytest.approx([2 * np.pi, 0.0], rel=1e-3, abs=1e-9)  # from x to the outside
     assert out_of_balance(state) < 1e-9
@@ -197,12 +197,12 @@ def test_the_weight_of_a_layer(dim, profile):
 def test_columns_with_heavy_layers(eps):
     """Half on each side is exact in columns, for every thickness; left out it changes the jump by order eps."""
     joint, sides = sandwich(2.0, 0.5, 0.6, 0.5), {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}
-    given = {"body": BODY, "supports": sides, "tractions": {"TOP": (0.0, -0.3)}}
-    heavy, layer = Structure(joint, body_force={"S": (0.0, -3.0)}, **given), ThinLayer(GLUE, eps, at=1.0)
-    models = heavy.full(layer), heavy.interface(layer), Structure(joint, **given).interface(layer)
+    data = {"body": BODY, "supports": sides, "tractions": {"TOP": (0.0, -0.3)}}
+    heavy, layer = Structure(joint, body_force={"S": (0.0, -3.0)}, **data), ThinLayer(GLUE, eps, at=1.0)
+    models = heavy.full(layer), heavy.interface(layer), Structure(joint, **data).interface(layer)
     full, limit, light = map(solve, models)
-    found = compare(full, limit)
-    assert max(found["error_jump"], found["error_traction"]) < 1e-9
+    row = compare(full, limit)
+    assert max(row["error_jump"], row["error_traction"]) < 1e-9
     surface = Surface(limit.model)
     jump, weightless = (surface.integral(surface.jump(state)[1]) for state in (limit, light))
     assert jump / weightless == pytest.approx(1 + 3.0 * eps / 2 / 0.3, rel=1e-9)
@@ -213,18 +213,18 @@ def test_the_weight_on_a_rigid_base(plane):
     """Half of it goes to the base directly: the loads and the reaction of the base are those of the meshed layer."""
     g = lambda x, t: (0.0, -3.0 * t * (1 + x[0]))
     supports = {"LEFT": {"x": 0.0}} if plane == "strain" else {}
-    given = dict(body=BODY, supports=supports, body_force={"S": g, "BODY": (0.0, -1.0)}, plane=plane)
-    structure = Structure(block(2.0, 0.6, 0.5), **given)
+    data = dict(body=BODY, supports=supports, body_force={"S": g, "BODY": (0.0, -1.0)}, plane=plane)
+    structure = Structure(block(2.0, 0.6, 0.5), **data)
     area, moment = {"strain": (2.0, 4.0), "axisymmetric": (4 * np.pi, 4 * np.pi + 16 * np.pi / 3)}[plane]
-    weight, own = 3.0 * 0.4 * EPS * moment, 0.6 * area
+    weight, body_weight = 3.0 * 0.4 * EPS * moment, 0.6 * area
     for made in (structure.interface, structure.full):
         state = march(made(ThinLayer(CREEP, EPS, at=1.0)), [0.2, 0.4], theta=0.5).last
-        assert state.applied().force[1] == pytest.approx(-own - weight, rel=1e-9)
-        assert state.reaction("S").force[1] == pytest.approx(own + weight, rel=1e-9)
+        assert state.applied().force[1] == pytest.approx(-body_weight - weight, rel=1e-9)
+        assert state.reaction("S").force[1] == pytest.approx(body_weight + weight, rel=1e-9)
         assert out_of_balance(state) < 1e-9
         if plane == "strain":  # 3 t eps int x (1 + x), and the middle of the body
             there = state.applied(about=(0.0, 0.0)).moment
-            assert there == pytest.approx(-own - 3.0 * 0.4 * EPS * (2 + 8 / 3), rel=1e-9)
+            assert there == pytest.approx(-body_weight - 3.0 * 0.4 * EPS * (2 + 8 / 3), rel=1e-9)
 
 
 @pytest.mark.parametrize(("place", "weighed"), [((2.0, 0.6), ("LOWER",)), ((2.0, -0.5), ("LOWER", "UPPER"))])
@@ -233,16 +233,16 @@ def test_a_load_at_a_point_beside_weights(place, weighed):
     plates = sandwich(width=2.0, lower=0.5, upper=0.6, h=0.3)
     weights, heights = {"LOWER": (0.04, -0.3), "UPPER": (0.01, -0.2)}, {"LOWER": (-0.5, 0.0), "UPPER": (0.0, 0.6)}
     force = (0.03, -0.4)
-    given = {"body_force": {name: weights[name] for name in weighed}, "loads": [PointLoad(place, force)]}
-    structure = Structure(plates, body=LinearElastic.young(E=90.0, nu=0.3), supports={"BOTTOM": 0}, **given)
+    loads = {"body_force": {name: weights[name] for name in weighed}, "loads": [PointLoad(place, force)]}
+    structure = Structure(plates, body=LinearElastic.young(E=90.0, nu=0.3), supports={"BOTTOM": 0}, **loads)
     state = solve(structure.interface(ThinLayer(LinearElastic(60.0, 40.0), 0.01, at=1.0)))
     total, moment = np.array(force), place[0] * force[1] - place[1] * force[0]
     for name in weighed:
         low, high = heights[name]
         weight = 2.0 * (high - low) * np.array(weights[name])
         total, moment = total + weight, moment + weight[1] - (low + high) / 2 * weight[0]
-    found, reaction = state.applied(about=(0, 0)), state.reaction("BOTTOM", about=(0, 0))
-    np.testing.assert_allclose([*found.force, found.moment], [*total, moment], rtol=1e-12)
+    resultant, reaction = state.applied(about=(0, 0)), state.reaction("BOTTOM", about=(0, 0))
+    np.testing.assert_allclose([*resultant.force, resultant.moment], [*total, moment], rtol=1e-12)
     np.testing.assert_allclose([*reaction.force, reaction.moment], [*-total, -moment], rtol=1e-10)
     above = np.array([0.0, 0.0]) if place[1] < 0 else np.array(force)
     above = above + (2.0 * 0.6 * np.array(weights["UPPER"]) if "UPPER" in weighed else 0.0)

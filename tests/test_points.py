@@ -25,7 +25,7 @@ def begun(name, theta):
 def memory_blocks(law: BulkLaw) -> list[int]:
     """Sizes of what is remembered: 1 a number, 3 a vector, 6 a symmetric tensor."""
     if isinstance(law, Stack) and len(law.laws) > 1:
-        return [3] * len(law.laws) + [size for one in law.laws for size in memory_blocks(one)]
+        return [3] * len(law.laws) + [size for sublayer in law.laws for size in memory_blocks(sublayer)]
     if isinstance(law, KernelLaw):
         return [6] * (law.memory // 6) + [1] * (law.memory % 6)
     return [SIZES[shape] for shape in law.internal.values()]
@@ -99,12 +99,12 @@ def test_no_direction_is_preferred(name, theta, flip):
         parts = np.split(q, np.cumsum(memory_blocks(law))[:-1], axis=1) if q.shape[1] else []
         return np.concatenate([np.empty((len(q), 0)), *map(turned, parts)], axis=1)
 
-    def close(found, expected):
-        return found == pytest.approx(expected, abs=1e-11 * np.abs(expected).max(initial=1e-300))
+    def close(actual, expected):
+        return actual == pytest.approx(expected, abs=1e-11 * np.abs(expected).max(initial=1e-300))
 
     now = start.respond(law, theta)
-    found = respond(law, turned(start.e), turned(start.e_old), memory(start.q), turned(start.n), DT, theta)
-    assert close(found.stress, turned(now.stress))
-    assert close(found.q, memory(now.q))
-    assert close(found.energies, now.energies)
-    assert close(found.tangent, np.swapaxes(turned(np.swapaxes(turned(now.tangent), 1, 2)), 1, 2))
+    answer = respond(law, turned(start.e), turned(start.e_old), memory(start.q), turned(start.n), DT, theta)
+    assert close(answer.stress, turned(now.stress))
+    assert close(answer.q, memory(now.q))
+    assert close(answer.energies, now.energies)
+    assert close(answer.tangent, np.swapaxes(turned(np.swapaxes(turned(now.tangent), 1, 2)), 1, 2))

@@ -32,11 +32,11 @@ def test_sublayers_of_one_law_are_that_law(name, theta):
     assert np.array_equal(alone.tangent, now.tangent)
     for fractions in ((0.5, 0.5), (0.1, 0.7, 0.2)):
         stack = Stack(*((a, law) for a in fractions))
-        found = situation(stack, theta).respond(stack, theta)
-        assert found.stress == pytest.approx(now.stress, abs=EXACT * np.abs(now.stress).max())
-        assert found.tangent == pytest.approx(now.tangent, abs=1e-11 * np.abs(now.tangent).max())
-        assert found.energies == pytest.approx(now.energies, abs=EXACT * np.abs(now.energies).max())
-        assert np.abs(found.q[:, : 3 * len(fractions)]).max() < 1e-13
+        response = situation(stack, theta).respond(stack, theta)
+        assert response.stress == pytest.approx(now.stress, abs=EXACT * np.abs(now.stress).max())
+        assert response.tangent == pytest.approx(now.tangent, abs=1e-11 * np.abs(now.tangent).max())
+        assert response.energies == pytest.approx(now.energies, abs=EXACT * np.abs(now.energies).max())
+        assert np.abs(response.q[:, : 3 * len(fractions)]).max() < 1e-13
 
 
 @pytest.mark.parametrize("theta", [1.0, 0.5])
@@ -51,10 +51,10 @@ def test_sublayers_share_traction_and_add_up_jumps(name, theta):
     old, new = shares[:count], shares[count:]
     assert sum(a * g for a, g in zip(law.fractions, new, strict=True)) == pytest.approx(0.0, abs=EXACT)
     mean, energies, tractions = 0.0, 0.0, []
-    for (a, one), g_old, g in zip(law.sublayers, old, new, strict=True):
-        memory = material(one).memory
+    for (a, sublayer_law), g_old, g in zip(law.sublayers, old, new, strict=True):
+        memory = material(sublayer_law).memory
         e, e_old = start.e + jump_strain(g, start.n), start.e_old + jump_strain(g_old, start.n)
-        part = respond(one, e, e_old, start.q[:, at : at + memory], start.n, DT, theta)
+        part = respond(sublayer_law, e, e_old, start.q[:, at : at + memory], start.n, DT, theta)
         assert now.q[:, at : at + memory] == pytest.approx(part.q, abs=1e-12)
         mean, energies = mean + a * part.stress, energies + a * part.energies
         tractions.append(traction(part.stress, start.n))
@@ -70,14 +70,14 @@ def test_elastic_sublayer_over_a_plastic_one_carries_its_limit():
     """The common traction is bounded by the plastic sublayer, the jump goes on in it."""
     law = STACKS["elastic, plastic"]
     t_T = MISES.strength / 3**0.5
-    e, q, found = np.zeros((1, 6)), np.zeros((1, material(law).memory)), []
+    e, q, tractions = np.zeros((1, 6)), np.zeros((1, material(law).memory)), []
     for w in np.linspace(0.0, 1.0, 21)[1:]:
         old, e = e, jump_strain(np.array([[w, 0, 0]]), E2[None])
         answer = respond(law, e, old, q, E2[None])
         q = answer.q
-        found.append(traction(answer.stress, E2[None])[0, 0])
+        tractions.append(traction(answer.stress, E2[None])[0, 0])
     K = 1 / (0.4 / STIFF.mu + 0.6 / MISES.mu)
-    assert found == pytest.approx(np.minimum(K * np.linspace(0.0, 1.0, 21)[1:], t_T), rel=1e-9)
+    assert tractions == pytest.approx(np.minimum(K * np.linspace(0.0, 1.0, 21)[1:], t_T), rel=1e-9)
     assert q[0, 0] == pytest.approx(t_T / STIFF.mu - 1.0, rel=1e-9)  # share of the elastic sublayer beyond the jump
 
 
@@ -102,7 +102,7 @@ def test_a_stack_finds_its_shares_for_steps_of_any_size(laws):
     Where it says that it has found them, the tractions are equal: the work of the step is the sublayers' energies, to
     1e-3 (a dashpot with p = 1.2 that hardly moves magnifies the rounding of its strain by 1e10).
     """
-    law = Stack(*((1 / len(laws), one) for one in laws))
+    law = Stack(*((1 / len(laws), sublayer_law) for sublayer_law in laws))
     random, failed, wrong = np.random.default_rng(0), {}, {}
     for size in (1e-6, 1e-4, 1e-2, 1.0):
         for dt in (1e-3, 1e-1, 10.0):

@@ -34,9 +34,9 @@ def test_kelvin_voigt_and_norton_traction(jumps, theta, p):
     w_old, w, n = jumps
     mid, rate = theta * w + (1 - theta) * w_old, (w - w_old) / DT
     law = Norton(LMBDA, MU, 5.0, p) if p else KELVIN
-    given = (5.0, p) if p else (0.3, 0.5)
+    parameters = (5.0, p) if p else (0.3, 0.5)
     closed = closed_forms.norton if p else closed_forms.kelvin_voigt
-    expected = [closed(LMBDA, MU, *given, *one) for one in zip(mid, rate, n, strict=True)]
+    expected = [closed(LMBDA, MU, *parameters, *sample) for sample in zip(mid, rate, n, strict=True)]
     assert traction_of(law, jumps, theta) == pytest.approx(np.array(expected), rel=EXACT)
 
 
@@ -52,7 +52,7 @@ def test_maxwell_rate_form(jumps, theta):
     then = respond(MAXWELL, jump_strain(w, n), jump_strain(w_old, n), first.q, n, DT, theta)
     t_old, t_mid, t = (traction(s, n) for s in (first.q, then.stress, then.q))
     assert first.stress == pytest.approx(respond(ELASTIC, jump_strain(w_old, n), 0 * q, q[:, :0], n).stress, rel=EXACT)
-    elastic = np.array([closed_forms.elastic(LMBDA, MU, *one) for one in zip(w - w_old, n, strict=True)])
+    elastic = np.array([closed_forms.elastic(LMBDA, MU, *sample) for sample in zip(w - w_old, n, strict=True)])
     assert (t - t_old) / DT + t_mid / 0.7 == pytest.approx(elastic / DT, rel=1e-11)
 
 

@@ -11,7 +11,7 @@ from forms import Anisotropic, Incompressible, LinearElastic, Maxwell, Norton, R
 from geometry import sandwich, wall
 from studies.problems import FOURIER_LAYER, fourier
 from tests import reference
-from tests.ranges_told import STIFF, opened, strip_excess, times_too_stiff, told
+from tests.ranges_told import STIFF, opened, strip_excess, times_too_stiff, with_warnings
 from tests.test_networks import cut_at, on
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, compare, solve
 from thinlayer.surface.pressure_excess import pressure_excess, resting_sublayers
@@ -36,12 +36,12 @@ STRIPS = {0.3: (1.046, 1.013), 0.45: (1.121, 1.089), 0.49: (1.337, 1.319), 0.499
 @pytest.mark.parametrize("nu", STRIPS)
 def test_told_and_found(plates, nu):
     eps = 1 / 16
-    elastic, rubber = (one.shear(1.0, nu).scaled(1 / eps) for one in (LinearElastic, Rubber))
+    elastic, rubber = (law_class.shear(1.0, nu).scaled(1 / eps) for law_class in (LinearElastic, Rubber))
     limit = solve(plates.interface(ThinLayer(elastic, eps, at=1.0)))
     full = solve(plates.full(ThinLayer(rubber, eps, at=1.0), cells_through=4))
     surface, (wanted, there) = Surface(limit.model), STRIPS[nu]
-    mean = lambda field, one: surface.integral(field(one)[1])
-    stiffness = [mean(surface.traction, one) / mean(surface.jump, one) for one in (limit, full)]
+    mean = lambda field, state: surface.integral(field(state)[1])
+    stiffness = [mean(surface.traction, state) / mean(surface.jump, state) for state in (limit, full)]
     assert stiffness[0] / stiffness[1] == pytest.approx(there, rel=4e-3)
     (row,) = surface.table(limit).rows
     assert row["too_stiff"] == pytest.approx(wanted, rel=4e-3)
@@ -82,9 +82,9 @@ def test_what_warns_is_the_column(nu):
     supports = {"RIGHT/LOWER": 0.0, "LEFT/UPPER": {"y": 0.0}}
     data = {"body": LinearElastic.young(70e3, 0.33), "tractions": {"LEFT/UPPER": (-40.0, 0.0)}}
     lap = Structure(joint, supports=supports, **data)
-    state, found = told(lambda: solve(lap.interface(ThinLayer(LinearElastic.young(1e3, nu), 1.2, at=0.3))))
+    state, messages = with_warnings(lambda: solve(lap.interface(ThinLayer(LinearElastic.young(1e3, nu), 1.2, at=0.3))))
     factor = Surface(state.model).table(state)["too_stiff"][0]
-    assert [times_too_stiff(one) for one in found] == ([] if nu == 0.3 else [pytest.approx(factor, rel=1e-3)])
+    assert [times_too_stiff(text) for text in messages] == ([] if nu == 0.3 else [pytest.approx(factor, rel=1e-3)])
 
 
 def test_shear_does_not_hide_it(plates):
@@ -95,10 +95,10 @@ def test_shear_does_not_hide_it(plates):
     pure = strip_excess(0.5 / (eps * layer.length))
     told_with, share = {}, {}
     for slip in (0.0, 0.06, 60.0):
-        found = pressure_excess(opened(model, lambda x, w=slip: (w + 0 * x[0], 1e-3 + 0 * x[0])), layer)
-        assert found.opening == pytest.approx(pure, rel=5e-3)
-        told_with[slip], share[slip] = found.reported, found.traction
-        assert (found.work < 0.1) == (slip > 0)
+        excess = pressure_excess(opened(model, lambda x, w=slip: (w + 0 * x[0], 1e-3 + 0 * x[0])), layer)
+        assert excess.opening == pytest.approx(pure, rel=5e-3)
+        told_with[slip], share[slip] = excess.reported, excess.traction
+        assert (excess.work < 0.1) == (slip > 0)
     soft = pytest.approx(pure, rel=5e-3)
     assert told_with == {0.0: soft, 0.06: soft, 60.0: pytest.approx(0, abs=1e-6)}
     t_T = layer.mu * 60.0 / ((layer.lmbda + 2 * layer.mu) * 1e-3)  # over t_N

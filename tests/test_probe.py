@@ -61,19 +61,19 @@ def test_internal_variables_are_those_of_the_memory(kind):
     (key,) = probe.names
     assert probe.names[key] == ["plastic", "accumulated"]
     assert key == "layer 2" if kind == "interface" else "layer"
-    found = probe.points("plastic")
-    assert found.key == key
-    order = np.lexsort([*np.round(found.x.T[::-1], 9), found.entity])  # by cell or facet, then by place
+    points = probe.points("plastic")
+    assert points.key == key
+    order = np.lexsort([*np.round(points.x.T[::-1], 9), points.entity])  # by cell or facet, then by place
     assert np.array_equal(order, np.arange(len(order)))
-    assert found.values.shape == (len(found.x), 3, 3)
-    assert found.values == pytest.approx(found.values.swapaxes(1, 2))
-    assert found.weights.sum() == pytest.approx(2.0 * EPS * (1.0 if kind == "interface" else 0.6))
+    assert points.values.shape == (len(points.x), 3, 3)
+    assert points.values == pytest.approx(points.values.swapaxes(1, 2))
+    assert points.weights.sum() == pytest.approx(2.0 * EPS * (1.0 if kind == "interface" else 0.6))
     memory = state.memory[next(iter(state.memory))][:, -7:-1]
-    norms = np.sort(np.linalg.norm(found.values, axis=(1, 2)))
+    norms = np.sort(np.linalg.norm(points.values, axis=(1, 2)))
     assert norms == pytest.approx(np.sort(np.linalg.norm(memory, axis=1)))  # Mandel's components keep it
     assert norms.max() > 0.1
-    places = found.x[[3, 10]] if kind == "full" else np.column_stack([found.x[[3, 10], 0], [0.0, 0.0]])
-    assert probe.internal("plastic", places, key) == pytest.approx(found.values[[3, 10]])
+    places = points.x[[3, 10]] if kind == "full" else np.column_stack([points.x[[3, 10], 0], [0.0, 0.0]])
+    assert probe.internal("plastic", places, key) == pytest.approx(points.values[[3, 10]])
     refused(InputError, "there is no internal variable 'flow'; known: layer", lambda: probe.points("flow"))
     where = "does not act at" if kind == "full" else "are not on S"
     refused(InputError, where, lambda: probe.internal("plastic", [1.0, -0.31]))
@@ -98,8 +98,8 @@ def test_several_bodies_meet():
     above = probe.displacement(t_joint, side="upper", seam="BED")
     assert above == pytest.approx(probe.displacement([2.0, 1.0 + 1e-7]), rel=1e-5)
     left, right = (probe.displacement(t_joint, side=side, seam="HEAD") for side in ("lower", "upper"))
-    beside = probe.displacement([[2.0 - 1e-7, 1.0 - 1e-7], [2.0 + 1e-7, 1.0 - 1e-7]])
-    assert np.array([left, right]) == pytest.approx(beside, rel=1e-5)
+    adjacent = probe.displacement([[2.0 - 1e-7, 1.0 - 1e-7], [2.0 + 1e-7, 1.0 - 1e-7]])
+    assert np.array([left, right]) == pytest.approx(adjacent, rel=1e-5)
     assert np.abs([left - right, left - above]).max(axis=1).min() > 1e-4
 
 

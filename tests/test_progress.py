@@ -43,10 +43,10 @@ def test_a_pipe_gets_a_line_a_minute():
 
 
 def test_a_terminal_gets_one_line_that_changes_and_goes():
-    told = three_runs(True, 2.0)
-    assert "\n" not in told
-    assert told.endswith("\r\x1b[K")
-    assert "sweep: 1 of 3, eps = 0.4, march: t = 3 of 4, 0:00:06 so far, about 0:00:18 left" in told
+    output = three_runs(True, 2.0)
+    assert "\n" not in output
+    assert output.endswith("\r\x1b[K")
+    assert "sweep: 1 of 3, eps = 0.4, march: t = 3 of 4, 0:00:06 so far, about 0:00:18 left" in output
 
 
 @pytest.mark.parametrize("terminal", [True, False])
@@ -70,6 +70,6 @@ def test_all_long_work_tells(monkeypatch, capsys, tmp_path):
         r"thin_enough, estimate": lambda: thin_enough(structure, layer, 0.02, t=1.0),
         r"movie: 2 of 2, a frame": lambda: plotting.movie(march(model, [1.0]), save=tmp_path / "a.gif"),
     }
-    for told, run in work.items():
+    for pattern, run in work.items():
         run()
-        assert re.search(told, capsys.readouterr().err), told
+        assert re.search(pattern, capsys.readouterr().err), pattern

@@ -39,18 +39,18 @@ def test_numbers_places_units_and_orders_do_not_matter(tmp_path_factory, seed):
         blocks = [*(("line", nodes[rows]) for rows in FACETS.values()), ("quad", nodes[quads])]
         write(path, points, blocks, [[1, 1], [2, 2], [3, 3], [4, 4], regions], NAMES)
         structure = Structure(read(path, upper="UP", scale=scale), body=bodies, supports={"BED": 0.0}, tractions=loads)
-        return [solve(one).load_work() for one in (structure.interface(layer), structure.full(layer))]
+        return [solve(model).load_work() for model in (structure.interface(layer), structure.full(layer))]
 
-    own = LinearElastic(SOFT.lmbda * eps / at, SOFT.mu * eps / at)
-    known = works(points, np.arange(9), QUADS, [1, 1, 2, 2], ThinLayer(own, 0.1 * eps), LOADS, BODIES, 1.0)
+    scaled_law = LinearElastic(SOFT.lmbda * eps / at, SOFT.mu * eps / at)
+    expected = works(points, np.arange(9), QUADS, [1, 1, 2, 2], ThinLayer(scaled_law, 0.1 * eps), LOADS, BODIES, 1.0)
     nodes, cells = random.permutation(9), random.permutation(4)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * [flip, 1]
     placed, loads = np.empty_like(points), {name: turn @ LOADS[name] for name in ("SIDE", "TOP")}
     placed[nodes] = points @ turn.T + (5.0, -3.0)
     quads = np.array([np.roll(quad, random.integers(4))[:: random.choice([-1, 1])] for quad in QUADS[cells]])
     bodies, layer = dict(reversed(BODIES.items())), ThinLayer(SOFT, 0.1 * eps * scale, at=0.1 * at * scale)
-    found = works(placed, nodes, quads, cells // 2 + 1, layer, loads, bodies, scale)
-    assert found == pytest.approx(np.multiply(known, scale**2), rel=1e-8)  # rounding, of layers 1e3 times softer
+    values = works(placed, nodes, quads, cells // 2 + 1, layer, loads, bodies, scale)
+    assert values == pytest.approx(np.multiply(expected, scale**2), rel=1e-8)  # rounding, of layers 1e3 times softer
 
 
 # ---------------------------------------------------------------- laws
@@ -67,14 +67,14 @@ LAWS = {
 
 @pytest.mark.parametrize("name", LAWS)
 @some
-@given(a=sizes, b=sizes, path=st.lists(jumps, max_size=2), one=jumps, other=jumps)
-def test_a_larger_jump_needs_a_larger_traction(name, a, b, path, one, other):
+@given(a=sizes, b=sizes, path=st.lists(jumps, max_size=2), jump=jumps, other=jumps)
+def test_a_larger_jump_needs_a_larger_traction(name, a, b, path, jump, other):
     """A step of a law without softening, whose flow is associated, has a convex potential, whatever was before."""
     law = LAWS[name](a, b)
-    steps = [[{"w_T": w[0], "w_N": w[1]} for w in (*path, last)] for last in (one, other)]
+    steps = [[{"w_T": w[0], "w_N": w[1]} for w in (*path, last)] for last in (jump, other)]
     t, u = (drive(law, each, dt=0.3).tractions[-1] for each in steps)
-    rounding = 1e-9 * (np.linalg.norm(t) + np.linalg.norm(u)) * np.linalg.norm(one - other)
-    assert (t - u) @ (one - other) >= -rounding  # tractions are found to 1e-12 of moduli
+    rounding = 1e-9 * (np.linalg.norm(t) + np.linalg.norm(u)) * np.linalg.norm(jump - other)
+    assert (t - u) @ (jump - other) >= -rounding  # tractions are found to 1e-12 of moduli
 
 
 # ---------------------------------------------------------------- memory

@@ -46,9 +46,9 @@ class Remembering(Own):
         return {"nothing": step.q["nothing"]}
 
 
-def told(action):
+def range_warnings(action):
     """The messages of its RangeWarnings."""
-    return ranges_told.told(action)[1]
+    return ranges_told.with_warnings(action)[1]
 
 
 # ---------------------------------------------------------------- tangents at rest
@@ -88,9 +88,9 @@ def test_harder_than_a_body(kind):
         law = {"layer": Own(e.lmbda, e.mu), "bodies": e, "incompressible": Incompressible(e.mu * 1.3 / 2 / 0.91)}[kind]
         two = {"body": {"LOWER": STIFF, "UPPER": bodies}}
         model = Structure(joint, **setup | two).interface(ThinLayer(law, 0.01, at=1.0))
-        found = told(lambda model=model: solve(model))
-        assert len(found) == messages
-        assert not found or "the layer is 1.01 times as hard as the softer body" in found[0]
+        reported = range_warnings(lambda model=model: solve(model))
+        assert len(reported) == messages
+        assert not reported or "the layer is 1.01 times as hard as the softer body" in reported[0]
 
 
 def test_incompressible_with_free_ends():
@@ -99,9 +99,9 @@ def test_incompressible_with_free_ends():
     layer = ThinLayer(Incompressible(40.0), 0.1, at=1.0)
     for sides, messages in (({"LEFT": {"x": 0.0}}, 1), ({"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}, 0)):
         data = {"body": STIFF, "supports": {"BOTTOM": 0.0, **sides}, "tractions": {"TOP": (0.0, -1.0)}}
-        found = told(lambda data=data: solve(Structure(joint, **data).interface(layer)))
-        assert len(found) == messages
-        assert not found or "incompressible: the layer is incompressible and S has free ends" in found[0]
+        reported = range_warnings(lambda data=data: solve(Structure(joint, **data).interface(layer)))
+        assert len(reported) == messages
+        assert not reported or "incompressible: the layer is incompressible and S has free ends" in reported[0]
 
 
 # ---------------------------------------------------------------- negative stiffness

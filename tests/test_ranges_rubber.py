@@ -8,7 +8,7 @@ from scipy.special import iv
 
 from forms import KelvinVoigt, LinearElastic, Maxwell, Stack
 from geometry import block, sandwich
-from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, told
+from tests.ranges_told import STIFF, excess, strip_excess, times_too_stiff, with_warnings
 from thinlayer import Structure, Surface, ThinLayer, march, solve
 from thinlayer.solving.ranges import warn_of_model
 from thinlayer.surface.pressure_excess import RestingSublayer, pressure_length
@@ -34,7 +34,7 @@ def test_strip_on_a_rigid_base_under_a_profile():
     profile = lambda x: 1 + 0.5 * x[0]
     law, eps = LinearElastic.shear(3.0, 0.499), 1 / 16
     model = Structure(joint, body=STIFF, supports={"TOP": 0.0}).interface(ThinLayer(law, eps, profile=profile, at=1.0))
-    found = excess(model, lambda x: (0 * x[0], 1e-3 * (1 + x[0])))
+    excess_work = excess(model, lambda x: (0 * x[0], 1e-3 * (1 + x[0])))
     n = 1000
     x = (np.arange(n) + 0.5) / n
     e, w, faces = eps * profile([x]), 1e-3 * (1 + x), eps * profile([np.arange(1, n) / n])
@@ -44,7 +44,7 @@ def test_strip_on_a_rigid_base_under_a_profile():
     diagonal = e / lmbda + np.append(flow, 0) + np.append(0, flow)
     diagonal[[0, -1]] += ends
     p = np.linalg.solve(np.diag(diagonal) - np.diag(flow, 1) - np.diag(flow, -1), w)
-    assert found == pytest.approx(np.sum(lmbda * w**2 / e) / np.sum(p * w) - 1, rel=5e-3)
+    assert excess_work == pytest.approx(np.sum(lmbda * w**2 / e) / np.sum(p * w) - 1, rel=5e-3)
 
 
 def disc_share(x):
@@ -70,7 +70,7 @@ def test_disc_of_revolution():
     assert excess(model, lambda x: (1e-3 * x[0], 0 * x[0])) == pytest.approx(wanted, rel=3e-3)
     stack = Stack((0.5, law), (0.5, LinearElastic.shear(3.1, 0.499)))
     halves = Structure(joint, **setup).interface(ThinLayer(stack, eps, at=1.0))
-    assert "free ends (0.4)" in told(lambda: solve(halves))[1][0]
+    assert "free ends (0.4)" in with_warnings(lambda: solve(halves))[1][0]
 
 
 def test_rubber_is_told_once():
@@ -80,22 +80,22 @@ def test_rubber_is_told_once():
     eps = 1 / 16
     for nu, factor in ((0.3, None), (0.45, 1.121), (0.49, 1.337), (0.4999, 20.55)):
         model = Structure(joint, **setup).interface(ThinLayer(LinearElastic.shear(1.0, nu), eps))
-        _, found = told(lambda model=model: solve(model))
-        assert len(found) == (factor is not None)
-        assert not found or times_too_stiff(found[0]) == pytest.approx(factor, rel=2e-3)
-    _, found = told(lambda: march(model, [1.0, 2.0, 3.0]))
-    assert len(found) == 1
+        _, messages = with_warnings(lambda model=model: solve(model))
+        assert len(messages) == (factor is not None)
+        assert not messages or times_too_stiff(messages[0]) == pytest.approx(factor, rel=2e-3)
+    _, messages = with_warnings(lambda: march(model, [1.0, 2.0, 3.0]))
+    assert len(messages) == 1
 
 
 def test_length_of_the_pressure_in_series():
     """delta^2 = B/c with B int 1/mu the variance of int_0^z dz, over what is nearly incompressible, weighted with 1/mu."""
     eps_over_width = 0.03
     rubber, soft = RestingSublayer(0.7, 9e3, 9.0, 36.0), RestingSublayer(0.3, 3.0, 2.0, 4.4)
-    found = pressure_length([rubber, soft], 1 / eps_over_width)
+    length = pressure_length([rubber, soft], 1 / eps_over_width)
     fluidity = 0.7 / 9 + 0.3 / 2
     mean, square = (0.7**2 / 18 + 0.7 * 0.15) / fluidity, (0.7**3 / 27 + 0.7**2 * 0.15) / fluidity
     B, c = fluidity * (square - mean**2), rubber.compliance + soft.compliance
-    assert found == pytest.approx((B / c) ** 0.5, rel=2e-3)  # the soft one is hardly stretched
+    assert length == pytest.approx((B / c) ** 0.5, rel=2e-3)  # the soft one is hardly stretched
     assert pressure_length([rubber], 10.0) == pytest.approx(rubber.length)
     halves = [RestingSublayer(0.35, 9e3, 9.0, 36.0)] * 2
     assert pressure_length(halves, 10.0) == pytest.approx(rubber.length)
@@ -106,10 +106,10 @@ def test_length_of_the_pressure_in_series():
         0.35,
         10.0,
     )  # does not shear; the flow of each half stretches it
-    held = 2 * 9 / h + 0.3 * sheet.along * width / (width**3 / 3)  # moves in proportion to the distance: works
-    B = 9e3 / 9018 * (h**3 / (6 * 9) + h**2 / held)
-    found = pressure_length([halves[0], sheet, halves[1]], width)
-    assert found == pytest.approx((B / (2 * halves[0].compliance + sheet.compliance)) ** 0.5, rel=1e-6)
+    resistance = 2 * 9 / h + 0.3 * sheet.along * width / (width**3 / 3)  # moves in proportion to the distance: works
+    B = 9e3 / 9018 * (h**3 / (6 * 9) + h**2 / resistance)
+    length = pressure_length([halves[0], sheet, halves[1]], width)
+    assert length == pytest.approx((B / (2 * halves[0].compliance + sheet.compliance)) ** 0.5, rel=1e-6)
 
 
 BULK = 3 * 0.28 / 1.28  # t2/t1 of a Maxwell law with nu = 0.28 whose mean stress does not relax
@@ -129,17 +129,17 @@ def test_becomes_nearly_incompressible(law, end, lasting, ratio):
     setup = {"body": STIFF, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": (0.0, -1.0)}}
     layer, times = ThinLayer(law, eps, at=1.0), np.linspace(0, end, 6)[1:]
     model = Structure(joint, **setup).interface(layer)
-    history, found = told(lambda: march(model, times))
+    history, texts = with_warnings(lambda: march(model, times))
     y = np.sqrt(ratio / 12) * eps / 0.5
-    assert len(found) == 2
-    assert f"nearly incompressible under loads that last {lasting}:" in found[0]
-    assert times_too_stiff(found[0]) == pytest.approx(1 / (1 - np.tanh(1 / y) * y), rel=5e-3)  # three digits are told
-    assert f"under loads that last {end:g} has lmbda/mu" in found[1]
+    assert len(texts) == 2
+    assert f"nearly incompressible under loads that last {lasting}:" in texts[0]
+    assert times_too_stiff(texts[0]) == pytest.approx(1 / (1 - np.tanh(1 / y) * y), rel=5e-3)  # three digits are told
+    assert f"under loads that last {end:g} has lmbda/mu" in texts[1]
     surface, full = Surface(model), march(Structure(joint, **setup).full(layer), times)
     meshed, jumps = ([surface.integral(surface.jump(h.at(t))[1]) for t in times] for h in (full, history))
     ratios = np.divide(meshed, jumps)
-    assert times_too_stiff(found[0]) == pytest.approx(max(ratios), rel=0.1)  # exp(-t) is no 1/(1 + t)
-    assert times_too_stiff(found[1]) == pytest.approx(ratios[-1], rel=0.1)
+    assert times_too_stiff(texts[0]) == pytest.approx(max(ratios), rel=0.1)  # exp(-t) is no 1/(1 + t)
+    assert times_too_stiff(texts[1]) == pytest.approx(ratios[-1], rel=0.1)
 
 
 def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
@@ -148,8 +148,8 @@ def test_a_viscous_layer_is_not_yet_what_it_is_at_rest():
     spring = LinearElastic.shear(16.0, 0.499)
     layer = ThinLayer(KelvinVoigt(spring.lmbda, spring.mu, 0.0, 10.0), eps, at=1.0)
     model = Structure(joint, body=STIFF, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.0, -1.0)}).interface(layer)
-    short, long = (told(lambda times=times: march(model, times))[1] for times in ([0.1, 0.2], [100.0, 200.0]))
-    assert not any("incompressible" in one for one in short)
-    assert sum("times too stiff" in one for one in long) == 2
-    (at_rest,) = told(lambda: warn_of_model(model.with_layer(layer)))[1]  # loads of no times
+    short, long = (with_warnings(lambda times=times: march(model, times))[1] for times in ([0.1, 0.2], [100.0, 200.0]))
+    assert not any("incompressible" in message for message in short)
+    assert sum("times too stiff" in message for message in long) == 2
+    (at_rest,) = with_warnings(lambda: warn_of_model(model.with_layer(layer)))[1]  # loads of no times
     assert "incompressible" in at_rest

@@ -28,21 +28,21 @@ def golden() -> dict[str, list[float]]:
 @on_ranks(golden, 2)
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")
 def test_all_golden_numbers(there: dict[str, list[float]]) -> None:
-    for name, found in there.items():
-        test_golden.assert_golden(name, found)
+    for name, values in there.items():
+        test_golden.assert_golden(name, values)
 
 
-def assert_same(found: Any, expected: Any, tolerance: float, name: str) -> None:
+def assert_same(actual: Any, expected: Any, tolerance: float, name: str) -> None:
     if isinstance(expected, dict):
-        assert list(found) == list(expected), name
+        assert list(actual) == list(expected), name
         for key, value in expected.items():
-            assert_same(found[key], value, tolerance, f"{name}, {key}")
-    elif isinstance(expected, list) and any(isinstance(one, dict | list) for one in expected):
-        for k, (one, other) in enumerate(zip(found, expected, strict=True)):
-            assert_same(one, other, tolerance, f"{name}, {k}")
+            assert_same(actual[key], value, tolerance, f"{name}, {key}")
+    elif isinstance(expected, list) and any(isinstance(entry, dict | list) for entry in expected):
+        for k, (entry, other) in enumerate(zip(actual, expected, strict=True)):
+            assert_same(entry, other, tolerance, f"{name}, {k}")
     else:
         least = max(0.01 * tolerance * np.abs(expected).max(initial=0.0), 1e-3 * tolerance, 1e-12)
-        assert found == pytest.approx(expected, rel=tolerance, abs=least), name
+        assert actual == pytest.approx(expected, rel=tolerance, abs=least), name
 
 
 @pytest.mark.long

@@ -48,7 +48,7 @@ def test_contact(method):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_column_between_rollers(kind):
     """Uniaxial strain: closed forms of all reactions, and of the moment of a linear pressure about its middle."""
-    sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}
+    sides = {"LEFT": {"x": 0}, "RIGHT": {"x": 0.0}, "BOTTOM": {"y": 0.0}}
     joint = sandwich(2.0, 0.5, 0.6, 0.5)
     structure = Structure(joint, body=GLUE.scaled(EPS), supports=sides, tractions={"TOP": (0.0, -0.7)})
     state = solve(getattr(structure, kind)(*[ThinLayer(GLUE, EPS, at=1.0)] * (kind != "bonded")))
@@ -65,9 +65,9 @@ def test_a_column_between_rollers(kind):
 def test_a_corner_of_two_supports():
     """Each component's force belongs to the support that prescribes it; if both do, they share it."""
     joint, pull = sandwich(1.0, 0.5, 0.5, 0.5), {"TOP": (0.4, -0.3)}
-    one = solve(Structure(joint, body=BODY, supports={"BOTTOM": {"y": 0}, "LEFT": {"x": 0.0}}, tractions=pull).bonded())
-    assert one.reaction("BOTTOM").force == pytest.approx([0.0, 0.3], abs=1e-10)
-    assert one.reaction("LEFT").force == pytest.approx([-0.4, 0.0], abs=1e-10)
+    state = solve(Structure(joint, body=BODY, supports={"BOTTOM": {"y": 0}, "LEFT": {"x": 0}}, tractions=pull).bonded())
+    assert state.reaction("BOTTOM").force == pytest.approx([0.0, 0.3], abs=1e-10)
+    assert state.reaction("LEFT").force == pytest.approx([-0.4, 0.0], abs=1e-10)
     twice = Structure(joint, body=BODY, supports={"BOTTOM": 0.0, "LEFT/LOWER": 0.0}, tractions=pull)
     assert out_of_balance(solve(twice.bonded())) < BALANCED
 
@@ -126,7 +126,7 @@ def test_a_resumed_march_has_what_all_its_parts_remember(tmp_path):
 def numbers() -> dict[str, list[float]]:
     """Reactions in space, to lines, points, springs, pressures and a layer's weight."""
     state = solve(loaded(3, "interface"), t=1.5)
-    return {str(place): [*one.force, *one.moment] for place, one in state.reactions_by_place().items()}
+    return {str(place): [*reaction.force, *reaction.moment] for place, reaction in state.reactions_by_place().items()}
 
 
 # ---------------------------------------------------------------- refused

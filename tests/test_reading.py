@@ -121,8 +121,8 @@ def test_whole_boundary_between_bodies(draw, tmp_path):
 
 
 def test_rigid_base(draw, tmp_path):
-    one, two = boxes(draw, (0, 0, 1, 1), (1, 0, 1, 1), dim=3)
-    path = save(tmp_path / "a.msh", 3, {(3, "ONE"): [one], (3, "TWO"): [two], (2, "FOOT"): sides(0, 0, 2, 0, 3)})
+    left, right = boxes(draw, (0, 0, 1, 1), (1, 0, 1, 1), dim=3)
+    path = save(tmp_path / "a.msh", 3, {(3, "ONE"): [left], (3, "TWO"): [right], (2, "FOOT"): sides(0, 0, 2, 0, 3)})
     joint = read(path, S="FOOT")
     assert joint.rigid_base
     assert (joint.seams["S"].upper, set(joint.facets)) == (("ONE", "TWO"), {"S"})

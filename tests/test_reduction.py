@@ -38,8 +38,8 @@ SIDE = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}}
 varies = lambda x: 1 + x[0]
 
 
-def thin(law=GLUE, order=1, **given):
-    return ThinLayer(law, 0.1, **{"order": order, "at": 1.0} | given)
+def thin(law=GLUE, order=1, **options):
+    return ThinLayer(law, 0.1, **{"order": order, "at": 1.0} | options)
 
 
 def elastic(ratio):
@@ -82,7 +82,7 @@ TABLE = {
         ("eigenstrain", thin(eigenstrain=0.01), {}),
         *(("contrast", thin(kind.shear(25.1, 0.3)), {}) for kind in (LinearElastic, Rubber)),
         (None, thin(LinearElastic.shear(24.9, 0.3)), {}),
-        *(("contrast", thin(), {"body": {one: BODY, other: GLUE}}) for one, other in permutations(("LOWER", "UPPER"))),
+        *(("contrast", thin(), {"body": {hard: BODY, soft: GLUE}}) for hard, soft in permutations(("LOWER", "UPPER"))),
         ("coarse", thin(Rubber(74.0, 1.0)), {}),
         (None, thin(Rubber(76.0, 1.0)), {}),  # its pressure falls over 0.2517, cells are 0.25 long
         ("apart", thin(), {"bodies": "extended"}),
@@ -123,16 +123,16 @@ TABLE = {
 ROWS = [(question, *row) for question, rows in TABLE.items() for row in rows]
 
 
-@pytest.mark.parametrize(("question", "key", "layer", "given"), ROWS)
-def test_the_first_condition_that_does_not_hold(question, key, layer, given):
-    given = dict(given)
-    joint, bodies = given.pop("joint", PLATES), given.pop("bodies", "kept")
-    structure = Structure(joint, **{"body": BODY, "supports": {"BOTTOM": 0.0}} | given)
-    known = Applicability(SeamLayer(next(iter(joint.seams)), layer, structure), bodies)
-    why = known.why_not(question)
+@pytest.mark.parametrize(("question", "key", "layer", "setup"), ROWS)
+def test_the_first_condition_that_does_not_hold(question, key, layer, setup):
+    setup = dict(setup)
+    joint, bodies = setup.pop("joint", PLATES), setup.pop("bodies", "kept")
+    structure = Structure(joint, **{"body": BODY, "supports": {"BOTTOM": 0.0}} | setup)
+    applicability = Applicability(SeamLayer(next(iter(joint.seams)), layer, structure), bodies)
+    why = applicability.why_not(question)
     assert (why and why.key) == key
     if why:
-        assert refused(InputError, "; ", known.require, question).key == key
+        assert refused(InputError, "; ", applicability.require, question).key == key
 
 
 def test_models_ask():

@@ -57,7 +57,7 @@ def test_a_law_in_c_with_headers(tmp_path):
     source, header, inner = tmp_path / "spring.c", tmp_path / "factor.h", tmp_path / "inner.h"
     source.write_text(f'#include <math.h>\n# include "{header}"\n' + SPRING.replace("= in[17]", "= FACTOR * in[17]"))
     header.write_text('#include "inner.h"\n#ifdef NEVER\n#include "no/such/file.h"\n#endif\n')
-    known = set()
+    digests = set()
     for factor in (3, 7):
         inner.write_text(f'#pragma once\n#include "factor.h"\n#define FACTOR {factor}\n')
         law = from_c(5.0, source=source)
@@ -65,8 +65,8 @@ def test_a_law_in_c_with_headers(tmp_path):
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
         _loaded.cache_clear()  # as in another process
         assert drive(law, STEP).tractions[0] == pytest.approx(expected, rel=1e-14)
-        known.add(digest(describe(law)))
-    assert len(known) == 2
+        digests.add(digest(describe(law)))
+    assert len(digests) == 2
 
 
 def test_bad_c_sources(tmp_path):
@@ -91,5 +91,5 @@ def test_bad_declarations(tmp_path):
         ({}, "FromC.source is None; it must be the name of a C file"),
         *(({"memory": memory}, f"memory is {memory!r}; allowed: a whole number") for memory in (-1, 2.0)),
     ]:
-        given = ({"source": source} if "memory" in declared else {}) | declared
-        refused(InputError, message, lambda given=given: drive(from_c(5.0, **given), STEP))
+        arguments = ({"source": source} if "memory" in declared else {}) | declared
+        refused(InputError, message, lambda arguments=arguments: drive(from_c(5.0, **arguments), STEP))

@@ -25,8 +25,8 @@ SLIP_AND_OPENING = [[0.0, 0.3], [0.3, 1.0]]
 
 
 def pure(**changed: Any) -> NonMonotoneUnrelaxed:
-    given = {"lmbda": 2.0, "mu": 5.0, "alpha": 1.5, "transformation_energy": 0.3, "chi": SLIP_AND_OPENING}
-    return NonMonotoneUnrelaxed(**given | changed)
+    parameters = {"lmbda": 2.0, "mu": 5.0, "alpha": 1.5, "transformation_energy": 0.3, "chi": SLIP_AND_OPENING}
+    return NonMonotoneUnrelaxed(**parameters | changed)
 
 
 def model(law: BulkLaw, pull: float = 1.0) -> Model:
@@ -96,19 +96,19 @@ def wrong_on_one_rank() -> list[list[str]]:
     """A field, or a function that observes, that is wrong on one rank only: the same error on all ranks."""
     texts = []
     for law in (pure(alpha=TABLE, T=lambda x, t: np.where(x[0] > 1, 150.0, 20.0)), Varying(5.0, way=2)):
-        with pytest.raises(InputError) as found:
+        with pytest.raises(InputError) as error:
             march(model(law), [1.0], out="no/such/folder")
-        texts.append(str(found.value))
-    with pytest.raises(InputError) as found:
+        texts.append(str(error.value))
+    with pytest.raises(InputError) as error:
         march(model(pure()), [0.1], observe={"a": lambda state: 1 / (1 - MPI.COMM_WORLD.rank)})
-    return MPI.COMM_WORLD.allgather([*texts, str(found.value)])
+    return MPI.COMM_WORLD.allgather([*texts, str(error.value)])
 
 
 @pytest.mark.long
 @on_ranks(wrong_on_one_rank, 2)
 def test_all_ranks_refuse(there):
-    one, two = there
-    assert one == two
-    assert "alpha(T): T is 150; the table knows 0 to 100" in one[0]
-    assert "Varying.at(x, t)" in one[1]
-    assert "observe['a'] at t = 0: rank 1: ZeroDivisionError" in one[2]
+    first, second = there
+    assert first == second
+    assert "alpha(T): T is 150; the table knows 0 to 100" in first[0]
+    assert "Varying.at(x, t)" in first[1]
+    assert "observe['a'] at t = 0: rank 1: ZeroDivisionError" in first[2]

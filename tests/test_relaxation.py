@@ -85,10 +85,10 @@ SWEEPS = [(n, *row) for n in COUNTS for row in COUNTS[n]]
 def test_numbers_of_sweeps(n, lmbda, omega, by_increment, by_error):
     parts, law = square(n), benchmark_law(lmbda)
     numbered = np.arange(len(parts[1]))
-    found = relaxed(parts, law, omega=omega, order=numbered)
-    assert found.converged
-    assert abs(len(found.increments) - by_increment) <= 1
-    assert found.increments[-1] <= 1e-8 < found.increments[-2]
+    result = relaxed(parts, law, omega=omega, order=numbered)
+    assert result.converged
+    assert abs(len(result.increments) - by_increment) <= 1
+    assert result.increments[-1] <= 1e-8 < result.increments[-2]
     normal_first = relaxed(parts, law, omega=omega)
     assert normal_first.converged
     assert abs(len(normal_first.increments) - by_increment) <= 0.1 * by_increment
@@ -107,10 +107,10 @@ def test_numbers_of_sweeps(n, lmbda, omega, by_increment, by_error):
 def test_one_omega_everywhere_fails(n, cut, lmbda, omega):
     """Found out within a few thousand sweeps; with omega = 1 at contact nodes it works."""
     parts, law = square(n, cut), benchmark_law(lmbda)
-    found = relaxed(parts, law, omega=omega, omega_contact=omega, order=np.arange(len(parts[1])))
-    assert not found.converged
-    assert found.increments[-1] > 1e-3
-    assert len(found.increments) < 10_000
+    result = relaxed(parts, law, omega=omega, omega_contact=omega, order=np.arange(len(parts[1])))
+    assert not result.converged
+    assert result.increments[-1] > 1e-3
+    assert len(result.increments) < 10_000
     repaired = relaxed(parts, law, omega=omega)
     assert repaired.converged
     assert balance(parts, law, repaired.u) < 1e-4
@@ -121,10 +121,10 @@ def test_divergence():
     parts = square(8)
     infinite = (parts[0], np.where(np.arange(len(parts[1])) == 40, np.nan, parts[1]), *parts[2:])
     runs = [(parts, 15.0, {"omega": 2.1}, 3000), (parts, 1.5e5, {"omega": 2.1}, 3000), (infinite, 15.0, {}, 1)]
-    for given, lmbda, options, most in [*runs, (parts, 15.0, {"max_sweeps": 10}, 10)]:
-        found = relaxed(given, benchmark_law(lmbda), **options)
-        assert not found.converged
-        assert 0 < len(found.increments) <= most
+    for system, lmbda, options, most in [*runs, (parts, 15.0, {"max_sweeps": 10}, 10)]:
+        result = relaxed(system, benchmark_law(lmbda), **options)
+        assert not result.converged
+        assert 0 < len(result.increments) <= most
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -142,9 +142,9 @@ def test_relaxation_solves(name, d):
     parts = A, b, contact, rng.uniform(0.1, 1.0, n)
     slip = rng.normal(size=(n, d - 1))
     start, order = rng.normal(size=count), rng.permutation(count)
-    found = relaxed(parts, law, slip=slip, omega=1.1, tolerance=1e-15, u=start, order=order, max_sweeps=2000)
-    assert balance(parts, law, found.u, slip) < EXACT
-    assert len(set(law.status(found.u[contact], slip))) == (3 if name != "no friction" else 2)
+    result = relaxed(parts, law, slip=slip, omega=1.1, tolerance=1e-15, u=start, order=order, max_sweeps=2000)
+    assert balance(parts, law, result.u, slip) < EXACT
+    assert len(set(law.status(result.u[contact], slip))) == (3 if name != "no friction" else 2)
 
 
 def test_one_sweep():

@@ -32,15 +32,15 @@ def test_version_and_date_are_the_same_everywhere():
 
 @pytest.mark.parametrize("file", ["environment.yml", ".ci/recipe.yaml"])
 def test_dependencies_are_the_same_for_conda(file):
-    wanted = [*PROJECT["dependencies"], *(one for name in ("pictures", "meshes", "movie") for one in EXTRA[name])]
+    wanted = [*PROJECT["dependencies"], *(spec for name in ("pictures", "meshes", "movie") for spec in EXTRA[name])]
     listed = re.findall(r"^ *- (.+)$", (CLONE / file).read_text(), re.MULTILINE)
-    for name, bounds in (re.fullmatch(r"([\w-]+)(.*)", one).groups() for one in wanted):
+    for name, bounds in (re.fullmatch(r"([\w-]+)(.*)", spec).groups() for spec in wanted):
         assert f"{OF_CONDA.get(name, name)} {bounds}".strip() in listed
 
 
 def test_a_missing_extra_is_named_before_anything_is_computed(tmp_path, monkeypatch, capsys):
-    assert all(any(one.startswith(name) for one in EXTRA[extra]) for name, extra in OPTIONAL_DEPENDENCIES.items())
-    for name in [one for one in sys.modules if one.startswith(("thinlayer.output.plotting", "studies."))]:
+    assert all(any(spec.startswith(name) for spec in EXTRA[extra]) for name, extra in OPTIONAL_DEPENDENCIES.items())
+    for name in [module for module in sys.modules if module.startswith(("thinlayer.output.plotting", "studies."))]:
         monkeypatch.delitem(sys.modules, name)
     for name in OPTIONAL_DEPENDENCIES:
         monkeypatch.setitem(sys.modules, name, None)
@@ -67,5 +67,5 @@ def test_what_is_deprecated_is_said_once_at_each_line_of_the_user():
         for _ in range(2):
             deprecated("Bond()", "1.2", "Gap()")
         deprecated("Bond()", "1.2", "Gap()")
-    assert [str(one.message) for one in caught] == ["Bond() is deprecated since thinlayer 1.2; use Gap()"] * 2
-    assert {one.filename for one in caught} == {__file__}
+    assert [str(warning.message) for warning in caught] == ["Bond() is deprecated since thinlayer 1.2; use Gap()"] * 2
+    assert {warning.filename for warning in caught} == {__file__}

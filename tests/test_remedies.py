@@ -126,7 +126,7 @@ def ignored():
     assert with_layer > without
 
 
-known = cache(lambda: march(law_of(glue()), [1.0]).last)
+glue_state = cache(lambda: march(law_of(glue()), [1.0]).last)
 load = lambda **body: [PointLoad((0.0, 0.0), (0.0, 0.1), **body)]
 # key or words of a refusal, what is refused, what it advises
 CASES = [
@@ -187,10 +187,10 @@ CASES = [
         lambda: estimate(march(law_of(glue(CREEP)), [1.0]))),
     ("frame='global'", lambda: solved(glue(), body=Anisotropic(SKEW, frame="layer")),
         lambda: solved(glue(), body=Anisotropic(SKEW))),
-    ("give side=", lambda: Probe(known()).displacement((1.0, 0.0)),
-        lambda: Probe(known()).displacement((1.0, 0.0), side="upper")),
+    ("give side=", lambda: Probe(glue_state()).displacement((1.0, 0.0)),
+        lambda: Probe(glue_state()).displacement((1.0, 0.0), side="upper")),
     ("give body=", lambda: law_of(glue(), loads=load()), lambda: law_of(glue(), loads=load(body="UPPER"))),
-    ("leave start= and out= away", lambda: march(known(), [2.0], start=1.0), lambda: march(known(), [2.0])),
+    ("leave start= and out= away", lambda: march(glue_state(), [2.0], start=1.0), lambda: march(glue_state(), [2.0])),
 ]  # fmt: skip
 OTHERS = {"plain", "oblique", "overlap"}  # whose remedies, edges=None or a mesh, are tried under another key
 OF_A_COLUMN = {"functions", "not elastic", "anisotropic", "incompressible", "no excess"}  # which a table lacks, unasked

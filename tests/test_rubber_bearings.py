@@ -109,8 +109,8 @@ def test_bearings_whose_ends_are_known(bearing, nu):
     if nu in (0.45, 0.499):
         assert abs(closed_form(bearing, modulus(nu)) / wanted - 1) > 4e-3
     if nu == 0.45:
-        stiff, known = (layer(LinearElastic(modulus(nu), MU), edges=edges) for edges in ("plain", "free"))
-        errors = [stiffness(bearing, solve(structure(bearing).interface(one))) / wanted - 1 for one in (stiff, known)]
+        stiff, free = (layer(LinearElastic(modulus(nu), MU), edges=edges) for edges in ("plain", "free"))
+        errors = [stiffness(bearing, solve(structure(bearing).interface(pad))) / wanted - 1 for pad in (stiff, free)]
         assert errors[0] > 0.07
         assert abs(errors[1]) < 0.1 * errors[0]
 
@@ -126,11 +126,11 @@ def test_narrow_or_soft_bearings_have_the_flow_of_an_infinite_layer():
     assert strips.of_spread(9.9).resistance.c == 0
     assert strips.of_spread(10.1) is strips
     assert rubber(0.45).end_strips().of_spread(1.0) == rubber(0.45).end_strips()
-    for factor, known in ((0.97, False), (1.03, True)):
+    for factor, end_flow in ((0.97, False), (1.03, True)):
         # half-spaces give way to a pressure of wave number k as the layer does where (eps k)^3 = 48 (1 - nu^2) mu/E
         soft = LinearElastic.young(factor * 48 * (1 - 0.3**2) * 1e3 * MU, 0.3)
         wide = structure("strip", body=soft).interface(layer(rubber(0.499), edges="free"))
-        assert (wide.applicability["S"].weights.strips.resistance.c < 0) == known
+        assert (wide.applicability["S"].weights.strips.resistance.c < 0) == end_flow
 
 
 # ---------------------------------------------------------------- the meshed layer
@@ -139,7 +139,7 @@ def test_narrow_or_soft_bearings_have_the_flow_of_an_infinite_layer():
 def test_meshed_rubber(bearing, nu):
     """Against exact numbers, and against the closed form: annuli are 9.3, others 20 thicknesses wide."""
     state = solve(structure(bearing, h_ends=0.1).full(layer(rubber(nu), 0), cells_through=8))
-    found, exact = stiffness(bearing, state), EXACT[nu][list(SPANS).index(bearing)]
+    computed, exact = stiffness(bearing, state), EXACT[nu][list(SPANS).index(bearing)]
     if exact:
-        assert found == pytest.approx(exact, rel=2e-3)
-    assert found == pytest.approx(closed_form(bearing, modulus(nu)), rel=0.016 if bearing == "annulus" else 0.012)
+        assert computed == pytest.approx(exact, rel=2e-3)
+    assert computed == pytest.approx(closed_form(bearing, modulus(nu)), rel=0.016 if bearing == "annulus" else 0.012)

@@ -63,8 +63,8 @@ def test_annulus_solves_the_equation_of_the_pressure():
     flow = EPS**3 / (12 * MU)
     slopes = lambda r, y: np.array([y[1], (EPS / lmbda * y[0] - 1) / flow - y[1] / r])
     at_ends = lambda a, b: np.array([a[0], b[0]])
-    found = solve_bvp(slopes, at_ends, np.linspace(*ANNULUS, 50), np.zeros((2, 50)), tol=1e-9)
-    force, _ = quad(lambda r: 2 * r * found.sol(r)[0], *ANNULUS)
+    solution = solve_bvp(slopes, at_ends, np.linspace(*ANNULUS, 50), np.zeros((2, 50)), tol=1e-9)
+    force, _ = quad(lambda r: 2 * r * solution.sol(r)[0], *ANNULUS)
     mean = force / (ANNULUS[1] ** 2 - ANNULUS[0] ** 2)
     assert mean + 2 * MU / EPS == pytest.approx(rubber_annulus(lmbda, MU, EPS, *ANNULUS), rel=1e-6)
 

@@ -10,8 +10,8 @@ from forms import LinearElastic, Rubber
 from geometry import periodic, ring, sandwich
 from studies.problems import FOURIER_BODY
 from tests.orders import observed_orders
-from tests.test_order1 import apart
-from tests.test_rubber import NUS, K, found, law_of, of, of_law
+from tests.test_order1 import relative_errors
+from tests.test_rubber import NUS, K, jump_amplitudes, law_of, of, of_law
 from thinlayer import Structure, ThinLayer, solve
 
 pytestmark = pytest.mark.few(5)
@@ -35,10 +35,10 @@ def rubber(nu):
 def test_pressure_on_a_periodic_s(nu):
     """The closed form of rollers, wherever the wave is."""
     wanted = of_law(*of(40 * EPS, nu), EPS)
-    assert np.linalg.norm(found(wave().interface(rubber(nu))) / 2 - wanted) < 4e-4 * np.linalg.norm(wanted)
+    assert np.linalg.norm(jump_amplitudes(wave().interface(rubber(nu))) / 2 - wanted) < 4e-4 * np.linalg.norm(wanted)
     energies = [solve(wave(shift, n=8).interface(rubber(nu))).energies() for shift in (0.0, 0.25, 0.625)]
-    for one in energies[1:]:
-        assert one == pytest.approx(energies[0], rel=1e-11)
+    for shifted in energies[1:]:
+        assert shifted == pytest.approx(energies[0], rel=1e-11)
 
 
 def test_periodic_in_space():
@@ -67,8 +67,8 @@ def test_closed_s(nu):
         full = solve(structure.full(layer, bodies="extended", cells_through=2))
         limit = solve(structure.interface(layer, bodies="extended"))
         assert np.count_nonzero(limit.p.x.array == 0) == 0
-        errors.append(apart(full, limit))
-    orders = [observed_orders(eps, one)[-1] for one in zip(*errors, strict=True)]
+        errors.append(relative_errors(full, limit))
+    orders = [observed_orders(eps, series)[-1] for series in zip(*errors, strict=True)]
     assert orders[0] == pytest.approx(2.06, abs=0.1)
     assert orders[1] > 1.75
     assert errors[1][1] < 2.5e-3

@@ -30,8 +30,8 @@ def collocated():
     flow = lambda x: EPS**3 / (12 * mu([x]))
     slopes = lambda x, y: np.array([y[1] / flow(x), EPS / lmbda([x]) * y[0] - 1])  # of p and its flow
     at_ends = lambda a, b: np.array([a[0], b[0]])
-    found = solve_bvp(slopes, at_ends, np.linspace(-STRIP, STRIP, 50), np.zeros((2, 50)), tol=1e-9)
-    return quad(lambda x: found.sol(x)[0], -STRIP, STRIP)[0] / (2 * STRIP) + 2 * MU / EPS
+    solution = solve_bvp(slopes, at_ends, np.linspace(-STRIP, STRIP, 50), np.zeros((2, 50)), tol=1e-9)
+    return quad(lambda x: solution.sol(x)[0], -STRIP, STRIP)[0] / (2 * STRIP) + 2 * MU / EPS
 
 
 def test_incompressible_strip():
@@ -52,7 +52,7 @@ def test_strip():
         (Rubber(lmbda, MU), False),
         (Rubber(uniform.lmbda, mu), False),
     ):
-        found = stiffness("strip", solve(structure("strip").interface(layer(law))))
-        assert (found == pytest.approx(wanted, rel=2e-3)) == near
+        computed = stiffness("strip", solve(structure("strip").interface(layer(law))))
+        assert (computed == pytest.approx(wanted, rel=2e-3)) == near
     meshed = solve(structure("strip", h_ends=0.1).full(layer(Rubber(lmbda, mu), 0), cells_through=8))
     assert stiffness("strip", meshed) == pytest.approx(wanted, rel=0.012)

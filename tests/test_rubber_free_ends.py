@@ -10,8 +10,8 @@ import pytest
 from forms import Incompressible, LinearElastic, Rubber
 from forms.ends.weights import EndStrips
 from geometry import sandwich
-from tests.ranges_told import told
-from tests.test_order1 import apart
+from tests.ranges_told import with_warnings
+from tests.test_order1 import relative_errors
 from thinlayer import Structure, ThinLayer, solve
 from thinlayer.parts import build_parts
 
@@ -57,20 +57,20 @@ def meshed(nu, eps):
 
 def errors(nu, eps, layer):
     full = meshed(nu, eps)
-    law = told(lambda: solve(full.model.structure.interface(layer)))[0]
+    law = with_warnings(lambda: solve(full.model.structure.interface(layer)))[0]
     compliances = [state.energies()["loads"] for state in (full, law)]
-    return *apart(full, law, lambda x: abs(x[0] - 0.5) < 0.25), abs(1 - compliances[1] / compliances[0])
+    return *relative_errors(full, law, lambda x: abs(x[0] - 0.5) < 0.25), abs(1 - compliances[1] / compliances[0])
 
 
 @pytest.mark.parametrize("nu", RUBBER)
 def test_errors_and_their_orders(nu):
     """Traction and jump to 3 %, the compliance, a difference of larger numbers, to 2e-5; orders near 1, as p = 0 alone."""
-    found = [errors(nu, eps, ThinLayer(rubber(nu), eps, order=1, edges="plain", at=1.0)) for eps in EPS]
-    for one, wanted in zip(found, RUBBER[nu], strict=True):
+    rows = [errors(nu, eps, ThinLayer(rubber(nu), eps, order=1, edges="plain", at=1.0)) for eps in EPS]
+    for row, wanted in zip(rows, RUBBER[nu], strict=True):
         # at 1/32 the traction of degree 4 has more digits wrong than that of this mesh
-        assert one[:2] == pytest.approx(wanted[:2], rel=0.03 if wanted is RUBBER[nu][1] else 0.08)
-        assert one[2] == pytest.approx(wanted[2], abs=3e-5)
-    orders = [math.log2(a / b) for a, b in zip(*found, strict=True)]
+        assert row[:2] == pytest.approx(wanted[:2], rel=0.03 if wanted is RUBBER[nu][1] else 0.08)
+        assert row[2] == pytest.approx(wanted[2], abs=3e-5)
+    orders = [math.log2(a / b) for a, b in zip(*rows, strict=True)]
     assert orders[:2] == pytest.approx([0.87, 0.74], abs=0.15)
     assert orders[2] > 1.1
 
@@ -91,7 +91,7 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
     exact = of_layer(meshed(nu, eps).energies()["loads"], structure(blocks(eps)))
 
     def error():
-        state, said = told(lambda: solve(coarse.interface(layer)))
+        state, said = with_warnings(lambda: solve(coarse.interface(layer)))
         assert len(said) == 1
         assert "make cells there shorter" in said[0]
         return of_layer(state.energies()["loads"], coarse) / exact - 1
@@ -106,17 +106,17 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
 @pytest.mark.parametrize("nu", WITH_ENDS)
 def test_errors_of_the_law_that_knows_its_ends(nu, monkeypatch):
     """To 15 %, jumps to 1.6e-5, which is their mesh's error; of order 2, unlike above. That program takes every kappa."""
-    own = errors(nu, EPS[1], ThinLayer(rubber(nu), EPS[1], order=1, edges="free", at=1.0))
+    unpatched = errors(nu, EPS[1], ThinLayer(rubber(nu), EPS[1], order=1, edges="free", at=1.0))
     monkeypatch.setattr(EndStrips, "of_spread", lambda self, length: self)
-    found = [errors(nu, eps, ThinLayer(rubber(nu), eps, order=1, edges="free", at=1.0)) for eps in EPS]
-    assert found[1] == pytest.approx(WITH_ENDS[nu], rel=0.15, abs=1.6e-5)
-    orders = [math.log2(a / b) for a, b in zip(*found, strict=True)]
+    rows = [errors(nu, eps, ThinLayer(rubber(nu), eps, order=1, edges="free", at=1.0)) for eps in EPS]
+    assert rows[1] == pytest.approx(WITH_ENDS[nu], rel=0.15, abs=1.6e-5)
+    orders = [math.log2(a / b) for a, b in zip(*rows, strict=True)]
     assert min(orders[:2]) > 1.75
     assert orders[2] > 1.7
-    assert max(a / b for a, b in zip(found[1][:2], RUBBER[nu][1][:2], strict=True)) < 0.4
+    assert max(a / b for a, b in zip(rows[1][:2], RUBBER[nu][1][:2], strict=True)) < 0.4
     if nu < 0.49:
-        assert own == found[1]
+        assert unpatched == rows[1]
     else:  # bodies give way to a pressure within 2 thicknesses
-        assert max(a / b for a, b in zip(own, found[1], strict=True)) < 1.02
-        assert own[0] < 0.75 * found[1][0]
-        assert own[2] < 0.75 * found[1][2]
+        assert max(a / b for a, b in zip(unpatched, rows[1], strict=True)) < 1.02
+        assert unpatched[0] < 0.75 * rows[1][0]
+        assert unpatched[2] < 0.75 * rows[1][2]

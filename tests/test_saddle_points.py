@@ -23,17 +23,17 @@ MU, EPS = 1.3, 0.6  # MPa, mm: of the rubber
 LOWER, UPPER = LinearElastic.young(2.1e5, 0.3), LinearElastic.young(40.0, 0.2)  # steel, and a body as soft as 30 mu
 
 
-def bearing(nu: float, *, upper: LinearElastic = UPPER, held: bool = False) -> Model:
+def bearing(nu: float, *, upper: LinearElastic = UPPER, displaced: bool = False) -> Model:
     """Two bodies, 5.2 mm x 3.7 mm, with a rubber layer; its right and front ends are free, the others symmetric.
 
     Args:
         nu: Poisson's ratio of the rubber; 0: an elastic layer of ratio 0.3.
         upper: the law of the upper body.
-        held: whether the upper body is moved by its upper side; else a load there presses and turns it.
+        displaced: whether the upper body is moved by its upper side; else a load there presses and turns it.
     """
     joint = sandwich(5.2, 1.1, 0.8, 1.1, depth=3.7, cell="hexahedron", structured=True)
     sides: dict[str, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "BACK": {"z": 0.0}}
-    if held:
+    if displaced:
         setup: dict[str, Any] = {"supports": {**sides, "TOP": {"x": 0.0, "y": -0.02, "z": 0.0}}}
     else:
         setup = {"supports": sides, "tractions": {"TOP": lambda x, t: (0.02, -0.1 - 0.05 * x[0], 0.03 * x[2])}}
@@ -57,10 +57,10 @@ def measured(state: State) -> dict[str, float]:
 
 
 def numbers(options: dict[str, str] = BLOCKS) -> dict[str, float]:
-    found = {}
+    values = {}
     for nu in (0.4, 0.5):
-        found |= {f"{name}, nu = {nu}": value for name, value in measured(solve(bearing(nu), options=options)).items()}
-    return found
+        values |= {f"{name}, nu = {nu}": value for name, value in measured(solve(bearing(nu), options=options)).items()}
+    return values
 
 
 # ends that cells do not resolve
@@ -69,9 +69,9 @@ NUS = (0.3, 0.45, 0.49, 0.499, 0.4999, 0.5)
 SOLVED = 1e-8  # residuals are 1e-10 of the forces, and soft layers move far under small ones
 
 
-def distance(one, other) -> float:
+def distance(state, other) -> float:
     """Largest relative difference of displacements and pressures."""
-    pairs = [(one.u, other.u), *((one.fields[key], other.fields[key]) for key in other.fields)]
+    pairs = [(state.u, other.u), *((state.fields[key], other.fields[key]) for key in other.fields)]
     return max(float(np.abs(f.x.array - g.x.array).max() / np.abs(g.x.array).max()) for f, g in pairs)
 
 
@@ -84,10 +84,10 @@ PRESSED = {"tractions": {"TOP": lambda x, t: (0.2 * t + 0.1, -1.0 - x[0] * t)}}
 
 
 @pytest.mark.few(5)
-@pytest.mark.parametrize(("held", "upper"), [(True, LOWER), (False, LOWER), (False, UPPER)])
-def test_all_ratios_take_the_same_iterations(held, upper):
+@pytest.mark.parametrize(("displaced", "upper"), [(True, LOWER), (False, LOWER), (False, UPPER)])
+def test_all_ratios_take_the_same_iterations(displaced, upper):
     """They find what a factorisation finds, and need hardly more iterations than multigrid with an elastic layer."""
-    elastic = bearing(0, held=held, upper=upper)
+    elastic = bearing(0, displaced=displaced, upper=upper)
     usual, counts = solve(elastic, options={"pc_type": "gamg"}).report.iterations, []
     for nu in NUS:
         model = elastic.with_layer(layer(nu))
@@ -138,9 +138,9 @@ OTHERS = [
 ]
 
 
-@pytest.mark.parametrize(("joint", "supports", "one"), OTHERS)
-def test_other_pressures_on_S(joint, supports, one):
-    model = Structure(joint, body=LOWER, supports=supports, **PRESSED).interface(one)
+@pytest.mark.parametrize(("joint", "supports", "thin_layer"), OTHERS)
+def test_other_pressures_on_S(joint, supports, thin_layer):
+    model = Structure(joint, body=LOWER, supports=supports, **PRESSED).interface(thin_layer)
     assert distance(solve(model, 0.7, options=BLOCKS), solve(model, 0.7, options=FACTORS)) < SOLVED
 
 

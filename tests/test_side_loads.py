@@ -42,12 +42,12 @@ def errors(joint_at, law, loads, monkeypatch):
         joint, supports = joint_at(eps)
         setup = Structure(joint, body=BODY, supports=supports, tractions=loads)
         full = solve(setup.full(ThinLayer(law, eps, at=1.0), cells_through=8))
-        for found, drawn in ((right, 1.0), (wrong, 0.0)):
-            some = lambda *given, drawn=drawn: shares(*given) * [1.0, 1.0, 1.0, drawn, drawn]
+        for rows, drawn in ((right, 1.0), (wrong, 0.0)):
+            some = lambda *arguments, drawn=drawn: shares(*arguments) * [1.0, 1.0, 1.0, drawn, drawn]
             monkeypatch.setattr(side_loads, "_shares", some)
             limit = solve(setup.interface(layer(law, eps)))
             row = compare(full, limit, where=lambda x: abs(x[0] - 0.5) < 0.25)
-            found.append([row["error_traction"], row["error_jump"]])
+            rows.append([row["error_traction"], row["error_jump"]])
             assert limit.applied().force == pytest.approx(full.applied().force, rel=1e-9, abs=1e-12)
             place = "S" if joint.base_seams else "BOTTOM"
             assert limit.reaction(place).force == pytest.approx(-limit.applied().force, rel=1e-7, abs=1e-10)
@@ -85,8 +85,8 @@ def test_how_far_an_end_is_drawn_in(nu):
     joint = sandwich(2.0, 0.05, 0.05, h=1 / 8, h_S=1 / 16, h_ends=eps / 12, cell="quadrilateral")
     law = LinearElastic.shear(1e-9, nu)
     for component, drawn in (("y", -end.drawn_in), ("x", -end.c_T)):
-        held = {"BOTTOM": 0, "TOP": {"x": 0.0, "y": 0.0} | {component: 1.0}}
-        state = solve(Structure(joint, body=BODY, supports=held).full(ThinLayer(law, eps, at=1.0), cells_through=12))
+        bcs = {"BOTTOM": 0, "TOP": {"x": 0.0, "y": 0.0} | {component: 1.0}}
+        state = solve(Structure(joint, body=BODY, supports=bcs).full(ThinLayer(law, eps, at=1.0), cells_through=12))
         side = state.model.ds(state.model.domain.values("RIGHT/LAYER"))
         moved = state.integral(state.u[0 if component == "y" else 1] * side) / eps
         assert moved == pytest.approx(drawn, rel=3e-2), component  # singular corners
@@ -104,15 +104,15 @@ def test_three_sides_of_a_box():
 
 
 def test_a_plate_in_plane_strain_is_its_section():
-    held, found = {"BACK": {"z": 0.0}, "FRONT": {"z": 0.0}}, []
-    for depth, more, load in ({}, {}, (0.3, -1.0)), ({"depth": 0.1}, held, (0.3, -1.0, 0.0)):
+    rollers, displacements = {"BACK": {"z": 0.0}, "FRONT": {"z": 0.0}}, []
+    for depth, more, load in ({}, {}, (0.3, -1.0)), ({"depth": 0.1}, rollers, (0.3, -1.0, 0.0)):
         cell = "hexahedron" if depth else "quadrilateral"  # a grid of the same displacements
         joint = sandwich(1.0, 0.3, 0.3, 0.1, cell=cell, structured=True, **depth)
         setup = Structure(joint, body=BODY, supports={"BOTTOM": 0} | more, tractions={"RIGHT/LAYER": load})
         state = solve(setup.interface(layer()))
         top = state.model.ds(state.model.domain.values("TOP"))
-        found.append([state.integral(state.u[k] * top) / depth.get("depth", 1.0) for k in range(2)])
-    assert found[1] == pytest.approx(found[0], rel=1e-10)
+        displacements.append([state.integral(state.u[k] * top) / depth.get("depth", 1.0) for k in range(2)])
+    assert displacements[1] == pytest.approx(displacements[0], rel=1e-10)
 
 
 def test_how_far_from_its_end_a_load_along_it_reaches_the_faces():
@@ -120,8 +120,8 @@ def test_how_far_from_its_end_a_load_along_it_reaches_the_faces():
     k = np.pi * (2 * np.arange(10**5) + 1)
     mean = (4 / k**3).sum() / 0.5
     joint = sandwich(2.0, 0.3, 0.3, 0.1, depth=0.2, cell="hexahedron", structured=True)
-    held = {"BOTTOM": 0, "FRONT": {"x": 0, "y": 0}, "BACK": {"x": 0, "y": 0}}
-    setup = Structure(joint, body=BODY, supports=held, tractions={"RIGHT/LAYER": (0.0, 0.0, 0.7)})
+    bcs = {"BOTTOM": 0, "FRONT": {"x": 0, "y": 0}, "BACK": {"x": 0, "y": 0}}
+    setup = Structure(joint, body=BODY, supports=bcs, tractions={"RIGHT/LAYER": (0.0, 0.0, 0.7)})
     model = setup.interface(layer(eps=0.1 / mean))
     f = nodal_forces(model.V, model.external_work(ufl.TestFunction(model.V), 0.0)).x.array.reshape(-1, 3)
     x = model.V.tabulate_dof_coordinates()
@@ -142,12 +142,12 @@ def test_loads_whose_way_to_the_faces_is_not_known_are_refused():
     """Zero is no load, and at order 0 none of them is."""
     load, plates = {"LEFT/LAYER": (1.0, 0.0)}, sandwich(1.0, 0.3, 0.4, 0.25)
     cylinders = disc(1.0, lower=0.3, upper=0.3, h=0.4)
-    for joint, given, more, edges, words in (
+    for joint, tractions, more, edges, words in (
         (plates, load, {}, "plain", "edges='plain' was asked for"),
         (plates, load, {"LEFT": {"x": 0}}, None, "a support holds the side"),
         (cylinders, {"SIDE/LAYER": Pressure(0.7)}, {}, None, "straight"),
     ):
-        setup = Structure(joint, body=BODY, supports={"BOTTOM": 0} | more, tractions=given)
+        setup = Structure(joint, body=BODY, supports={"BOTTOM": 0} | more, tractions=tractions)
         refused(InputError, f"{words}.*use order=0", setup.interface, layer(edges=edges))
         assert solve(setup.interface(ThinLayer(GLUE, 0.1, at=1.0))).energies()["loads"] == pytest.approx(0.0, abs=1e-12)
     model = Structure(plates, body=BODY, supports={"BOTTOM": 0}, tractions=load).interface(layer())

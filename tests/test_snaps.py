@@ -100,21 +100,21 @@ COMING_BACK = {  # what else is given, end of time, number of steps beside one, 
 @pytest.mark.parametrize("name", COMING_BACK)
 def test_what_comes_back_within_a_step(name):
     """A half wave in one step is that in several: up, through all snaps, and back, through others."""
-    given, end, steps, counts = COMING_BACK[name]
-    one, several = (march(blocks(**given), end * np.arange(1, n + 1) / n) for n in (1, steps))
-    assert len(one.snaps) in counts
-    check(one, [snap.t for snap in several.snaps], [snap.lost for snap in several.snaps])
+    options, end, steps, counts = COMING_BACK[name]
+    history, several = (march(blocks(**options), end * np.arange(1, n + 1) / n) for n in (1, steps))
+    assert len(history.snaps) in counts
+    check(history, [snap.t for snap in several.snaps], [snap.lost for snap in several.snaps])
     if name == "loads":
-        assert [snap.t for snap in one.snaps[:4]] == pytest.approx(np.arcsin(reference()[0]) / np.pi, rel=1e-9)
-        assert phase_shares(one.last, "S")["plus"] == 0
+        assert [snap.t for snap in history.snaps[:4]] == pytest.approx(np.arcsin(reference()[0]) / np.pi, rel=1e-9)
+        assert phase_shares(history.last, "S")["plus"] == 0
 
 
 def test_bodies_that_stiffen():
     """By Newton's method phases are held in a solve as well; the snaps are those of other steps, and not those of SOFT."""
-    one, three = (march(blocks(body=Stiffening(32.0, 40.0, 1e4)), times) for times in ([0.6], [0.3, 0.6]))
-    check(one, [snap.t for snap in three.snaps], [snap.lost for snap in three.snaps])
-    assert len(one.snaps) == 2
-    assert abs(one.snaps[0].t - reference()[0][0]) > 1e-3
+    history, three = (march(blocks(body=Stiffening(32.0, 40.0, 1e4)), times) for times in ([0.6], [0.3, 0.6]))
+    check(history, [snap.t for snap in three.snaps], [snap.lost for snap in three.snaps])
+    assert len(history.snaps) == 2
+    assert abs(history.snaps[0].t - reference()[0][0]) > 1e-3
 
 
 @pytest.mark.parametrize("kind", [Structure.interface, Structure.full])

@@ -54,12 +54,12 @@ class WeakInShear(BulkLaw):
         return ufl.sym(ufl.diff(self.k * (e_N**2 + e_N**4 + (1 - e_N / self.c) * slip), e))
 
 
-def told(joint, law, kind, times):
+def range_warnings(joint, law, kind, times):
     """RangeWarnings of a march, or of a solve at one time, in which the layer opens by t times its thickness."""
     supports = {"BOTTOM": 0.0, "TOP": {"y": lambda x, t: EPS * t}}
     sides = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}} if joint.dim == 2 else {}
     model = kind(Structure(joint, body=STIFF, supports=supports | sides), ThinLayer(law, EPS))
-    return ranges_told.told(lambda: march(model, times) if isinstance(times, list) else solve(model, times))[1]
+    return ranges_told.with_warnings(lambda: march(model, times) if isinstance(times, list) else solve(model, times))[1]
 
 
 @pytest.mark.parametrize("kind", [Structure.interface, Structure.full])
@@ -68,12 +68,12 @@ def test_where_stresses_fall(law, onset, kind):
     """Wherever the unit of stress; a march tells it once, at the first step beyond, a solve only beyond."""
     joint = sandwich(2.0, 1.0, 1.0, 1.0, cell="quadrilateral")
     before, after = 0.97 * onset, 1.03 * onset
-    (message,) = told(joint, law, kind, [before, after, 1.1 * onset])
+    (message,) = range_warnings(joint, law, kind, [before, after, 1.1 * onset])
     name = type(law).__name__
     assert re.search(rf"at t = {after:g} the stress of {name} falls at \d+ points of the layer as", message)
     assert "write softens = True" in message
-    assert told(joint, law, kind, before) == []
-    assert len(told(joint, law, kind, after)) == 1
+    assert range_warnings(joint, law, kind, before) == []
+    assert len(range_warnings(joint, law, kind, after)) == 1
 
 
 # ---------------------------------------------------------------- meshed layers whose law says that it softens
@@ -85,20 +85,20 @@ TIMES = [0.004, 0.008, 0.015, 0.022, 0.03]
 def block_of(cell, h=1 / 8, **options):
     """A block on a base, between rollers, whose top is lifted and pushed unevenly."""
     top = {"x": lambda x, t: t * ufl.sin(math.pi * x[0]) / 2, "y": lambda x, t: t * (0.8 + ufl.cos(math.pi * x[0]))}
-    given = {"body": SOLID, "supports": {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": top}} | options
-    return Structure(block(1.0, 0.25, h, cell=cell, structured=True), **given)
+    setup = {"body": SOLID, "supports": {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "TOP": top}} | options
+    return Structure(block(1.0, 0.25, h, cell=cell, structured=True), **setup)
 
 
 @pytest.mark.parametrize("through", [1, 2])
-@pytest.mark.parametrize(("moved", "held", "modulus"), [("y", "x", 140.0), ("x", "y", 40.0)])
+@pytest.mark.parametrize(("moved", "fixed", "modulus"), [("y", "x", 140.0), ("x", "y", 40.0)])
 @pytest.mark.parametrize("cell", ["quadrilateral", "triangle"])
-def test_a_meshed_bar_breaks_as_the_closed_form_says(cell, moved, held, modulus, through):
+def test_a_meshed_bar_breaks_as_the_closed_form_says(cell, moved, fixed, modulus, through):
     """Uniaxial strain, shear: t = w + T(w) H/E; T falls to zero at k times the jump at the strength; G = eps k onset."""
     eps, compliance = 0.03, 0.25 / (900.0 if moved == "y" else 450.0)
     w_0 = math.sqrt(2 * GLUE.onset / modulus) * eps
     w = np.array([0.7, 1.0, 2.3, 4.9, 6.6]) * w_0
     T = modulus / eps * np.minimum(w, np.clip((6 * w_0 - w) / 5, 0.0, None))
-    supports = {"LEFT": {held: 0.0}, "RIGHT": {held: 0.0}, "TOP": {moved: lambda x, t: t, held: 0.0}}
+    supports = {"LEFT": {fixed: 0.0}, "RIGHT": {fixed: 0.0}, "TOP": {moved: lambda x, t: t, fixed: 0.0}}
     structure = block_of(cell, body=LinearElastic.young(900.0, 0.0), supports=supports)
     history = march(structure.full(ThinLayer(GLUE, eps), cells_through=through), [*(w + T * compliance)])
     assert [history.at(t).prescribed_work / t for t in w + T * compliance] == pytest.approx(T, abs=1e-9 * T.max())

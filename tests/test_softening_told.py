@@ -19,9 +19,11 @@ from tests.softening_bars import HEIGHT, STEEP, WIDTH, C, Cohesive, Undeclared, 
 from thinlayer import Structure, ThinLayer, march, solve
 
 
-def told(model, times):
+def warnings_and_result(model, times):
     """RangeWarnings of a march, or of a solve at a time; and its result."""
-    result, messages = ranges_told.told(lambda: march(model, times) if isinstance(times, list) else solve(model, times))
+    result, messages = ranges_told.with_warnings(
+        lambda: march(model, times) if isinstance(times, list) else solve(model, times)
+    )
     return messages, result
 
 
@@ -30,14 +32,14 @@ def test_softening_is_told_where_it_is_met():
     for unit in (1.0, 1e-3):
         law = Undeclared(0.9, 0.11 * unit)
         model, again = (bar(law, lambda x, t, unit=unit: unit * t) for _ in range(2))
-        messages, history = told(model, [0.05, 0.1, 0.15, 0.2, 0.3])
+        messages, history = warnings_and_result(model, [0.05, 0.1, 0.15, 0.2, 0.3])
         (message,) = messages
         falling = openings(history) > law.w_0 / math.sqrt(2)
         assert f"at t = {history.t[falling][0]:g} the stress of Undeclared falls at 2 points" in message
         assert "write softens = True" in message
         assert not falling[:2].any()
-        assert told(again, 0.05)[0] == []
-        assert len(told(again, 0.3)[0]) == 1
+        assert warnings_and_result(again, 0.05)[0] == []
+        assert len(warnings_and_result(again, 0.3)[0]) == 1
     refused(InputError, "follow them from rest with march", lambda: solve(bar(Cohesive(0.9, 0.11))))
 
 
@@ -45,8 +47,8 @@ def test_a_step_over_a_loop_is_told():
     """Both states rise, on branches that a fall parts."""
     law = replace(STEEP, fall=0.8)  # too little for the bar to snap back
     ends = [w + C * sigma(law, w) for w in (0.05, 0.105, 0.232)]
-    assert told(bar(law), ends[:2])[0] == []
-    messages, history = told(bar(law), ends)
+    assert warnings_and_result(bar(law), ends[:2])[0] == []
+    messages, history = warnings_and_result(bar(law), ends)
     assert openings(history)[1:] == pytest.approx([0.05, 0.105, 0.232], rel=1e-9)
     assert "the stress of Trilinear falls" in messages[0]
 

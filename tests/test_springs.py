@@ -78,13 +78,13 @@ def test_turned_blocks_on_springs(dim, kind):
     assert abs(state.audit.imbalance) < 1e-9
 
 
-@pytest.mark.parametrize("given", [lambda x: 3.0 + x[0] ** 2, lambda x: 3.0 + np.square(x[0])], ids=["ufl", "numpy"])
-def test_a_rigid_block_on_uneven_springs(given):
+@pytest.mark.parametrize("normal", [lambda x: 3.0 + x[0] ** 2, lambda x: 3.0 + np.square(x[0])], ids=["ufl", "numpy"])
+def test_a_rigid_block_on_uneven_springs(normal):
     """Closed form: a bed k = 3 + x^2 under a stiff beam of length 2 that may sink and turn, pressed at one end."""
     joint = sandwich(2.0, 0.3, 0.3, 0.15, structured=True)
     moment = np.array([[3 * 2 + 8 / 3, 6 + 4], [6 + 4, 8 + 32 / 5]])
     supports = {(0.0, 0.3): {"x": 0.0}}
-    data = {"tractions": {"TOP": (0.0, -0.4)}, "parts": [Springs("BOTTOM", normal=given, tangential=0.0)]}
+    data = {"tractions": {"TOP": (0.0, -0.4)}, "parts": [Springs("BOTTOM", normal=normal, tangential=0.0)]}
     state = solve(Structure(joint, body=LinearElastic.young(1e8, 0.0), supports=supports, **data).bonded())
     sinks, turns = np.linalg.solve(moment, [0.4 * 2, 0.4 * 2])
     x, y = state.model.V.tabulate_dof_coordinates()[:, 0], state.u.x.array[1::2]
@@ -97,14 +97,14 @@ def test_a_rigid_block_on_uneven_springs(given):
 def test_stiffnesses_that_are_refused():
     joint = sandwich(1.0, HEIGHT, HEIGHT, 0.25, structured=True)
     refused(InputError, "have no stiffness", Springs, "BOTTOM")
-    for given, message in (
+    for k, message in (
         (-1.0, "normal is -1 at"),
         ("stiff", "it needs a finite number"),
         (lambda x: x[0] - 0.3, r"normal is -0.3 at \(.*, -0.5\); allowed: finite, >= 0"),
         (lambda x: x[:, :3], r"gives an array of shape \(2, 3\)"),
         (lambda x: True, "it needs a finite number"),
     ):
-        structure = Structure(joint, body=BODY, supports={}, parts=[Springs("BOTTOM", normal=given, tangential=1.0)])
+        structure = Structure(joint, body=BODY, supports={}, parts=[Springs("BOTTOM", normal=k, tangential=1.0)])
         refused(InputError, message, structure.bonded)
 
 
@@ -123,8 +123,8 @@ def test_a_column_relaxes_on_springs(kind, theta):
     """The layer creeps as bodies and springs go back: an exponential, as the time scheme has it."""
     history = march(relaxing(kind), np.linspace(0.1, 0.8, 8), theta=theta)
     expected = force(8, 0.1, theta)[0]
-    found = np.array([state.energies()["springs BOTTOM"] for state in history])[-9:]
-    assert np.sqrt(2 * BED.normal * found) == pytest.approx(expected, rel=1e-8)
+    energies = np.array([state.energies()["springs BOTTOM"] for state in history])[-9:]
+    assert np.sqrt(2 * BED.normal * energies) == pytest.approx(expected, rel=1e-8)
     assert np.abs(history.table["imbalance"]).max() < 1e-9
     stored = sum(value for name, value in history.last.energies().items() if name != "loads")
     assert history.last.audit.total == pytest.approx(stored, rel=1e-9)

@@ -58,15 +58,15 @@ def exact(sublayers, w, mean, slope, n):
 
     With the jump w, its gradient and that of the mean, (d, d), and acoustic tensors: the shares are R_i (mean of R)^-1.
     """
-    one = np.eye(len(n))
+    identity = np.eye(len(n))
     sym = lambda a: (a + a.T) / 2
-    stress = lambda lmbda, mu, e: lmbda * np.trace(e) * one + 2 * mu * e
-    R = [np.linalg.inv(mu * one + (lmbda + mu) * np.outer(n, n)) for _, lmbda, mu in sublayers]
+    stress = lambda lmbda, mu, e: lmbda * np.trace(e) * identity + 2 * mu * e
+    R = [np.linalg.inv(mu * identity + (lmbda + mu) * np.outer(n, n)) for _, lmbda, mu in sublayers]
     K = np.linalg.inv(sum(a * r for (a, *_), r in zip(sublayers, R, strict=True)))
-    places, phi = [], -one / 2
+    places, phi = [], -identity / 2
     for (a, *moduli), r in zip(sublayers, R, strict=True):
         for y in (0.5 - 12**-0.5, 0.5 + 12**-0.5):
-            along = (mean + (phi + y * a * r @ K) @ slope) @ (one - np.outer(n, n))
+            along = (mean + (phi + y * a * r @ K) @ slope) @ (identity - np.outer(n, n))
             places.append((a / 2, moduli, r, sym(along)))
         phi = phi + a * r @ K
     t = K @ (w / EPS + sum(share * r @ stress(*moduli, e) @ n for share, moduli, r, e in places))

@@ -90,8 +90,8 @@ def test_no_jump_and_no_force_have_no_error():
 @pytest.mark.parametrize(("theta", "length"), [(1.0, 0.02), (0.5, 0.1)])
 def test_the_estimate_is_the_error(theta, length):
     """A step is taken if the tolerance is a little above the error of its halves, and not if it is a little below."""
-    one = column(StandardSolid(60.0, 40.0, 50.0, 0.6), sandwich(1.0, 0.5, 0.5, 0.5))
-    with Solver(one) as solver:
+    model = column(StandardSolid(60.0, 40.0, 50.0, 0.6), sandwich(1.0, 0.5, 0.5, 0.5))
+    with Solver(model) as solver:
         begin = solver.step(solver.rest(0.0), 0.0)
 
         def reached(parts, theta):
@@ -105,5 +105,5 @@ def test_the_estimate_is_the_error(theta, length):
         error = float(estimate.shares(exact, halves, estimate.sizes(begin)).max())
     assert error > 1e-6
     for factor, taken in ((1.15, True), (0.85, False)):
-        history = march(one, Adaptive(length, first=length, tolerance=factor * error), theta=theta)
+        history = march(model, Adaptive(length, first=length, tolerance=factor * error), theta=theta)
         assert (history.t.tolist() == [0.0, length / 2, length]) is taken

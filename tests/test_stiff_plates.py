@@ -35,8 +35,8 @@ def test_plates(law, cell):
     state = solve(strip(1e10 * MU, cell).interface(layer))
     assert state.report.residual < 1e-7
     lmbda = law.lmbda if isinstance(law, Rubber) else math.inf
-    found = state.reaction("TOP").force[1] / (A * OPENING)
-    assert found == pytest.approx(formulas.rubber_strip(lmbda, MU, EPS, A), rel=1e-3)
+    stiffness = state.reaction("TOP").force[1] / (A * OPENING)
+    assert stiffness == pytest.approx(formulas.rubber_strip(lmbda, MU, EPS, A), rel=1e-3)
     assert solve(strip(1e8 * MU, cell, pulled=True).interface(layer)).report.residual < 1e-7
 
 

@@ -23,9 +23,9 @@ def joint(cell="quadrilateral", angle=0.0):
     return sandwich(1.6, 0.5, 0.7, 0.4, cell=cell, depth=depth).rotated(angle)
 
 
-def uniform(one, angle=0.0, scale=1.0):
+def uniform(joint, angle=0.0, scale=1.0):
     """Supports and loads of a uniform stress: functions of the place for each body, normal -> traction, normal of S."""
-    d = one.dim
+    d = joint.dim
     stress = scale * STRESS[:d, :d]
     lmbda, mu = BODY.lmbda, BODY.mu
     strain = (stress - lmbda / (d * lmbda + 2 * mu) * np.trace(stress) * np.eye(d)) / (2 * mu)
@@ -63,27 +63,27 @@ SIDES = [
 @pytest.mark.parametrize(("cell", "element", "angle", "layer", "scale"), SIDES)
 def test_supports_of_the_sides_take_nothing_from_the_traction(cell, element, angle, layer, scale, both):
     """Uniform stress. Where they hold both bodies reactions do not tell: they go on as beside, uniform if these are."""
-    one = joint(cell, angle)
-    (lower, upper), loads, t = uniform(one, angle, scale)
+    specimen = joint(cell, angle)
+    (lower, upper), loads, t = uniform(specimen, angle, scale)
     supports = {"BOTTOM": lower, "LEFT/LOWER": lower, "RIGHT/UPPER": upper}
     if both:
         supports["RIGHT/LOWER"] = lower
         del loads["RIGHT/LOWER"]
-    model = Structure(one, body=BODY, supports=supports, tractions=loads, element=element).interface(layer)
+    model = Structure(specimen, body=BODY, supports=supports, tractions=loads, element=element).interface(layer)
     surface = Surface(model)
-    found = surface.reaction(solve(model))
-    x, values = surface.profile(found)
+    traction = surface.reaction(solve(model))
+    x, values = surface.profile(traction)
     near = 1e-7 if layer is CONTACT else EXACT  # the contact solver's tolerance
     assert values / scale == pytest.approx(np.tile(t / scale, (len(x), 1)), rel=near)
-    area = 1.6 * (0.8 if one.dim == 3 else 1.0)
-    assert surface.integral(found) / scale == pytest.approx(t * area / scale, rel=near)
+    area = 1.6 * (0.8 if specimen.dim == 3 else 1.0)
+    assert surface.integral(traction) / scale == pytest.approx(t * area / scale, rel=near)
 
 
 @pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
 def test_a_support_that_moves_a_body_on_a_rigid_base(cell):
     """u = w + a y above the base, of one stress."""
-    one = block(1.6, 0.7, 0.4, depth=0.8 if cell == "hexahedron" else None, cell=cell)
-    d = one.dim
+    joint = block(1.6, 0.7, 0.4, depth=0.8 if cell == "hexahedron" else None, cell=cell)
+    d = joint.dim
     a, n = np.array([0.02, -0.03, 0.01])[:d], np.eye(d)[1]
     strain = (np.outer(a, n) + np.outer(n, a)) / 2
     stress = BODY.lmbda * np.trace(strain) * np.eye(d) + 2 * BODY.mu * strain
@@ -93,9 +93,9 @@ def test_a_support_that_moves_a_body_on_a_rigid_base(cell):
     normals = {"TOP": n, "RIGHT": np.eye(d)[0]} | ({"BACK": -np.eye(d)[2], "FRONT": np.eye(d)[2]} if d == 3 else {})
     loads = {name: tuple(map(float, stress @ normal)) for name, normal in normals.items()}
     data = {"supports": {"LEFT": moved}, "tractions": loads, "element": "P1" if d == 2 else "Q1"}
-    model = Structure(one, body=BODY, **data).interface(LAYER)
-    x, found = Surface(model).profile(Surface(model).reaction(solve(model)))
-    assert found == pytest.approx(np.tile(t, (len(x), 1)), rel=EXACT)
+    model = Structure(joint, body=BODY, **data).interface(LAYER)
+    x, tractions = Surface(model).profile(Surface(model).reaction(solve(model)))
+    assert tractions == pytest.approx(np.tile(t, (len(x), 1)), rel=EXACT)
 
 
 @pytest.mark.parametrize(("build", "cell"), [(Structure.full, "triangle"), (Structure.interface, "hexahedron")])
@@ -104,21 +104,21 @@ def test_ends_that_hold_both_bodies_together(build, cell):
 
     The law of order 0 knows nothing of it: by it the traction is zero where nothing jumps.
     """
-    one = joint(cell)
+    specimen = joint(cell)
     supports = {"LEFT": {"x": 0, "y": 0}, "RIGHT": {"x": 0.03, "y": 0}, "TOP": {"y": 0}, "BOTTOM": {"y": 0}}
-    supports |= {"BACK": {"z": 0}, "FRONT": {"z": 0}} if one.dim == 3 else {}
+    supports |= {"BACK": {"z": 0}, "FRONT": {"z": 0}} if specimen.dim == 3 else {}
     layer = ThinLayer(BODY, 0.05, order=1)
-    stretched = Structure(one, body=BODY, supports=supports)
+    stretched = Structure(specimen, body=BODY, supports=supports)
     surface = Surface(stretched.interface(layer))
-    _, found = surface.profile(surface.reaction(solve(build(stretched, layer))))
-    assert found[:, 1] == pytest.approx(BODY.lmbda * 0.03 / 1.6, rel=EXACT)
+    _, tractions = surface.profile(surface.reaction(solve(build(stretched, layer))))
+    assert tractions[:, 1] == pytest.approx(BODY.lmbda * 0.03 / 1.6, rel=EXACT)
 
 
 def test_a_layer_pressed_onto_a_body_between_walls():
     """t_N = -1 of stiff bodies, in both models: at the walls as elsewhere, and in sum."""
-    one = sandwich(4.0, 1.0, 1.0, 0.5)
+    joint = sandwich(4.0, 1.0, 1.0, 0.5)
     walls = {"BOTTOM": 0.0, "LEFT/LOWER": 0.0, "RIGHT/LOWER": 0.0}
-    pressed = Structure(one, body=LinearElastic(3e5, 2e5), supports=walls, tractions={"TOP": (0.0, -1.0)})
+    pressed = Structure(joint, body=LinearElastic(3e5, 2e5), supports=walls, tractions={"TOP": (0.0, -1.0)})
     limit, full = solve(pressed.interface(LAYER)), solve(pressed.full(LAYER))
     surface = Surface(limit.model)
     for state, local, total in ((limit, 1e-3, 1e-6), (full, 0.02, 1e-3)):  # the meshed layer bulges at its sides

@@ -23,8 +23,8 @@ RADIUS = 1.2
 
 
 def on(joint, law=FOURIER_LAYER):
-    held = "INSIDE" if "INSIDE" in joint.facets else "TOP"
-    return Structure(joint, body=STEEL, supports={held: 0.0}).interface(ThinLayer(law, 0.1, at=1.0))
+    fixed_side = "INSIDE" if "INSIDE" in joint.facets else "TOP"
+    return Structure(joint, body=STEEL, supports={fixed_side: 0.0}).interface(ThinLayer(law, 0.1, at=1.0))
 
 
 def polar(x):
@@ -43,20 +43,20 @@ def test_profile_around_a_circle():
     assert np.abs(np.diff(polar(arc.profile(arc.n)[0]))).sum() == pytest.approx(3.0)
     degree = 2
     joint = ring(0.8, RADIUS, 2.0, 0.5, degree=degree)
-    found = []
-    for one in (joint, renumbered(joint)):
-        surface = Surface(on(one))
+    profiles = []
+    for variant in (joint, renumbered(joint)):
+        surface = Surface(on(variant))
         x, y = surface.profile(surface.x[1])
         steps = np.diff(polar(x))
         assert (np.abs(steps) < 0.4).all()
         assert (np.sign(steps) == np.sign(steps[0])).all()
         assert np.hypot(*x.T) == pytest.approx(RADIUS)
-        assert len(x) == len(np.unique(one.table.vertices[one.surface_rows]))
+        assert len(x) == len(np.unique(variant.table.vertices[variant.surface_rows]))
         assert x[1, 1] < 0 < x[-1, 1]  # towards the lower of the first one's neighbours
         assert x[0] == pytest.approx(x[np.lexsort(np.rint(x[:, ::-1] * 1e9).T)[0]])
         assert y == pytest.approx(x[:, 1], abs=0.05 if degree == 2 else 1e-12)
-        found.append(x)
-    assert found[1] == pytest.approx(found[0], abs=1e-14)
+        profiles.append(x)
+    assert profiles[1] == pytest.approx(profiles[0], abs=1e-14)
 
 
 def test_fronts_around_a_circle():

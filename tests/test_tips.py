@@ -67,15 +67,15 @@ def test_inside_one_body(cell, depth):
     joint = partly(joint, lambda x: np.linalg.norm(x[:, ::2] - 1.0, axis=1) < 0.7)
     layer = ThinLayer(LinearElastic(lmbda=30.0, mu=20.0), 0.01, at=1.0)
     up = (0.3, 1.0, -0.2)[: joint.dim]
-    found = []
-    for one in (joint, in_one_body(joint, up), in_one_body(joint, tuple(-c for c in up))):
-        state, surface = pulled(one, layer)
+    results = []
+    for variant in (joint, in_one_body(joint, up), in_one_body(joint, tuple(-c for c in up))):
+        state, surface = pulled(variant, layer)
         jump, traction = surface.jump(state), surface.traction(state)
         normal = surface.integral(surface.frame(jump)[-1])
-        found.append((surface.norm(jump), surface.norm(traction), normal, state.energies()["layer"]))
-    assert found[0][2] > 0
-    assert found[1] == pytest.approx(found[0], rel=1e-9)
-    assert found[2] == pytest.approx(found[0], rel=1e-9)
+        results.append((surface.norm(jump), surface.norm(traction), normal, state.energies()["layer"]))
+    assert results[0][2] > 0
+    assert results[1] == pytest.approx(results[0], rel=1e-9)
+    assert results[2] == pytest.approx(results[0], rel=1e-9)
 
 
 def test_traction_up_to_the_tip():
@@ -93,17 +93,17 @@ def test_traction_up_to_the_tip():
 
 def test_directions_are_checked():
     whole = sandwich(1.0, 0.5, 0.5, 0.25)
-    one = in_one_body(whole, (0.0, 1.0))
+    merged = in_one_body(whole, (0.0, 1.0))
     for joint, seam, message in (
-        (one, Seam(direction=(1.0, 0.0)), r"direction \(1.0, 0.0\) does not tell .* 'S': it lies in the facet near"),
-        (one, Seam(direction=(0.0, 0.0)), "needs 2 components, not all zero"),
+        (merged, Seam(direction=(1.0, 0.0)), r"direction \(1.0, 0.0\) does not tell .* 'S': it lies in the facet near"),
+        (merged, Seam(direction=(0.0, 0.0)), "needs 2 components, not all zero"),
         (
             whole,
             replace(whole.seams["S"], direction=(0.0, 1.0)),
             "'S': a direction tells the upper side, or regions do",
         ),
-        (one, Seam(("ROCK",), ("ROCK",)), "on both sides of 'S'; give the direction"),
-        (one, Seam(), "have one region on both sides; give the direction of the upper side"),
+        (merged, Seam(("ROCK",), ("ROCK",)), "on both sides of 'S'; give the direction"),
+        (merged, Seam(), "have one region on both sides; give the direction of the upper side"),
     ):
         refused(InputError, message, replace, joint, seams={"S": seam})
     refused(InputError, "does not tell the upper side of 'S'", in_one_body, ring(0.5, 1.0, 2.0, 0.2), (0.1, 1.0))
@@ -111,24 +111,24 @@ def test_directions_are_checked():
 
 def test_upper_side_that_changes():
     """A direction out of the circle above and into it below: the same interface model, and the same meshed layer."""
-    two, found, values = ring(0.5, 1.0, 2.0, 0.2), [], []
-    one = in_one_body(two, (0.0, 1.0))
-    assert set(np.rint((one.interface_normals * two.interface_normals).sum(axis=1))) == {-1, 1}
-    for joint in (two, one):
+    two, results, values = ring(0.5, 1.0, 2.0, 0.2), [], []
+    merged = in_one_body(two, (0.0, 1.0))
+    assert set(np.rint((merged.interface_normals * two.interface_normals).sum(axis=1))) == {-1, 1}
+    for joint in (two, merged):
         data = {"body": BODY, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (3.0, 1.0)}}
         state = solve(Structure(joint, **data).interface(ThinLayer(LinearElastic(lmbda=30.0, mu=20.0), 0.01, at=1.0)))
         surface = Surface(state.model)
-        found.append([surface.norm(surface.jump(state)), *state.energies().values()])
+        results.append([surface.norm(surface.jump(state)), *state.energies().values()])
         x, t = surface.profile(surface.frame(surface.traction(state))[1])
         values.append({tuple(np.round(at, 9)): value for at, value in zip(x, t, strict=True)})
-    assert found[1] == pytest.approx(found[0], rel=1e-9)
+    assert results[1] == pytest.approx(results[0], rel=1e-9)
     assert len(x) == 32 + 2  # where the upper side changes, two of the bodies' nodes lie on it
     assert values[1] == pytest.approx(values[0], abs=0.03 * max(map(abs, values[0].values())))
-    opened = [inflate(joint, 0.01, bodies="extended") for joint in (two, one)]
+    opened = [inflate(joint, 0.01, bodies="extended") for joint in (two, merged)]
     assert [np.sort(volumes(joint)) for joint in opened][1] == pytest.approx(np.sort(volumes(opened[0])), rel=1e-9)
     words, shares = r"at \(.*the upper side changes, and their sublayers do not meet", (0.3, 0.7)
-    refused(InputError, words, inflate, one, 0.01, bodies="extended", fractions=shares)
+    refused(InputError, words, inflate, merged, 0.01, bodies="extended", fractions=shares)
     law = HolonomicCoulomb(30.0, 10.0, 0.3)  # the pair of nodes there is two, each with the normal of its own facets
     pressed = {"body": BODY, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (0.5, -0.3)}, "element": "P1"}
-    first, second = (solve(Structure(j, **pressed).interface(law), method="newton").energies() for j in (two, one))
+    first, second = (solve(Structure(j, **pressed).interface(law), method="newton").energies() for j in (two, merged))
     assert [second[k] for k in ("bodies", "loads")] == pytest.approx([first[k] for k in ("bodies", "loads")], rel=1e-3)

@@ -147,14 +147,14 @@ AFFINE = [("interface", solve), ("full", lambda model: march(model, [0.5, 1.0], 
 @pytest.mark.parametrize(("kind", "how"), AFFINE)
 def test_an_affine_law_that_says_linear(kind, how):
     """The layer would open by `free`; t_N = K (w_N - free) presses the bodies, of height 1 in all, together by -w_N."""
-    law, body, own = Affine(7.0, 4.0, 0.03), LinearElastic(60.0, 40.0), 0.03
+    law, body, e_0 = Affine(7.0, 4.0, 0.03), LinearElastic(60.0, 40.0), 0.03
     K = 7.0 + 2 * 4.0
-    free = own * (3 * 7.0 + 2 * 4.0) / K
+    free = e_0 * (3 * 7.0 + 2 * 4.0) / K
     state = how(column(kind, law, body))
     t = -free / (1 / K + 1 / 140.0)
     assert np.abs(state.u.x.array).max() == pytest.approx(-t * 0.5 / 140.0, rel=1e-9)
     e = t / K + free  # of the layer, times its thickness
-    layer = (15.0 * (e - own) ** 2 + 2 * (7.0 + 4.0) * own**2 * 2 - 2 * 2 * 7.0 * own * (e - own)) / 2
+    layer = (15.0 * (e - e_0) ** 2 + 2 * (7.0 + 4.0) * e_0**2 * 2 - 2 * 2 * 7.0 * e_0 * (e - e_0)) / 2
     assert state.energies()["bodies"] == pytest.approx(t * t / 140.0 / 2, rel=1e-9)
     assert state.energies()["layer"] == pytest.approx(layer, rel=1e-9)
     if how is not solve:
@@ -165,13 +165,13 @@ def test_an_affine_law_that_says_linear(kind, how):
 def test_which_parameters_are_one_number():
     """By their annotations, as text or not."""
 
-    def bare(k: Any, **given: Any) -> BulkLaw:
+    def bare(k: Any, **arguments: Any) -> BulkLaw:
         names = {"__annotations__": {"k": float, "m": "float | None", "C": list}, "m": None, "C": (1.0, 2.0)}
-        return dataclass(frozen=True)(type("Bare", (BulkLaw,), names))(k, **given)
+        return dataclass(frozen=True)(type("Bare", (BulkLaw,), names))(k, **arguments)
 
     assert bare(1.0, C=[5.0, 6.0]).C == [5.0, 6.0]
-    for given in ({"k": [1.0, 2.0]}, {"k": 1.0, "m": [1.0]}):
-        refused(InputError, r"^Bare: \w is \[.*\]; allowed: a number$", bare, **given)
+    for arguments in ({"k": [1.0, 2.0]}, {"k": 1.0, "m": [1.0]}):
+        refused(InputError, r"^Bare: \w is \[.*\]; allowed: a number$", bare, **arguments)
 
 
 def test_a_traction_law_that_does_not_evolve():

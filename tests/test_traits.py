@@ -16,8 +16,8 @@ STIFF = LinearElastic(30.0, 20.0)
 ACROSS = np.array([[0.0, 0.0], [0.0, 1.0]])
 
 
-def halves(one, other):
-    return Stack((0.5, one), (0.5, other))
+def halves(law, other):
+    return Stack((0.5, law), (0.5, other))
 
 
 def test_stacks_fold_every_trait():

@@ -17,7 +17,7 @@ from geometry import block, bond_cell, ring, sandwich
 from studies.cylinders import lame
 from tests.orders import observed_orders
 from tests.refused import refused
-from tests.test_order1 import apart
+from tests.test_order1 import relative_errors
 from thinlayer import Pressure, Probe, Structure, Surface, ThinLayer, compare, solve
 from thinlayer.discretisation.interface_model import InterfaceModel
 
@@ -88,15 +88,15 @@ def of_tubes(eps: float, order: int) -> list[float]:
     state, surface = solve(model), Surface(model)
     area = surface.integral(1.0)
     assert area == pytest.approx(2 * np.pi * R * 0.05, rel=1e-12)
-    found = [surface.integral(f[0]) / area for f in (surface.reaction(state), surface.jump(state))]
-    return [*found, Probe(state).displacement((A, -0.025))[0]]
+    means = [surface.integral(f[0]) / area for f in (surface.reaction(state), surface.jump(state))]
+    return [*means, Probe(state).displacement((A, -0.025))[0]]
 
 
 def test_tubes_under_inner_pressure():
     """Traction, jump and the bore's displacement against Lame's solution for three tubes."""
     eps = (1 / 16, 1 / 32, 1 / 64)
     cases = [[of_tubes(e, order) for e in eps] for order in (1, 0)]
-    right, zero = (np.abs(np.array(found) / [of_lame(e) for e in eps] - 1).T for found in cases)
+    right, zero = (np.abs(np.array(case) / [of_lame(e) for e in eps] - 1).T for case in cases)
     for case, e in zip(cases[0], eps, strict=True):
         assert case == pytest.approx(of_law(e), rel=1e-6)  # of the cells
     lines = np.abs(np.array(of_law(1 / 64, relaxed=False)) / of_lame(1 / 64) - 1)
@@ -114,14 +114,14 @@ def wavy(x):
 
 def errors_of(structure, eps, law=GLUE, profile=None, meshed=None, order=1, cells_through=4):
     """(traction and jump, loads' work; eps) relative errors against the meshed layer."""
-    found = []
+    rows = []
     for e in eps:
         whole = ThinLayer(meshed or law, e, profile=profile, at=1.0)
         full = solve(structure.full(whole, bodies="extended", cells_through=cells_through))
         limit = solve(structure.interface(ThinLayer(law, e, order=order, profile=profile, at=1.0), bodies="extended"))
-        works = [one.energies()["loads"] for one in (full, limit)]
-        found.append([*apart(full, limit), abs(works[1] / works[0] - 1)])
-    return np.array(found).T
+        works = [state.energies()["loads"] for state in (full, limit)]
+        rows.append([*relative_errors(full, limit), abs(works[1] / works[0] - 1)])
+    return np.array(rows).T
 
 
 def flat(name: str) -> Structure:
@@ -140,14 +140,14 @@ def test_taper():
 
 def test_rotations_cause_no_strain(monkeypatch):
     """Neither where a thickness varies nor on a curved S; without fibres they cause one of order eps."""
-    of_model, found = InterfaceModel.sides_of, {}
+    of_model, energies = InterfaceModel.sides_of, {}
     for whole in (flat("both"), quarter()):
         layer = ThinLayer(GLUE, 1 / 8, order=1, profile=lambda x: 1 + 0.4 * x[0], at=1.0)
-        found[whole] = [_of_rotation(whole.interface(layer, bodies="extended"))]
+        energies[whole] = [_of_rotation(whole.interface(layer, bodies="extended"))]
         with monkeypatch.context() as changed:
             changed.setattr(InterfaceModel, "sides_of", lambda *at: replace(sides := of_model(*at), director=sides.n))
-            found[whole].append(_of_rotation(whole.interface(layer, bodies="extended")))
-    straight, curved = found.values()
+            energies[whole].append(_of_rotation(whole.interface(layer, bodies="extended")))
+    straight, curved = energies.values()
     assert max(straight[0], curved[0]) < 1e-20
     assert curved[1] > 1e-9
 
@@ -173,8 +173,8 @@ CURVED = {
 def test_rings(name):
     """Curved cells: order 2 against meshed layers, of unsymmetric stacks and of laws with a pressure, too."""
     law, meshed, profile = CURVED[name]
-    for one in errors_of(quarter(h=0.1), (1 / 16, 1 / 32), law, profile, meshed, cells_through=4):
-        assert observed_orders((1 / 16, 1 / 32), one)[-1] == pytest.approx(2.0, abs=0.17)
+    for errors in errors_of(quarter(h=0.1), (1 / 16, 1 / 32), law, profile, meshed, cells_through=4):
+        assert observed_orders((1 / 16, 1 / 32), errors)[-1] == pytest.approx(2.0, abs=0.17)
 
 
 # ---------------------------------------------------------------- the rest of the model
@@ -189,9 +189,9 @@ def test_places_of_bodies():
         volumes = [state.integral(1 * dx) for state, dx in zip((full, limit), cells, strict=True)]
         assert volumes[0] == pytest.approx(volumes[1], rel=1e-13)
     assert limit.applied().force == pytest.approx(full.applied().force, rel=1e-12)
-    held, applied = limit.reactions_by_place((0.0, 0.0)).values(), limit.applied((0.0, 0.0))
-    assert sum(one.force for one in held) == pytest.approx(-applied.force, rel=1e-10)
-    assert sum(one.moment for one in held) == pytest.approx(-applied.moment, rel=1e-10)  # the thickness is an arm
+    reactions, applied = limit.reactions_by_place((0.0, 0.0)).values(), limit.applied((0.0, 0.0))
+    assert sum(r.force for r in reactions) == pytest.approx(-applied.force, rel=1e-10)
+    assert sum(r.moment for r in reactions) == pytest.approx(-applied.moment, rel=1e-10)  # the thickness is an arm
     for r in (0.93, 1.07):  # next to the faces
         u, v = (Probe(state).displacement((0.6 * r, 0.8 * r)) for state in (full, limit))
         assert v == pytest.approx(u, abs=2e-3 * np.abs(u).max())
@@ -206,8 +206,8 @@ def test_refused():
     bricks = Structure(bond_cell((1.0, 0.5), 0.25), body=BODY, supports={})
     words = "seams meet or branch, where S has no"
     refused(InputError, words, bricks.interface, replace(layer, order=0), bodies="extended")
-    one = flat("both")
+    structure = flat("both")
     loaded = Structure(whole.joint, body=BODY, supports={"INSIDE": 0.0}, tractions={"START": Pressure(1.0)})
     refused(InputError, "traction on 'START': S ends there", lambda: loaded.interface(layer, bodies="extended"))
-    states = solve(one.full(layer, bodies="extended")), solve(one.interface(layer))
+    states = solve(structure.full(layer, bodies="extended")), solve(structure.interface(layer))
     refused(InputError, "compare, order=1: bodies are extended in the full model and kept", lambda: compare(*states))

@@ -106,9 +106,9 @@ def test_a_reaction_at_the_end_of_s_leaves_out_the_form():
     state = solve(column(sides, supports={"BOTTOM": 0.0}))
     surface = Surface(state.model)
     jump = surface.jump(state)
-    _, told = surface.profile(surface.traction(state))
+    _, traction = surface.profile(surface.traction(state))
     _, expected = surface.profile(GLUE.mu * np.stack([jump[0], 2 * jump[1]]))
-    assert told == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+    assert traction == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
 # ---------------------------------------------------------------- refusals

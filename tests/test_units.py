@@ -84,13 +84,13 @@ def run(name, u, kind="interface", depth=None):
     return np.concatenate([measured(model, state, u) for state in (history.at(1.5 * u.T), history.last)])
 
 
-def same(found, expected, rel=1e-6):
+def same(actual, expected, rel=1e-6):
     """Each block of numbers is compared with its own largest one: single entries may vanish by symmetry."""
-    assert np.array_equal(np.isnan(found), np.isnan(expected))
+    assert np.array_equal(np.isnan(actual), np.isnan(expected))
     size = np.nanmax(np.abs(expected))
-    assert np.nanmax(np.abs(found - expected)) <= rel * size
+    assert np.nanmax(np.abs(actual - expected)) <= rel * size
     big = np.abs(expected) > 1e-3 * size
-    assert found[big] == pytest.approx(expected[big], rel=10 * rel)
+    assert actual[big] == pytest.approx(expected[big], rel=10 * rel)
 
 
 CASES = [(name, "interface", None) for name in LAWS]
@@ -107,37 +107,37 @@ def test_units_and_loads(name, kind, depth):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["condensed", "multigrid", "newton", "relaxation"])
 def test_solvers_of_contact(method):
-    def found(u):
+    def response(u):
         model = structure(u, LAWS["holonomic"](u))
         return measured(model, solve(model, u.T, method=method), u, energy=False)
 
-    same(found(OTHER), found(Units()))
+    same(response(OTHER), response(Units()))
 
 
 def test_next_order_and_profiles():
-    def found(u):
+    def response(u):
         flat = structure(u, LAWS["elastic"](u), layer={"order": 1})
         wedge = structure(u, LAWS["elastic"](u), layer={"profile": lambda x: 1 + 0.02 * x[0] / u.L})
         return np.concatenate([measured(m, solve(m, u.T), u) for m in (flat, wedge)])
 
-    same(found(OTHER), found(Units()))
+    same(response(OTHER), response(Units()))
 
 
 def test_adaptive_steps():
     """The same steps are taken."""
 
-    def found(u):
+    def response(u):
         model = structure(u, LAWS["Maxwell"](u))
         history = march(model, Adaptive(end=2 * u.T, first=0.2 * u.T, tolerance=1e-3))
         return np.concatenate([np.array(history.t) / u.T, measured(model, history.last, u)])
 
-    same(found(OTHER), found(Units()))
+    same(response(OTHER), response(Units()))
 
 
 def test_paths():
     """An equilibrium path over a snap, whose parameter is no time: the same steps."""
 
-    def found(u):
+    def response(u):
         a, energy = u.L, 0.15 * u.size**2 * u.P * u.L
         law = NonMonotone(0.0, 10.0 * u.P / u.L, 1.5 * u.P * u.size, energy, [[0, 0], [0, 1]], mixing=0.5)
         joint = sandwich(20 * a, 4 * a, 6 * a, h=10 * a, structured=True)
@@ -147,4 +147,4 @@ def test_paths():
         history = march(model, ArcLength(end=0.3, first=0.15))
         return np.concatenate([np.array(history.t), measured(model, history.last, u)])
 
-    same(found(OTHER), found(Units()))
+    same(response(OTHER), response(Units()))

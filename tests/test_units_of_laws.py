@@ -106,16 +106,16 @@ def followed(name: str, u: Units) -> tuple[np.ndarray, np.ndarray]:
     path: list[dict[str, float]] = [{"w_T": a * u.L * u.size, "w_N": b * u.L * u.size} for a, b in jumps]
     path.append({"w_T": 0.01 * u.L * u.size, "t_N": -0.6 * u.P * u.size})
     path.append({"t_T": 0.2 * u.P * u.size, "t_N": -0.5 * u.P * u.size})
-    found = drive(LAWS[name](u), path, n=(0.6, 0.8), dt=0.1 * u.T)
-    return found.jumps / (u.L * u.size), found.tractions / (u.P * u.size)
+    history = drive(LAWS[name](u), path, n=(0.6, 0.8), dt=0.1 * u.T)
+    return history.jumps / (u.L * u.size), history.tractions / (u.P * u.size)
 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_units_and_loads_of_any_size(name):
     expected = followed(name, Units())
     for units, u in OTHERS.items():
-        for found, right in zip(followed(name, u), expected, strict=True):
-            assert found == pytest.approx(right, abs=EQUAL * np.abs(right).max()), units
+        for actual, right in zip(followed(name, u), expected, strict=True):
+            assert actual == pytest.approx(right, abs=EQUAL * np.abs(right).max()), units
 
 
 JUMPS = np.array([(0.004, -0.006), (0.02, -0.01), (0.03, 0.02), (-0.03, -0.01)])

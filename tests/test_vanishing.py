@@ -37,9 +37,9 @@ def test_a_uniform_cell_that_relaxes(d, unit, dt):
 
 @pytest.mark.parametrize("law", [LinearElastic(LMBDA, MU), Maxwell(LMBDA, MU, TAU)])
 def test_a_body_that_is_held_all_around_and_heated(law):
-    held = Structure(sandwich(2.0, 1.0, 0.5, 0.25), body=law, supports={s: 0.0 for s in ("LEFT", "RIGHT", "TOP", "BOTTOM")},
+    slab = Structure(sandwich(2.0, 1.0, 0.5, 0.25), body=law, supports={s: 0.0 for s in ("LEFT", "RIGHT", "TOP", "BOTTOM")},
                      eigenstrain=1e-3)  # fmt: skip
-    assert np.abs(march(held.bonded(), [0.5]).last.u.x.array).max() < 1e-12 * 1e-3
+    assert np.abs(march(slab.bonded(), [0.5]).last.u.x.array).max() < 1e-12 * 1e-3
 
 
 # ---------------------------------------------------------------- forces vanish
@@ -73,8 +73,8 @@ IDEAL = VonMises.young(E, 0.3, strength=Y)
 
 
 def sheet(supports, law=IDEAL, grows=False):
-    given = ((1e-3, 0.0), (0.0, 2e-3))
-    eigenstrain = (lambda x, t: [[c * t for c in row] for row in given]) if grows else given
+    strain = ((1e-3, 0.0), (0.0, 2e-3))
+    eigenstrain = (lambda x, t: [[c * t for c in row] for row in strain]) if grows else strain
     return Structure(SHEET, body=law, supports=supports, eigenstrain=eigenstrain, plane="stress").bonded()
 
 

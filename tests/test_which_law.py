@@ -43,12 +43,12 @@ def errors(row, law):
 def test_errors_between_rollers(row):
     set_up = which_law.Rollers(1 / 16)
     for nu, printed in ROLLERS.items():
-        found = row(set_up, nu, 1 / 8)
+        table_row = row(set_up, nu, 1 / 8)
         for law, wanted in zip(COMPARED, printed, strict=True):
-            assert wanted is None or errors(found, law) == pytest.approx(wanted, rel=0.08), (nu, law)
-    assert found["traction_order_1"] is None  # nu = 1/2
-    assert found["too_stiff"] is None
-    assert found["traction_edges"] is None  # no free ends
+            assert wanted is None or errors(table_row, law) == pytest.approx(wanted, rel=0.08), (nu, law)
+    assert table_row["traction_order_1"] is None  # nu = 1/2
+    assert table_row["too_stiff"] is None
+    assert table_row["traction_edges"] is None  # no free ends
 
 
 PAGE = PAGES["thinlayer/docs/theory/which_law.md"]
@@ -62,13 +62,13 @@ def test_the_table_of_the_page(row):
     rollers, free = which_law.Rollers(1 / 32), which_law.FreeEnds(False)
     set_ups = {"rollers": (rollers, "200,000", 0.499), "free": (free, "200", 0.49)}
     for name, (set_up, contrast, nu) in set_ups.items():
-        found = row(set_up, nu, 1 / 16, 100.0 / float(contrast.replace(",", "")))
-        for one, two, label, line in cells:
-            if (one, two) != (name, contrast):
+        table_row = row(set_up, nu, 1 / 16, 100.0 / float(contrast.replace(",", "")))
+        for ends, E_over_mu, label, line in cells:
+            if (ends, E_over_mu) != (name, contrast):
                 continue
             (law,) = (law for law, words in which_law.LAWS.items() if words == label.replace("`", ""))
             cell = line.split("|")[ratios.index(nu)].strip()
             printed = [None, None] if cell == "-" else [float(number) / 100 for number in cell.split(";")]
-            assert errors(found, law)[:2] == pytest.approx(printed, rel=0.07), (name, law)
+            assert errors(table_row, law)[:2] == pytest.approx(printed, rel=0.07), (name, law)
     assert set(re.findall(r"`run (\w+)", PAGE)) <= set(studies())
     assert set(re.findall(r"--law (\w+)", PAGE)) <= set(LAWS)

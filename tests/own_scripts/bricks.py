@@ -16,8 +16,8 @@ def tags(dim, value):
     grid.topology.create_connectivity(dim, 2)
     n = grid.topology.index_map(dim).size_local
     values = value(*mesh.compute_midpoints(grid, dim, np.arange(n, dtype=np.int32)).T[:2]).astype(np.int32)
-    found = np.flatnonzero(values >= 0).astype(np.int32)
-    return mesh.meshtags(grid, dim, found, values[found])
+    entities = np.flatnonzero(values >= 0).astype(np.int32)
+    return mesh.meshtags(grid, dim, entities, values[entities])
 
 
 def brick(x, y):

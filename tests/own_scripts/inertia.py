@@ -28,10 +28,10 @@ class Inertia(PartDefinition):
 class Newmark(Part):
     traits = PartTraits(rate=True, remembers=True)
 
-    def __init__(self, given, model):
-        self.key, self.given, self.V = given.key, given, model.V
+    def __init__(self, definition, model):
+        self.key, self.definition, self.V = definition.key, definition, model.V
         u, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
-        self.M = assemble_plain_matrix(given.rho * ufl.inner(u, v) * model.dx)
+        self.M = assemble_plain_matrix(definition.rho * ufl.inner(u, v) * model.dx)
 
     def rest(self):
         return {"v": fem.Function(self.V), "a": fem.Function(self.V)}
@@ -42,7 +42,7 @@ class Newmark(Part):
         self.interval, self.new = interval, self.rest()
 
     def evaluate(self, u, mid):
-        old, dt, beta, gamma = self.interval.old, self.interval.dt, self.given.beta, self.given.gamma
+        old, dt, beta, gamma = self.interval.old, self.interval.dt, self.definition.beta, self.definition.gamma
         v, a = (old.memory[self.key][name].x.array for name in ("v", "a"))
         self.moved = u.x.petsc_vec - old.u.x.petsc_vec
         if dt > 0:
@@ -56,7 +56,7 @@ class Newmark(Part):
 
     def tangents(self, relative_residual):
         dt = self.interval.dt
-        return [Block(self.M, 1 / (self.given.beta * dt**2) if dt > 0 else 0.0, kept=True)]
+        return [Block(self.M, 1 / (self.definition.beta * dt**2) if dt > 0 else 0.0, kept=True)]
 
     def commit(self):
         v, before = self.new["v"].x.petsc_vec, self.interval.old.stored.get(self.key, 0.0)

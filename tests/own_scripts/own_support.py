@@ -21,24 +21,24 @@ class Level(PartDefinition):
     key: str = "level"
     components = ("y",)  # it ties these; along x nodes are free
 
-    def given(self, model):
+    def total_force(self, model):
         return model.coordinates.coefficient(self.force, "the level's force", ()).once("the whole beam")
 
     def check(self, model):
-        self.given(model)
+        self.total_force(model)
 
     def multi_point_constraint(self, model):
         n = model.V.dofmap.index_map.size_local * model.joint.dim  # displacements of this rank
-        rows = self.held(model, model.V)
+        rows = self.bc_dofs_in(model, model.V)
         rows = rows[rows < n]
         R = scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, np.zeros_like(rows))), (n, 1))
-        return MultiPointConstraint(self.key, ["y"], R, {}, lambda t: np.array([self.given(model).at_time(t)]))
+        return MultiPointConstraint(self.key, ["y"], R, {}, lambda t: np.array([self.total_force(model).at_time(t)]))
 
 
 joint = sandwich(width=40, lower=6, upper=6, h=1)  # mm
 concrete = LinearElastic.young(E=lambda x: 20e3 * (1 + x[0] / 40), nu=0.2)  # MPa; twice as stiff on the right
-held = {"BOTTOM": {"y": 0}, "LEFT": {"x": 0}}
-pressed = Structure(joint, body=concrete, supports=held, parts=[Level("TOP", force=-2000)])
+supports = {"BOTTOM": {"y": 0}, "LEFT": {"x": 0}}
+pressed = Structure(joint, body=concrete, supports=supports, parts=[Level("TOP", force=-2000)])
 state = solve(pressed.interface(ThinLayer(LinearElastic.young(E=2e3, nu=0.3), 0.2)))
-lowered, held = Probe(state).displacement([(1, 6), (39, 6)])[:, 1], state.reaction("BOTTOM").force[1]
-print(lowered, held)  # -0.0230, -0.0230 mm; 2000 N/mm
+lowered, reaction = Probe(state).displacement([(1, 6), (39, 6)])[:, 1], state.reaction("BOTTOM").force[1]
+print(lowered, reaction)  # -0.0230, -0.0230 mm; 2000 N/mm

@@ -32,9 +32,9 @@ push, tilt, times = 0.008, 0.012, (0.5, 1, 1.5)  # the top moves along by push t
 
 broken = BrokenMesh(grid, bodies, facets, S={S: UPPER})
 V = broken.space(("Lagrange", 1, (2,)))
-u, v, given = fem.Function(V), ufl.TestFunction(V), fem.Function(V)
-held = {tag: fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (TOP, BOTTOM)}
-bcs = [fem.dirichletbc(np.zeros(2), held[BOTTOM], V), fem.dirichletbc(given, held[TOP])]
+u, v, u_D = fem.Function(V), ufl.TestFunction(V), fem.Function(V)
+bc_dofs = {tag: fem.locate_dofs_topological(V, 1, facets.find(tag)) for tag in (TOP, BOTTOM)}
+bcs = [fem.dirichletbc(np.zeros(2), bc_dofs[BOTTOM], V), fem.dirichletbc(u_D, bc_dofs[TOP])]
 contact = ContactPart(law, broken.contact_surface(S, V))
 none = ufl.inner(fem.Constant(grid, np.zeros(2)), v) * ufl.dx
 problem = StepProblem(none, u, bcs, [body(stone, ufl.Measure("dx", domain=grid))], parts=[contact])
@@ -44,7 +44,7 @@ snes.getKSP().getPC().setType("lu")
 snes.getKSP().getPC().setFactorSolverType("mumps")
 problem.attach(snes)
 for t in times:
-    given.interpolate(lambda x, t=t: np.vstack([push * t + 0 * x[0], -0.006 + tilt * t * (1 - x[0])]))
+    u_D.interpolate(lambda x, t=t: np.vstack([push * t + 0 * x[0], -0.006 + tilt * t * (1 - x[0])]))
     problem.begin(dt=t - problem.t)
     snes.solve(None, u.x.petsc_vec)
     problem.accept()
