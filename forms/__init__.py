@@ -1,6 +1,6 @@
-"""UFL: kinematics, laws, and the work line that carries a law into a body, a meshed layer or a surface S.
+"""Constitutive laws in UFL, kinematics, and the virtual work of a law in a body, in a meshed layer or on a surface S.
 
-The names here are those that users import: laws, contracts of laws, and what laws are written with.
+This module exports the names that users import: laws, base classes for user-defined laws, `check`, `Tabulated`.
 """
 
 # ruff: noqa: F401
@@ -13,6 +13,6 @@ from forms.non_monotone import NonMonotone, NonMonotoneUnrelaxed
 from forms.plastic import MohrCoulomb, MohrCoulombMonodirectional, VonMises
 from forms.rubber import Incompressible, Rubber
 from forms.series import Stack
-from forms.temperature import TemperatureTable
+from forms.temperature import Tabulated
 from forms.traction import TractionLaw
 from forms.viscous import KelvinVoigt, Maxwell, Norton, NortonCreep

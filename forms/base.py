@@ -1,4 +1,4 @@
-"""Shared by all packages here: errors, words for unknown names, tests for numbers, type of arrays, names of packages."""
+"""Shared by all packages: errors, messages for unknown names, tests for numbers, array type, package names."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 PACKAGES = ("forms", "geometry", "thinlayer")
-# of modules that thinlayer works without, the extra of pyproject.toml that installs them
+# optional module -> the extra of pyproject.toml that installs it
 OPTIONAL_DEPENDENCIES = {"matplotlib": "pictures", "pyvista": "pictures", "gmsh": "meshes", "meshio": "meshes"}
 
 
 class ThinlayerError(Exception):
-    """Base of all errors that these packages raise themselves, for bad input and for solves that fail."""
+    """Base of all errors that these packages raise, for bad input and for failed solves."""
 
 
 class InputError(ThinlayerError, ValueError):
     """Input that cannot be used. The message says what is wrong, where, and which values are allowed.
 
     Attributes:
-        key: of the condition that does not hold; "": it has none.
+        key: identifier of the condition that is violated; "" if it has none.
     """
 
     key = ""
 
 
 def require(good: object, what: str, value: object, wanted: str) -> None:
-    """Raise InputError that says what a value is, and what is wanted, unless it is good."""
+    """Raise InputError "{what} is {value}; {wanted}" unless `good` is true."""
     if not good:
         raise InputError(f"{what} is {value!r:.200}; {wanted}")
 
 
 def import_optional(name: str) -> ModuleType:
-    """Import a module of `OPTIONAL_DEPENDENCIES`, or a module of ours that imports them.
+    """Import a module of `OPTIONAL_DEPENDENCIES`, or a module of these packages that imports one of them.
 
     Raises:
-        InputError: such a module is not installed. The message names the extra that installs it.
+        InputError: the optional dependency is not installed. The message names the extra that installs it.
     """
     try:
         return import_module(name)
@@ -57,7 +57,7 @@ def import_optional(name: str) -> ModuleType:
 
 
 def unknown_name_message(kind: str, name: object, allowed: Iterable[str]) -> str:
-    """Message for a name that does not exist: the nearest known one, or the only one that starts so, and the whole list."""
+    """Error message for an unknown name, with the closest known name (or its only completion) and all known names."""
     allowed, start = sorted(allowed), str(name).lower()
     lowered = {candidate.lower(): candidate for candidate in allowed}
     longer = [key for key in lowered if key.startswith(start)]
@@ -72,11 +72,11 @@ def is_number(value: Any) -> bool:
 
 
 def is_finite(value: Any) -> bool:
-    """Whether a value is a real number between the largest and the smallest one of 64 bits."""
-    plain = value.item() if isinstance(value, np.generic) else value  # else the bound would be rounded to 32 bits
+    """Whether a value is a real number in the range of 64-bit floats; False for NaN and infinity."""
+    plain = value.item() if isinstance(value, np.generic) else value  # numpy would round the bound to 32 bits
     return is_number(plain) and bool(abs(plain) <= sys.float_info.max)
 
 
 def is_integer(value: Any, least: int) -> bool:
-    """Whether a value is a whole number, and not less than another one; 3.0 is whole, too."""
+    """Whether a value is a whole number >= `least`; 3.0 counts as whole."""
     return is_finite(value) and value == int(value) and value >= least

@@ -1,4 +1,4 @@
-"""What a law of one's own must be: `check` says it, and `drive` and all models ask it of the laws they get."""
+"""Checks of user-defined laws: `check`, which `drive` and all models call for the laws they get."""
 
 from __future__ import annotations
 
@@ -20,29 +20,31 @@ from forms.tensors import Expr, mandel_vector
 
 SAMPLE_STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
 RELATIVE_TOLERANCE = 1e-8  # relative difference that counts as rounding
-MIN_NORMAL_NUMBER = 1e-290  # number, below which products of others have lost digits
+MIN_NORMAL_NUMBER = 1e-290  # magnitude below which products of numbers have lost digits
 ASYMMETRY_MESSAGE = (
     "{}: the tangent is not symmetric, it differs from its transpose by {:.1e} of its size; "
     "write symmetric = False in the class, or correct it"
 )
-_CHECKED_LAWS: set[tuple[Any, ...]] = set()  # laws with their numbers
+_CHECKED_LAWS: set[tuple[Any, ...]] = set()  # laws that have passed, with their parameter values
 
 
 def check(law: Law, d: int | None = 3) -> None:
-    """Raise InputError unless a law computes what its class declares, with the numbers that it has.
+    """Raise InputError unless a law, with its parameter values, agrees with the declarations of its class.
 
-    Models and `drive` ask this once for each law and its numbers, but for laws of this package and of contact. A law in UFL
+    Models and `drive` call this once for each law and its parameter values, except for contact laws and laws of this
+    package. A law in UFL must
 
-    - gives a stress (3, 3), internal variables and energies of the shapes that it declares; tensors are symmetric;
-    - gives the same with symbols in place of its numbers, with which it is compiled: Python must not compare them;
-    - has one tangent for all strains if it says `linear`, and a symmetric one unless it says `symmetric = False`;
-    - has the slope of its energy for a stress, if it is symmetric and has neither memory nor rate.
+    - return a stress (3, 3), and internal variables and energies of the declared shapes; tensors must be symmetric;
+    - return the same values when symbols replace its numbers for compilation; Python code must not compare them;
+    - have one tangent for all strains if it declares `linear`;
+    - have a symmetric tangent unless it declares `symmetric = False`;
+    - return the derivative of its energy as stress, if it is symmetric and has neither memory nor rate.
 
-    What a `KernelLaw` reads is found out where it is compiled.
+    A user-defined `KernelLaw` is checked when it is compiled.
 
     Args:
         law: the law.
-        d: number of components of the director where the stress is a part of a form; None in a body.
+        d: number of components of the director for laws whose stress is part of a form; None in a body.
     """
     if isinstance(law, type):
         raise InputError(f"{law.__name__} is a class; give a law, with its numbers")
@@ -59,7 +61,7 @@ def check(law: Law, d: int | None = 3) -> None:
 
 
 def require_computed(law: BulkLaw, d: int | None = 3) -> None:
-    """As `check`, whatever has been asked before."""
+    """Check a law as `check` does, even if it has passed before."""
     if not law.traits.in_ufl:
         return
     numeric_law, name, method = law.mapped(lambda value, _: _number(value)), type(law).__name__, law.methods[0]
@@ -104,10 +106,10 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
 
 
 def _evaluate_methods(law: BulkLaw, step: Step) -> dict[str, Expr]:
-    """What a law gives in a step, by its methods.
+    """Stress, new internal variables and energies of a law in a step, as UFL expressions by name of the method.
 
     Raises:
-        InputError: a method fails, or gives another shape.
+        InputError: a method fails, or returns a wrong shape or the wrong internal variables.
     """
     name, (method, advances) = type(law).__name__, law.methods
     with explained_errors(law, method):
@@ -128,7 +130,7 @@ def _evaluate_methods(law: BulkLaw, step: Step) -> dict[str, Expr]:
 
 
 def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
-    """A strain (6,), and inputs of a law as `Symbolic.numbers` has them, with this strain, dt = 0.1 and theta = 1."""
+    """Random strain (6,) of a size, and inputs as in `SymbolicLaw.numbers` with this strain, dt = 0.1 and theta = 1."""
     random = np.random.default_rng(3)
     e, n = size * random.normal(size=6), np.pad(random.normal(size=d), (0, 3 - d))
     before = 0.1 * size * random.normal(size=6), size * random.random(law.memory)
@@ -136,17 +138,17 @@ def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
 
 
 def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Callable[..., Array | None]) -> None:
-    """Raise InputError if a law gives something else with numbers than with symbols."""
+    """Raise InputError if the values that a law computes with numbers differ from its traced values (`values`)."""
     place, stress = 12 + law.memory, values(law.methods[0], sample)
     work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
-    least = {"energy": work, "dissipation": work}  # where no energy is stored rounding is left
+    least = {"energy": work, "dissipation": work}  # scale of rounding errors where an energy is zero
     for dt, theta, of_place in ((0.1, 1.0, 1.0), (0.0, 0.5, 0.0)):
         numeric_law = law.mapped(lambda value, _, of_place=of_place: _number(value, of_place))  # type: ignore[misc]
         inputs = np.concatenate([sample[: place + 3], [dt, theta], numeric_law.parameter_values()])
         try:
             point = symbolic(numeric_law, inputs, d)
             expressions = _evaluate_methods(point.law, point.step)
-        except Exception:  # numbers that cannot be divided, say
+        except Exception:  # for example a division by zero
             continue
         for key, expression in expressions.items():
             direct, traced = _evaluated(expression), values(key, inputs)
@@ -157,15 +159,15 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
 
 
 def _relative_difference(a: Array, b: Array, least: float = 0.0) -> float:
-    """Largest difference of two arrays over their largest number, or over `least`; 0 if it is rounding."""
+    """Largest difference of two arrays, relative to their largest entry or to `least`; 0 if it is rounding error."""
     difference, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least, MIN_NORMAL_NUMBER)
     return float(difference / largest) if difference > RELATIVE_TOLERANCE * largest else 0.0
 
 
 def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Array | None:
-    """The numbers of an expression; None if it has none, or they are not finite."""
+    """Numerical values of an expression; None if it cannot be evaluated, or they are not finite."""
     try:
-        with warnings.catch_warnings(action="ignore"):  # UFL warns where it finds no number
+        with warnings.catch_warnings(action="ignore"):  # UFL warns of parts without a value
             numbers = evaluate(expand_derivatives(expression), values)
     except Exception:  # parts without a value, such as a coordinate: the compiler will report errors
         return None
@@ -173,8 +175,8 @@ def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Arr
 
 
 def _number(value: Any, of_place: float = 1.0) -> Any:
-    """A parameter as numbers, if it is a number or a Constant; `of_place` for a function; others unchanged."""
-    if is_field(value) or isinstance(value, Indexed):  # values at places, or at quadrature points
+    """Numeric value of a number or a Constant; `of_place` for a parameter that varies; other values unchanged."""
+    if is_field(value) or isinstance(value, Indexed):  # a function of the place, or values at quadrature points
         return of_place
     try:
         array = np.asarray(getattr(value, "value", value), float)

@@ -27,21 +27,21 @@ class Status(IntEnum):
 
 @dataclass(frozen=True)
 class ContactLaw(Law):
-    """A law between the jump at a node of S and the traction there, without a bulk law behind it.
+    """A law between the jump and the traction at a node of S, without an underlying bulk law.
 
-    Jumps w (n, d) and tractions (n, d) have components in the frame of S: d - 1 tangential ones, then the normal one, which
-    is positive where S opens and where it pulls. The normal jump counts from contact: an initial gap adds to it.
-    Penetration is u_N = -w_N, pressure p = -t_N >= 0:
+    Jumps w (n, d) and tractions (n, d) have components in the frame of S: first d - 1 tangential components, then the
+    normal component. It is positive where S opens, and for tension. The normal jump includes the initial gap: it is
+    zero at first contact. Penetration is u_N = -w_N, pressure p = -t_N >= 0:
 
         p = K_N max(u_N, 0),   t_T = K_T (w_T - slip), shortened to the length threshold(p) where it is longer.
 
-    In three dimensions the threshold is the radius of a disc. Your own contact law defines `threshold` and
+    In three dimensions the threshold is the radius of a disc. A user-defined contact law defines `threshold` and
     `threshold_rate`, functions of arrays; Newton's method solves it.
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         gap: by keyword, initial gap along n between the two sides, a length: a number, or a numpy function of places x
-            (d, n) that returns n numbers; < 0 is an interference, which presses the sides together before they move.
+            (d, n) that returns n numbers; < 0 is an interference, which presses the undisplaced sides together.
         memory: whether a node remembers its slip, (d - 1) components; otherwise slip = 0.
     """
 
@@ -61,7 +61,7 @@ class ContactLaw(Law):
         return super().parameters() | ({"gap": np.nan} if callable(self.gap) else {})
 
     def gaps(self, x: Array) -> Array:
-        """Initial gaps (n,) at places x (d, n); raises InputError if they are not n finite numbers."""
+        """Initial gaps (n,) at places x (d, n); raise InputError if they are not n finite numbers."""
         if not callable(self.gap):
             return np.full(x.shape[1], float(self.gap))
         it = "it must be a numpy function of places (d, n) that gives n lengths"
@@ -73,15 +73,15 @@ class ContactLaw(Law):
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}
 
     def threshold(self, p: Array) -> Array:
-        """Largest |t_T| at a pressure."""
+        """Largest |t_T| (n,) at pressures p (n,)."""
         raise InputError(f"{type(self).__name__} has no threshold; a contact law needs a method threshold(p)")
 
     def threshold_rate(self, p: Array) -> Array:
-        """Derivative of the threshold by the pressure."""
+        """Derivative (n,) of the threshold by the pressure."""
         raise InputError(f"{type(self).__name__} has no method threshold_rate(p)")
 
     def check_threshold(self) -> None:
-        """Raise InputError unless `threshold` (>= 0) and `threshold_rate` give finite numbers (n,) for pressures (n,)."""
+        """Raise InputError unless `threshold` (>= 0) and `threshold_rate` return finite (n,) for pressures (n,)."""
         p = np.concatenate([[0.0], self.K_N * np.logspace(-9, 0, 10)])
         for name in ("threshold", "threshold_rate"):
             where, pressures = f"{type(self).__name__}.{name}(p)", p.copy()
@@ -109,17 +109,17 @@ class ContactLaw(Law):
                 raise InputError(f"{type(self).__name__}: numbers and threshold(p) are two laws; give numbers = None")
 
     def pressure(self, w: Array) -> Array:
-        """p, (n,)."""
+        """Contact pressure p (n,) at jumps w (n, d)."""
         return self.K_N * np.maximum(-w[:, -1], 0.0)
 
     def _trial(self, w: Array, slip: Array | None) -> tuple[Array, Array, Array, Array]:
-        """Pressure, threshold, elastic tangential traction and its length."""
+        """Pressure, threshold, elastic trial value of the tangential traction, and its magnitude."""
         p = self.pressure(w)
         elastic = self.K_T * (w[:, :-1] if slip is None else w[:, :-1] - slip)
         return p, self.threshold(p), elastic, np.linalg.norm(elastic, axis=1)
 
     def traction(self, w: Array, slip: Array | None = None) -> Array:
-        """Traction on the lower side of S, (n, d); -traction acts on the upper one.
+        """Traction (n, d) on the lower side of S; -traction acts on the upper side.
 
         Args:
             w: (n, d) jumps.
@@ -130,7 +130,7 @@ class ContactLaw(Law):
         return np.column_stack([elastic * shorter[:, None], -p])
 
     def tangent(self, w: Array, slip: Array | None = None) -> Array:
-        """Derivative of the traction by the jump, (n, d, d); arguments as in `traction`. Not symmetric where S slides."""
+        """Derivative (n, d, d) of the traction by the jump, see `traction`. Not symmetric where S slides."""
         p, bound, elastic, size = self._trial(w, slip)
         n, d = w.shape
         out = np.zeros((n, d, d))
@@ -146,7 +146,7 @@ class ContactLaw(Law):
         return out
 
     def bonded(self, n: int, d: int) -> Array:
-        """Tangents of n nodes that neither open nor slide, (n, d, d)."""
+        """Tangents (n, d, d) of n bonded nodes, which neither open nor slide."""
         return np.tile(np.diag([self.K_T] * (d - 1) + [self.K_N]), (n, 1, 1))
 
     def status(self, w: Array, slip: Array | None = None) -> npt.NDArray[np.int8]:
@@ -168,7 +168,7 @@ class ContactLaw(Law):
         return stored, (t[:, :-1] * (self.slip_after(w, slip) - slip)).sum(axis=1)
 
     def homotopy(self, share: float) -> ContactHomotopy:
-        """This law in parallel with springs that neither open nor slide, for continuation."""
+        """Homotopy law for continuation: this law in parallel with springs that neither open nor slide."""
         return ContactHomotopy(self, share)
 
     @property
@@ -194,13 +194,13 @@ class ContactLaw(Law):
 
 @dataclass(frozen=True)
 class ContactHomotopy:
-    """t = (1 - share) t_law + share K (w - slip), K = diag(K_T, ..., K_N): its equilibrium is easier to find.
+    """Homotopy law t = (1 - share) t_law + share K (w - slip), K = diag(K_T, ..., K_N), with an easier equilibrium.
 
-    Every jump is resisted, so that an equilibrium exists under all loads.
+    Its springs resist every jump, so that an equilibrium exists under all loads.
 
     Attributes:
         law: the law.
-        share: of the springs; 0: the law itself, 1: bonded.
+        share: share of the springs; 0: the law itself, 1: bonded.
     """
 
     law: ContactLaw
@@ -249,11 +249,12 @@ class _Coulomb(ContactLaw):
 
 @dataclass(frozen=True)
 class HolonomicCoulomb(_Coulomb):
-    """The unilateral law of section 8 of the paper: normal compliance, friction that depends on the jump alone.
+    """The unilateral law of section 8 of the paper: normal compliance, friction that depends on the current jump only.
 
-    |t_T| = min(K_T |w_T|, friction p + cohesion), against w_T: no memory of slip, so unloading goes back along the loading
-    curve. Section 8 takes it for the law of sections 5.3 and 7.3, but that law is incremental and does not open; the two
-    agree where p only grows and slip does not reverse. This law is not the limit of a bulk law of a layer.
+    |t_T| = min(K_T |w_T|, friction p + cohesion), opposing w_T. Slip has no memory, so unloading returns along the
+    loading curve. Section 8 identifies this law with the law of sections 5.3 and 7.3, but that law is incremental and
+    does not open. The two agree where p only grows and slip does not reverse. This law is not the limit of a bulk law
+    of a layer.
 
     The cohesion is a strength in shear that does not depend on the opening: a separated node carries no pressure, but
     tangential traction up to the cohesion.
@@ -272,9 +273,10 @@ class HolonomicCoulomb(_Coulomb):
 class IncrementalCoulomb(_Coulomb):
     """Normal compliance and Coulomb friction with slip memory: t_T = K_T (w_T - slip), |t_T| <= friction p + cohesion.
 
-    Slip grows along t_T where the threshold is met (backward Euler, the return of elastoplasticity). Without cohesion it
-    follows w_T where S is open: a node that closes again starts without tangential traction. This is the law of sections
-    5.3 and 7.3 made unilateral, for `march`. Attributes and errors as in `HolonomicCoulomb`.
+    Slip grows along t_T where the threshold is reached (backward Euler, as the return mapping of elastoplasticity).
+    Without cohesion slip equals w_T where S is open, so that a node that closes again starts without tangential
+    traction. This is the law of sections 5.3 and 7.3 in unilateral form, for `march`. Attributes and errors as in
+    `HolonomicCoulomb`.
     """
 
     memory: ClassVar[bool] = True
@@ -282,9 +284,9 @@ class IncrementalCoulomb(_Coulomb):
 
 @dataclass(frozen=True)
 class Tresca(ContactLaw):
-    """Normal compliance and a given friction threshold, which also applies at open nodes.
+    """Normal compliance and a prescribed friction threshold, which also applies at open nodes.
 
-    It is the problem inside the fixed point of section 8, and has a convex energy (the paper's psi, correct as printed).
+    It is the subproblem of the fixed-point iteration of section 8, with a convex energy (the paper's psi, as printed).
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.

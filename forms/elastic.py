@@ -20,9 +20,9 @@ from forms.stations import Faces, Station, gauss_stations
 from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, condensed_tangent, isotropic_tensor, layer_frame
 
 VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
-VOIGT_INDEX = ((0, 5, 4), (5, 1, 3), (4, 3, 2))  # of the components of a tensor
-MAX_FREE_END_NU = 0.45  # of layers whose free ends are known without a pressure on S
-MODULUS_RATIO_TOLERANCE = 1e-9  # of ratios of moduli
+VOIGT_INDEX = ((0, 5, 4), (5, 1, 3), (4, 3, 2))  # Voigt index of each component of a tensor
+MAX_FREE_END_NU = 0.45  # largest Poisson's ratio with free-end strips for laws without a pressure on S
+MODULUS_RATIO_TOLERANCE = 1e-9  # relative tolerance of ratios of moduli
 OUT_OF_PLANE_VOIGT = [2, 3, 4]
 IN_PLANE_VOIGT = [0, 1, 5]
 
@@ -51,7 +51,7 @@ class IsotropicLaw(BulkLaw):
 
 
 def poisson_ratio(law: Any) -> float:
-    """Poisson's ratio of a law with the moduli lmbda and mu, numbers."""
+    """Poisson's ratio of a law with numeric moduli lmbda and mu."""
     return float(law.lmbda) / (float(law.lmbda) + float(law.mu)) / 2
 
 
@@ -74,7 +74,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
     Attributes:
         lmbda: first Lame modulus, stress; lmbda + 2 mu/3 > 0.
-        mu: shear modulus, likewise; > 0.
+        mu: shear modulus, stress; > 0.
 
     Raises:
         InputError: a modulus out of range.
@@ -114,10 +114,10 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
 
     def stations(self) -> list[Station[Any]]:
-        """The change of strain through the layer does not change the tractions: its stress times n is zero.
+        """Two Gauss stations whose change of strain through the layer causes no traction: its stress times n is zero.
 
-        The displacements are then parabolas through the thickness; with straight lines a nearly incompressible layer
-        would lock.
+        The displacements are then parabolic through the thickness. Linear displacements would lock in a nearly
+        incompressible layer.
         """
         return gauss_stations(self, self._change)
 
@@ -131,9 +131,10 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         return self.lmbda / (self.lmbda + 2 * self.mu)
 
     def end_strips(self) -> EndStrips | None:
-        """Known for Poisson's ratios from 0 to `MAX_FREE_END_NU`, beyond which the pressure falls over more than the strip.
+        """Strips for Poisson's ratios from 0 to `MAX_FREE_END_NU`; None for others and for parameters that vary.
 
-        In plane stress, where the law's moduli are those of `plane_stress`, its ratio is nu/(1 + nu).
+        Beyond the maximum the pressure decays over more than the strip. In plane stress the law has the moduli of
+        `plane_stress`, and the ratio here is nu/(1 + nu) of the material.
         """
         if self.fields:
             return None
@@ -141,7 +142,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         return EndStrips.of(free_end(nu)) if 0 <= nu <= MAX_FREE_END_NU * (1 + MODULUS_RATIO_TOLERANCE) else None
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
-        """Two strains give the energy of the mean strain (`forms.ends.weights`), a third one that of its change."""
+        """Three stations: two for the energy of the mean strain (`forms.ends.weights`), the third for its change."""
 
         def strain(k: int) -> Callable[[LinearElastic, Faces], Expr]:
             return lambda law, faces: weights.strains(faces, law._share)[k]
@@ -179,9 +180,9 @@ class Anisotropic(LinearLaw):
     As a layer's law: t_i = C_ijkl n_j n_l w_k/eps with the jump w: the acoustic tensor of the layer.
 
     Attributes:
-        C: (6, 6) symmetric stiffness in Voigt order 11, 22, 33, 23, 13, 12 (engineering shear strains), stress, positive
-            semidefinite. A layer needs a positive definite acoustic tensor, and a body a positive definite C, unless
-            supports hold the motions that it does not resist.
+        C: (6, 6) symmetric stiffness in Voigt order 11, 22, 33, 23, 13, 12 (engineering shear strains), stress,
+            positive semidefinite. A layer needs a positive definite acoustic tensor, and a body a positive definite C,
+            unless supports constrain the motions that it does not resist.
         frame: "global", or "layer": axis 2 is the director n, axes 1 and 3 lie in the layer (`layer_frame`).
 
     Raises:
@@ -193,7 +194,7 @@ class Anisotropic(LinearLaw):
     powers: ClassVar = {"C": 1}
 
     def check(self) -> None:
-        C = np.array(self.C, float)  # a copy, which the caller does not change
+        C = np.array(self.C, float)  # a copy, which the caller cannot change
         self.require(C.shape == (6, 6), "shape of C", "(6, 6)", C.shape)
         self.require(bool(np.isfinite(C).all()), "C", "finite numbers", "not finite")
         self.require(np.allclose(C, C.T, rtol=1e-10, atol=0), "C", "C = C^T", "not symmetric")
@@ -204,9 +205,9 @@ class Anisotropic(LinearLaw):
 
     @classmethod
     def springs(cls, K_N: float, K_T: float) -> Anisotropic:
-        """A layer of springs: normal stiffness K_N > 0, tangential stiffness K_T >= 0 (stress per length), nothing else.
+        """A layer of springs with normal stiffness K_N > 0 and tangential stiffness K_T >= 0 (stress per length) only.
 
-        K_T = 0 is a bearing without friction: supports must hold bodies that may slide.
+        K_T = 0 is a bearing without friction: supports must constrain bodies that may slide.
         """
         require(is_finite(K_N) and K_N > 0, "Anisotropic.springs: K_N", K_N, "allowed: > 0")
         require(is_finite(K_T) and K_T >= 0, "Anisotropic.springs: K_T", K_T, "allowed: >= 0")

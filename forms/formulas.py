@@ -22,16 +22,17 @@ BOUND_TOLERANCE = 1e-12  # relative tolerance for parameters that equal a bound 
 def mohr_coulomb_fixed_opening(
     lmbda: float, mu: float, cohesion: float, friction_angle: float, w_N: float, w_T: Array
 ) -> Array:
-    """Tractions (..., 2) of the full law, psi = 0, under a shear w_T that grows at fixed w_N. Exact in time.
+    """Tractions (..., 2), t_T and t_N, of the full law for psi = 0, as the shear w_T grows at fixed w_N. Exact in time.
 
-    Elastic until |s| = R, then t_T = R tanh(mu (w_T - w_y)/R + artanh(s_y/R)) and t_N = p +- R sech(same), where s_y is the
-    shear stress at first yield, at w_y, and the sign is that of s_N = mu w_N: the normal part of the deviator fades, and
-    t_T tends to R = C cos(Omega) - p sin(Omega), not to the C - t_N tan(Omega) of Eqs. (34)-(37).
+    The response is elastic until |s| = R = C cos(Omega) - p sin(Omega). Let s_y be the shear stress at first yield, at
+    w_y. After it, with a = mu (w_T - w_y)/R + artanh(s_y/R), t_T = R tanh(a) and t_N = p +- R sech(a). The sign equals
+    the sign of s_N = mu w_N. The normal part of the deviator fades, and t_T tends to R, not to the C - t_N tan(Omega)
+    of Eqs. (34)-(37).
 
     Args:
         lmbda, mu, cohesion, friction_angle: parameters of the law; C and Omega in the formulas, Omega in degrees.
-        w_N: the jump held; the shear starts after elastic compression.
-        w_T: shear since the start, of one sign and monotone.
+        w_N: fixed normal jump; the shear starts after elastic compression.
+        w_T: tangential jump since the start, of one sign and monotone.
 
     Raises:
         InputError: the start is beyond the yield surface.
@@ -42,7 +43,7 @@ def mohr_coulomb_fixed_opening(
         raise InputError(f"|s| = {abs(s_N):g} at the start exceeds R = {R:g}")
     sign = -1.0 if np.any(x < 0) else 1.0
     first = sign * np.sqrt(max(R**2 - s_N**2, 0.0))
-    beyond = (mu * x - first) / R  # from first yield on
+    beyond = (mu * x - first) / R  # shear after first yield
     with np.errstate(divide="ignore"):
         angle_y = beyond + np.arctanh(first / R)
     yields = sign * beyond > 0
@@ -53,8 +54,8 @@ def mohr_coulomb_fixed_opening(
 def first_yield_ratio(nu: float, friction_angle: float) -> float:
     """t_T/|t_N| of the full law at first yield under shear, after elastic compression; C = 0.
 
-    sqrt(sin^2(Omega) - (1 - 2 nu)^2)/(2 (1 - nu)); 0 for nu <= (1 - sin(Omega))/2, where compression alone makes
-    the layer yield.
+    It is sqrt(sin^2(Omega) - (1 - 2 nu)^2)/(2 (1 - nu)); but 0 for nu <= (1 - sin(Omega))/2, where compression alone
+    makes the layer yield.
     """
     return float(np.sqrt(max(np.sin(np.radians(friction_angle)) ** 2 - (1 - 2 * nu) ** 2, 0.0)) / (2 * (1 - nu)))
 
@@ -62,29 +63,28 @@ def first_yield_ratio(nu: float, friction_angle: float) -> float:
 def apparent_friction(friction_angle: float, dilatancy_angle: float) -> float:
     """Limit of t_T/|t_N| of the full law under lasting shear for C = 0: sin(Omega) cos(psi)/(1 - sin(Omega) sin(psi)).
 
-    Davis' friction coefficient: sin(Omega) for psi = 0, and tan(Omega), the coefficient of Eq. (37), for psi = Omega alone.
+    This is Davis' friction coefficient: sin(Omega) for psi = 0, and only for psi = Omega the tan(Omega) of Eq. (37).
     """
     friction_angle, dilatancy_angle = np.radians(friction_angle), np.radians(dilatancy_angle)
     sin_friction, sin_dilatancy = np.sin(friction_angle), np.sin(dilatancy_angle)
     return float(sin_friction * np.cos(dilatancy_angle) / (1 - sin_friction * sin_dilatancy))
 
 
-# ---------------------------------------------------------------- rubber bearings; real moduli, not per thickness
-# Plates that do not stretch part by w_N. The pressure p of the layer between them is zero on the free ends, and solves
+# ---------------------------------------------------------------- rubber bearings; moduli are not per thickness
+# Two plates that do not stretch move apart by w_N. The pressure p of the layer is zero on the free ends and solves
 #     (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = w_N.
-# With delta = eps sqrt(lmbda/(12 mu)) it is lmbda w_N/eps times one less the solution of delta^2 lap_S v = v that is one
-# on the free ends. For lmbda to infinity this is Stefan's squeeze film and has the leading term of Gent and Lindley (Proc.
-# Inst. Mech. Eng. 173, 1959): eps times the stiffness is 4 mu s^2 of a strip and 6 mu s^2 of a disc, where s is the loaded
-# over the free area.
+# With delta = eps sqrt(lmbda/(12 mu)), p = (1 - v) lmbda w_N/eps, where delta^2 lap_S v = v, and v = 1 on free ends.
+# For infinite lmbda this is Stefan's squeeze film, with the leading term of Gent and Lindley (Proc. Inst. Mech. Eng.
+# 173, 1959): eps times the stiffness is 4 mu s^2 for a strip and 6 mu s^2 for a disc; s is loaded over free area.
 def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
     """Mean normal traction per opening of a strip |x| < a in plane strain, stress per length.
 
-    [lmbda (1 - tanh(x)/x) + 2 mu]/eps with x = a/delta; 4 mu a^2/eps^3 + 2 mu/eps for an infinite lmbda.
+    It is [lmbda (1 - tanh(x)/x) + 2 mu]/eps with x = a/delta; 4 mu a^2/eps^3 + 2 mu/eps for an infinite lmbda.
 
     Args:
         lmbda: first Lame modulus of the layer, stress; > 0 or math.inf.
-        mu: its shear modulus, stress; > 0.
-        eps: its thickness, length; > 0.
+        mu: shear modulus of the layer, stress; > 0.
+        eps: thickness of the layer, length; > 0.
         a: half the width of the strip, length; > 0.
 
     Raises:
@@ -96,16 +96,17 @@ def rubber_strip(lmbda: float, mu: float, eps: float, a: float) -> float:
 def rubber_disc(lmbda: float, mu: float, eps: float, radius: float) -> float:
     """Mean normal traction per opening of a disc, stress per length.
 
-    [lmbda (1 - 2 I_1(x)/(x I_0(x))) + 2 mu]/eps with x = radius/delta; 3 mu radius^2/(2 eps^3) + 2 mu/eps for an infinite
-    lmbda. Arguments and errors as of `rubber_strip`.
+    [lmbda (1 - 2 I_1(x)/(x I_0(x))) + 2 mu]/eps with x = radius/delta; 3 mu radius^2/(2 eps^3) + 2 mu/eps for an
+    infinite lmbda. Arguments and errors as in `rubber_strip`.
     """
     return (retained_pressure_share(lmbda, mu, radius / eps, 1.0) + 2 * mu) / eps
 
 
 def retained_pressure_share(lmbda: float, mu: float, slenderness: float, k: float) -> float:
-    """lmbda times the share I_(k+1)(x)/I_(k-1)(x) = 1 - 2 k I_k(x)/(x I_(k-1)(x)) of the load that flow leaves.
+    """lmbda times the share 1 - 2 k I_k(x)/(x I_(k-1)(x)) of the load that remains in spite of the flow.
 
-    k = 1/2, 3/2 of strips (opened, tilted), 1 of a disc. Written like this it loses no digits for any x.
+    k is 1/2 for an opened strip, 3/2 for a tilted strip, 1 for a disc. The share is computed as I_(k+1)(x)/I_(k-1)(x),
+    which loses no digits for any x.
     """
     if not (lmbda > 0 and 0 < mu < math.inf and 0 < slenderness < math.inf):
         raise InputError(f"lmbda = {lmbda}, mu = {mu}, width over eps {slenderness}; allowed: > 0, lmbda <= math.inf")
@@ -123,10 +124,10 @@ def prandtl_pressure(k: float) -> float:
 
 @dataclass(frozen=True)
 class PlasticCylinder:
-    """A thick-walled cylinder in plane strain under pressure from inside, of an incompressible, ideally plastic material.
+    """A thick-walled cylinder in plane strain under internal pressure, incompressible and ideally plastic.
 
-    Von Mises' and Tresca's conditions are the same here, with the yield stress in shear k: s_zz is the mean of the others.
-    The plastic zone is a <= r <= c; for c = a it begins, for c = b the cylinder can bear no more.
+    Von Mises' and Tresca's conditions are the same here, with the yield stress in shear k, because s_zz is the mean of
+    s_rr and s_tt. The plastic zone is a <= r <= c; c = a is first yield, c = b the limit load.
 
     Attributes:
         a, b: inner and outer radius, 0 < a < b, lengths.
@@ -144,7 +145,7 @@ class PlasticCylinder:
         return self.k * (2 * math.log(c / self.a) + 1 - (c / self.b) ** 2)
 
     def zone(self, pressure: float) -> float:
-        """Outer radius c of the plastic zone; a if there is none. InputError: no equilibrium, the pressure is too high."""
+        """Outer radius c of the plastic zone; a if there is none. Raise InputError above the limit load."""
         if pressure <= self.pressure(self.a):
             return self.a
         if pressure > self.pressure(self.b):
@@ -164,26 +165,26 @@ class PlasticCylinder:
         return np.where(r < self.zone(pressure), plastic, -self._size(pressure) * (1 / r**2 - 1 / self.b**2))
 
     def _size(self, pressure: float) -> float:
-        """The share of 1/r^2 in the elastic stresses, a force."""
+        """Coefficient of 1/r^2 in the elastic stresses, a force."""
         c = self.zone(pressure)
         return self.k * c**2 if c > self.a else pressure * self.a**2 / (1 - (self.a / self.b) ** 2)
 
 
 # ---------------------------------------------------------------- the bar of section 6.2 of the paper, of Eq. (44)
 def fraction(x: Array, cost: float, g: float) -> Array:
-    """Signed phase fraction of least energy at a drive x, where mixing gains g; for g = 0 phases do not mix."""
+    """Signed phase fraction of least energy at a driving force x, with an energy gain g of mixing; g = 0: no mixing."""
     excess = np.abs(x) - cost
     return np.asarray(np.sign(x) * (np.clip(0.5 + excess / g, 0, 1) if g else excess > 0))
 
 
 def phase_energy(x: Array, cost: float, g: float, phase: Array | float) -> Array:
-    """Energy that a signed phase fraction adds to the elastic energy at a drive x."""
+    """Energy that a signed phase fraction adds to the elastic energy at a driving force x."""
     share = np.abs(phase)
     return np.asarray(cost * share - x * phase - share * (1 - share) * g / 2)
 
 
 class BarResponse(NamedTuple):
-    """A bar whose layer is in given phases; all of one shape.
+    """Response of a bar whose layer has prescribed phases; all arrays have one shape.
 
     Attributes:
         phase: signed fraction of the layer in phase 1 or -1.
@@ -200,7 +201,7 @@ class BarResponse(NamedTuple):
     local: npt.NDArray[np.bool_]
 
     def least(self) -> BarResponse:
-        """The response of least energy along the last axis; of several the one with the least transformed part."""
+        """Response of least energy along the last axis; among equals the first, with the smallest transformed part."""
         where = np.argmin(self.energy, axis=-1)[..., None]
         phase, sigma, U, energy = (np.asarray(np.take_along_axis(a, where, -1)[..., 0], float) for a in self[:4])
         return BarResponse(phase, sigma, U, energy, np.asarray(np.take_along_axis(self.local, where, -1)[..., 0], bool))
@@ -208,12 +209,14 @@ class BarResponse(NamedTuple):
 
 @dataclass(frozen=True)
 class Bar:
-    """Section 6.2: a layer ]0, eps l[ of rigidity k = eps kbar and phases -1, 0, 1, and a body ]eps l, l[ of rigidity K.
+    """Bar of section 6.2: a layer ]0, eps l[ of rigidity k = eps kbar, phases -1, 0, 1; body ]eps l, l[ of rigidity K.
 
-    u(0) = 0, u(l) = delta. A layer's law of this package with lmbda = 0 and chi = n (x) n has the thickness eps l and, per
-    thickness, 2 mu = kbar/l and C = l cbar. All thresholds are linear in eps. eps = 0 is the limit, Eq. (48), corrected:
-    sigma = (kbar/l) U for kbar [u], likewise less alpha; in between sigma = sigma_m is the law (printed is the body's
-    balance, with l/K for K/l); delta_1 - delta_0 = l alpha/kbar.
+    The ends have u(0) = 0 and u(l) = delta. The layer corresponds to a law of this package with lmbda = 0, chi = n (x)
+    n and the thickness eps l. Per thickness it has 2 mu = kbar/l and C = l cbar. All thresholds are linear in eps.
+
+    eps = 0 is the limit, Eq. (48), with these corrections. Phase 0 has sigma = (kbar/l) U in place of kbar [u]; phase 1
+    likewise, minus alpha. Between the two branches the law is sigma = sigma_m; the paper prints the body's balance
+    there, with l/K in place of K/l. Finally delta_1 - delta_0 = l alpha/kbar.
 
     Attributes:
         l: length, layer included.
@@ -246,7 +249,7 @@ class Bar:
 
     @property
     def sigma_up(self) -> float:
-        """Stress up to which phase 0 holds, k c/alpha; phase 1 holds down to sigma_up - alpha."""
+        """Largest stress of phase 0, k c/alpha; the smallest stress of phase 1 is sigma_up - alpha."""
         return self.kbar * self.cbar / self.alpha
 
     @property
@@ -284,9 +287,9 @@ class Bar:
         """Energy lost per section in a cycle over both snaps of pure phases, eps alpha/(k R) l alpha (1 - eps)/K."""
         return self.free_elongation * self.alpha * (1 - self.eps) / (self.K * self.R)
 
-    # ------------------------------------------------------------ the global minimiser, at any shape of delta
+    # ------------------------------------------------------------ the global minimiser; delta has any shape
     def phase(self, delta: Array | float) -> Array:
-        """Signed fraction of the layer in phase 1 (delta > 0) or -1, Eq. (46): (|delta| - delta_0)/(delta_1 - delta_0)."""
+        """Signed fraction of the layer in phase 1 or -1, Eq. (46): (|delta| - delta_0)/(delta_1 - delta_0)."""
         delta = np.asarray(delta, float)
         return np.asarray(np.sign(delta) * np.clip((np.abs(delta) - self.delta_0) / self.free_elongation, 0, 1))
 
@@ -309,7 +312,7 @@ class Bar:
         return self._response(delta, self.phase(delta)).energy
 
     def boundary(self, delta: Array | float) -> Array:
-        """Length eps S of phase 0, from x = 0 on: eps l - (k/alpha)(delta - delta_0) while phases mix.
+        """Length eps S of phase 0, from x = 0: eps l - (k/alpha)(delta - delta_0) while phases mix.
 
         Equation (47) prints sigma k l/(alpha K) without the factor 1 - eps, with a minus, and inside the brackets.
         """
@@ -317,14 +320,15 @@ class Bar:
 
     # ------------------------------------------------------------ local minimisers
     def branch(self, delta: Array | float, phase: int) -> BarResponse:
-        """The layer all in phase -1, 0 or 1, whether it holds there or not."""
+        """Response with the whole layer in phase -1, 0 or 1, whether this is admissible or not."""
         return self._response(delta, phase)
 
     def layouts(self, delta: Array | float, n: int) -> BarResponse:
-        """The layer as n equal elements, m = 0, ..., n of them in phase 1 (delta < 0: -1); the last axis is m.
+        """Responses of a layer of n equal elements with m = 0, ..., n of them in phase 1 (delta < 0: -1); last axis: m.
 
-        Their places do not matter, and no layout with both 1 and -1, or with -1 instead of 1, has less energy.
-        `BarResponse.least` is the global minimiser of n elements; its energy tends to `energy` from above like n^-2.
+        The order of the elements does not matter. No layout with both 1 and -1, or with -1 in place of 1, has less
+        energy. `BarResponse.least` is the global minimiser of n elements; its energy tends to `energy` from above
+        like n^-2.
         """
         delta = np.asarray(delta, float)[..., None]
         return self._response(delta, np.where(delta < 0, -1, 1) * (np.arange(n + 1) / n))
@@ -352,11 +356,11 @@ class Bar:
         return stiffness * np.asarray(U) - self.alpha * phase, elastic / 2 + phase_energy(x, C, g, phase), phase
 
     def path(self, mixing: float, end: float | None = None) -> Array:
-        """Equilibrium path of a uniform layer from rest on, as vertices (delta, sigma) joined by straight lines, (4, 2).
+        """Equilibrium path of a uniform layer from rest: vertices (delta, sigma), (4, 2), joined by straight lines.
 
-        The layer starts to mix at the second vertex and has changed at the third; between them delta decreases if
-        mixing < (1 - eps)/(K R), and grows otherwise. The last is at delta = end, beyond the others (default: twice
-        the largest).
+        The phases start to mix at the second vertex, and the layer is transformed at the third. Between them delta
+        decreases if mixing < (1 - eps)/(K R), and grows otherwise. The last vertex is at delta = end, beyond the others
+        (default: twice the largest).
         """
         change = mixing * self.alpha / 2
         sigma = np.array([0, self.sigma_up - change, self.sigma_up - self.alpha + change])

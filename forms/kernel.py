@@ -1,4 +1,4 @@
-"""KernelLaw: a law given by a function of one point in C."""
+"""KernelLaw: a law written as a C function of one quadrature point."""
 
 from __future__ import annotations
 
@@ -10,26 +10,30 @@ from forms.law import BulkLaw
 
 
 class KernelLaw(BulkLaw):
-    """A law that UFL cannot express, such as an implicit update or a return mapping.
+    """A law that UFL cannot express, such as an implicit update or a return mapping, written in C.
 
-    Subclasses are frozen dataclasses like other laws, with their parameters as fields, and give a `source`, a C file with a
-    function of one point
+    Subclasses are frozen dataclasses like other laws, with their parameters as fields. Their `source` is a C file with
+    a function of one quadrature point:
 
         int kernel(double *out, const void *, const double *in)
 
-    where `in` has, one after the other, the strains e (at the end of the step) and e_old (6,) in Mandel's order 11, 22, 33,
-    sqrt2 12, sqrt2 13, sqrt2 23, internal values q (memory,), which start from zero, the director n (3,), dt, theta and the
-    parameters. `out`, zero before the call, has the stress (6,) at t + theta dt, new internal values, the tangent
-    d stress/d e (36, row by row) and energies (3,): stored at the end of the step, dissipated in the step, and the rest of
-    stress : (e - e_old), all per unit volume. At a point that fails the function leaves a NaN in stress[0], and the solver
-    takes a smaller step; its return value is ignored. Other functions of the file are static.
+    `in` contains, one after the other: the strain e (6,) at the end of the step and e_old (6,) at its beginning;
+    the internal variables (memory,), which start from zero; the director n (3,), dt, theta and the parameters.
+
+    `out` is zero before the call. It receives, one after the other: the stress (6,) at t + theta dt;
+    the new internal variables (memory,); the tangent d stress/d e (36, row by row); three energies per unit volume.
+    The energies are: stored at the end of the step; dissipated in the step; the remainder of stress : (e - e_old).
+
+    Strains, stress and tangent are in Mandel's order 11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23. If a point fails, the
+    function sets stress[0] to NaN, and the solver takes a smaller step. The return value is ignored. Other functions of
+    the file must be static.
 
     Attributes:
-        memory: number of internal values.
-        energetic: whether the kernel fills `energies`.
+        memory: number of scalar internal variables.
+        energetic: whether the kernel computes the three energies.
         source: the C file.
-        isotropic: whether the kernel does not read the director n, so that it can be that of a body.
-        relaxes: whether stress or internal values depend on dt, of a law without `rate`.
+        isotropic: whether the kernel does not read the director n, so that the law can also be used in a body.
+        relaxes: whether stress or internal variables depend on dt although the law declares no `rate`.
     """
 
     ignored: ClassVar = ("stress", "advance", "energy", "dissipation", "dissipated")

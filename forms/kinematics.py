@@ -1,4 +1,4 @@
-"""Kinematics: what the displacements of a plane, an axisymmetric or a three-dimensional mesh mean in three dimensions."""
+"""Kinematics: three-dimensional strains of displacements on plane, axisymmetric and three-dimensional meshes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from forms.tensors import MANDEL_PAIRS, Expr, strain, three_dimensional
 class Kinematics:
     """Strains (3, 3) of displacements, the factor of measures, and the laws of these strains.
 
-    These are the kinematics of plane strain in 2D, and of three dimensions; others derive from them.
+    This class covers plane strain in 2D, and three dimensions; the other kinematics derive from it.
 
     Attributes:
-        x: place on the mesh, (d,) UFL; None: there is no mesh yet, see `on`.
-        name: as in `Structure(plane=...)`.
-        turns: whether rotations are rigid motions.
+        x: coordinates on the mesh, (d,) UFL; None: there is no mesh yet, see `on`.
+        name: name in `Structure(plane=...)`.
+        rotations: whether rotations are rigid motions.
         degree: polynomial degree of the factor of measures.
     """
 
@@ -32,15 +32,15 @@ class Kinematics:
     degree: ClassVar[int] = 0
 
     def on(self, mesh: Any) -> Self:
-        """The same kinematics at the places of a mesh."""
+        """The same kinematics with the coordinates of a mesh."""
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
     def at(self, x: Expr) -> Self:
-        """The same kinematics at other places (d,) UFL, as those of S that are not the places of the mesh's facets."""
+        """The same kinematics at other places (d,) UFL, such as places on S away from the facets of the mesh."""
         return replace(self, x=x)
 
     def slots(self, d: int) -> tuple[int, ...]:
-        """Mandel components that the strains of displacements (d,) have; the others are zero."""
+        """Indices of the Mandel components that strains of displacements (d,) can have; the others are zero."""
         return tuple(k for k, (_, j) in enumerate(MANDEL_PAIRS) if j < d)
 
     def translations(self, d: int) -> tuple[int, ...]:
@@ -48,11 +48,11 @@ class Kinematics:
         return tuple(range(d))
 
     def radius(self, x: Array) -> Array:
-        """(n,) distances of places (n, d) from the axis of revolution; infinite, as there is none."""
+        """(n,) distances of places (n, d) from the axis of revolution; infinite where there is no such axis."""
         return np.full(len(x), np.inf)
 
     def stress_slots(self, d: int) -> tuple[int, ...]:
-        """Mandel components that stresses may have; the others are zero, whatever the law of `law` gives for them."""
+        """Indices of the Mandel components that stresses can have; the others are zero, whatever the law returns."""
         return tuple(range(len(MANDEL_PAIRS)))
 
     @property
@@ -61,19 +61,19 @@ class Kinematics:
         return 1
 
     def factor_at(self, x: Array) -> Array:
-        """(...) values of this factor at places (..., d)."""
+        """(...) values of the factor of measures at places (..., d)."""
         return np.ones(x.shape[:-1])
 
     def node_areas(self, corners: Array, lengths: Array) -> Array:
-        """Areas (n, k) of S around the corners (n, k, d) of facets, whose shares of the mesh's own areas are `lengths`.
+        """Nodal areas (n, k) of S at the corners (n, k, d) of facets, from nodal areas `lengths` without the factor.
 
-        They are the integrals of the functions of degree 1, with the factor of measures.
+        They are the integrals of the shape functions of degree 1, with the factor of measures.
         """
         factors = self.factor_at(corners)
         return np.asarray(lengths * ((factors + factors.sum(axis=1, keepdims=True)) / (factors.shape[1] + 1)))
 
     def strain(self, u: Expr) -> Expr:
-        """Strain (3, 3) of a displacement in a body or in a meshed layer."""
+        """Strain (3, 3) of displacements u in a body or in a meshed layer."""
         return strain(u)
 
     def along(self, gradient: Expr, u: Expr) -> Expr:
@@ -81,11 +81,11 @@ class Kinematics:
         return three_dimensional(ufl.sym(gradient))
 
     def restricted(self, a: Expr) -> Expr:
-        """The part of a tensor (3, 3) that there is: of a stress, or of a given strain as the laws of `law` take it."""
+        """Part of a stress or of a prescribed strain (3, 3) that these kinematics allow, as laws of `law` take it."""
         return a
 
     def law(self, law: BulkLaw) -> BulkLaw:
-        """The law of the strains of `strain`, `along` and of jumps, for a law of strains in three dimensions."""
+        """Law for strains of these kinematics (`strain`, `along` and of jumps), from a three-dimensional law."""
         return law
 
 
@@ -93,7 +93,7 @@ PLANE_STRAIN = Kinematics()  # plane strain in 2D, all strains in 3D
 
 
 class PlaneStress(Kinematics):
-    """Plane stress: no stress out of the plane; laws find the strain there themselves (`BulkLaw.plane_stress`)."""
+    """Plane stress: out-of-plane stresses are zero; laws compute the out-of-plane strains (`BulkLaw.plane_stress`)."""
 
     name = "stress"
 
@@ -101,7 +101,7 @@ class PlaneStress(Kinematics):
         return self.slots(d)
 
     def restricted(self, a: Expr) -> Expr:
-        """The part in the plane: there is no stress out of it, and nothing holds a strain."""
+        """In-plane part: out-of-plane stresses are zero, and out-of-plane strains are free."""
         return ufl.as_tensor([[a[0, 0], a[0, 1], 0], [a[1, 0], a[1, 1], 0], [0, 0, 0]])
 
     def law(self, law: BulkLaw) -> BulkLaw:
@@ -109,9 +109,9 @@ class PlaneStress(Kinematics):
 
 
 class Axisymmetric(Kinematics):
-    """Bodies of revolution without twist: x is the distance r >= 0 from the axis, y the place along it.
+    """Bodies of revolution without twist: x is the distance r >= 0 from the axis, y the coordinate along it.
 
-    The third strain is that of hoops, u_r/r. Integrals are over the whole revolution, with the factor 2 pi r.
+    The third normal strain is the hoop strain u_r/r. Integrals are over the whole revolution, with the factor 2 pi r.
     """
 
     name = "axisymmetric"

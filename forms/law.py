@@ -1,4 +1,4 @@
-"""Constitutive laws: declared parameters and a stress for a strain. No law knows eps, a mesh or a time loop."""
+"""Base classes of constitutive laws, from strain to stress. Laws know neither eps nor a mesh nor a time loop."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Step(NamedTuple):
     """Input of a law at one point, over a time step from t to t + dt.
 
     Attributes:
-        e: strain at the end of the step, (3, 3). Laws without rate and internal variables get no step: for
-            their stress, in a body, in the layer, on S and in a `Stack`, e is the strain at t + theta dt.
+        e: strain at the end of the step, (3, 3). For the stress of laws without rate and internal variables it is the
+            strain at t + theta dt; this applies in a body, in the layer, on S and in a `Stack`.
         n: director of the layer: unit vector from the lower to the upper body; None inside a body. Compiled laws
-            (`Traits.compiled`) get (3,), in 2D with a zero; laws whose stress is a part of a form get (d,).
+            (`Traits.compiled`) get (3,), in 2D with a zero; laws whose stress is part of a form get (d,).
             `forms.tensors.three_dimensional(n)` is (3,) in both cases.
         e_old: strain at the beginning; None in problems without time, and for laws without rate and internal variables.
         q: internal variables at the beginning, by name.
@@ -83,13 +83,13 @@ class Step(NamedTuple):
 
 
 def choice(default: Any) -> Any:
-    """A field of a law that chooses among equations and is not a number. Each of its values is compiled separately."""
+    """Declare a field of a law that selects equations and is no parameter. Each value is compiled separately."""
     return field(default=default, metadata={"choice": True})
 
 
 @dataclass(frozen=True, eq=False)  # compared by identity, unless a law defines ==
 class Law:
-    """Base of the three contracts of laws: a frozen dataclass whose fields are its parameters.
+    """Base of the three kinds of laws: a frozen dataclass whose fields are its parameters.
 
     Laws derive from `BulkLaw` (of strains), `TractionLaw` (of jumps) or `ContactLaw` (of nodes). A class declares its
     traits (`Traits`) as attributes, such as `linear = True`.
@@ -97,9 +97,10 @@ class Law:
     Attributes:
         powers: parameter -> power of eps; only a `BulkLaw` has powers.
         internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.
-        functions: names of parameters that may be functions. `parameters` gives NaN for a function, `at` gives its values.
+        functions: names of parameters that may be functions. `parameters` gives NaN for a function, `at` gives its
+            values.
         ignored: methods that are never called, because other methods replace them.
-        takes_fields: whether scalar parameters may be numpy functions of places (d, n) in the joint, -> (n,).
+        takes_fields: whether scalar parameters may be numpy functions of places (d, n) in the joint that return (n,).
     """
 
     takes_fields: ClassVar[bool] = False
@@ -127,9 +128,9 @@ class Law:
         own_places = kind.at is not Law.at
         for name in self.fields:
             self.require(not own_places, name, "a number, as `at` gives what varies", "a function of the place")
-        if not self.fields:  # else where they are known, see `check_at`
+        if not self.fields:  # parameters that are functions need places, see `check_at`
             self.check()
-        _ = self.traits  # raises errors in the declarations of the class
+        _ = self.traits  # raises InputError for wrong declarations of the class
         require_declarations(self)
 
     def _check_number(self, name: str, value: Any, may_be_none: bool, scalar: bool) -> None:
@@ -149,7 +150,7 @@ class Law:
         """Raise InputError if a parameter is out of its range."""
 
     def require(self, condition: bool, name: str, allowed: str, value: object = MISSING_VALUE) -> None:
-        """Raise InputError "Law: name is value; allowed: ..." unless the condition holds; by default of a parameter."""
+        """Raise InputError "Law: name is value; allowed: ..." unless `condition`; default value: the parameter."""
         if not condition:
             value = getattr(self, name) if value is MISSING_VALUE else value
             raise InputError(f"{type(self).__name__}: {name} is {value}; allowed: {allowed}")
@@ -159,22 +160,22 @@ class Law:
 
     @cached_property
     def traits(self) -> Traits:
-        """Traits of the law. They are found from its numbers, and stay when other numbers or symbols replace these."""
+        """Traits of the law for its original numbers. Copies keep them when other numbers or symbols replace these."""
         traits = Traits.of(self, **self._traits_of_methods())
         return replace(traits, varies=True) if self.fields and traits.compiled else traits
 
     def for_points(self) -> Self:
-        """The same law as a compiled one, which takes parameters that are functions on S too."""
+        """A copy that is compiled and evaluated at points, so that its parameters may be functions of the place."""
         law = self.with_parameters({})
         object.__setattr__(law, "traits", replace(self.traits, compiled=True, varies=bool(self.fields)))
         return law
 
     def _traits_of_methods(self) -> dict[str, bool]:
-        """The traits that follow from the methods and internal variables of a class."""
+        """Traits that follow from the methods and internal variables of a class."""
         return {"remembers": bool(self.internal)}
 
     def as_bulk_law(self) -> BulkLaw:
-        """The same law written for strains, as terms and compiled code need it.
+        """The same law as a function of strains, as terms and compiled code need it.
 
         Raises:
             InputError: the law acts at nodes.
@@ -183,25 +184,25 @@ class Law:
 
     @property
     def own_times(self) -> tuple[float, ...]:
-        """Times over which the law creeps or relaxes, for numbers as parameters; () if it has none that are known."""
+        """Creep or relaxation times of a law with numeric parameters; () if there are none or they are unknown."""
         return ()
 
     @property
     def sublayers(self) -> tuple[tuple[float, Any], ...]:
-        """(fraction of the thickness, law) from the lower to the upper face; a law that is no Stack is its only one."""
+        """(fraction of the thickness, law) of each sublayer from the lower to the upper face; one unless a Stack."""
         return ((1.0, self),)
 
     def at(self, x: Array, t: float) -> dict[str, Array]:
-        """The parameters that vary, at places x (d, n) in the joint before inflating: name -> (n,).
+        """Values (n,) of the varying parameters at places x (d, n) in the joint before inflating, by name.
 
-        For the stress of a step t is the time at which forces balance, for the stored energy it is the end of the step.
-        `self` is the law of its layer: multiply its parameters.
+        For the stress of a step t is the time at which forces balance; for the stored energy it is the end of the step.
+        The parameters of `self` are scaled to the thickness of its layer: return multiples of them.
         """
         return {}
 
     @property
     def break_times(self) -> set[float]:
-        """Times at which a parameter given by `thinlayer.piecewise` changes its slope."""
+        """Times at which a parameter made with `thinlayer.piecewise` changes its slope."""
         return set().union(*(getattr(getattr(self, name), "times", ()) for name in self.functions))
 
     def parameters(self) -> dict[str, Any]:
@@ -214,13 +215,13 @@ class Law:
         return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in parameters)
 
     def parameter_values(self) -> Array:
-        """The parameters one after the other, (k,); NaN for functions."""
+        """All parameter values, one after the other, (k,); NaN for functions."""
         return np.concatenate(
             [np.empty(0), *[np.ravel(parameter_numbers(value)) for value in self.parameters().values()]]
         )
 
     def with_parameters(self, values: Mapping[str, Any]) -> Self:
-        """The same law with other values (numbers or UFL), unchecked."""
+        """A copy with other values (numbers or UFL) of some parameters, unchecked."""
         law = copy.copy(self)
         object.__setattr__(law, "traits", self.traits)
         for name, value in values.items():
@@ -228,21 +229,21 @@ class Law:
         return law
 
     def mapped(self, change: Callable[[Any, float], Any]) -> Self:
-        """The same law with each parameter replaced by change(value, power), unchecked."""
+        """A copy with each parameter replaced by change(value, power), unchecked."""
         changed = {name: change(value, self.powers.get(name, 0)) for name, value in self.parameters().items()}
         return self.with_parameters(changed)
 
     # ---------------------------------------------------------------- parameters that are functions of the place
     @property
     def fields(self) -> dict[str, ParameterField]:
-        """The parameters that are functions of the place, by name."""
+        """Parameters that are functions of the place, by name."""
         return {name: value for name, value in vars(self).items() if is_field(value)}
 
     def fields_at(self, x: Array) -> dict[str, Array]:
-        """The values (n,) of these parameters at places x (d, n) in the joint before inflating, by name.
+        """Values (n,) of the parameters in `fields` at places x (d, n) in the joint before inflating, by name.
 
         Raises:
-            InputError: a function fails, does not give n finite real numbers, or is out of its range; with the place.
+            InputError: a function fails, does not return n finite real numbers, or is out of range at a place.
         """
         return {name: self._field_at(name, parameter, x) for name, parameter in self.fields.items()}
 
@@ -258,7 +259,7 @@ class Law:
             raise InputError(f"{type(self).__name__}: {name}(x) {why}; {needs}") from error
 
     def at_places(self, x: Array) -> Iterator[Self]:
-        """The law with numbers, unchecked, at each of the places x (d, n)."""
+        """Yield the law with numeric parameters, unchecked, at each of the places x (d, n)."""
         values = self.fields_at(x)
         for k in range(x.shape[1]):
             yield self.with_parameters({name: float(value[k]) for name, value in values.items()})
@@ -266,8 +267,8 @@ class Law:
     def check_at(self, x: Array) -> None:
         """Raise InputError if a parameter is out of its range at one of the places x (d, n).
 
-        Of many places those are checked at which a parameter, or a difference or a ratio of two, is smallest or largest,
-        and some thousand others.
+        Of many places only some are checked: where a parameter, or a difference or ratio of two, is smallest or
+        largest, and one to two thousand others.
         """
         if not self.fields:
             return
@@ -280,7 +281,7 @@ class Law:
                 raise InputError(f"{error}, at {place_text(x, k)}") from None
 
     def samples(self, x: Array) -> list[Self]:
-        """The law with numbers, at those of the places x (d, n) where a parameter or a ratio of two is extreme."""
+        """Laws with numeric parameters, at the places among x (d, n) where a parameter or a ratio of two is extreme."""
         if not self.fields:
             return [self]
         extreme = x[:, extreme_places(list(self.fields_at(x).values()))]
@@ -291,7 +292,7 @@ class Law:
 class BulkLaw(Law):
     """A law of strains, for the material of a layer or of a body.
 
-    A law has the parameters of its material. In a family of layers for eps -> 0 (`ThinLayer.at`) a parameter is
+    Its parameters are material parameters. In a family of layers for eps -> 0 (`ThinLayer.at`) a parameter is
     value * (eps/at)**power, with the power declared here (0 by default).
 
     A law must define `stress(step)`, and `advance(step)` if it has internal variables; all other methods are optional.
@@ -299,8 +300,8 @@ class BulkLaw(Law):
 
     Attributes:
         powers: parameter -> power of eps that keeps the interface law finite and not zero as eps -> 0.
-        volume_compliance: of a law with a pressure p (`constrained`), tr e/p; 0: the volume stays the same.
-        methods: names of the methods that give the stress and the new internal values, for messages.
+        volume_compliance: tr e/p of a law with a pressure p (trait `constrained`); 0: incompressible.
+        methods: names of the methods that compute the stress and the new internal variables, for messages.
     """
 
     takes_fields: ClassVar = True
@@ -338,24 +339,24 @@ class BulkLaw(Law):
         return ufl.as_ufl(0.0)
 
     def dissipated(self, step: Step) -> Expr:
-        """Dissipated energy per unit volume in the step, UFL; of laws without rate it has no power."""
+        """Dissipated energy per unit volume in the step, UFL; laws without rate define it in place of a power."""
         return step.dt * self.dissipation(step)
 
     def end_strips(self) -> EndStrips | None:
-        """Strips along a free end of a layer with this law, for its interface law of order 1; None: they are not known."""
+        """Strips along a free end of a layer with this law, for the interface law of order 1; None if unknown."""
         return None
 
     def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
-        """As `stations`, with the weights of the layer's free ends; laws that have `end_strips` have them."""
+        """Stations as in `stations`, with the weights of the layer's free ends; only for laws with `end_strips`."""
         raise InputError(f"{type(self).__name__} has no stations at free ends")
 
     def stations(self) -> list[Station[Any]]:
-        """Where the law acts through the thickness in an interface law of order 1, and with which strains.
+        """Stations of the interface law of order 1: points through the thickness with their strains.
 
-        By default at two Gauss points, with displacements that are linear through the layer.
+        The default is two Gauss points, with displacements linear through the layer.
 
         Raises:
-            InputError: there is no such law.
+            InputError: the law has no interface law of order 1.
         """
         if self.traits.switches:
             raise InputError(f"order=1 of {type(self).__name__}: its phases are those of jumps alone; use order=0")
@@ -370,7 +371,7 @@ class BulkLaw(Law):
         """Lame's moduli lmbda and mu of an isotropic linear elastic law.
 
         Raises:
-            InputError: this is none.
+            InputError: the law is not isotropic linear elastic.
         """
         limit = "it is known for isotropic elastic sublayers (LinearElastic), which share the jump in fixed proportions"
         remedy = "use order=0, or mesh the layer (structure.full)"
@@ -378,14 +379,14 @@ class BulkLaw(Law):
         raise InputError(f"{what}: {limit} along S and across it; {remedy}")
 
     def own_step(self, step: Step) -> Step:
-        """The step as the law's methods get it: the strain at t + theta dt alone for laws without rate and memory."""
+        """Step passed to the law's methods: for laws without rate and memory only n and the strain at t + theta dt."""
         return step if self.traits.rate or self.internal else Step(step.mid, step.n)
 
     def remainder(self, step: Step) -> Expr:
         """Error of the time scheme in the energy balance of a step: stress : (e - e_old) - stored - dissipated, UFL.
 
         For a quadratic energy E it is (2 theta - 1) E(increments), >= 0 and zero for the midpoint rule; for other
-        energies it is the difference itself. Where parameters vary, the model computes the difference and ignores this.
+        energies it is this difference. Where parameters vary, the model computes the difference without this method.
         """
         new = self.advance(step)
         if self.traits.quadratic:
@@ -397,26 +398,26 @@ class BulkLaw(Law):
     # ---------------------------------------------------------------- numbers
     @property
     def memory(self) -> int:
-        """Number of internal values at a point."""
+        """Number of scalar internal variables at a point."""
         return sum(VARIABLE_SIZES[shape] for shape in self.internal.values())
 
     def stiffness(self, n: Array) -> Array | None:
-        """d stress/d strain at rest, (6, 6) in Mandel's order, for a director n (d,); None if the law does not define it.
+        """Tangent d stress/d strain (6, 6) at rest, in Mandel's order, for a director n (d,); None if not defined.
 
-        Parameters are numbers. `forms.law_tangents` evaluates the stress of laws that give None.
+        Parameters are numbers. If the result is None, `forms.law_tangents` differentiates the stress.
         """
         return None
 
     # ---------------------------------------------------------------- other laws of the same kind
     def homotopy(self, ease: float) -> BulkLaw:
-        """A law between this one (ease = 0) and one whose equilibrium is easy to find (ease = 1), for continuation."""
+        """Homotopy law for continuation, from this law (ease = 0) to one whose equilibrium is easy to compute (1)."""
         return self
 
     def plane_stress(self) -> BulkLaw:
-        """The law of in-plane strains whose out-of-plane stresses are zero; by default `PlaneStressLaw`.
+        """The law of in-plane strains with zero out-of-plane stresses; by default `PlaneStressLaw`.
 
         Raises:
-            InputError: a law with a pressure, or whose phases switch, that has no method plane_stress of its own.
+            InputError: the law has a pressure or switching phases, and does not override plane_stress.
         """
         if self.traits.constrained or self.traits.switches:
             what = "its pressure" if self.traits.constrained else "its phases"
@@ -427,11 +428,11 @@ class BulkLaw(Law):
 
     @property
     def in_space(self) -> BulkLaw:
-        """The law of strains in three dimensions behind this one: itself."""
+        """The three-dimensional law from which this law derives: by default itself."""
         return self
 
     def condensed(self, C: Array) -> Array:
-        """The tangent (6, 6) of this law for that of `in_space`."""
+        """Tangent (6, 6) of this law from the tangent C of `in_space`."""
         return C
 
     def scaled(self, ratio: float) -> Self:
@@ -440,22 +441,22 @@ class BulkLaw(Law):
 
 
 def _delegated(name: str) -> Any:
-    """Property of an `WrappedLaw` that is an attribute or a method of its law."""
+    """Property of a `WrappedLaw` that forwards an attribute or a method of the wrapped law."""
     return property(attrgetter(f"law.{name}"))
 
 
 @dataclass(frozen=True, eq=False)
 class WrappedLaw(BulkLaw):
-    """A law that is another one in other words: it has the parameters and the memory of that one.
+    """A law that rewrites another law, with the parameters and internal variables of the wrapped law.
 
     Attributes:
-        law: that law.
+        law: the wrapped law.
     """
 
     law: Any
 
     def __post_init__(self) -> None:
-        """Nothing: the law has been checked."""
+        """Check nothing: the wrapped law has been checked."""
 
     powers, internal, break_times, fields = map(_delegated, ("powers", "internal", "break_times", "fields"))
     fields_at, at, parameters = map(_delegated, ("fields_at", "at", "parameters"))
@@ -471,23 +472,24 @@ class WrappedLaw(BulkLaw):
         return self._of(self.law.mapped(change))
 
     def _of(self, law: Law) -> Self:
-        """The same for a law with other parameters, unchecked."""
+        """The same wrapper of a law with other parameters, unchecked."""
         return super().with_parameters({"law": law})
 
     def plane_stress(self) -> Self:
         return self
 
 
-OUT_OF_PLANE_VARIABLE = "out_of_plane"  # internal variable: strains 33, 13 and 23 in Mandel's components
-IN_PLANE_MANDEL, OUT_OF_PLANE_MANDEL = [0, 1, 3], [2, 4, 5]  # Mandel's components
+OUT_OF_PLANE_VARIABLE = "out_of_plane"  # internal variable: Mandel components 33, 13 and 23 of the strain
+IN_PLANE_MANDEL, OUT_OF_PLANE_MANDEL = [0, 1, 3], [2, 4, 5]  # indices of Mandel components
 
 
 class PlaneStressLaw(WrappedLaw):
-    """A law whose strains out of the plane are those at which the stresses there are zero, at t + theta dt.
+    """Plane-stress form of a 3D law: its out-of-plane strains make the out-of-plane stresses zero at t + theta dt.
 
-    They are found point by point by Newton's method in compiled code (`thinlayer/pointwise/response.c`) and kept as
-    internal values after those of the law, which gets all strains, old and new ones. Tangents are condensed; energies are
-    those of the law. A point where there are no such strains fails, and the solver takes a smaller step.
+    Compiled code (`thinlayer/pointwise/response.c`) solves for these strains at each point by Newton's method. They
+    are stored after the internal variables of the 3D law, which gets all strains, old and new. The tangent is condensed
+    (Schur complement); the energies are the 3D law's. A point without such strains fails, and the solver takes a
+    smaller step.
 
     Attributes:
         law: the law in three dimensions.
@@ -497,7 +499,7 @@ class PlaneStressLaw(WrappedLaw):
 
     @cached_property
     def traits(self) -> Traits:
-        varies = self.law.traits.varies or bool(self.law.fields)  # and areas are free to change, whatever flows
+        varies = self.law.traits.varies or bool(self.law.fields)  # not isochoric: in-plane areas may change in any flow
         return replace(self.law.traits, compiled=True, varies=varies, isochoric=False)
 
     @property
@@ -516,7 +518,7 @@ class PlaneStressLaw(WrappedLaw):
         return self._of(self.law.homotopy(ease))
 
     def condensed(self, C: Array) -> Array:
-        """C (6, 6) condensed; the rows out of the plane are those of the isotropic tensor nearest to it in plane stress."""
+        """Condense C (6, 6); out-of-plane rows come from the nearest isotropic tensor, with lmbda of plane stress."""
         lmbda, mu = average_lame(C)
         lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0
         out = isotropic_tensor(lmbda, mu)
@@ -526,9 +528,9 @@ class PlaneStressLaw(WrappedLaw):
 
 @cache
 def scalar_fields(kind: Any) -> frozenset[str]:
-    """Names of a dataclass's fields annotated as one number: float or int, or a union of these with None or functions.
+    """Names of the dataclass fields annotated as one number: float or int, or a union of these with None or functions.
 
-    It is the text of an annotation that counts.
+    The annotation is matched as text.
     """
     texts = {f.name: str(f.type) for f in fields(kind)}
     return frozenset(
@@ -538,7 +540,7 @@ def scalar_fields(kind: Any) -> frozenset[str]:
 
 @contextmanager
 def explained_errors(law: Law, method: str) -> Iterator[None]:
-    """Turn errors of a law's method into LawErrors that name the law and say how laws are written."""
+    """Convert errors of a law's method into InputError that names the law and explains how laws are written."""
     try:
         yield
     except InputError:
@@ -553,7 +555,7 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
 
 
 def require_shape(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Expr:
-    """The value as UFL; raises InputError unless it is a UFL expression (or number) of this shape."""
+    """Return the value as UFL; raise InputError unless it is a UFL expression (or number) of this shape."""
     try:
         expression = ufl.as_ufl(value)
     except Exception as error:

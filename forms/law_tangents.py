@@ -1,9 +1,9 @@
-"""Traced laws, called once with symbols in place of all numbers: names, their numbers, and tangents.
+"""Traced laws, called once with symbols in place of all numbers: their identity, evaluation and tangents.
 
-Tangents at rest, and after a time, tell soft, hard and nearly incompressible layers.
+Tangents at rest, and after a time step, classify layers as soft, stiff or nearly incompressible.
 
-Numbers of expressions are computed once for each of their parts; UFL's own evaluation does that again at each
-occurrence and component, which takes seconds for turned tensors.
+`evaluate` computes each part of an expression once. UFL's own evaluation repeats this at each occurrence and component,
+which takes seconds for rotated tensors.
 """
 
 from __future__ import annotations
@@ -58,9 +58,10 @@ class SymbolicLaw:
 
     Attributes:
         law: the law.
-        step: the step of symbols.
-        strain: the strain at the end of the step, (6,), a variable.
-        numbers: all inputs: e (6), e_old (6), internal values, n (3), dt, theta, parameters; in Mandel's order.
+        step: the step.
+        strain: strain (6,) at the end of the step, a UFL variable for differentiation.
+        numbers: vector of all inputs: e (6), e_old (6), internal variables, n (3), dt, theta, parameters. Tensors are
+            in Mandel's order.
     """
 
     law: BulkLaw
@@ -70,7 +71,7 @@ class SymbolicLaw:
 
 
 def variable(e: Expr) -> Expr:
-    """`ufl.variable` with a label of its own. UFL counts labels in a process, and FFCx knows no law under another count."""
+    """`ufl.variable` with a fixed label. UFL counts labels per process, and FFCx recompiles laws at another count."""
     return Variable(e, Label(-1))
 
 
@@ -80,7 +81,7 @@ def _symbols(length: int) -> Expr:
 
 
 def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> SymbolicLaw:
-    """A law at a point, in a step, with a director of d components or None; with numbers as inputs, if they are given."""
+    """Trace a law at one point of a step, with a director of d components or None; `values` replace the symbols."""
     shapes = {name: _shape(value) for name, value in law.parameters().items()}
     length = 6 + 6 + law.memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
     numbers = _symbols(length) if values is None else ufl.as_vector([ufl.as_ufl(float(value)) for value in values])
@@ -103,7 +104,7 @@ def _shape(value: Any) -> tuple[int, ...]:
 
 
 def law_identity(law: BulkLaw) -> tuple[Any, ...] | None:
-    """Identity of a law of this package apart from its numbers; None for users' laws, whose code may read changing data."""
+    """Identity of a law of this package without its numbers; None for user-defined laws, which may read other data."""
     if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
         return None
     return (type(law), repr(law.choices()), *map(_shape, law.parameters().values()))
@@ -139,16 +140,16 @@ NUMPY_FUNCTIONS: dict[type, Any] = {
 
 
 def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> Values:
-    """The numbers of an expression after `expand_derivatives`; NaN or infinite where a function has none.
+    """Numerical values of an expression after `expand_derivatives`; NaN or infinite where a function is undefined.
 
     Args:
         expression: the expression.
-        values: numbers of its symbols.
+        values: symbol -> its numbers.
 
     Raises:
-        Exception: of any type, from UFL: a part, such as a coefficient, has no number.
+        Exception: of any type, from UFL: a part, such as a coefficient, has no numerical value.
     """
-    arrays: dict[Any, Any] = dict(values or {})  # axes of each array: those of the part's shape, then its free indices
+    arrays: dict[Any, Any] = dict(values or {})  # axes of each array: shape of the part, then its free indices
     with np.errstate(all="ignore"):
         for part in unique_post_traversal(expression):
             if part not in arrays:
@@ -181,7 +182,7 @@ def _evaluate_node(part: Any, operands: list[Any]) -> Any:
             return _index_sum(values, inner, named + free)
         shape = [-1 - k for k in range(len(part.ufl_shape))]
         return _index_sum(values, shape + inner, shape + free)
-    if not isinstance(part, Sum):  # whose operands have the same indices
+    if not isinstance(part, Sum):  # operands of a sum have the same free indices
         pairs = zip(operands, part.ufl_operands, strict=True)
         operands = [_broadcast(values, of, len(part.ufl_shape), free) for values, of in pairs]
     function = NUMPY_FUNCTIONS.get(type(part)) or np.vectorize(lambda *values: _scalar_function(part, values))
@@ -189,20 +190,20 @@ def _evaluate_node(part: Any, operands: list[Any]) -> Any:
 
 
 def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
-    """Values whose axes are named, summed over those that are not kept."""
+    """Sum an array with named axes over all axes that are not in `kept`."""
     places = {name: k for k, name in enumerate(dict.fromkeys(axes))}
     return np.einsum(values, [places[name] for name in axes], [places[name] for name in kept])
 
 
 def _broadcast(values: Any, operand: Any, axes: int, free: list[int]) -> Values:
-    """Values with so many axes of their shape, and one for each free index, also for those they do not depend on."""
+    """Reshape values to `axes` shape axes, then one axis per index in `free`, of length 1 if they lack the index."""
     shape = operand.ufl_shape
     sizes = dict(zip(operand.ufl_free_indices, np.shape(values)[len(shape) :], strict=True))
     return np.reshape(values, [*[1] * (axes - len(shape)), *shape, *(sizes.get(name, 1) for name in free)])
 
 
 def _scalar_function(part: Any, values: tuple[Any, ...]) -> Any:
-    """A function of scalars, or a comparison, at numbers; NaN where it has none."""
+    """Evaluate a function of scalars, or a comparison, at numbers; NaN where it is undefined."""
     try:
         expr = part._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values)))
         value = expr.evaluate((0.0,), {}, (), {})
@@ -215,19 +216,19 @@ def _real(value: Any) -> float:
     return math.nan if isinstance(value, complex) else float(value)
 
 
-PROBE_STRAIN = 1e-6 * np.array([1.0, -0.7, 0.4, 0.5, -0.3, 0.6])  # too small for yielding; at none a norm has no slope
+PROBE_STRAIN = 1e-6 * np.array([1.0, -0.7, 0.4, 0.5, -0.3, 0.6])  # too small to yield; norms have no derivative at 0
 COUPLING_TOLERANCE = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
 EIGENVALUE_TOLERANCE = (
     1e-6  # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
 )
-LONG_TIME_STEP = 1e30  # length of a time step in which rates become zero
+LONG_TIME_STEP = 1e30  # length of a time step in which rates are practically zero
 
 
 def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
     """d stress/d strain of a law for small strains from rest, (6, 6) in Mandel's order; None if it cannot be evaluated.
 
-    For a law with memory it is the instantaneous tangent, for a law with a rate the tangent when rates are zero. For an
-    incompressible layer the stress is without the pressure. If the law declares no stiffness, its stress is
+    For a law with memory it is the instantaneous tangent, for a law with a rate the tangent at zero rates. For an
+    incompressible layer the stress excludes the pressure. If the law declares no stiffness, its stress is
     differentiated, which takes some milliseconds.
 
     Args:
@@ -256,7 +257,7 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
 
 
 def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
-    """The tangent at the end of a step from rest, the mean of those of two small opposite strains; None without numbers."""
+    """Tangent at the end of a step from rest, mean at two small opposite strains; None if it cannot be evaluated."""
     if not law.traits.in_ufl:
         return None
     n3 = np.pad(n, (0, 3 - len(n)))
@@ -269,54 +270,54 @@ def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
             constants = (np.zeros(6 + law.memory), n3, [dt, 1.0], numeric_law.parameter_values())
             inputs = [np.concatenate([e, *constants]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
             C = np.mean([evaluate(tangent, {point.numbers: values}) for values in inputs], axis=0)
-    except Exception:  # whatever a law contains that has no number: the model says what is wrong with it
+    except Exception:  # a part of the law has no numerical value; the model reports such errors
         return None
     return np.asarray(C) if np.isfinite(C).all() else None
 
 
 def needs_director(law: BulkLaw) -> bool:
-    """Whether the stress of a law depends on the director n; a kernel says so itself (`KernelLaw.isotropic`)."""
+    """Whether the stress of a law depends on the director n; kernels declare it (`KernelLaw.isotropic`)."""
     law_3d: Any = law.in_space
     return reads_input(law_3d, "n") if law_3d.traits.in_ufl else not law_3d.isotropic
 
 
 def depends_on_step_length(law: BulkLaw) -> bool:
-    """Whether a law creeps or relaxes: its response depends on the length of the step. A kernel says so itself."""
+    """Whether a law creeps or relaxes, so that its response depends on the step length. Kernels declare it."""
     law_3d: Any = law.in_space
     return bool(law_3d.traits.rate or (reads_input(law_3d, "dt") if law_3d.traits.in_ufl else law_3d.relaxes))
 
 
 def is_checked_at_rest(law: BulkLaw) -> bool:
-    """Whether the tangent of a layer's law at rest is computed, by `tangent_at_rest`, and must not be negative.
+    """Whether `tangent_at_rest` computes the tangent of a layer's law at rest, which then must not be negative.
 
-    It may be negative for laws that declare `softens`. It is not computed for laws with both memory and rate, nor
-    for non-linear laws of jumps, because the size of a small jump is not known.
+    It may be negative for laws that declare `softens`. It is not computed for laws with both memory and rate. For
+    non-linear laws of jumps it is not computed either, because it is unknown which jumps are small.
     """
     at_jumps = law.traits.of_jumps and not law.traits.linear
     return not (law.traits.softens or (law.traits.rate and law.internal) or at_jumps)
 
 
 def acoustic_tensor(C: Array, n: Array) -> Array:
-    """n.C.n of a tangent, (d, d): the traction of a jump over the thickness."""
+    """Acoustic tensor n.C.n (d, d) of a tangent: traction per jump over the thickness."""
     N = np.array([symmetric_mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
     return np.asarray(N @ C @ N.T)
 
 
 def declared_or_computed_tangent(law: BulkLaw, n: Array) -> Array | None:
-    """The tangent (6, 6) of a law at rest, computed or else declared; None: it is not known. As in `tangent_at_rest`."""
+    """Tangent (6, 6) of a law at rest, see `tangent_at_rest`; only the declared one unless `is_checked_at_rest`."""
     return tangent_at_rest(law, n) if is_checked_at_rest(law) else law.stiffness(n)
 
 
 def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots: Sequence[int] = ()) -> None:
-    """Raise InputError if a tangent at rest has a negative eigenvalue; does nothing if it is not known.
+    """Raise InputError if a tangent at rest has a negative eigenvalue; do nothing if it is unknown.
 
-    Eigenvalues are those of the matrix itself: without an energy its symmetric part may be indefinite, and it still stable.
+    The matrix itself is tested, not its symmetric part: without an energy this may be indefinite in a stable law.
 
     Args:
         law: the law.
-        C: its tangent, (6, 6); None: not known.
-        n: director (d,) of a layer, whose n.C.n is tested.
-        slots: components of the strains of a body, if it is none.
+        C: its tangent, (6, 6); None: unknown.
+        n: director (d,) of a layer, whose n.C.n is tested; None: a body.
+        slots: indices of the Mandel components of the strains of a body.
     """
     if C is None or not np.isfinite(C).all():
         return
@@ -331,12 +332,12 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
 
 
 def symmetric_mandel(a: Array) -> Array:
-    """A symmetric tensor of numbers, (2, 2) or (3, 3), as a vector (6,) in Mandel's order."""
+    """Mandel vector (6,) of a symmetric numeric tensor, (2, 2) or (3, 3)."""
     return mandel_vectors(np.pad(a, (0, 3 - len(a))))
 
 
 def is_isotropic(C: Array) -> bool:
-    """Whether a tangent (6, 6) is that of an isotropic material."""
+    """Whether a tangent (6, 6) is isotropic, to `COUPLING_TOLERANCE`."""
     return bool(np.abs(C - isotropic_tensor(*average_lame(C))).max() <= COUPLING_TOLERANCE * np.abs(C).max())
 
 

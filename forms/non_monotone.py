@@ -28,10 +28,10 @@ from forms.viscous import isotropic_energy
 def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
     """G = max over unit vectors k of (chi k).A(k)^-1 (chi k), A(k) = mu I + (lmbda + mu) k (x) k; 1/stress.
 
-    Laminates in the best direction k of two phases whose stresses differ by alpha chi save the energy
-    alpha^2 G/2 theta (1 - theta) against a uniform strain.
-    With s = k.chi k and k in the plane of the extreme principal values c of chi,
-    (|chi k|^2 - s^2)/mu + s^2/(lmbda + 2 mu) is largest at s = (1 - nu)(c_min + c_max), or at the nearer of the two.
+    Two phases whose stresses differ by alpha chi can form laminates with normal k. The best k saves the energy
+    alpha^2 G/2 theta (1 - theta) against a uniform strain. This k lies in the plane of the extreme principal values c
+    of chi. With s = k.chi k the quantity to maximise is (|chi k|^2 - s^2)/mu + s^2/(lmbda + 2 mu). It is largest at
+    s = (1 - nu)(c_min + c_max), or at the nearer of c_min and c_max if s is outside.
 
     Args:
         lmbda, mu: moduli.
@@ -53,8 +53,8 @@ class Phases(IsotropicLaw):
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         alpha: transformation stress, also in a layer (it does not scale with eps), > 0; or a function of T, in numpy.
-        transformation_energy: C in the formulas, energy per volume (in a layer: per area, C = real value * eps: the real
-            one is C/eps; section 6.1 prints one power of eps for alpha and C), > 0; or a function of T.
+        transformation_energy: C in the formulas, energy per volume, > 0; or a function of T. In a layer it is per area,
+            eps times the energy per volume; section 6.1 prints one power of eps for alpha and C.
         chi: orientation, symmetric, in the layer's axes, (2, 2) in plane strain and (3, 3) in 3D: its second axis is n
             (`forms.tensors.layer_frame`). chi_22 acts across S, chi_12 along it.
         T: temperature, if alpha or the transformation energy depend on it: a number, or a numpy function (x, t) of
@@ -87,7 +87,7 @@ class Phases(IsotropicLaw):
         object.__setattr__(self, "chi", (chi + chi.T) / 2)
 
     def _check_temperature(self) -> None:
-        """Check what depends on the temperature; where this is a number, functions of it become numbers."""
+        """Check parameters that depend on the temperature; if T is a number, replace functions of T by their values."""
         functions = [name for name in ("alpha", "transformation_energy") if callable(getattr(self, name))]
         if functions and self.T is None:
             remedy = "give T, a number or a function (x, t)"
@@ -101,7 +101,7 @@ class Phases(IsotropicLaw):
         self._check_phases(self.alpha, self.transformation_energy, lambda k: "")
 
     def plane_stress(self) -> Phases:
-        """The law with the modulus lmbda of plane stress: chi acts in the plane, and every phase has the same moduli."""
+        """The law with the modulus lmbda of plane stress; chi acts in the plane, and all phases have equal moduli."""
         self.require(len(self.chi) == 2, "shape of chi", "(2, 2) in plane stress", self.chi.shape)
         return replace(self, lmbda=2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu))
 
@@ -109,7 +109,7 @@ class Phases(IsotropicLaw):
         self.require(len(self.chi) == d, "shape of chi", f"({d}, {d}) in a model of dimension {d}", self.chi.shape)
 
     def _check_phases(self, alpha: Any, transformation_energy: Any, where: Callable[[int], str]) -> None:
-        """Raise InputError unless these values, (n,) or numbers, are in range; `where(k)` names the place of the k-th."""
+        """Raise InputError unless these values, (n,) or numbers, are in range; `where(k)` names the k-th place."""
         for name, values in {"alpha": alpha, "transformation_energy": transformation_energy}.items():
             values = np.ravel(values).astype(float)
             bad = np.flatnonzero(~((values > 0) & np.isfinite(values)))
@@ -147,41 +147,43 @@ class Phases(IsotropicLaw):
         parameter, power = getattr(self, name), self.powers.get(name, 0)
         return (lambda T: change(real_values(parameter(T)), power)) if callable(parameter) else change(parameter, power)
 
-    # ---------------------------------------------------------------- of a step, UFL
+    # ---------------------------------------------------------------- quantities of a step, UFL
     def _drive(self, e: Expr, n: Expr) -> Expr:
-        """Drive of phase 1, alpha chi:e, energy per volume."""
+        """Driving force of phase 1, alpha chi:e, energy per volume."""
         return ufl.inner(self._transformation_stress(n), e)
 
     def _transformation_stress(self, n: Expr) -> Expr:
-        """alpha chi in the axes of the joint, (3, 3)."""
+        """Transformation stress alpha chi (3, 3) in the axes of the joint."""
         turn = layer_frame(n)
         return self.alpha * turn * three_dimensional(ufl.as_tensor(self.chi)) * turn.T
 
     def remainder(self, step: Step) -> Expr:
-        """Error of the time scheme in the energy balance, with the energy set free by a change of temperature or phase."""
+        """Error of the time scheme in the energy balance, plus energy released by changes of temperature or phase."""
         return ufl.inner(self.stress(step), step.e - step.e_old) - (self.advance(step)["stored"] - step.q["stored"])
 
 
 @dataclass(frozen=True, eq=False)
 class NonMonotone(Phases):
-    """The relaxed non-monotone law: phases mix in fine laminates, and the energy is least.
+    """The relaxed non-monotone law: phases mix in fine laminates that minimise the energy.
 
-    With the phase fraction theta = clip(1/2 + (|m| - C)/g, 0, 1), m = alpha chi:e, of phase sign(m),
+    With the driving force m = alpha chi:e, phase sign(m) has the fraction theta = clip(1/2 + (|m| - C)/g, 0, 1), and
 
-        stress = lmbda tr(e) I + 2 mu e - sign(m) theta alpha chi,   g = alpha^2 G
+        stress = lmbda tr(e) I + 2 mu e - sign(m) theta alpha chi,   g = alpha^2 G.
 
-    where G (`lamination_gain`) belongs to the best direction of laminates, which is n for chi = sym(a (x) n) with a
-    tangent to S, and for chi = n (x) n if lmbda = 0, but not if lmbda > 0. As a layer's law, E = sym(w (x) n)/eps:
-    t = K w - sign(m) theta alpha chi n, m = alpha chi:E; it replaces Eqs. (41)-(43), which print lmbda + mu for
-    lmbda + 2 mu, [u_1] for [u_2], and one branch. The stress is continuous. For mixing = 1 t is monotone in w, no snap:
-    the energy is convex along every sym(a (x) k), which is less than along all strains (chi = I, say).
+    G (`lamination_gain`) belongs to the best direction of laminates. This is n for chi = sym(a (x) n) with a tangent to
+    S. For chi = n (x) n it is n if lmbda = 0, but not if lmbda > 0.
+
+    As a layer's law, with E = sym(w (x) n)/eps: t = K w - sign(m) theta alpha chi n, m = alpha chi:E. It replaces
+    Eqs. (41)-(43), which print lmbda + mu for lmbda + 2 mu, [u_1] for [u_2], and one branch only. The stress is
+    continuous. For mixing = 1 t is monotone in w, without snaps: the energy is convex along every sym(a (x) k). It need
+    not be convex along all strains, for example with chi = I.
 
     Where the phases mix the tangent may be singular (chi = n (x) n, lmbda = 0); the stiffness of the bodies remains.
 
     Attributes:
-        mixing: share of the laminates' energy gain, 0 < mixing <= 1: g = mixing alpha^2 G. Below 1 the stress falls as the
-            phases change, the more steeply the smaller it is: on S only, see `thinlayer.ArcLength`.
-        G: the gain, 1/stress, computed.
+        mixing: share of the laminates' energy gain, 0 < mixing <= 1: g = mixing alpha^2 G. Below 1 the stress falls as
+            the phases change, more steeply for smaller values; then on S only, see `thinlayer.ArcLength`.
+        G: the gain of `lamination_gain`, 1/stress, computed.
 
     Raises:
         InputError: as `Phases`; C < g/2, where phases 1 and -1 would mix.
@@ -219,11 +221,11 @@ class NonMonotone(Phases):
 
     @property
     def _gain(self) -> Expr:
-        """g, energy per volume."""
+        """Energy gain g of mixing, per volume."""
         return self.mixing * self.G * self.alpha * self.alpha  # type: ignore[operator]
 
     def _fraction(self, m: Expr) -> Expr:
-        """Fraction of the phase that the drive m favours."""
+        """Fraction of the phase that the driving force m favours."""
         return ufl.min_value(ufl.max_value((abs(m) - self.transformation_energy) / self._gain + 0.5, 0.0), 1.0)
 
     def _phase(self, m: Expr) -> Expr:
@@ -247,15 +249,17 @@ class NonMonotone(Phases):
 class NonMonotoneUnrelaxed(Phases):
     """The non-monotone law with pure phases: stress = lmbda tr(e) I + 2 mu e - z alpha chi, z = -1, 0 or 1.
 
-    The phase is an internal variable, one for each facet of S, or for the column of cells that stands on it in the meshed
-    layer: elements through the thickness that switch one by one would unload each other, which is another structure. It
-    stays while no other phase has a lower energy, Eq. (39): z = 0 for |m| <= C, z = 1 for m >= C, z = -1 for
-    m <= -C, with the mean m over the column of alpha chi:e. As a layer's law t = K w - z alpha chi n.
+    The phase is an internal variable. Each facet of S has one phase, and so has the column of cells over it in the
+    meshed layer. (If elements through the thickness switched one by one, they would unload each other: another
+    structure.)
 
-    Equilibria are local minima of the energy. One is selected by alternate minimisation from the last equilibrium: all
-    columns switch to their phase of lowest energy, bodies and layer find equilibrium with these phases, and so on until no
-    phase changes; the energy falls each time. `march` stops where the first column switches, so that the result does not
-    depend on its steps.
+    A phase stays while no other phase has a lower energy, Eq. (39). For the mean m of alpha chi:e over the column this
+    means: |m| <= C for z = 0; m >= C for z = 1; m <= -C for z = -1. As a layer's law t = K w - z alpha chi n.
+
+    Equilibria are local minima of the energy. Alternate minimisation from the last equilibrium selects one. All columns
+    switch to their phase of lowest energy, then equilibrium is solved with these phases; this is repeated until no
+    phase changes. The energy falls each time. `march` stops where the first column switches, so that the result does
+    not depend on its steps.
     """
 
     linear: ClassVar = True
@@ -275,10 +279,10 @@ class NonMonotoneUnrelaxed(Phases):
         return isotropic_energy(self.lmbda, self.mu, step.e) + of_phase
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Energy of the phase less that of the best other phase, over C; (n,). A column switches if it is > 0."""
+        """(n,) energy of the phase minus energy of the best other phase, over C. A column switches if it is > 0."""
         return np.where(phase == 0, abs(drive) / bound - 1, 1 - phase * drive / bound)
 
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """The phases (n,) after columns with an excess have changed theirs to the one of lowest energy."""
+        """Phases (n,) after all columns with an excess > 0 have switched to their phase of lowest energy."""
         lowest = np.where(drive > bound, 1.0, np.where(drive < -bound, -1.0, 0.0))
         return np.where(self.excess(phase, drive, bound) > 0, lowest, phase)

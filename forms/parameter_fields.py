@@ -12,12 +12,12 @@ import numpy as np
 
 from forms.base import Array, InputError, is_number
 
-MAX_CHECKED_PLACES = 1000  # number of places at which parameters are checked beside those where they are extreme
+MAX_CHECKED_PLACES = 1000  # number of places at which parameters are checked in addition to their extremes
 Parameter = float | Callable[[Array], Any]  # a number, or a numpy function of places (d, n) that gives n values
 
 
 class ParameterRangeError(InputError):
-    """A value of a parameter out of range at the k-th place."""
+    """Error for a value of a parameter that is out of range at the k-th place."""
 
     def __init__(self, message: str, k: int) -> None:
         super().__init__(message)
@@ -25,7 +25,7 @@ class ParameterRangeError(InputError):
 
 
 def _operators(combine: Callable[[Any, Any], Any]) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
-    """The methods of `ParameterField` that combine it with another value, on its right and on its left."""
+    """Operator methods of `ParameterField` with the other operand on its right, and on its left."""
     return lambda self, other: self._with(combine, other), lambda self, other: self._with(combine, other, turned=True)
 
 
@@ -35,18 +35,19 @@ class ParameterField:
 
     Attributes:
         function: of coordinates x (d, n), or of the values (n,) of the operands; returns (n,) or one number.
-        operands: Fields and numbers from whose values the function computes; (): it is a function of coordinates.
+        operands: parameter fields and numbers whose values are the function's arguments; (): a function of coordinates.
     """
 
     function: Callable[..., Any]
     operands: tuple[Any, ...] = ()
-    __array_ufunc__: ClassVar[None] = None  # numbers of numpy leave arithmetic to this class
+    __array_ufunc__: ClassVar[None] = None  # numpy scalars leave arithmetic to this class
 
     def __call__(self, x: Array) -> Array:
         """Values (n,) at places x (d, n).
 
         Raises:
-            ParameterRangeError: a value is not finite, or out of the range of the function. TypeError: not n real numbers.
+            ParameterRangeError: a value is not finite, or out of the range of the function.
+            TypeError: the function does not return n real numbers.
         """
         if self.operands:
             arguments = [operand(x) if isinstance(operand, ParameterField) else operand for operand in self.operands]
@@ -85,12 +86,12 @@ def is_field(value: Any) -> bool:
 
 
 def as_parameter_field(value: Any) -> Any:
-    """A function as a Field; other values unchanged."""
+    """Wrap a function as a `ParameterField`; return other values unchanged."""
     return ParameterField(value) if callable(value) and not isinstance(value, ParameterField) else value
 
 
 def parameter_numbers(value: Any) -> Array:
-    """A parameter as numbers, NaN for a Field."""
+    """A parameter as numbers; NaN for a `ParameterField`."""
     return np.asarray(np.nan if isinstance(value, ParameterField) else value, float)
 
 
@@ -100,7 +101,7 @@ def place_text(x: Array, k: int) -> str:
 
 
 def extreme_places(values: Sequence[Array], *, differences: bool = False) -> list[int]:
-    """Numbers of the places at which one of some values (n,), or a ratio, or a difference of two is smallest or largest."""
+    """Indices of the places where one of the values (n,), or a ratio or difference of two, is smallest or largest."""
     fields = list(values)
     with np.errstate(all="ignore"):
         for a, b in combinations(values, 2):

@@ -1,4 +1,4 @@
-"""Plasticity with hardening: Mohr-Coulomb's, full or on planes parallel to S alone, and von Mises'."""
+"""Plasticity with hardening: Mohr-Coulomb, full or only on planes parallel to S, and von Mises."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from forms.traits import warn_of_range
 from forms.viscous import isotropic_energy
 
 MIN_FRICTION_ANGLE_DEGREES = 1.6  # degrees; smaller friction angles were probably meant in radians (pi/2 = 1.57)
-MIN_ELASTIC_FRACTION = 1e-6  # of the stiffness that stays elastic, from which continuation starts
+MIN_ELASTIC_FRACTION = 1e-6  # smallest elastic fraction of the stiffness in continuation, as ease tends to 0
 
 
 def require_hardening(law: BulkLaw, *names: str) -> None:
@@ -32,16 +32,15 @@ def require_hardening(law: BulkLaw, *names: str) -> None:
 
 @dataclass(frozen=True)
 class Plastic(IsotropicLaw):
-    """Base of the Mohr-Coulomb laws: isotropic elasticity, and a plastic strain that grows where shear reaches its bound.
+    """Base of the Mohr-Coulomb laws: isotropic elasticity, and plastic strain that grows where shear reaches its bound.
 
     A fraction h, `elastic_fraction`, of the stiffness stays elastic, stress = (1 - h) stress_plastic +
-    h (lmbda tr(e) I + 2 mu e).
-    With h > 0 problems have a solution that have none with ideal plasticity (a layer without cohesion has no strength
-    at its free ends). h belongs to the law: the meshed layer and S have the same. It hides limit loads, see
-    `State.elastic_share`.
+    h (lmbda tr(e) I + 2 mu e). With h > 0 a solution exists even where ideal plasticity has none (a layer without
+    cohesion has no strength at its free ends). h is part of the law: the meshed layer and S have the same h. It hides
+    limit loads, see `State.elastic_share`.
 
-    The cohesion grows with the accumulated plastic strain p: it is c = C + H p + Q p/(p_0 + p), the work of which is
-    dissipated. p is the strain that, times c, is the work of the plastic flow if this is associated: see the laws.
+    The cohesion grows with the accumulated plastic strain p, c = C + H p + Q p/(p_0 + p); this work is dissipated. p is
+    defined such that c dp is the plastic work if the flow is associated; see the laws.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
@@ -49,9 +48,9 @@ class Plastic(IsotropicLaw):
         friction_angle: Omega in the formulas, in degrees (30, not 0.52), 0 <= Omega < 90; > 0 if C = 0.
         elastic_fraction: 0 <= elastic_fraction < 1.
         hardening: H, stress; >= 0.
-        saturation: Q, largest increase of the cohesion beside H p, stress, also in a layer; >= 0.
-        saturation_strain: p_0, at which half of Q is reached, strain (in a layer: strain times thickness, a length); > 0
-            where Q > 0.
+        saturation: Q, largest increase of the cohesion in addition to H p, stress, also in a layer; >= 0.
+        saturation_strain: p_0, at which half of Q is reached, strain (in a layer: strain times thickness, a length); >
+            0 where Q > 0.
 
     Raises:
         InputError: a parameter out of range.
@@ -84,7 +83,7 @@ class Plastic(IsotropicLaw):
         require_hardening(self, "hardening", "saturation")
 
     def homotopy(self, ease: float) -> Plastic:
-        """The law with an elastic fraction between its own (ease = 0) and that of an elastic layer (1)."""
+        """Homotopy law: the elastic fraction grows from its own value (ease = 0) to 1, an elastic layer (ease = 1)."""
         h, share = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - ease) if ease else 0.0
         return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
 
@@ -93,28 +92,31 @@ class Plastic(IsotropicLaw):
 class MohrCoulomb(KernelLaw, Plastic):
     """Mohr-Coulomb elasto-plasticity: on every plane |shear stress| <= C - tan(Omega) normal stress.
 
-    In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= c cos(Omega) - (s_1 + s_3)/2 sin(Omega); plastic flow as if
-    the angle were psi. p grows by cos(Omega) times the largest plastic shear strain (engineering) where the flow has no
-    trace. Steps are implicit. Equation (30) prints |s_n|, which is right in compression, and a flow on one
-    plane, which is not coaxial with the stress: there are two such planes, and the flow here is their mean. In (31) and
-    (33) the plastic strains lack a factor 2, and the plastic strain has no trace.
+    In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= c cos(Omega) - (s_1 + s_3)/2 sin(Omega). The plastic flow
+    has psi in place of Omega. p grows by cos(Omega) times the largest plastic shear strain (engineering) where the flow
+    has no trace. Steps are implicit. Equation (30) prints |s_n|, which is right in compression, and a flow on one
+    plane, which is not coaxial with the stress. There are two such planes; the flow here is the mean of both. In (31)
+    and (33) the plastic strains lack a factor 2, and the plastic strain has no trace.
 
-    As a layer's law it is not Coulomb's law with tan(Omega): in plane strain, with p = (lmbda + mu) w_N/eps and the
-    in-plane deviator s = (s_N, s_T), mu/eps dw in each step as long as |s| <= R = C cos(Omega) - p sin(Omega),
+    As a layer's law it is not Coulomb's law with tan(Omega). In plane strain let p = (lmbda + mu) w_N/eps here be
+    the mean in-plane stress, and s = (s_N, s_T) the in-plane deviator. s grows by mu/eps dw in each step as long as
+    |s| <= R = C cos(Omega) - p sin(Omega). For psi = 0
 
-        t_N = p + s_N, t_T = s_T    (psi = 0)
+        t_N = p + s_N, t_T = s_T
 
-    and under lasting shear t_T tends to C cos(Omega) - t_N sin(Omega): (34)-(35) hold with w^p only if the plastic strain
-    has the form of a jump, which it has not.
+    and under lasting shear t_T tends to C cos(Omega) - t_N sin(Omega). Equations (34)-(35) hold with w^p only if the
+    plastic strain has the form of a jump, which it does not have.
 
-    This holds for psi = 0, in plane strain, and for s_33 between the in-plane principal stresses (at yield
-    |p| (1 - 2 nu) <= R, which fails in compression for small nu and Omega, with C = 0 for nu < (1 - sin(Omega))/2, and in
-    tension near the apex). The law itself is compiled from C: the return to faces, edges and apex of the yield surface in
-    principal stresses. On edges and at the apex p grows by 2 cos(Omega) times the flow along both planes together.
+    This holds for psi = 0, in plane strain, and for s_33 between the in-plane principal stresses. At yield this means
+    |p| (1 - 2 nu) <= R. It fails in tension near the apex, and in compression for small nu and Omega. With C = 0 it
+    fails in compression for nu < (1 - sin(Omega))/2. The law is compiled from C: a return mapping to faces, edges and
+    apex of the yield surface in principal stresses. On edges and at the apex the accumulated p grows by 2 cos(Omega)
+    times the flow along both planes together.
 
-    For psi = 0 the flow keeps the mean stress, and from mean stresses above C cot(Omega) it cannot return to the yield
-    surface. There the stress is cut off to C cot(Omega) times the identity, with a volumetric plastic strain: the material
-    has torn, and closes only when this volume is pressed out again. For psi > 0 the flow itself does this.
+    For psi = 0 the flow does not change the mean stress. Stresses with a mean above C cot(Omega) cannot return to
+    the yield surface. There the stress is cut off to C cot(Omega) times the identity, with a volumetric plastic strain.
+    The material has torn, and closes only when this volume is compressed to zero again. For psi > 0 the flow itself
+    does this.
 
     Attributes:
         dilatancy_angle: psi in the formulas, in degrees, 0 <= psi <= Omega.
@@ -134,19 +136,19 @@ class MohrCoulomb(KernelLaw, Plastic):
 
 @dataclass(frozen=True)
 class MohrCoulombMonodirectional(Plastic):
-    """Mohr-Coulomb elasto-plasticity that slips on planes parallel to S alone: |t_T| <= c - tan(Omega) t_N, t = stress n.
+    """Mohr-Coulomb elasto-plasticity with slip only on planes parallel to S: |t_T| <= c - tan(Omega) t_N, t = stress n.
 
-    p grows by the plastic shear strain across S (engineering), as a layer's law by the slip |dw^p| over the thickness.
+    p grows by the plastic shear strain across S (engineering); in a layer this is the slip |dw^p| over the thickness.
 
-    Equations (37)-(38) and (54)-(55), with the sign of the shear stress in the flow: dw^p/dt = k t_T/|t_T|, k >= 0. As a
-    layer's law, t = K (w - w^p): Coulomb's friction with penalties (lmbda + 2 mu)/eps and mu/eps. Where t_N > C cot(Omega)
-    the shear traction vanishes and the normal one stays elastic: bilateral, as in the paper.
+    Equations (37)-(38) and (54)-(55), with the sign of the shear stress in the flow: dw^p/dt = k t_T/|t_T|, k >= 0. As
+    a layer's law, t = K (w - w^p): Coulomb's friction with penalties (lmbda + 2 mu)/eps and mu/eps. Where t_N > C
+    cot(Omega) the shear traction vanishes and the normal traction stays elastic: bilateral, as in the paper.
 
-    With `unilateral` the layer opens instead of pulling: a free strain along n removes tension, t_N <= 0, and |t_T| <= C
+    With `unilateral` the layer opens instead of carrying tension: a free strain along n keeps t_N <= 0, and |t_T| <= C
     remains. With C = 0 its limit is contact with friction tan(Omega), `IncrementalCoulomb.of_layer`.
 
     Attributes:
-        unilateral: whether the layer can only push.
+        unilateral: whether the layer opens instead of carrying tension.
     """
 
     unilateral: bool = choice(False)
@@ -160,11 +162,11 @@ class MohrCoulombMonodirectional(Plastic):
         self.require(isinstance(self.unilateral, bool), "unilateral", "True or False", repr(self.unilateral))
 
     def _tension(self, e: Expr, n: Expr) -> Expr:
-        """Normal tension of an elastic strain, which an opening along n removes."""
+        """Normal tension of an elastic strain, which opening along n removes if the law is unilateral."""
         return ufl.max_value(self.lmbda * ufl.tr(e) + 2 * self.mu * ufl.dot(n, ufl.dot(e, n)), 0)
 
     def _trial(self, step: Step) -> Expr:
-        """Trial stress of the plastic part at t + theta dt: without plastic flow in the step."""
+        """Trial stress of the plastic part at t + theta dt, without plastic flow in the step."""
         e, n = step.mid - step.q["plastic"], three_dimensional(step.n)
         stress = lame_stress(self.lmbda, self.mu, e)
         if not self.unilateral:
@@ -181,7 +183,7 @@ class MohrCoulombMonodirectional(Plastic):
         return (1 - self.elastic_fraction) * stored + self.elastic_fraction * elastic
 
     def _flow(self, step: Step) -> tuple[Expr, Expr]:
-        """Increments up to t + theta dt of the plastic strain, (3, 3), traceless, and of the accumulated one."""
+        """Increments up to t + theta dt of the traceless plastic strain (3, 3), and of the accumulated strain."""
         n, p = three_dimensional(step.n), step.q["accumulated"]
         e = step.mid - step.q["plastic"]  # needs only the traction: compiles 50 times faster than with _trial
         e_N = ufl.dot(n, ufl.dot(e, n))
@@ -193,17 +195,17 @@ class MohrCoulombMonodirectional(Plastic):
         beyond = ufl.gt(size2, ufl.max_value(bound, 0) ** 2)
         size = ufl.sqrt(ufl.conditional(beyond, size2, 1))
         excess = ufl.conditional(beyond, size - bound, 1)
-        slip = ufl.min_value(self._size(p, excess), size / self.mu)  # no shear is left where t_N pulls
+        slip = ufl.min_value(self._size(p, excess), size / self.mu)  # beyond the apex no shear traction remains
         slip = ufl.conditional(beyond, slip, 0)
         return slip / size * ufl.sym(ufl.outer(t_T, n)), slip
 
     @property
     def _half(self) -> Expr:
-        """p_0, or 1 where nothing saturates."""
+        """p_0, or 1 without saturation."""
         return ufl.conditional(ufl.gt(self.saturation, 0), self.saturation_strain, 1.0)
 
     def _size(self, p: Expr, excess: Expr) -> Expr:
-        """The slip x > 0 with excess = mu x + c(p + x) - c(p): a root of a quadratic equation."""
+        """Slip x > 0 with excess = mu x + c(p + x) - c(p), the root of a quadratic equation."""
         d, a = self._half + p, self.mu + self.hardening
         b = a * d + self.saturation * self._half / d - excess
         root = ufl.sqrt(b * b + 4 * a * excess * d)
@@ -226,29 +228,29 @@ class MohrCoulombMonodirectional(Plastic):
         return (1 - self.elastic_fraction) * ufl.inner(stress, flow) / step.theta
 
 
-MAX_HARDENING_FRACTION = 1 - 1e-9  # of the stiffness that hardening leaves, in continuation
+MAX_HARDENING_FRACTION = 1 - 1e-9  # largest fraction of the elastic stiffness after yield, in continuation
 
 
 @dataclass(frozen=True)
 class VonMises(KernelLaw, IsotropicLaw):
     """Isotropic elasticity, and plastic flow along the deviator where the equivalent stress reaches the yield stress.
 
-    sqrt(3/2) |s - 2/3 K e^p| <= Y + H p + Q (1 - exp(-p/p_0)), with the deviator s of the stress, the plastic strain e^p,
-    which has no trace, and the accumulated plastic strain p, dp/dt = sqrt(2/3) |de^p/dt|. In uniaxial tension it is the
-    yield stress, in shear |s_12| <= Y/sqrt(3) at first. Flow is associated, steps are implicit (radial return).
+    The yield condition is sqrt(3/2) |s - 2/3 K e^p| <= Y + H p + Q (1 - exp(-p/p_0)). s is the deviator of the stress,
+    e^p the plastic strain, which has no trace, and p the accumulated plastic strain, dp/dt = sqrt(2/3) |de^p/dt|. The
+    right-hand side is the yield stress in uniaxial tension; in shear |s_12| <= Y/sqrt(3) at first. Flow is associated,
+    steps are implicit (radial return).
 
-    The work of isotropic hardening is dissipated, that of kinematic hardening (Prager's) is stored.
+    The work of isotropic hardening is dissipated, the work of kinematic hardening (Prager's) is stored.
 
-    As a layer's law, of t = (lmbda + 2 mu/3)/eps w_N n + s n with the deviator s at the strain sym(w (x) n)/eps:
-    without hardening t_T is at most Y/sqrt(3), reached under lasting shear, and t_N - (lmbda + 2 mu/3)/eps w_N at most
-    2 Y/3.
+    As a layer's law, t = (lmbda + 2 mu/3)/eps w_N n + s n with the deviator s at the strain sym(w (x) n)/eps. Without
+    hardening t_T is at most Y/sqrt(3), reached under lasting shear; t_N - (lmbda + 2 mu/3)/eps w_N is at most 2 Y/3.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         strength: Y in the formulas, yield stress in tension, stress, also in a layer; > 0.
         hardening: H, linear isotropic hardening, stress; >= 0.
-        kinematic: K, linear kinematic hardening, likewise.
-        saturation: Q, largest increase of the yield stress beside H p, stress, also in a layer; >= 0.
+        kinematic: K, linear kinematic hardening, stress; >= 0.
+        saturation: Q, largest increase of the yield stress in addition to H p, stress, also in a layer; >= 0.
         saturation_strain: p_0, strain (in a layer: strain times thickness, a length); > 0 where Q > 0.
 
     Raises:
@@ -282,7 +284,7 @@ class VonMises(KernelLaw, IsotropicLaw):
         require_hardening(self, "hardening", "kinematic", "saturation")
 
     def homotopy(self, ease: float) -> VonMises:
-        """The law with kinematic hardening between its own (ease = 0) and that of an almost elastic material (1)."""
+        """Homotopy law: kinematic hardening grows from its own value (ease = 0) to an almost elastic response (1)."""
         if not ease:
             return self
         share = min(MIN_ELASTIC_FRACTION ** (1 - ease), MAX_HARDENING_FRACTION)

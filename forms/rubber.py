@@ -23,11 +23,11 @@ class PressureLaw(LinearLaw):
     _nu = 0.5  # Poisson's ratio
 
     def stress(self, step: Step) -> Expr:
-        """The stress without p I."""
+        """Stress without the pressure term p I."""
         return lame_stress(0, self.mu, step.mid)
 
     def stations(self) -> list[Station[Any]]:
-        """The pressure is a field on S, which flows along S."""
+        """Stations with a pressure field on S, whose gradient drives a flow along S."""
         return pressure_stations(self)
 
     def end_strips(self) -> EndStrips | None:
@@ -41,9 +41,10 @@ class PressureLaw(LinearLaw):
 class Incompressible(PressureLaw):
     """Incompressible elasticity, stress = 2 mu e + p I with tr e = 0; the pressure p is an unknown field.
 
-    As a layer's law: w_N = 0, t_N = p free, t_T = mu/eps w_T with the jump w. The paper gives only the constraint, Eqs.
-    (25)-(29). It is not a penalty: tr e = 0 holds weakly, tested with every pressure of degree 1, in the meshed layer
-    and on S. The law of order 1 is that of `Rubber` for lmbda to infinity: a slope of p squeezes the layer along S.
+    As a layer's law: w_N = 0, t_N = p is unknown, t_T = mu/eps w_T with the jump w. The paper gives only the
+    constraint, Eqs. (25)-(29). It is not a penalty: tr e = 0 holds weakly, tested with every pressure of degree 1, in
+    the meshed layer and on S. The law of order 1 is the limit of `Rubber` for infinite lmbda: a gradient of p squeezes
+    the layer along S.
 
     Attributes:
         mu: shear modulus, stress; > 0.
@@ -60,7 +61,7 @@ class Incompressible(PressureLaw):
         require_positive(self, "mu")
 
     def plane_stress(self) -> LinearElastic:
-        """Not constrained in the plane: e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22)."""
+        """Law without constraint in the plane: e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22)."""
         return LinearElastic(1.0, 1.0).with_parameters({"lmbda": 2 * self.mu, "mu": self.mu})
 
     def stiffness(self, n: Array) -> Array:
@@ -71,17 +72,18 @@ class Incompressible(PressureLaw):
 class Rubber(PressureLaw, IsotropicLaw):
     """Isotropic elasticity with a pressure field: stress = 2 mu e + p I with p = lmbda tr e, for any lmbda/mu > 0.
 
-    The same material as `LinearElastic`. Here a pressure of degree 1 controls the volume, in the meshed layer and on S, so
-    that nothing locks as lmbda/mu grows. In the interface law of order 1 (`ThinLayer(order=1)`) p is a continuous field on
-    S. Between stiff bodies it spreads over the length eps sqrt(lmbda/(12 mu)), and it is zero at free ends:
+    The same material as `LinearElastic`. Here a pressure of degree 1 controls the volume, in the meshed layer and on S,
+    so that nothing locks as lmbda/mu grows. In the interface law of order 1 (`ThinLayer(order=1)`) p is a continuous
+    field on S. Between stiff bodies it spreads over the length eps sqrt(lmbda/(12 mu)), and it is zero at free ends:
 
         (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = [u_N] + eps div_S <u>,
 
-    beside the shear of the layer (`forms.work.surface`). Its error is O(eps^2) for all Poisson's ratios in (0, 1/2).
+    in addition to the shear of the layer (`forms.work.surface`). The error is O(eps^2) for all Poisson's ratios in
+    (0, 1/2).
 
     Attributes:
         lmbda: first Lame modulus, stress; > 0.
-        mu: shear modulus, likewise; > 0.
+        mu: shear modulus, stress; > 0.
 
     Raises:
         InputError: a modulus out of range.

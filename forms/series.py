@@ -1,4 +1,4 @@
-"""Stack: sublayers in series, and how isotropic elastic ones share the jump in the interface law of order 1."""
+"""Stack: sublayers in series, and the interface law of order 1 of isotropic elastic sublayers."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from forms.traits import Traits, require_declarations
 
 
 class AveragedElastic(LinearElastic):
-    """Averages of elastic laws, whose moduli may be negative."""
+    """Average of elastic laws; its moduli may be negative."""
 
     def check(self) -> None:
-        """Nothing: the laws of the sublayers have been checked."""
+        """Check nothing: the laws of the sublayers have been checked."""
 
 
 @dataclass(frozen=True)
 class EqualTractionSublayers(AveragedElastic):
-    """All sublayers under tractions on planes parallel to S, which are equal in all of them.
+    """Average law of sublayers under equal tractions on planes parallel to S.
 
-    Averages are over the thickness; Phi_N and Phi_T as in `in_series`.
+    Means are over the thickness; Phi_N and Phi_T are defined in `in_series`.
 
     Attributes:
-        lmbda, mu: lmbda + 2 mu is the harmonic mean of lmbda + 2 mu, and mu that of mu.
-        lateral: mean of r = lmbda/(lmbda + 2 mu), by which a layer gets thinner as it is stretched along S.
+        lmbda, mu: mu is the harmonic mean of the sublayers' mu, and lmbda + 2 mu of their lmbda + 2 mu.
+        lateral: mean of r = lmbda/(lmbda + 2 mu), the thinning of a free layer per stretch along S.
         lateral_normal, lateral_tangential: means of r Phi_N and r Phi_T.
         normal, tangential: means of Phi_N and Phi_T.
     """
@@ -45,7 +45,7 @@ class EqualTractionSublayers(AveragedElastic):
     tangential: float
 
     def strain(self, faces: Faces) -> Expr:
-        """The mean strain across the layer, and what strains along S add to it where no traction acts."""
+        """Strain (3, 3) that causes the traction: mean strain across the layer, corrected for strains along S."""
         n, across = three_dimensional(faces.n), faces.across() + faces.mean
         thinned = faces.split(self.lateral_normal, self.lateral_tangential).difference
         turned = faces.split(self.normal, self.tangential).difference
@@ -58,16 +58,18 @@ class EqualTractionSublayers(AveragedElastic):
 def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]]:
     """Stations of isotropic elastic sublayers, from the lower to the upper face.
 
-    Displacements through the layer are <u> + Phi [u]: the sublayers share the jump as at order 0, so that Phi_N along n and
-    Phi_T along S grow from -1/2 to 1/2 in proportion to 1/(lmbda + 2 mu) and to 1/mu. The stress is the traction on planes
-    parallel to S, equal in all sublayers as each is strained across S a little further, and what strains along S add to it;
-    the energies of both add up. (With the strains of <u> + Phi [u] alone a nearly incompressible sublayer would lock.)
+    Displacements through the layer are <u> + Phi [u]. The sublayers share the jump as at order 0: Phi_N along n and
+    Phi_T along S grow from -1/2 to 1/2 in proportion to 1/(lmbda + 2 mu) and to 1/mu.
 
-    The first is `EqualTractionSublayers`. The others have the strains along S. Their energy is quadratic in Phi_T, so that
-    three places, Phi_T = -1/2, 0 and 1/2, with the right moments of the moduli give its integral over any sublayers.
+    Each sublayer gets a small additional strain across S, which makes the tractions on planes parallel to S equal in
+    all sublayers. The stress is this traction plus the stress of the strains along S; the energies of both parts add
+    up. (Without the additional strain a nearly incompressible sublayer would lock.)
+
+    The first station is `EqualTractionSublayers`. The other three have the strains along S at Phi_T = -1/2, 0 and 1/2.
+    Their energy is quadratic in Phi_T; moduli with the right moments make its integral over the sublayers exact.
 
     Raises:
-        InputError: a sublayer of another kind.
+        InputError: a sublayer is not isotropic linear elastic.
     """
     fractions, moduli = [a for a, _ in sublayers], [law.elastic_moduli() for _, law in sublayers]
 
@@ -107,21 +109,21 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]
 
 @dataclass(frozen=True)
 class Stack(BulkLaw):
-    """Sublayers in series, from the lower to the upper face: common traction and in-plane strain, the jumps add up.
+    """Sublayers in series, from the lower to the upper face, with equal tractions and in-plane strains; jumps add up.
 
-    The meshed layer has cells for each sublayer. On S each point solves for strains e + sym(g_i (x) n) of the
-    sublayers with equal tractions and sum a_i g_i = 0, with the history of each law. A layer of equal linear sublayers has
-    their law.
+    The meshed layer has cells for each sublayer. On S each point solves for the sublayers' strains e + sym(g_i (x) n).
+    Their tractions are equal, sum a_i g_i = 0, and each law has its own history. A layer of equal linear sublayers has
+    their common law.
 
-    Between linear elastic sublayers the compliances add, K = (sum_i a_i K_i^-1)^-1: for isotropic ones the harmonic means
-    of mu and of lmbda + 2 mu. Equation (52) prints these sums as stiffnesses, and averages lmbda alone.
+    The compliances of linear elastic sublayers add, K = (sum_i a_i K_i^-1)^-1. For isotropic sublayers this gives the
+    harmonic means of mu and of lmbda + 2 mu. Equation (52) prints these sums as stiffnesses, and averages lmbda alone.
 
     Attributes:
         fractions: shares of the layer's thickness, > 0; their sum is 1.
         laws: laws of the sublayers. A Stack among them is replaced by its sublayers.
 
     Raises:
-        InputError: fractions out of range, a law that a stack cannot hold.
+        InputError: fractions are out of range, or a law cannot be a sublayer.
     """
 
     fractions: tuple[float, ...]
@@ -153,8 +155,8 @@ class Stack(BulkLaw):
         """A layer whose law changes through the thickness, as n sublayers of equal thickness.
 
         Args:
-            law: place in the layer -> its law there, from 0 at the lower to 1 at the upper face. Each sublayer has that of
-                its middle, so that the error is O(1/n^2).
+            law: height in the layer, from 0 at the lower to 1 at the upper face -> the law there. Each sublayer has the
+                law at its middle, so that the error is O(1/n^2).
             n: number of sublayers, >= 1.
         """
         require(is_integer(n, 1), "Stack.graded: the number of sublayers", n, "allowed: whole numbers >= 1")
@@ -212,7 +214,7 @@ class Stack(BulkLaw):
         return self.with_laws([law.mapped(change) for law in self.laws])
 
     def parameters(self) -> dict[str, Any]:
-        """Parameters of all sublayers; "0.mu" is the mu of the lowest one."""
+        """Parameters of all sublayers; "0.mu" is the mu of the lowest sublayer."""
         return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.parameters().items()}
 
     def at(self, x: Array, t: float) -> dict[str, Array]:

@@ -1,4 +1,4 @@
-"""Stations: the places through a layer's thickness at which laws act in its interface law of order 1."""
+"""Stations: points through a layer's thickness at which the interface law of order 1 evaluates laws."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ LOCKING_RATIO = (
 
 @dataclass(frozen=True)
 class Faces:
-    """How the two faces of a layer are displaced at a place of S.
+    """Displacements of the two faces of a layer at a place of S.
 
     Attributes:
         n: director, (d,).
         eps: thickness.
         jump: [u], (d,).
-        gradient: of [u] along S, (d, d).
-        mean: strain (3, 3) along S of <u>, and what is given beside the displacements, uniform through the layer.
+        gradient: gradient (d, d) of [u] along S.
+        mean: strain (3, 3) that is uniform through the layer: of <u> along S, or prescribed.
         along: gradient along S (d, d) and value (d,) of displacements -> strain (3, 3) along S (`Kinematics.along`).
         slope: grad_S eps, (d,); None: the thickness is uniform.
     """
@@ -41,9 +41,9 @@ class Faces:
     slope: Expr | None = None
 
     def across(self, z: float = 0.0) -> Expr:
-        """Strain (3, 3) of the jump at the height z eps above the middle of the layer, sym([u] (x) (n - z grad_S eps))/eps.
+        """Strain (3, 3) of the jump at the height z eps above the middle, sym([u] (x) (n - z grad_S eps))/eps.
 
-        Where the thickness varies, places of one height share z lie on a surface that rises by z grad_S eps.
+        Where the thickness varies, a surface of constant z has the slope z grad_S eps.
         """
         n = self.n if self.slope is None or z == 0 else self.n - z * self.slope
         return jump_strain(self.jump, n) / self.eps
@@ -55,9 +55,9 @@ class Faces:
 
     @property
     def change(self) -> Expr:
-        """Strain (3, 3) at the upper face less that at the lower one, for displacements linear through the layer.
+        """Strain (3, 3) at the upper minus strain at the lower face, for displacements linear through the layer.
 
-        It is `difference`; where the thickness varies eps sym(grad_S ([u]/eps)).
+        It equals `difference` or, where the thickness varies, eps sym(grad_S ([u]/eps)).
         """
         return self.difference + self.across(0.5) - self.across(-0.5) if self.slope is not None else self.difference
 
@@ -67,12 +67,12 @@ class Faces:
         return ufl.outer(three_dimensional(self.n), three_dimensional(self.n))
 
     def in_s(self, e: Expr) -> Expr:
-        """The part P e P of a strain (3, 3) that lies in S, P = I - n (x) n."""
+        """In-plane part P e P of a strain (3, 3), with P = I - n (x) n."""
         along = ufl.Identity(3) - self.normal
         return along * e * along
 
     def split(self, normal: Any, tangential: Any) -> Faces:
-        """The same faces with the jump multiplied by a number along n, and by another along S."""
+        """The same faces with the jump multiplied by `normal` along n and by `tangential` along S."""
         n = self.n
         jump = tangential * self.jump + (normal - tangential) * ufl.dot(n, self.jump) * n
         gradient = tangential * self.gradient + (normal - tangential) * ufl.outer(n, ufl.dot(n, self.gradient))
@@ -81,14 +81,14 @@ class Faces:
 
 @dataclass(frozen=True)
 class Station(Generic[LawType]):
-    """A place through the thickness at which a law acts, in the interface law of order 1.
+    """A point through the thickness at which the interface law of order 1 evaluates a law.
 
     Attributes:
         law: the law.
-        share: of the thickness.
-        strain: the law, its parameters UFL expressions on S, and the displaced faces -> strain (3, 3), linear in the
-            displacements and in what is given beside them.
-        flow: the law, likewise -> of a law with a pressure on S: flux along S over the slope of the pressure, over eps^3.
+        share: weight of the station over the thickness.
+        strain: law (its parameters UFL expressions on S) and displaced faces -> strain (3, 3), linear in the
+            displacements and in prescribed strains.
+        flow: law (as for `strain`) -> flux along S per gradient of the pressure and per eps^3; 0 without a pressure.
         largest_ratio: lmbda/mu at rest beyond which the strain locks.
     """
 
@@ -100,12 +100,12 @@ class Station(Generic[LawType]):
 
 
 def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | None = None) -> list[Station[LawType]]:
-    """Two stations, at the Gauss points through the thickness: the strain changes linearly from face to face.
+    """Two stations at the Gauss points through the thickness, for a strain that changes linearly from face to face.
 
     Args:
         law: the law.
-        difference: the law and the displaced faces, as in `Station` -> strain (3, 3) at the upper face less that at the
-            lower one; by default displacements are linear through the layer, `Faces.change`, which locks for
+        difference: law and displaced faces, as in `Station` -> strain (3, 3) at the upper minus strain at the lower
+            face. The default is `Faces.change`, for displacements linear through the layer, which locks for
             lmbda/mu > `LOCKING_RATIO`.
     """
     change = difference or (lambda law, faces: faces.change)
@@ -118,10 +118,10 @@ def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | 
 
 
 def pressure_stations(law: Any) -> list[Station[Any]]:
-    """The stations of a law of shear modulus mu with a pressure, a field on S.
+    """Stations of a law with the shear modulus mu and a pressure field on S.
 
-    It acts with the mean strain. The difference of the faces changes no tractions, so that it meets the stiffness of plane
-    stress; and a slope of the pressure lets the layer flow along S.
+    The first station has the mean strain, and a gradient of the pressure lets the layer flow along S. The second has
+    the difference of the face strains. This difference causes no traction, so its law there is the plane-stress law.
     """
     return [
         Station(law, 1, lambda law, faces: faces.across() + faces.mean, lambda law: 1 / (12 * law.mu)),

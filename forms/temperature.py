@@ -1,4 +1,4 @@
-"""Parameters that depend on a temperature."""
+"""Parameters that depend on a temperature, and checks of the values of users' functions."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ TemperatureField = Callable[[Any, float], Any]  # places (d, n), time -> (n,) te
 
 
 @dataclass(frozen=True)
-class TemperatureTable:
-    """A parameter known at some temperatures, linear in between: a function T -> value for numbers or arrays.
+class Tabulated:
+    """Table of a parameter at some temperatures, linear in between: a function T -> value for numbers or arrays.
 
     Attributes:
         values: (T, value) pairs, two or more, with T increasing.
@@ -49,7 +49,7 @@ class TemperatureTable:
 
 
 def real_values(values: Any) -> Array:
-    """Numbers as float64; raises TypeError for complex and boolean values, which a conversion would change silently."""
+    """Convert to float64; raise TypeError for complex and boolean values, which numpy would convert silently."""
     array = np.asarray(values)
     if array.dtype.kind not in "iuf":
         raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
@@ -60,7 +60,7 @@ def real_values(values: Any) -> Array:
 
 
 def finite_values(values: Any, *shapes: tuple[int, ...]) -> Array | None:
-    """Finite real numbers of one of some shapes (none: of any), where a first -1 is any length; None: they are none."""
+    """Values as an array, or None unless they are finite real numbers of one of `shapes` (a first -1 is any length)."""
     try:
         array = real_values(values)
     except (TypeError, ValueError):
@@ -80,11 +80,12 @@ def checked_values(
     """Values (n,) of a user's function at x, (n,) or (d, n).
 
     Args:
-        what: the function, in messages.
-        function: of x and of what else it takes.
-        x: where, and `more`, its other arguments.
-        it: what the function must be, in messages.
-        where: names the k-th place.
+        what: name of the function, for messages.
+        function: the user's function of x and `more`.
+        x: places or temperatures.
+        more: further arguments of the function.
+        it: requirement on the function, for messages.
+        where: k -> text of the k-th place, for messages.
 
     Raises:
         InputError: the function fails, or does not return n finite real numbers.

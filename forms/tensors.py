@@ -14,7 +14,7 @@ Expr = Any  # a UFL expression; ufl's own types are not annotated
 
 
 def three_dimensional(a: Expr) -> Expr:
-    """A (2,) vector or (2, 2) tensor with zeros added to (3,) or (3, 3); three-dimensional ones unchanged."""
+    """Pad a (2,) vector or (2, 2) tensor with zeros to (3,) or (3, 3); return three-dimensional arguments unchanged."""
     if a.ufl_shape[0] == 3:
         return a
     if len(a.ufl_shape) == 1:
@@ -43,40 +43,40 @@ MANDEL_BASIS = (MANDEL_BASIS + MANDEL_BASIS.swapaxes(1, 2)) / np.linalg.norm(
 
 
 def mandel_vectors(tensors: Array) -> Array:
-    """Mandel vectors (..., 6) of the symmetric parts of tensors of numbers (..., 3, 3)."""
+    """Mandel vectors (..., 6) of the symmetric parts of numeric tensors (..., 3, 3)."""
     return np.asarray(np.einsum("...ij,kij->...k", tensors, MANDEL_BASIS))
 
 
 def mandel_tensors(vectors: Array) -> Array:
-    """Symmetric tensors (..., 3, 3) of Mandel vectors of numbers (..., 6)."""
+    """Symmetric tensors (..., 3, 3) of numeric Mandel vectors (..., 6)."""
     return np.asarray(np.einsum("...k,kij->...ij", vectors, MANDEL_BASIS))
 
 
 def mandel_vector(a: Expr, slots: Sequence[int] = range(6)) -> Expr:
-    """A symmetric (3, 3) tensor as a vector (6,) in Mandel's order 11, 22, 33, 12, 13, 23, with a.b = A:B; or slots."""
+    """Components `slots` of the Mandel vector of a symmetric (3, 3) tensor, order 11, 22, 33, 12, 13, 23; a.b = A:B."""
     return ufl.as_vector([a[i, j] if i == j else SQRT2 * a[i, j] for i, j in (MANDEL_PAIRS[k] for k in slots)])
 
 
 def mandel_tensor(a: Expr) -> Expr:
-    """The symmetric (3, 3) tensor of a Mandel vector (6,)."""
+    """Symmetric (3, 3) tensor of a Mandel vector (6,)."""
     entries = {pair: a[k] if pair[0] == pair[1] else a[k] / SQRT2 for k, pair in enumerate(MANDEL_PAIRS)}
     return ufl.as_tensor([[entries[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
 
 
 def isotropic_tensor(lmbda: float, mu: float) -> Array:
-    """The tensor (6, 6) in Mandel's order of an isotropic material."""
+    """Stiffness tensor (6, 6) of an isotropic material, in Mandel's order."""
     volume = np.repeat([1.0, 0.0], 3)
     return np.asarray(lmbda * np.outer(volume, volume) + 2 * mu * np.eye(6))
 
 
 def condensed_tangent(C: Array, kept: Sequence[int], out: Sequence[int]) -> Array:
-    """A tangent (6, 6) for some components, where the stresses of the others vanish."""
+    """Schur complement of a tangent (6, 6): components `kept`, with zero stresses in the components `out`."""
     inner = np.linalg.pinv(C[np.ix_(out, out)])
     return np.asarray(C[np.ix_(kept, kept)] - C[np.ix_(kept, out)] @ inner @ C[np.ix_(out, kept)])
 
 
 def average_lame(C: Array) -> tuple[float, float]:
-    """Moduli lmbda, mu of the isotropic tensor nearest to C (6, 6): its averages over all directions."""
+    """Lame moduli lmbda, mu of the isotropic tensor nearest to C (6, 6), the average of C over all rotations."""
     bulk = C[:3, :3].sum() / 9
     mu = (np.trace(C) - 3 * bulk) / 10
     return float(bulk - 2 * mu / 3), float(mu)
@@ -85,8 +85,8 @@ def average_lame(C: Array) -> tuple[float, float]:
 def layer_frame(n: Expr) -> Expr:
     """Rotation (3, 3) whose columns are the layer's axes: second axis n; in 2D the first is the tangent (n_2, -n_1).
 
-    In 3D it is the smallest rotation that takes e_2 to n; for n = -e_2, where there is no smallest one, it is the half
-    turn about the third axis.
+    In 3D it is the smallest rotation that takes e_2 to n. For n = -e_2 the smallest rotation is not unique; it is then
+    the half turn about the third axis.
     """
     if n.ufl_shape[0] == 2:
         return ufl.as_tensor([[n[1], n[0], 0], [-n[0], n[1], 0], [0, 0, 1]])

@@ -1,4 +1,4 @@
-"""TractionLaw: an interface law written for jump and traction, on S only."""
+"""TractionLaw: an interface law from jump to traction, on S only."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class JumpStep(Step):
 
     @classmethod
     def of(cls, step: Step) -> JumpStep:
-        """The jumps w of a step whose strains are sym(w (x) n)."""
+        """Convert a step with strains sym(w (x) n) to its jumps w."""
         n = step.n
 
         def jump(e: Expr) -> Expr:
@@ -36,11 +36,12 @@ class JumpStep(Step):
 
 
 class TractionLaw(Law):
-    """A law t = t([u]) without a bulk law behind it: printed formulas, measured curves. On S only, of order 0.
+    """A law t = t([u]) without an underlying bulk law, such as a published formula or a measured curve; on S, order 0.
 
-    Subclasses are frozen dataclasses with their parameters as fields (per jump: nothing is multiplied by eps). They define
-    `traction(step)`, UFL, (3,), of a `JumpStep`, and `evolve(step)` if they have internal variables ((), (3,) or (3, 3)).
-    Optional: `energy(step)`, and `dissipation(step)` with it. If the tangent is not symmetric, write `symmetric = False`.
+    Subclasses are frozen dataclasses with their parameters as fields; eps scales no parameter. They define
+    `traction(step)`, UFL, (3,), of a `JumpStep`, and `evolve(step)` if they have internal variables ((), (3,) or (3,
+    3)). Optional: `energy(step)`, and `dissipation(step)` with it. If the tangent is not symmetric, write `symmetric =
+    False`.
     """
 
     ignored: ClassVar = (*STRESS_ATTRIBUTES, "stress", "advance", "dissipated", "homotopy")
@@ -78,7 +79,7 @@ class TractionLaw(Law):
 
 
 class TractionAsBulkLaw(WrappedLaw):
-    """A traction law as a law of strains sym(w (x) n): its stress is the T with T n = t and T : sym(v (x) n) = t . v.
+    """A traction law as a law of strains sym(w (x) n). Its stress T has T n = t and T : sym(v (x) n) = t . v.
 
     It is the same in plane stress.
 
@@ -108,5 +109,5 @@ class TractionAsBulkLaw(WrappedLaw):
 
 @cache
 def _bulk_law_class(kind: Any) -> type[TractionAsBulkLaw]:
-    """The class `TractionAsBulkLaw` for the laws of a class, with its name and module, which messages and keys show."""
+    """Subclass of `TractionAsBulkLaw` with the name and module of a class of traction laws, for messages and keys."""
     return type(kind.__name__, (TractionAsBulkLaw,), {"__module__": kind.__module__, "__qualname__": kind.__qualname__})

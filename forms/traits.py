@@ -1,4 +1,4 @@
-"""Traits of laws, by which models and solvers choose their methods, and checks of what the class of a law declares."""
+"""Traits of laws, from which models and solvers choose their methods, and checks of the declarations of law classes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import numpy as np
 
 from forms.base import PACKAGES, InputError, is_finite, require
 
-# modules of base classes
+# modules of the base classes, whose attributes are the defaults of all laws
 DEFAULT_MODULES = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))
 RESPONSE_ATTRIBUTES = ("stress", "traction", "source")  # attributes that give the stress or traction of a law
-UPDATE_METHODS = ("advance", "evolve")  # methods that give new internal variables
+UPDATE_METHODS = ("advance", "evolve")  # methods that compute the new internal variables
 ORDER_1_METHODS = ("stations", "stations_at_ends", "end_strips", "elastic_moduli")
 STRESS_ATTRIBUTES = (*ORDER_1_METHODS, "stiffness", "plane_stress", "energetic")  # attributes valid for one stress only
 ENERGY_METHODS = ("energy", "dissipation", "dissipated")
@@ -25,10 +25,10 @@ VARIABLE_SIZES = {(): 1, (3,): 3, (3, 3): 6}  # shape of an internal variable ->
 
 
 class RangeWarning(UserWarning):
-    """A law, a model or a result outside the range in which it is accurate: the message has the number and the remedy.
+    """Warning that a law, a model or a result is outside its range of accuracy; the message has the value and a remedy.
 
     Attributes:
-        key: of the condition that does not hold.
+        key: identifier of the condition that is violated.
     """
 
     def __init__(self, message: str, key: str = "") -> None:
@@ -42,7 +42,7 @@ def warn_of_range(key: str, message: str) -> None:
 
 
 def warn_outside(warning: Warning) -> None:
-    """Issue a warning that points to the line outside these packages that called them; Python shows it once a line."""
+    """Issue a warning that points to the calling line outside these packages. Python shows it once per line."""
     show_warnings()
     level, frame = 1, sys._getframe()
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in (*PACKAGES, "contextlib"):
@@ -51,14 +51,14 @@ def warn_outside(warning: Warning) -> None:
 
 
 def show_warnings() -> None:
-    """Show warnings again that FFCx, when imported, redirects to a log without handlers."""
+    """Undo the redirection of warnings by FFCx, at its import, to a log without handlers."""
     handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
     if all(isinstance(handler, logging.NullHandler) for handler in handlers):
         logging.captureWarnings(False)
 
 
 def accept_renamed(kind: Any, new_names: Mapping[str, str]) -> None:
-    """Give what a class defines under a name of version 1.0 its new name, with a DeprecationWarning."""
+    """Copy attributes that a class defines under names of version 1.0 to their new names, with a DeprecationWarning."""
     for old, new in new_names.items():
         if old in vars(kind):
             warn_outside(DeprecationWarning(f"{kind.__name__}.{old} is deprecated since thinlayer 1.1; call it {new}"))
@@ -68,9 +68,10 @@ def accept_renamed(kind: Any, new_names: Mapping[str, str]) -> None:
 def reset_inherited(kind: Any) -> None:
     """Reset inherited attributes of a class to the defaults if they were written for another stress than its own.
 
-    Attributes that the class writes itself stay, also `plane_stress = Parent.plane_stress`. Traits that are checked or
-    that only select solvers (`linear`, `symmetric`, ...) stay, and so does what depends on parameters only (`powers`,
-    `at`). An energy stays if it is checked against the stress, or if the class itself writes one of `ENERGY_METHODS`.
+    Attributes that the class itself defines stay, also `plane_stress = Parent.plane_stress`. Traits that are checked or
+    that only select solvers (`linear`, `symmetric`, ...) stay. Attributes that depend on parameters only (`powers`,
+    `at`) also stay. An energy stays if it is checked against the stress, or if the class itself defines one of
+    `ENERGY_METHODS`.
     """
     for name in STRESS_ATTRIBUTES:
         if _is_for_another_stress(kind, name, RESPONSE_ATTRIBUTES + UPDATE_METHODS):
@@ -87,7 +88,8 @@ def reset_inherited(kind: Any) -> None:
 def _is_for_another_stress(kind: Any, name: str, responses: tuple[str, ...]) -> bool:
     """Whether a class inherits this attribute from a class with another stress or traction.
 
-    An attribute of a base class without a stress belongs to the first stress below it. New memory changes no stress.
+    An attribute of a base class without a stress belongs to the first stress that a subclass defines. Adding internal
+    variables does not count as another stress.
     """
     if not _own(kind, name):
         return False
@@ -98,12 +100,12 @@ def _is_for_another_stress(kind: Any, name: str, responses: tuple[str, ...]) -> 
 
 
 def _responses(kind: Any, names: tuple[str, ...]) -> dict[str, Any]:
-    """The attributes of these names that are not the defaults of all laws."""
+    """Attributes of a class with these names, except the defaults of all laws."""
     return {name: inspect.getattr_static(kind, name) for name in names if _own(kind, name)}
 
 
 def _place(kind: Any, name: str) -> int:
-    """Position, in the order of inheritance, of the class that defines this name; 0 is the class itself."""
+    """Position in the method resolution order of the class that defines this name; 0 is the class itself."""
     return next((k for k, base in enumerate(kind.__mro__) if name in vars(base)), len(kind.__mro__))
 
 
@@ -149,7 +151,7 @@ def _require_used(law: Any) -> None:
 
 
 def _own(kind: Any, name: str) -> bool:
-    """Whether an attribute of a class is not the default of all laws."""
+    """Whether an attribute of a class differs from the default of all laws."""
     defining = next((base for base in kind.__mro__ if name in vars(base)), None)
     if defining is None or defining.__module__ in DEFAULT_MODULES:
         return False
@@ -157,7 +159,7 @@ def _own(kind: Any, name: str) -> bool:
 
 
 def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> Any:
-    """A field of `Traits`: `fold` makes the trait of a Stack from those of its sublayers; `default` if not declared."""
+    """Declare a field of `Traits`: `fold` combines the values of sublayers in a Stack; `default` if not declared."""
     return field(default=default, metadata={"fold": fold})
 
 
@@ -165,19 +167,21 @@ def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -
 class Traits:
     """Properties of a law. A class of laws declares a trait as an attribute, `linear = True`, or as a property.
 
-    A Stack has a trait if `all` or if `any` of its sublayers have it; each field says which.
+    A Stack has a trait if `all` or if `any` of its sublayers have it, as declared for each field.
 
     Attributes:
         linear: the stress is affine in the strain at the end of a step.
         symmetric: the tangent is symmetric, as for every law with an energy.
         quadratic: the stored energy is a quadratic function of strain and internal variables.
-        rate: the stress depends on the strain rate, so strains cannot jump in time. Without this trait a law responds to a
-            sudden load at once.
-        constrained: the pressure p is a separate unknown field; tr e is p times the law's `volume_compliance`, perhaps 0.
+        rate: the stress depends on the strain rate, so strains cannot jump in time. Without this trait a law responds
+            to a sudden load at once.
+        constrained: the pressure p is a separate unknown field; tr e is p times the law's `volume_compliance`, which
+            can be 0.
         bounded: the stress is bounded in some direction, so there may be a limit load.
         singular: the tangent may be singular for some strains; Newton's method adds a Levenberg-Marquardt term.
-        isochoric: the law flows without a change of volume, which elements must not prevent.
-        softens: the stress falls as strains grow. Means of strains through a meshed layer drive the law, as on S.
+        isochoric: inelastic flow preserves the volume; elements must not lock.
+        softens: the stress falls as strains grow. In a meshed layer the law gets the mean strain through the thickness,
+            as on S.
         plateau: strains across the layer may grow at constant stress, so they may be non-uniform through the layer.
         varies: parameters vary along the layer or in time; the law's `at` gives their values.
         phases: the internal variable "phase", a scalar in [-1, 1], is the share of the layer in phase 1, or -1.
@@ -214,16 +218,16 @@ class Traits:
     in_ufl: bool = trait_field(all)
     of_jumps: bool = trait_field(any)
     nodal: bool = trait_field(any)
-    compiled: bool = trait_field(lambda _: True)  # of every Stack
+    compiled: bool = trait_field(lambda _: True)  # every Stack is compiled
 
     @property
     def may_soften(self) -> bool:
-        """Whether a layer's stress may fall as jumps grow, though the law does not say so, and for no other reason."""
+        """Whether the stress may fall as jumps grow although no declared trait of the law says or explains it."""
         return self.symmetric and not (self.softens or self.linear or self.rate or self.bounded or self.switches)
 
     @classmethod
     def of(cls, law: object, **of_methods: bool) -> Traits:
-        """The traits that a law declares, and those that follow from its methods (`of_methods`).
+        """Traits of a law: declared traits, and traits that follow from its methods (`of_methods`).
 
         Raises:
             InputError: a declaration that is neither True nor False.
@@ -236,6 +240,6 @@ class Traits:
 
     @classmethod
     def of_series(cls, sublayers: Iterable[Traits]) -> Traits:
-        """The traits of sublayers in series."""
+        """Traits of a Stack from the traits of its sublayers."""
         stack = list(sublayers)
         return cls(**{f.name: f.metadata["fold"](getattr(sublayer, f.name) for sublayer in stack) for f in fields(cls)})

@@ -13,11 +13,11 @@ from forms.elastic import IsotropicLaw, lame_stress
 from forms.law import Step, require_positive
 from forms.tensors import Expr
 
-# Largest tangent of a power-law dashpot in a step, relative to its spring's modulus; a stiffer dashpot is taken as linear.
+# largest tangent of a power-law dashpot in a step, over the modulus of its spring; stiffer dashpots are made linear
 MAX_DASHPOT_STIFFNESS = 1e6
-CREEP_NEWTON_STEPS = 6  # for the stress at the end of a step of creep; the rest is 1e-14 of it for n = 20, 1e-10 for 50
-RELATIVE_RATE_TOLERANCE = 1e-12  # rate of relaxation of the mean stress, over that of the deviator, that is rounding
-REST_STRAIN = 1e-12  # largest strain of a step below which the dashpot may be linear
+CREEP_NEWTON_STEPS = 6  # Newton steps for the stress of a creep step; relative error 1e-14 for n = 20, 1e-10 for n = 50
+RELATIVE_RATE_TOLERANCE = 1e-12  # relaxation rate of the mean stress, over the deviator's, that counts as zero
+REST_STRAIN = 1e-12  # strain increment of a step below which the dashpot may be linear
 
 
 def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
@@ -26,7 +26,7 @@ def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
 
 
 class ParallelDashpot(IsotropicLaw):
-    """An elastic spring and a dashpot in parallel; subclasses give the dashpot's stress."""
+    """An elastic spring and a dashpot in parallel; subclasses define the dashpot's stress."""
 
     rate = True
     quadratic = True
@@ -46,10 +46,10 @@ class ParallelDashpot(IsotropicLaw):
 
 @dataclass(frozen=True)
 class KelvinVoigt(ParallelDashpot):
-    """Elastic spring and viscous dashpot in parallel: stress = C(lmbda, mu) : e + C(lmbda theta_lmbda, mu theta_mu) : rate.
+    """Elastic spring parallel to a dashpot, stress = C(lmbda, mu) : e + C(lmbda theta_lmbda, mu theta_mu) : rate.
 
-    As a layer's law, Eqs. (16)-(17): t = K w + K_theta dw/dt with the jump w, eps K = mu, lmbda + 2 mu and
-    eps K_theta = mu theta_mu, lmbda theta_lmbda + 2 mu theta_mu (tangential, normal).
+    As a layer's law, Eqs. (16)-(17): t = K w + K_theta dw/dt with the jump w. Along S eps K = mu and
+    eps K_theta = mu theta_mu. Along n eps K = lmbda + 2 mu and eps K_theta = lmbda theta_lmbda + 2 mu theta_mu.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
@@ -71,7 +71,7 @@ class KelvinVoigt(ParallelDashpot):
 
     @property
     def own_times(self) -> tuple[float, ...]:
-        """Retardation times of the deviator and, where it has one, of the mean strain."""
+        """Retardation times of the deviator and, if it is viscous, of the mean strain."""
         bulk = self.lmbda * self.theta_lmbda + 2 * self.mu * self.theta_mu / 3
         return self.theta_mu, *((bulk / (self.lmbda + 2 * self.mu / 3),) if bulk > 0 else ())
 
@@ -80,7 +80,7 @@ class KelvinVoigt(ParallelDashpot):
 
 
 class SeriesDashpot(IsotropicLaw):
-    """An elastic spring and dashpots in series; subclasses give the rates of relaxation in a step."""
+    """An elastic spring and dashpots in series; subclasses define the relaxation rates in a step."""
 
     internal: ClassVar = {"stress": (3, 3)}
     quadratic = True
@@ -90,7 +90,7 @@ class SeriesDashpot(IsotropicLaw):
         return self.lmbda + 2 * self.mu / 3
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:
-        """Rates at which the deviator and the mean of the stress at t + theta dt relax."""
+        """Relaxation rates of the deviator and of the mean of the stress at t + theta dt."""
         raise NotImplementedError
 
     def advance(self, step: Step) -> dict[str, Expr]:
@@ -126,8 +126,8 @@ class SeriesDashpot(IsotropicLaw):
 class Maxwell(SeriesDashpot):
     """Elastic spring and viscous dashpot in series, E rate = (1 + nu)(ds/dt + s/t1) - nu tr(ds/dt + s/t2) I.
 
-    Equation (18) prints strains on the left for strain rates; s is the three-dimensional stress, s_33 included. The
-    deviator relaxes with the time t1, the mean stress with t_v, 1/t_v = ((1 + nu)/t1 - 3 nu/t2)/(1 - 2 nu).
+    Equation (18) prints strains on the left in place of strain rates; s is the three-dimensional stress, s_33 included.
+    The deviator relaxes with the time t1, the mean stress with t_v, 1/t_v = ((1 + nu)/t1 - 3 nu/t2)/(1 - 2 nu).
 
     As a layer's law with t1 = t2: dt/dt + t/t1 = K dw/dt with the jump w, eps K = mu along S and lmbda + 2 mu along n.
     Equation (19) prints other coefficients. With t1 != t2 the normal traction is a sum of two parts that relax
@@ -136,7 +136,8 @@ class Maxwell(SeriesDashpot):
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         t1: relaxation time of the deviator, > 0.
-        t2: relaxation time of the trace in Eq. (18), >= 3 nu t1/(1 + nu), where the mean stress does not relax; default t1.
+        t2: relaxation time of the trace in Eq. (18), >= 3 nu t1/(1 + nu); at this bound the mean stress does not relax.
+            Default: t1.
 
     Raises:
         InputError: a parameter out of range.
@@ -168,7 +169,7 @@ class Maxwell(SeriesDashpot):
 
     @property
     def own_times(self) -> tuple[float, ...]:
-        """Relaxation times of the deviator and, where it relaxes, of the mean stress."""
+        """Relaxation times of the deviator and, if it relaxes, of the mean stress."""
         rate = self._volumetric_rate
         return self.t1, *((1 / rate,) if rate > RELATIVE_RATE_TOLERANCE / self.t1 else ())
 
@@ -180,15 +181,17 @@ class Maxwell(SeriesDashpot):
 class Norton(ParallelDashpot):
     """Elastic spring parallel to a power-law dashpot, stress = C(lmbda, mu) : e + eta |rate|^(p - 2) rate, Eq. (21).
 
-    Its creep stops where the spring carries the load; the creep of data sheets, of steady rate A s^n, is `NortonCreep`.
-    The dashpot alone has that rate, without a change of volume, for p = 1 + 1/n and eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
+    Its creep stops where the spring carries the load. For the steady creep rate A s^n of data sheets see `NortonCreep`.
+    The dashpot alone has that rate, without a change of volume, for p = 1 + 1/n and
+    eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
 
-    As a layer's law, t = K w + eta eps^(1 - p) q^(p - 2) (v_N n + v_T/2) with the jump w, v = dw/dt and q^2 = v_N^2 +
-    |v_T|^2/2, the square of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. Finite in the limit for
-    eta ~ eps^(p - 1).
+    As a layer's law, t = K w + eta eps^(1 - p) q^(p - 2) (v_N n + v_T/2). w is the jump, v = dw/dt, and
+    q^2 = v_N^2 + |v_T|^2/2 is the square of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. The limit
+    is finite for eta ~ eps^(p - 1).
 
-    For p < 2 the tangent is infinite at rest. The dashpot is linear where it would be more than 1e6 times as stiff in a
-    step as the spring, and only at strains of the step below 1e-12. For p < 1.2 Newton's method may need more, see `rest`.
+    For p < 2 the tangent is infinite at rest. The dashpot is linear where its stiffness in a step would exceed 1e6
+    times the spring's, and only at strain increments below 1e-12. For p < 1.2 Newton's method may need a larger linear
+    range, see `rest`.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
@@ -217,7 +220,7 @@ class Norton(ParallelDashpot):
 
     def _viscous(self, step: Step) -> Expr:
         dt: Expr = step.dt
-        # for p < 2 the rate at which the dashpot has this stiffness
+        # for p < 2, the strain rate at which the dashpot has the largest stiffness
         stiffest = (self.eta / (MAX_DASHPOT_STIFFNESS * self.mu * dt)) ** (1 / (2 - self.p))
         least = ufl.conditional(ufl.lt(self.p, 2), ufl.min_value(stiffest, REST_STRAIN / dt), 0)
         q = ufl.inner(step.rate, step.rate) + self.rest**2 + least**2 + 1e-300  # powers have no derivative at 0
@@ -228,10 +231,12 @@ class Norton(ParallelDashpot):
 class NortonCreep(SeriesDashpot):
     """Norton's creep: elastic spring and power-law dashpot in series, E rate = C^-1 : ds/dt + 3/2 A q^(n - 1) dev s.
 
-    q = sqrt(3/2) |dev s| is the equivalent stress. In uniaxial tension creep goes on with the steady rate A s^n of data
-    sheets, without a change of volume. `Norton`, the paper's law, has the dashpot beside the spring: its creep stops.
+    q = sqrt(3/2) |dev s| is the equivalent stress. In uniaxial tension creep continues at the steady rate A s^n of data
+    sheets, without a change of volume. `Norton`, the paper's law, has the dashpot parallel to the spring: its creep
+    stops.
 
-    As a layer's law: under a held shear traction dw_T/dt = eps 3^((n + 1)/2) A |t_T|^(n - 1) t_T after the elastic jump.
+    As a layer's law: under a constant shear traction dw_T/dt = eps 3^((n + 1)/2) A |t_T|^(n - 1) t_T after the elastic
+    jump.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
@@ -252,13 +257,13 @@ class NortonCreep(SeriesDashpot):
         self.require(math.isfinite(self.n) and self.n >= 1, "n", ">= 1")
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:
-        """With q of the trial stress and x = q/q_trial at t + theta dt: x + c x^n = 1, a convex function of x."""
+        """Relaxation rates from x = q/q_trial at t + theta dt, the root of x + c x^n = 1, which is convex in x."""
         n: Expr = self.n
         trial = ufl.dev(step.q["stress"]) + 2 * step.theta * self.mu * ufl.dev(step.e - step.e_old)
         q = ufl.sqrt(1.5 * ufl.inner(trial, trial) + 1e-300)  # roots have no derivative at 0
         rate = 3 * self.mu * self.A * q ** (n - 1)
         c = step.theta * step.dt * rate
-        x: Expr = (1 + c) ** (-1 / n)  # not less than the root, so that Newton's method falls to it
+        x: Expr = (1 + c) ** (-1 / n)  # not less than the root, so that Newton's iterates decrease to it
         for _ in range(CREEP_NEWTON_STEPS):
             x = (1 + (n - 1) * c * x**n) / (1 + n * c * x ** (n - 1))
         return rate * x ** (n - 1), 0

@@ -1,4 +1,4 @@
-"""Terms: laws with their measures, the two sides of S, and the line that turns terms into a weak form."""
+"""Terms of the weak form: laws with their measures, the two sides of S, and the virtual work of terms."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from forms.tensors import Expr, jump_strain, three_dimensional
 
 
 def constant_law(law: BulkLaw) -> BulkLaw:
-    """A law of numbers or UFL expressions, itself.
+    """Return the law itself; its parameters must be numbers or UFL expressions.
 
     Raises:
-        InputError: parameters of the law are functions of the place, and the mesh is not known.
+        InputError: a parameter is a function of the place, which needs a mesh.
     """
     if law.fields:
         reason = "the sides of S must know their values; use it in a Model, or give `Interface(law_on_surface=...)`"
@@ -35,19 +35,19 @@ class InterfaceSide:
     """One side of S.
 
     Attributes:
-        restrict: gives a function's value on this side.
-        inverse_gradient: (d, d) gradient of the motion from S to this side's facet; None: they coincide.
+        restrict: function -> its restriction to this side.
+        inverse_gradient: (d, d) gradient of the map from S to this side's facet; None: they coincide.
     """
 
     restrict: Callable[[Expr], Expr]
     inverse_gradient: Expr | None = None
 
     def __call__(self, f: Expr) -> Expr:
-        """A function on this side."""
+        """Restrict a function to this side."""
         return self.restrict(f)
 
     def gradient(self, f: Expr) -> Expr:
-        """The gradient of a function on this side; along S it is that of its values on S."""
+        """Gradient of a function on this side; its part along S is the gradient of the values on S."""
         gradient = self.restrict(ufl.grad(f))
         return gradient if self.inverse_gradient is None else ufl.dot(gradient, self.inverse_gradient)
 
@@ -56,19 +56,20 @@ class InterfaceSide:
 class Interface:
     """The two sides of S.
 
-    S lies on the facets of the mesh; or midway between the facets of its two sides, where these are apart. The strains of a
-    layer between them are those of a shell with the fibres that lead from one to the other: rigid motions cause none.
+    S lies on the facets of the mesh. Where the bodies are parted, S lies midway between the facets of its two sides. A
+    layer between parted facets is strained like a shell whose fibres connect them, so that rigid motions cause no
+    strain.
 
     Attributes:
         measure: dS restricted to S between two bodies, ds on a rigid base.
         x: places on S, (d,).
         n: unit normal from the lower to the upper body, (d,).
-        director: (d,) what leads from the lower to the upper body, of unit length along n; it is n unless these are apart.
+        director: (d,) vector from the lower to the upper body with component 1 along n; it is n unless they are parted.
         upper, lower: restrict a function to this side of S.
-        kinematics: those of places on S.
+        kinematics: kinematics at places on S.
         area: area of S per area of the measure.
-        law_on_surface: law -> the same law with UFL expressions on S for its parameters, functions too, as strains of
-            order 1 need them.
+        law_on_surface: law -> the same law with UFL expressions on S as parameters, also for functions of the place;
+            strains of order 1 need it.
     """
 
     measure: ufl.Measure
@@ -88,9 +89,9 @@ class Interface:
         """S inside the mesh; the measure's "+" is the upper body.
 
         Args:
-            dS: measure of the facets; knows its mesh.
-            kinematics: of the mesh.
-            to_s: (d,) how far S is from the facets' places, on either side; None: it is there.
+            dS: measure of the facets, with its mesh.
+            kinematics: kinematics of the mesh.
+            to_s: (d,) vectors from the facets of either side to S; None: S lies on the facets.
         """
         mesh, upper, lower = dS.ufl_domain(), InterfaceSide(lambda v: v("+")), InterfaceSide(lambda v: v("-"))
         if to_s is None:
@@ -113,7 +114,7 @@ class Interface:
     def _apart(
         cls, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: InterfaceSide, lower: InterfaceSide
     ) -> Interface:
-        """S apart from the facets of the mesh, seen from the upper side, whose facets the measure is of (Nanson)."""
+        """S away from the facets of the mesh, from the upper side; the measure is of its facets (Nanson's formula)."""
         mesh, back = measure.ufl_domain(), upper(_inverse_gradient(to_s))
         N = -ufl.dot(upper(ufl.FacetNormal(mesh)), back)
         length = ufl.sqrt(ufl.dot(N, N))
@@ -132,7 +133,7 @@ class Interface:
         return self.upper(v) - self.lower(v)
 
     def faces(self, u: Expr, eps: Expr, slope: Expr | None = None) -> Faces:
-        """The faces of a layer of thickness eps, of gradient `slope` along S, under displacements u."""
+        """Faces of a layer under displacements u; its thickness eps has the gradient `slope` along S."""
         along_s = ufl.Identity(len(self.n)) - ufl.outer(self.director, self.n)
         upper, lower = (ufl.dot(side.gradient(u), along_s) for side in (self.upper, self.lower))
         mean = self.kinematics.along((upper + lower) / 2, (self.upper(u) + self.lower(u)) / 2)
@@ -145,22 +146,22 @@ def _inverse_gradient(to_s: Expr) -> Expr:
 
 @dataclass(frozen=True)
 class Term:
-    """The integral over a measure of the work of one law.
+    """Work of one law, integrated over a measure.
 
     Attributes:
-        law: the law, with real parameters.
+        law: the law, with parameters for the actual thickness.
         strain: displacement -> strain (3, 3) at the points.
         weight: factor of the measure.
         measure: dx, ds or dS.
         n: director, (d,), or None in a body.
-        prescribed_strain: strain (3, 3) that is added to that of the displacements: the mean strain of a periodic cell,
-            less the eigenstrain. An expression of place and time; None: none is.
-        key: name of what the law remembers and stores, where several layers have names; "": by kind and order.
-        kinematics: those of the strain.
-        volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar), of
-            compiled laws over cells; None: it is that of the displacements.
-        traction: on S, stress (3, 3) -> its traction (d,), what it does in [u] per area; None: stress n.
-        flow: of a law with a pressure on S at order 1, eps^3/(12 mu): flux along S over the slope of the pressure; else 0.
+        prescribed_strain: strain (3, 3) added to the strain of the displacements: mean strain of a periodic cell minus
+            eigenstrain. An expression of place and time; None: zero.
+        key: key of internal variables and stored data, if several layers have names; "": by kind and order.
+        kinematics: kinematics of the strain.
+        volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar),
+            for compiled laws over cells; None: no projection.
+        traction: on S, stress (3, 3) -> traction (d,) conjugate to [u], per area; None: stress n.
+        flow: eps^3/(12 mu), flux along S per gradient of the pressure, of laws with a pressure on S at order 1; or 0.
     """
 
     law: BulkLaw
@@ -182,7 +183,7 @@ class Term:
 
     @property
     def proportional(self) -> bool:
-        """Whether the law is linear in the strain alone, without stress at zero strain: its form is bilinear."""
+        """Whether the stress is linear in the strain and depends on nothing else, so that the form is bilinear."""
         traits = self.law.traits
         if not traits.linear or traits.remembers or traits.rate:
             return False
@@ -197,17 +198,17 @@ class Term:
 
 
 def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, volume: int | None = None) -> Term:
-    """A law in the volume of a body; the law is that of these kinematics (`Kinematics.law`), `volume` as in `Term`."""
+    """Term of a law in a body; `law` is the law for these kinematics (`Kinematics.law`), `volume` is as in `Term`."""
     return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics, volume=volume)
 
 
 def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = PLANE_STRAIN) -> Term:
-    """A layer's law in the meshed layer, or in the cells of one sublayer."""
+    """Term of a layer's law in the meshed layer, or in the cells of one sublayer."""
     return Term(law, kinematics.strain, kinematics.factor, measure, n, kinematics=kinematics)
 
 
 def jump_terms(law: BulkLaw, sides: Interface) -> Term:
-    """A law of jumps on S, as one of strains (`TractionLaw.as_bulk_law`): strain sym([u] (x) n), weight 1."""
+    """Term of a traction law on S in bulk form (`TractionLaw.as_bulk_law`), with strain sym([u] (x) n) and weight 1."""
     n, kinematics = sides.n, sides.kinematics
     return Term(law, lambda u: jump_strain(sides.jump(u), n), sides.factor, sides.measure, n, kinematics=kinematics)
 
@@ -221,25 +222,26 @@ def surface(
     slope: Expr | None = None,
     ends: EndWeights | None = None,
 ) -> list[Term]:
-    """A layer's law on S.
+    """Terms of a layer's law on S.
 
-    Order 0: strain sym([u] (x) n)/eps, one point of weight eps. Order 1: a term for each of the law's stations through the
-    thickness (`BulkLaw.stations`), of weight eps times its share. By default these are two Gauss points: the strain grows
-    linearly through the layer, e0 + z e1 at z = -+1/(2 sqrt 3), with e0 = sym([u] (x) n)/eps + sym(grad_S <u>), e1 =
-    sym(grad_S [u]). For an energy quadratic in the strain the sum of the two terms is the thickness integral of
-    eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+    Order 0: one term with the strain sym([u] (x) n)/eps and the weight eps.
+
+    Order 1: one term for each of the law's stations (`BulkLaw.stations`), with the weight eps times its share. By
+    default these are two Gauss points z = -+1/(2 sqrt 3) of a strain e0 + z e1 that is linear through the layer. Here
+    e0 = sym([u] (x) n)/eps + sym(grad_S <u>); e1 = sym(grad_S [u]). For an energy quadratic in the strain the sum of
+    the two terms is the thickness integral eps e0:C:e0/2 + eps/12 e1:C:e1/2.
 
     Args:
-        law: the law, with real parameters.
+        law: the law, with parameters for the actual thickness.
         sides: the sides of S.
         eps: the thickness.
-        order: of the interface law.
-        prescribed_strain: (3, 3), uniform through the layer, added to that of the displacements.
+        order: order of the interface law, 0 or 1.
+        prescribed_strain: (3, 3), uniform through the layer, added to the strain of the displacements.
         slope: gradient (d,) of the thickness along S; None: it is uniform.
-        ends: weights of free ends, for the stations of laws that know them; None: of an infinite layer.
+        ends: weights of free ends, for laws that have stations there; None: an infinite layer.
 
     Raises:
-        InputError: there is no law of order 1.
+        InputError: the law has no interface law of order 1.
     """
     n, d, weight = sides.n, len(sides.n), sides.factor * eps
     term = partial(Term, measure=sides.measure, n=n, kinematics=sides.kinematics)
@@ -268,7 +270,7 @@ def surface(
 
 
 def with_added_strain(terms: Iterable[Term], strain: Expr) -> list[Term]:
-    """The terms, a strain (3, 3) added to those that are given."""
+    """Copies of the terms with a strain (3, 3) added to their prescribed strains."""
     return [
         replace(
             p, prescribed_strain=strain if p.prescribed_strain is None else sum_strains(p.prescribed_strain, strain)
@@ -289,7 +291,7 @@ def stress(term: Term, u: Expr) -> Expr:
 
 
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:
-    """Virtual work of the stresses of u in the strains of v, a UFL form linear in v."""
+    """Virtual work of the stresses at u on the strains of v, a UFL form linear in v."""
     return sum(ufl.inner(stress(p, u), p.strain(v)) * p.weight * p.measure for p in terms)
 
 

@@ -1,4 +1,4 @@
-"""Meshes with names: builders, joints, inflating S into a layer, distributing over MPI ranks."""
+"""Joints, meshes with named parts: builders, import of files, inflating S into layers, distribution over MPI ranks."""
 
 # ruff: noqa: F401
 from geometry.builders import block, bond_cell, disc, faults, fibre, grains, ring, sandwich, wall

@@ -1,4 +1,4 @@
-"""Ready-made joints: a body on a rigid base, stacked bodies, discs, rings, fibres, walls and their cell, grains, faults."""
+"""Ready-made joints: a body on a rigid base, stacked bodies, discs, rings, fibres, walls, bond cell, grains, faults."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def block(
         h_ends: cell size at the ends of S, in 3D at the edges of S (default: h_S).
         cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals
             and hexahedra are always structured.
-        structured: whether triangles or tetrahedra split the cells of a grid; grids are graded in one direction each.
+        structured: whether triangles or tetrahedra split the cells of a grid; a grid is graded along each axis alone.
         arrangement: which diagonals halve the grid's rectangles in the x-y plane, "Left", "Right", "AlternateLeft" or
             "AlternateRight".
         comm: communicator whose rank 0 runs gmsh (default: the world).
@@ -94,7 +94,7 @@ def disc(
         hole: radius of a hole along the axis, a length less than the radius (default: none).
         h_S: cell size at S (default: h).
         h_ends: cell size at the circles that bound S (default: h_S).
-        cell: "tetrahedron" or "hexahedron"; hexahedra form a polar grid, around a square one if there is no hole.
+        cell: "tetrahedron" or "hexahedron"; hexahedra form a polar grid, around a square grid if there is no hole.
         degree: degree of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
@@ -123,25 +123,26 @@ def ring(
 
     Args:
         inner, interface, outer: radii, growing lengths > 0; S is the circle or cylinder r = interface.
-        h: largest cell size, a length (default: of the smallest of the two widths and the depth a tenth in 2D, a fifth
-            in 3D).
-        angle: angle of the sector that starts at the x axis, in radians, > 0 and at most 2 pi (default: the full circle).
+        h: largest cell size, a length (default: a tenth in 2D, a fifth in 3D, of the smallest of the two widths and the
+            depth).
+        angle: angle of the sector that starts at the x axis, in radians, > 0 and at most 2 pi (default: the full
+            circle).
         depth: size along z, a length > 0, which makes the rings three-dimensional (default: 2D).
         h_S: cell size at S (default: h).
         h_ends: cell size at the ends of S, in 3D at the curves that bound it (default: h_S); a full circle has none.
         cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals
-            and hexahedra are a polar grid, graded in one direction each.
+            and hexahedra are a polar grid, graded along each of its directions alone.
         degree: degree of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
-        Regions "INNER" (the lower body), "OUTER" (the upper one); facets "S", "INSIDE" (r = inner), "OUTSIDE"
-        (r = outer), of a sector "START" (on the x axis) and "END" too, in 3D "BACK" (z = 0) and "FRONT" (z = depth)
-        too. Whatever h is, about 20 cells or more go round a circle.
+        Regions "INNER" (the lower body), "OUTER" (the upper body); facets "S", "INSIDE" (r = inner), "OUTSIDE"
+        (r = outer). A sector also has "START" (on the x axis) and "END"; in 3D there are "BACK" (z = 0) and "FRONT"
+        (z = depth) too. Whatever h is, about 20 cells or more go round a circle.
 
     Raises:
-        InputError: a size is not positive, the radii do not grow, the angle is out of range, a name is unknown, a
-            cell is of the other dimension, the degree is not 1 or 2.
+        InputError: a size is not positive, the radii do not grow, or the angle is out of range; a name is unknown, a
+            cell is of the other dimension, or the degree is not 1 or 2.
     """
     return on_root(comm, Rings(MeshOptions.of(h, cells, CurvedArgs), depth, inner, interface, outer, angle).build)
 
@@ -160,15 +161,15 @@ def fibre(
         radius: of the fibre, a length > 0.
         around: radius of the matrix's outer circle, or (width, height) of the rectangle about the origin that it fills;
             lengths that leave room for the fibre.
-        h: largest cell size, a length (default: a tenth of the smaller one of the radius and the matrix's least width).
+        h: largest cell size, a length (default: a tenth of the smaller of the radius and the matrix's least width).
         h_S: cell size at S (default: h).
-        cell: "triangle" or, in a circle, "quadrilateral", which form a polar grid around a square one.
+        cell: "triangle" or, in a round matrix, "quadrilateral", which form a polar grid around a square grid.
         degree: degree of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
-        Regions "FIBRE" (the lower body), "MATRIX" (the upper one); facets "S", and "OUTSIDE" or "BOTTOM", "TOP", "LEFT",
-        "RIGHT". Whatever h is, about 20 cells or more go round S.
+        Regions "FIBRE" (the lower body), "MATRIX" (the upper body); facets "S", and "OUTSIDE" or "BOTTOM", "TOP",
+        "LEFT", "RIGHT". Whatever h is, about 20 cells or more go round S.
 
     Raises:
         InputError: a size is not positive, the fibre has no room, a name is unknown, quadrilaterals in a rectangle, the
@@ -188,7 +189,7 @@ def wall(
     cell: str | None = None,
     comm: Comm = None,
 ) -> Joint:
-    """A wall in running bond, its left lower corner at the origin: a network of bed and head joints. Collective.
+    """A wall in running bond with its left lower corner at the origin: a network of bed and head joints. Collective.
 
     Args:
         bricks: number of bricks along a course; every second course begins and ends with half a brick.
@@ -219,24 +220,24 @@ def bond_cell(
     cell: str | None = None,
     comm: Comm = None,
 ) -> Joint:
-    """The periodic cell of a running bond: one brick wide and two courses high, its left lower corner at the origin.
+    """The periodic cell of a running bond: one brick wide, two courses high, its left lower corner at the origin.
 
-    Collective. It is cut through bricks, and its sides are identified, left with right and bottom with top.
+    Collective. It is cut through bricks. Left and right sides are identified, and so are bottom and top.
 
     Args:
         brick: width and height of a brick with its mortar, lengths > 0.
-        h: largest cell size, a length (default: a quarter of the smallest side of a brick); there are two cells or more in
+        h: largest cell size, a length (default: a quarter of the smallest side of a brick); at least two cells are in
             half a brick, and in its height.
-        depth: size of a brick along z, a length > 0, which makes the cell three-dimensional (default: 2D); the sides BACK
-            and FRONT are free.
+        depth: size of a brick along z, a length > 0, which makes the cell three-dimensional (default: 2D); the sides
+            BACK and FRONT are free.
         cut: place of the cell's left lower corner in a brick, as shares of its width and height, which are rounded to
-            cells; what the cell is like as a whole does not depend on it.
+            cells. The behaviour of the periodic cell as a whole does not depend on it.
         cell: as in `wall`.
         comm: communicator whose rank 0 meshes (default: the world).
 
     Returns:
-        Seams "BED" (the upper side above) and "HEAD" (the upper side on the right); regions "COURSE 1" (which is also on
-        top) and "COURSE 2"; facets "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
+        Seams "BED" (the upper side above) and "HEAD" (the upper side on the right); regions "COURSE 1" (which is also
+        on top) and "COURSE 2"; facets "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
 
     Raises:
         InputError: a size is not positive, a cell is of the other dimension, the cut is along a joint.
@@ -261,24 +262,24 @@ def grains(
 
     Args:
         width, height: size, lengths > 0.
-        grains: points (x, y) in the rectangle, one for each grain, which has all that is nearer to it than to others; or
-            the number of grains, at least 2. Their points are then random, moved to the centres of their grains three
-            times, and after that until no side of a grain is shorter than 0.12 of the root of the mean area.
+        grains: points (x, y) in the rectangle; a grain consists of all places nearest to its point. Or the number of
+            grains, at least 2, for random points. These are moved to the centres of their grains three times.
+            Then they are moved until no side of a grain is shorter than 0.12 times the root of the mean area.
         h: largest cell size, a length (default: a tenth of the root of the mean area). Grains do not depend on it.
         seed: of random points, a whole number >= 0: the same seed gives the same grains.
-        seams: function of the numbers of two grains that touch, the smaller one first, that returns the name of the seam
-            between them (default: all are "S").
+        seams: function of the numbers of two grains that touch, the smaller one first, that returns the name of the
+            seam between them (default: all are "S").
         h_S: cell size at S (default: h).
         h_ends: cell size where boundaries of grains meet and end (default: h_S).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
-        Triangles; regions "GRAIN 1", "GRAIN 2", ... in the order of the points; the grain of the larger number is the upper
-        side; facets "BOTTOM", "TOP", "LEFT", "RIGHT".
+        Triangles; regions "GRAIN 1", "GRAIN 2", ... in the order of the points; the grain with the larger number is the
+        upper side; facets "BOTTOM", "TOP", "LEFT", "RIGHT".
 
     Raises:
-        InputError: a size or number out of range; points outside, or two at one place; a name of a seam that sides have;
-            a side of a grain shorter than half a cell, with the place.
+        InputError: a size or number is out of range; points lie outside, or two points coincide; a seam has the name of
+            a side; a side of a grain is shorter than half a cell, with the place.
     """
     return on_root(
         comm, lambda: grain_rectangle(MeshOptions.of(h, cells, SizeArgs), width, height, grains, seed, seams).build()
@@ -298,9 +299,9 @@ def faults(
 
     Args:
         width, height: size, lengths > 0.
-        faults: name -> points (x, y) of a fault, from one end to the other, joined by straight lines. What lies outside the
-            block is cut off. A fault ends on another one, and branches from it, where its last point lies on it, to 1e-6
-            of the block.
+        faults: name -> points (x, y) of a fault, from one end to the other, joined by straight lines. Parts outside the
+            block are cut off. A fault ends on another fault, and branches from it, where its last point lies on it, to
+            1e-6 of the block.
         h: largest cell size, a length (default: a tenth of the smallest side).
         h_S: cell size at S (default: h).
         h_ends: cell size where faults meet and end (default: h_S).
@@ -312,8 +313,8 @@ def faults(
         "LEFT", "RIGHT".
 
     Raises:
-        InputError: a size out of range; a fault that is no path, turns back, lies outside, on another one or on a side,
-            or has the name of a side; faults that end nearer to each other or to a side than half a cell without
-            touching, with the place.
+        InputError: a size is out of range; a fault is no path, turns back, lies outside, on another fault or on a side,
+            or has the name of a side; a fault ends within half a cell of another fault or a side without touching it,
+            with the place.
     """
     return on_root(comm, lambda: faulted_rectangle(MeshOptions.of(h, cells, SizeArgs), width, height, faults).build())

@@ -1,8 +1,8 @@
-"""Meshes of DOLFINx, whatever the release from 0.9 to 0.11 on, and Domain: a joint distributed over ranks, with its names.
+"""Meshes of DOLFINx, for all releases from 0.9 to 0.11, and Domain: a joint distributed over ranks, with its names.
 
-Every rank sees the whole joint, which stands once in the memory of each machine, but has only a part of the mesh.
-Only `Domain` relates the two: `original_cells`,
-`original_points`, `numbers` and `on_cells` transfer data of the joint to the cells, points and facets of a rank.
+Every rank can read the whole joint, which is stored once per machine, but has only a part of the mesh. Only `Domain`
+relates the two: `original_cells`, `original_points`, `numbers` and `on_cells` transfer data of the joint to the cells,
+points and facets of a rank.
 """
 
 from __future__ import annotations
@@ -28,13 +28,9 @@ from geometry.seam import BASE, LAYER, S
 from geometry.sheet import continued_ridges
 from geometry.topology import FloatArray, Indices, IntArray, geometry_degree, local_facets
 
-MESHES_PER_COLLECTION = (
-    100  # number of meshes after which Python's collector frees those that cycles of references keep
-)
+MESHES_PER_COLLECTION = 100  # number of meshes after which Python's garbage collector frees meshes in reference cycles
 _MESH_COUNT = count(1)
-NAMES_PER_CODE = (
-    30  # number after which combinations of names are numbered anew: int64 holds so many, and numbers of facets
-)
+NAMES_PER_CODE = 30  # number of names after which combinations are renumbered, so that codes fit into int64
 
 
 def first_accepted(*calls: Callable[[], Any]) -> Any:
@@ -50,13 +46,13 @@ def first_accepted(*calls: Callable[[], Any]) -> Any:
 def create_mesh(
     comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str, partitioner: Any = None
 ) -> dolfinx.mesh.Mesh:
-    """Distribute points, and cells given by their nodes; each rank sends some. Several need a partitioner. Collective."""
+    """Create a mesh from points and cells; each rank passes some. Several ranks need a partitioner. Collective."""
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
     element, x = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,)), np.ascontiguousarray(points)
     arguments: dict[str, Any] = {"comm": comm, "cells": cells, "x": x, "partitioner": partitioner}
 
     def by_names() -> dolfinx.mesh.Mesh:
-        """DOLFINx gives no names; then its bindings first try to take each cell for an array, which is slow."""
+        """Pass arguments by name: without names the bindings first try to convert each cell to an array, slowly."""
         map_of_cells = dolfinx.fem.coordinate_element(element.basix_element)._cpp_object
         return dolfinx.mesh.Mesh(dolfinx.cpp.mesh.create_mesh(**arguments, element=map_of_cells), ufl.Mesh(element))
 
@@ -64,20 +60,20 @@ def create_mesh(
 
 
 def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
-    """Nodes of the geometry of each cell of this rank, (cells, nodes)."""
+    """Geometry nodes (cells, nodes) of each cell of this rank."""
     maps = getattr(mesh.geometry, "dofmaps", None)
     return np.asarray(mesh.geometry.dofmap if maps is None or callable(maps) else maps[0])
 
 
 def with_cell_points(mesh: dolfinx.mesh.Mesh, x: FloatArray) -> dolfinx.mesh.Mesh:
-    """The same cells, facets and vertices with the nodes (cells, k, d) of the cells elsewhere. Collective.
+    """The same mesh topology with new places (cells, k, d) for the nodes of each cell. Collective.
 
-    Each cell has nodes of its own, so that neighbours may stand apart: the facet between them is one, and has a place on
-    either side. What DOLFINx computes of it without a side ("+", "-") is that of one of the cells.
+    Each cell has its own nodes, so that neighbours may be apart. They still share one facet, which has a place on
+    either side. Without a side ("+", "-") DOLFINx computes the geometry of this facet from one of the two cells.
 
     Args:
         mesh: the mesh.
-        x: places of the nodes of this rank's cells, ghosts included, in the order of `cell_nodes`.
+        x: (cells, k, d) places of the nodes of this rank's cells, ghosts included, in the order of `cell_nodes`.
     """
     cells, k = mesh.topology.index_map(mesh.topology.dim), x.shape[1]
     ghosts = np.asarray(cells.ghosts, np.int64)[:, None] * k + np.arange(k)
@@ -92,20 +88,20 @@ def with_cell_points(mesh: dolfinx.mesh.Mesh, x: FloatArray) -> dolfinx.mesh.Mes
 
 
 def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) -> Any:
-    """Index map of n owned indices and ghosts given by global number and owner. Collective."""
+    """Index map of n owned indices, and of ghosts with their global numbers and owners. Collective."""
     arguments = (comm, n, np.asarray(ghosts, np.int64), np.asarray(owners, np.int32))
     create = dolfinx.cpp.common.IndexMap
     return first_accepted(lambda: create(*arguments), lambda: create(*arguments, 1801))
 
 
 def create_connectivity(mesh: dolfinx.mesh.Mesh, dim: int) -> None:
-    """Find which entities of a dimension each local cell has, and which cells each entity has."""
+    """Compute the connectivity from local cells to their entities of a dimension, and back."""
     mesh.topology.create_connectivity(dim, mesh.topology.dim)
     mesh.topology.create_connectivity(mesh.topology.dim, dim)
 
 
 def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Indices) -> tuple[Indices, IntArray]:
-    """The local cell of each local facet, inside the mesh one of its two, and the facet's number in this cell."""
+    """A local cell of each local facet (inside the mesh one of its two cells), and the facet's number in this cell."""
     topology, dim = mesh.topology, mesh.topology.dim
     create_connectivity(mesh, dim - 1)
     to_cells = topology.connectivity(dim - 1, dim)
@@ -114,7 +110,7 @@ def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Indices) -> tuple[Indices, 
 
 
 def _facets_of_cells(mesh: dolfinx.mesh.Mesh) -> Indices:
-    """(cells, facets of a cell) local facets of each local cell; there may be none."""
+    """(cells, facets of a cell) local facets of each local cell; a rank may have no cells."""
     topology, dim = mesh.topology, mesh.topology.dim
     count = dolfinx.cpp.mesh.cell_num_entities(topology.cell_type, dim - 1)
     return np.asarray(topology.connectivity(dim, dim - 1).array.reshape(-1, count))
@@ -140,8 +136,8 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 class Domain:
     """A distributed mesh and the names of its parts.
 
-    A named set of outer facets NAME can be narrowed to the part on one region, "NAME/REGION", and to the side faces of
-    the layer that continue it, "NAME/LAYER" (nothing while S is a surface). "S" is all seams together.
+    For a named set NAME of outer facets, "NAME/REGION" is its part on one region. "NAME/LAYER" are the side faces of
+    the layer that continue it (no facets while S is a surface). "S" is all seams together.
 
     Attributes:
         joint: the joint that was distributed.
@@ -150,8 +146,9 @@ class Domain:
         facet_tags: one value per combination of names.
         facet_values: name -> its values in `facet_tags`.
         original_cells: for each local cell (ghosts included) its number in `joint.cells`.
-        comm: communicator for everything of ours. Not the mesh's own: when Python's garbage collector frees a mesh
-            amid a pickled collective, mpi4py 4.0 waits for itself if the mesh's communicator was ever used for one.
+        comm: communicator for all communication of these packages, other than the mesh's. If Python's garbage collector
+            frees a mesh during a pickled collective, mpi4py 4.0 deadlocks if the mesh's communicator was ever used for
+            a pickled collective.
     """
 
     joint: Joint
@@ -167,7 +164,7 @@ class Domain:
         """Distribute a joint. Collective."""
         comm = comm or default_comm()
         if comm.size > 1 or not next(_MESH_COUNT) % MESHES_PER_COLLECTION:
-            gc.collect()  # DOLFINx uses meshes' communicators so when it compiles in parallel: free old ones now
+            gc.collect()  # DOLFINx compiles with pickled collectives on meshes' communicators: free old meshes now
         points, cells = (rows_of_rank(array, comm.rank, comm.size) for array in (joint.points, joint.cells))
         mesh = create_mesh(comm, points, cells, joint.cell_type, partitioner(joint, comm))
         original = np.asarray(mesh.topology.original_cell_index, np.int64)
@@ -186,7 +183,7 @@ class Domain:
         return np.asarray(self.mesh.geometry.input_global_indices, np.int64)
 
     def numbers(self, dim: int, entities: Indices) -> IntArray:
-        """(n,) numbers in the joint of local cells (dim: the joint's), or rows of `joint.table` of local facets."""
+        """(n,) numbers in the joint of local cells (dim = joint.dim), else rows of `joint.table` of local facets."""
         joint = self.joint
         if dim == joint.dim:
             return self.original_cells[entities]
@@ -230,7 +227,7 @@ class Domain:
     def vertices(self, original: int) -> Indices:
         """Local vertices made from a vertex of the joint before inflating: one, or all copies of a vertex on S.
 
-        Those that periodic sides identify with it are among them.
+        Vertices that periodic sides identify with it are included.
         """
         joint, topology = self.joint, self.mesh.topology
         copies = np.flatnonzero(np.all(joint.reference == joint.reference[original], axis=1))
@@ -264,7 +261,7 @@ def _local_facets(
 
 
 def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
-    """(name, rows of joint.table) of the facet sets, their parts by region and the layer's continuation of them."""
+    """(name, rows of joint.table) of the facet sets, of their parts by region and of their parts on the layer."""
     seams = () if joint.band else joint.seams
     on_s = np.unique(joint.table.vertices[joint.surface_rows]) if seams else np.empty(0, np.int64)
     if seams and S not in seams:
@@ -283,7 +280,7 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
 
 
 def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[int, ...]]]:
-    """Facets with a name (rows of joint.table), the number of the combination of names of each, name -> combinations."""
+    """Rows of joint.table of named facets; number of the combination of names of each; name -> combinations."""
     sets = dict(_named_sets(joint))
     tagged = np.unique(np.concatenate([*sets.values()]))
     places = {name: np.searchsorted(tagged, rows) for name, rows in sets.items()}

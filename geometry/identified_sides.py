@@ -1,4 +1,4 @@
-"""Periods: which sides of a cell that repeats in space are identified with each other."""
+"""Periods: pairs of identified sides of a periodic cell."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from geometry.refusals import refuse
 from geometry.topology import BoolArray, FloatArray, IntArray, connected, ridge_keys
 
-DISTANCE_TOLERANCE = 1e-6  # distance of two places that are the same, at most, over the size of the joint
+DISTANCE_TOLERANCE = 1e-6  # largest distance of two places that count as the same, over the size of the joint
 CUT_ADVICE = "the cells on its two sides are no neighbours in the mesh; cut the periodic cell through bodies instead"
 
 
 @dataclass(frozen=True)
 class Periods:
-    """Pairs of sides of a cell that repeats in space; each side is the other one, moved by a translation. See `periodic`.
+    """Pairs of identified sides of a periodic cell; a translation maps one side onto the other. See `periodic`.
 
     Attributes:
         sides: names of the two sets of facets of each pair.
-        pairs: for each pair (n, 2) nodes on the first side and the same ones on the second.
+        pairs: for each pair (n, 2) nodes on the first side and the matching nodes on the second side.
     """
 
     sides: tuple[tuple[str, str], ...]
@@ -36,7 +36,7 @@ class Periods:
         return np.array([points[pair[0, 1]] - points[pair[0, 0]] for pair in self.pairs])
 
     def masters(self, n: int) -> IntArray:
-        """(n,) for each node of a mesh the first of those that it is identified with; elsewhere the node itself."""
+        """(n,) master of each node of a mesh: the first node identified with it; without periods the node itself."""
         first, second = np.concatenate(self.pairs).T
         label = connected(first, second, n)
         master = np.full(n, n)
@@ -44,12 +44,12 @@ class Periods:
         return master[label]
 
     def check(self, points: FloatArray, corners: IntArray, cell_type: str, seams: IntArray) -> None:
-        """Raise InputError unless cells that meet across the sides meet there in one facet, which is in no seam.
+        """Raise InputError unless the sides match, no seam lies on them, and the cell is at least three cells wide.
 
         Args:
             points: (n, d) nodes of the mesh.
             corners: (n_cells, k) vertices of its cells.
-            cell_type: their type.
+            cell_type: type of the cells.
             seams: (m, k) vertices of the outer facets that are in seams.
         """
         size = np.ptp(points, axis=0).max()
@@ -71,12 +71,12 @@ class Periods:
 
 
 def _folded_edges(points: FloatArray, nodes: IntArray, master: IntArray) -> BoolArray:
-    """(n,) whether edges, by their nodes (n, 2), have the ends of another one, or one end twice, in the periodic mesh.
+    """(n,) whether an edge has the same ends as a different edge, or two equal ends, in the periodic mesh.
 
     Args:
-        points: (n, d) nodes.
-        nodes: ends of the edges.
-        master: (n,) the node that each one is identified with.
+        points: (n_points, d) nodes.
+        nodes: (n, 2) ends of the edges.
+        master: (n_points,) master of each node.
     """
     ends = master[nodes]
     along = (points[nodes[:, 1]] - points[nodes[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]

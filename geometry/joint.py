@@ -49,17 +49,17 @@ class InflatedBand:
     """Result of inflating: the layers' thickness, their regions, and how the bodies made room for them.
 
     Attributes:
-        eps: name of a seam -> thickness of its layer or gap, a length; where it varies, times the profile.
-        bodies: "kept" or "extended".
-        regions: names of all cell regions of the layers, those of junctions last.
+        eps: name of a seam -> thickness of its layer or gap, a length; where it varies, multiplied by the profile.
+        bodies: "kept" or "extended", see `inflate`.
+        regions: names of all cell regions of the layers, regions of junctions last.
         of_seam: name of a seam -> regions of its sublayers, from the lower to the upper face; without gaps.
         junctions: region of junctions -> the seam that its cells belong to.
-        aligned: regions of junctions between layers of one normal each, as of a bed that passes open heads.
-        faces: names of the facets between bodies and layers.
+        aligned: regions of junctions whose layers have one common normal, as where a bed joint passes open head joints.
+        faces: names of the facet sets between bodies and layers.
         base: the joint before inflating.
         reference: (n_points, d) place of each point before inflating (points of the layer: their place on S).
-        director: (n_band_cells, n_corners, d) unit normal of S below or above each corner of the layers' cells, from the
-            lower to the upper body; a fixed unit vector in junctions of layers with different normals.
+        director: (n_band_cells, n_corners, d) unit normal of S below or above each corner of the layers' cells, from
+            the lower to the upper body; a fixed unit vector in junctions of layers with different normals.
     """
 
     eps: Mapping[str, float]
@@ -76,31 +76,31 @@ class InflatedBand:
 
 @dataclass(frozen=True, repr=False)
 class Joint:
-    """Bodies meeting on S, the same on every MPI rank until it is distributed.
+    """Bodies that meet on S. Every MPI rank has the same joint until it is distributed.
 
-    S consists of one or several seams, named sets of facets with a layer each. Bodies part wherever a facet of S is between
-    them: S may end inside a body, branch, cross itself, or separate any number of bodies. A seam on the outer boundary
-    stands on a rigid base.
+    S consists of one or several seams, named sets of facets with a layer each. Bodies can part at every facet of S
+    between them: S may end inside a body, branch, cross itself, or separate any number of bodies. A seam on the outer
+    boundary stands on a rigid base.
 
     Attributes:
         points: (n_points, d) coordinates, lengths.
-        cells: (n_cells, k) nodes of each cell, in DOLFINx's order: vertices, and for curved cells (degree 2) the nodes on
-            edges, faces and inside.
+        cells: (n_cells, k) nodes of each cell, in DOLFINx's order: vertices, and for curved cells (degree 2) the nodes
+            on edges, faces and inside.
         cell_type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
         region: (n_cells,) for each cell the position of its region in `regions`.
         regions: names of the cell regions.
         facets: named sets of facets, each (n, k) vertices in any order; the seams are among them, and their facets are
             removed from the other sets.
-        seams: name of a seam -> which of its sides is the upper one. A single seam is named "S"; of several none is.
+        seams: name of a seam -> choice of its upper side. A single seam is named "S"; with several seams none is.
         band: how the layer was meshed; None while S is a surface.
-        periods: which sides are identified with each other, if the joint is a cell that repeats; None: none are.
-        parted: (n_cells, k, d) places of the nodes of each cell where bodies have made room for layers that have no cells,
-            see `inflating.inflation.parted`; None: they are at `points`.
+        periods: pairs of identified sides, if the joint is a periodic cell; None: it is not.
+        parted: (n_cells, k, d) places of the nodes of each cell if bodies have made room for layers without cells, see
+            `inflating.inflation.with_gaps`; None: the nodes are at `points`.
 
     Raises:
-        InputError: a seam is missing, empty or not oriented, or shares a facet with another one; a set of facets is
-            empty or not part of the mesh; a region has no cells; a periodic cell is less than three cells wide, or a seam
-            lies on its boundary.
+        InputError: a seam is missing, empty or not oriented, or shares a facet with another seam; a set of facets is
+            empty or not part of the mesh; a region has no cells; a periodic cell is less than three cells wide; a seam
+            lies on the boundary of a periodic cell.
     """
 
     points: FloatArray
@@ -134,7 +134,7 @@ class Joint:
             self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[outer])
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is sent to other ranks has what each of them would find in the whole mesh."""
+        """State for pickling, with the pieces of the mesh computed, so that other ranks need not compute them again."""
         if self.band is None:
             _ = self.split_mesh.pieces
         return self.__dict__
@@ -164,7 +164,7 @@ class Joint:
 
     @cached_property
     def masters(self) -> IntArray:
-        """(n_points,) for each node the first of those that periods identify it with; elsewhere the node itself."""
+        """(n_points,) master of each node: the first node that periods identify with it; else the node itself."""
         n = len(self.points)
         return self.periods.masters(n) if self.periods else np.arange(n)
 
@@ -195,7 +195,7 @@ class Joint:
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies' regions, those below seams first."""
+        """Names of the bodies' regions, regions below seams first."""
         named = [name for side in ("lower", "upper") for seam in self.seams.values() for name in getattr(seam, side)]
         layer = self.band.regions if self.band else ()
         return tuple(name for name in dict.fromkeys([*named, *self.regions]) if name not in layer)
@@ -236,7 +236,7 @@ class Joint:
         """(n_S, 2) the cell below and the cell above each facet of S; -1 for a rigid base.
 
         Raises:
-            InputError: a seam lies partly on the outer boundary; its upper side cannot be told.
+            InputError: a seam lies partly on the outer boundary, or does not determine its upper side.
         """
         out = self.table.cells[self.surface_rows][:, ::-1].copy()
         for number, (name, seam) in enumerate(self.seams.items()):
@@ -277,7 +277,7 @@ class Joint:
 
     @cached_property
     def outer_beside_s(self) -> tuple[IntArray, IntArray]:
-        """Those of `outer_rows` that touch S in a ridge, (n,), and keys (n, m) of their ridges: -1 for those not in S."""
+        """Those `outer_rows` (n,) that touch S in a ridge, and keys (n, m) of their ridges; -1 for ridges not in S."""
         keys = keys_of_ridges(self.table.vertices[self.outer_rows], self.dim - 1)
         keys[~np.isin(keys, ridge_keys(ridges(self.surface, self.cell_type)[0]))] = -1
         adjacent = (keys >= 0).any(axis=1)
@@ -289,11 +289,11 @@ class Joint:
         return self.split_along(self.surface_rows)
 
     def components_at(self, cells: IntArray, nodes: IntArray, cut: Splitting | None = None) -> IntArray:
-        """(n, k) component, around nodes (n, k), of the cells (n,) that have them; -1 for cells < 0.
+        """(n, k) component of each cell (n,) around each of its nodes (n, k); -1 for cells < 0.
 
         Args:
-            cells: cells.
-            nodes: nodes of each of them.
+            cells: (n,) cells.
+            nodes: (n, k) nodes of each cell.
             cut: where the mesh is cut; None: along all seams.
         """
         position = (self.cells[cells][:, None, :] == nodes[:, :, None]).argmax(axis=2)
@@ -302,7 +302,7 @@ class Joint:
 
     @cached_property
     def pairs(self) -> IntArray:
-        """(n_S, k) number of the pair of bodies at each vertex of each facet of S: of vertex, seam and components."""
+        """(n_S, k) number that identifies vertex, seam and both bodies (components) at each vertex of facets of S."""
         vertices = self.table.vertices[self.surface_rows]
         below, above = (self.components_at(cells, vertices) for cells in self.surface_cells.T)
         count = int(max(below.max(), above.max())) + 2
@@ -310,7 +310,7 @@ class Joint:
         return np.asarray(self.masters[vertices] * (codes.max() + 1) + codes, np.int64)
 
     def split_along(self, rows: IntArray) -> Splitting:
-        """The mesh, cut along facets given by rows of `table`; across periodic sides its cells are neighbours."""
+        """The mesh, cut along facets given by rows of `table`; cells across periodic sides are neighbours."""
         if self.periods is None:
             return Splitting(self.cells, self.cell_type, self.table, rows)
         table = FacetTable.of(self.masters[self.corners], self.cell_type)
@@ -323,10 +323,10 @@ class Joint:
         return self.table.nodes(self.surface_rows, self.cells, self.cell_type)
 
     def faces(self, cell_points: FloatArray | None = None) -> FloatArray:
-        """(2, n_S, k, d) places of the nodes of `surface` in the cells below and above; of a rigid base those of S.
+        """(2, n_S, k, d) places of the nodes of `surface` in the cells below and above; a rigid base is at S.
 
         Args:
-            cell_points: (n_cells, k, d) or more: places of the nodes of its cells, if others than its own.
+            cell_points: (n_cells, k, d), or more cells: places of the nodes of the cells; None: `Joint.cell_points`.
         """
         places = self.cell_points if cell_points is None else cell_points
         below, above = self.surface_cells.T
@@ -334,12 +334,12 @@ class Joint:
         return np.stack([np.where((below >= 0)[:, None, None], lower, self.points[self.surface]), upper])
 
     def on_surface(self, cells: IntArray) -> IntArray:
-        """(n_S, k) positions of the nodes of `surface` among those of cells (n_S,)."""
+        """(n_S, k) positions of the nodes of `surface` among the nodes of cells (n_S,)."""
         return np.asarray((self.cells[cells][:, None, :] == self.surface[:, :, None]).argmax(axis=2))
 
     @cached_property
     def branch_vertices(self) -> IntArray:
-        """(n,) vertices where S branches, more than two of its facets meeting there, or where seams meet; masters only."""
+        """(n,) vertices (masters only) where seams meet, or where S branches: more than two facets meet in a ridge."""
         ridge_vertices, counts = ridges(self.masters[self.surface], self.cell_type)
         vertices = self.masters[self.table.vertices[self.surface_rows]]
         keys = np.unique(vertices * len(self.seams) + self.seam_numbers[:, None])
@@ -361,7 +361,7 @@ class Joint:
 
     @property
     def tip(self) -> FloatArray | None:
-        """A place where S ends inside the bodies; None if there is none."""
+        """A place where S ends inside the bodies; None if there is no such place."""
         return self.points[self.tips[0]].mean(axis=0) if len(self.tips) else None
 
     @cached_property
@@ -380,15 +380,15 @@ class Joint:
 
     @property
     def planar(self) -> bool:
-        """Whether S lies in planes of one direction."""
+        """Whether S lies in one plane, or in parallel planes."""
         return bool(np.ptp(self.node_normals.reshape(-1, self.dim), axis=0).max() <= PLANAR_TOLERANCE)
 
     def relative_thickness(self, profile: Profile | None, name: str = S) -> FloatArray:
-        """(n_points,) a profile at the vertices of a seam, or of S, linear between them; 1 elsewhere.
+        """(n_points,) values of a profile at the vertices of a seam or of S, linear in between; 1 elsewhere.
 
         Args:
             profile: function of coordinates (d, n) that returns n positive numbers; None for a uniform thickness.
-            name: of the seam, or "S".
+            name: name of the seam, or "S".
 
         Raises:
             InputError: the profile returns something else, or not a positive number.
@@ -418,7 +418,7 @@ class Joint:
         return values
 
     def rotated(self, angle: float) -> Joint:
-        """The joint turned by an angle (radian, counter-clockwise; in 3D about the third axis)."""
+        """The joint rotated by an angle (radian, counter-clockwise; in 3D about the third axis)."""
         require(is_finite(angle), "angle", angle, "it must be a number, in radians")
         turn = np.eye(self.dim)
         turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
@@ -426,7 +426,7 @@ class Joint:
         return replace(self, points=self.points @ turn.T, seams=seams)
 
     def moved(self, by: Sequence[float]) -> Joint:
-        """The joint moved by a vector (d,): as from a rectangle to the wall of a tube, away from its axis."""
+        """The joint translated by a vector (d,), for example to turn a rectangle into the wall of a tube."""
         if len(by) != self.dim or not all(map(is_finite, by)):
             raise InputError(f"a joint is moved by {by!r}; it must be {self.dim} numbers")
         return replace(self, points=self.points + np.asarray(by, float))
@@ -456,7 +456,7 @@ class Joint:
         return f"Joint({what}; facets: {facets})"
 
     def nearest_point(self, x: Sequence[float]) -> int:
-        """Number of the mesh vertex at x; raises InputError, naming the nearest vertex, if there is none."""
+        """Number of the mesh vertex at x; raise InputError that names the nearest vertex if there is none at x."""
         vertices = np.unique(self.corners)
         if finite_values(x, (self.dim,)) is None:
             raise InputError(f"point {x!r} is not a place; give {self.dim} coordinates")

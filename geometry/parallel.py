@@ -1,4 +1,4 @@
-"""The ranks that work together, and work that one of them does for all."""
+"""Default communicator, and work that rank 0 does for all ranks."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from mpi4py import MPI
 from forms.base import require
 
 ResultType = TypeVar("ResultType")
-SHARED_MEMORY_BYTES = 100_000  # bytes from which on an array of a result stands once in the memory of a machine
-MAX_MESSAGE_BYTES = 2**30  # bytes that are sent at once: MPI may count no further than 2**31
-ALIGNMENT_BYTES = 64  # bytes at whose multiples arrays begin
+SHARED_MEMORY_BYTES = 100_000  # size from which an array of a result is stored once per machine, bytes
+MAX_MESSAGE_BYTES = 2**30  # largest message, bytes: counts of MPI may be limited to 2**31
+ALIGNMENT_BYTES = 64  # alignment of shared arrays, bytes
 _DEFAULT_COMM: ContextVar[MPI.Intracomm] = ContextVar("_DEFAULT_COMM", default=MPI.COMM_WORLD)
 
 
 def default_comm() -> MPI.Intracomm:
-    """The communicator of calls that are given none: MPI.COMM_WORLD, or that of `use_comm`."""
+    """Communicator of calls without an explicit communicator: MPI.COMM_WORLD, or as set by `use_comm`."""
     return _DEFAULT_COMM.get()
 
 
 @contextmanager
 def use_comm(comm: MPI.Intracomm) -> Iterator[None]:
-    """In this block calls that are given no communicator use this one, so that groups of ranks work side by side."""
+    """Set the default communicator within a `with` block, so that groups of ranks can work side by side."""
     token = _DEFAULT_COMM.set(comm)
     try:
         yield
@@ -40,8 +40,8 @@ def use_comm(comm: MPI.Intracomm) -> Iterator[None]:
 def on_root(comm: MPI.Intracomm | None, build: Callable[[], ResultType]) -> ResultType:
     """Run a function on rank 0 only; return its result, or raise its exception, on every rank. Collective.
 
-    The ranks of one machine share the large arrays of the result, which nobody may write.
-    The exception has an attribute `on_all_ranks`: it shows that no rank is left waiting.
+    The ranks of one machine share the large arrays of the result, which are read-only. The exception has an attribute
+    `on_all_ranks`, which shows that no rank is left waiting.
     """
     comm = default_comm() if comm is None else comm
     require(isinstance(comm, MPI.Comm), "comm", comm, "it must be an MPI communicator")
@@ -61,7 +61,7 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], ResultType]) -> Resu
 
 
 def _broadcast(comm: MPI.Intracomm, result: Any) -> Any:
-    """What rank 0 gives, on every rank. Collective."""
+    """Return the result of rank 0 on every rank. Collective."""
     large: list[memoryview] = []
 
     def is_small(buffer: pickle.PickleBuffer) -> bool:
@@ -76,7 +76,7 @@ def _broadcast(comm: MPI.Intracomm, result: Any) -> Any:
 
 
 def _shared_copies(comm: MPI.Intracomm, sources: list[memoryview], sizes: list[int]) -> list[memoryview]:
-    """Copies of buffers of rank 0 in memory that the ranks of a machine share; it goes with the last user. Collective.
+    """Copy buffers of rank 0 to memory that the ranks of a machine share, until its last use ends. Collective.
 
     Args:
         comm: the ranks.
@@ -87,7 +87,7 @@ def _shared_copies(comm: MPI.Intracomm, sources: list[memoryview], sizes: list[i
     node, file = comm.Split_type(MPI.COMM_TYPE_SHARED), os.memfd_create("thinlayer")
     path, number = node.bcast((f"/proc/{os.getpid()}/fd/{file}", os.fstat(file).st_ino))
     reached = os.access(path, os.R_OK) and os.stat(path).st_ino == number
-    owner = not comm.allreduce(reached, MPI.LAND) or node.rank == 0  # if some machine hides it, each rank has its own
+    owner = not comm.allreduce(reached, MPI.LAND) or node.rank == 0  # if a machine hides it, each rank has its own
     if owner:
         os.ftruncate(file, total)
     node.Barrier()
@@ -109,7 +109,7 @@ def _shared_copies(comm: MPI.Intracomm, sources: list[memoryview], sizes: list[i
 
 
 def _sendable(error: Exception) -> Exception:
-    """An error that pickle can send to the other ranks: some exceptions cannot be restored from a pickle."""
+    """Return the error, or a RuntimeError with its message if it cannot be restored from a pickle by other ranks."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:

@@ -1,4 +1,4 @@
-"""Which rank owns each cell of a joint: recursive bisection by place, and the cells that ranks share across facets."""
+"""Distribution of a joint's cells over ranks: recursive coordinate bisection, and ghost cells across facets."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from geometry.topology import FloatArray, Indices, IntArray
 
 
 def bisected(x: FloatArray, parts: int) -> Indices:
-    """(n,) number below `parts` of the part of each place (n, d): equal parts, halved across their longest direction."""
+    """(n,) part, below `parts`, of each place (n, d): equal parts, by bisection across the longest direction."""
     part = np.zeros(len(x), np.int32)
     waiting: list[tuple[IntArray, int, int]] = [(np.arange(len(x)), 0, parts)]
     while waiting:
@@ -31,7 +31,7 @@ def bisected(x: FloatArray, parts: int) -> Indices:
 
 
 def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
-    """The column of every cell of an inflated joint (-1 outside the layer), or of every facet; and their centres.
+    """Column of each cell of an inflated joint (-1 outside the layers), else of each facet; and centres of columns.
 
     Returns:
         Numbers (cells or facets,), and the centres (columns, d) of the facets of S in the joint before inflating.
@@ -53,7 +53,7 @@ def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
 
 
 def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
-    """Where the cells of a joint go: (n + 1,) first entry of each cell; the rank that owns it, then those that see it."""
+    """Ranks of the cells of a joint: (n + 1,) first entry of each cell; its owner, then ranks with it as a ghost."""
     owner = bisected(sum(joint.points[corner] for corner in joint.corners.T), parts)  # faster than means of short rows
     if joint.band is not None:  # columns of cells of layers stay whole, as laws may need their means
         layer = np.flatnonzero((column := column_numbers(joint)[0]) >= 0)
@@ -71,7 +71,7 @@ def rows_of_rank(rows: Any, rank: int, ranks: int) -> Any:
 
 
 def partitioner(joint: Joint, comm: MPI.Intracomm) -> Callable[..., Any] | None:
-    """What tells DOLFINx where the cells that this rank sends go, ghosts across facets included; None for a single rank."""
+    """Partitioner for DOLFINx: ranks of the cells this rank sends, with ghosts across facets; None for one rank."""
     if comm.size == 1:
         return None
     starts, ranks = on_root(comm, lambda: destinations(joint, comm.size))

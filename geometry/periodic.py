@@ -1,4 +1,4 @@
-"""Periodic joints: sides of a cell that are identified with each other, because the cell repeats in space."""
+"""Periodic joints: cells that repeat in space, with opposite sides identified."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from geometry.topology import IntArray
 
 
 def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
-    """The joint as a cell that repeats: displacements are the same on both sides of each pair.
+    """The joint as a periodic cell: displacements are equal on both sides of each pair.
 
-    S may cross the sides, and goes on at the other one; it may not lie in them.
+    S may cross the sides, and continues at the opposite side; it must not lie in them.
 
     Args:
         joint: the cell, cut through bodies.
-        sides: names of two sets of outer facets each, such as ("LEFT", "RIGHT"); one is the other moved by a translation,
-            with its facets. The other sides stay free.
+        sides: pairs of names of outer facet sets, such as ("LEFT", "RIGHT"). A translation maps the facets of the first
+            set onto the facets of the second. Other sides stay free.
 
     Raises:
         InputError: an unknown name; sides that do not match, with the place; less than three cells between two sides;
@@ -41,13 +41,13 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
 
 
 def with_periods_of(inflated: Joint, periods: Periods) -> Joint:
-    """An inflated joint, whose periodic sides have not moved, with the periods of the one that it came from."""
+    """An inflated joint with the periods of its original; the periodic sides have not moved."""
     pairs = tuple(_matching_nodes(inflated, *names) for names in periods.sides)
     return replace(inflated, periods=Periods(periods.sides, pairs))
 
 
 def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
-    """(n, 2) nodes on the first side and the same ones on the second."""
+    """(n, 2) nodes on the first side and the matching nodes on the second side."""
     rows = [_outer_rows(joint, name) for name in (first, second)]
     nodes = [np.unique(joint.table.nodes(row, joint.cells, joint.cell_type)) for row in rows]
     x = [joint.points[node] for node in nodes]

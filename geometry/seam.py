@@ -1,4 +1,4 @@
-"""Seam: which side of a layer's surface is the upper one. And the names that joints give to layers' parts."""
+"""Seam: the choice of the upper side of a layer's surface; and the names that joints give to parts of layers."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from geometry.topology import BoolArray, FloatArray, IntArray
 
 S = "S"
 LAYER = "LAYER"
-JUNCTIONS = "JUNCTIONS"  # where three or more layers or bodies meet, the part of the layer
+JUNCTIONS = "JUNCTIONS"  # part of the layer where three or more layers or bodies meet
 LOWER_FACE, UPPER_FACE, BASE = "LOWER_FACE", "UPPER_FACE", "BASE"
 RESERVED_NAMES = (LAYER, LOWER_FACE, UPPER_FACE, BASE, JUNCTIONS)
-MIN_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that tells its upper side
+MIN_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that determines its upper side
 
 
 @dataclass(frozen=True)
 class Seam:
-    """Which side of a layer's surface is the upper one. Its normal n points there, from the lower to the upper side.
+    """Choice of the upper side of a layer's surface. The normal n points from the lower to the upper side.
 
-    Each facet between two cells has its upper side where `direction` points, if one is given; else in the regions `upper`,
-    or outside the regions `lower`; if neither is given, in the later one of the two cells' regions. On the outer boundary
-    the layer stands on a rigid base, and the side of the cell is the upper one.
+    The upper side of a facet between two cells is where `direction` points, unless this is None. Else it is in the
+    regions `upper`, or outside the regions `lower`. Without any of these it is in the later of the two cells' regions.
+    On the outer boundary the layer stands on a rigid base, and the cell is on the upper side.
 
     The choice is a convention: jumps, tractions and the order of sublayers refer to it, equilibria do not depend on it.
 
     Attributes:
-        lower, upper: names of regions on either side; (): not given.
-        direction: (d,) vector to the upper side; None: not given.
+        lower, upper: names of regions on either side; (): not specified.
+        direction: (d,) vector to the upper side; None: not specified.
     """
 
     lower: tuple[str, ...] = ()
@@ -39,17 +39,17 @@ class Seam:
     direction: tuple[float, ...] | None = None
 
     def reversed(self) -> Seam:
-        """The seam with the opposite normal. InputError: neither regions nor a direction are given."""
+        """The seam with the opposite normal. Raise InputError if it specifies neither regions nor a direction."""
         if self == Seam():
             raise InputError("a seam whose sides follow the order of regions cannot be reversed; name its sides")
         return Seam(self.upper, self.lower, None if self.direction is None else tuple(-c for c in self.direction))
 
     def turned(self, turn: FloatArray) -> Seam:
-        """The seam of a joint that is turned by a matrix (d, d)."""
+        """The seam after the joint is rotated by a matrix (d, d)."""
         return self if self.direction is None else replace(self, direction=tuple(map(float, turn @ self.direction)))
 
     def check(self, name: str, regions: Sequence[str], dim: int) -> None:
-        """Raise InputError unless the seam of this name can tell its upper side in a mesh of these regions."""
+        """Raise InputError unless the seam determines its upper side in a mesh with these regions."""
         for region in self.lower + self.upper:
             require_known("region", region, regions)
         shared = sorted(set(self.upper) & set(self.lower))
@@ -63,13 +63,13 @@ class Seam:
                 raise InputError(f"direction is {self.direction}; it needs {dim} components, not all zero")
 
     def along_direction(self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray) -> BoolArray:
-        """(n,) whether the second of the two cells at each of n facets is the upper one, by `direction`.
+        """(n,) whether the second of the two cells at each of n facets is on the upper side, by `direction`.
 
         Args:
-            name: of the seam, for messages.
+            name: name of the seam, for messages.
             x: (n, d) middles of the facets.
-            normals: (n, d) their normals, in either direction.
-            to_second: (n, d) vectors from there into the second cells.
+            normals: (n, d) normals of the facets, in either direction.
+            to_second: (n, d) vectors from the middles into the second cells.
 
         Raises:
             InputError: the direction lies in a facet.
@@ -81,10 +81,10 @@ class Seam:
         return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
 
     def between_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> BoolArray:
-        """(n,) whether the second of the two cells at each of n facets is the upper one, by the cells' regions.
+        """(n,) whether the second of the two cells at each of n facets is on the upper side, by the cells' regions.
 
         Args:
-            name: of the seam, for messages.
+            name: name of the seam, for messages.
             x: (n, d) middles of the facets.
             region: (n, 2) positions of the regions of both cells in `regions`.
             regions: names of all regions.

@@ -1,4 +1,4 @@
-"""S as a sheet: its area, its ends, straight ones, gradients along it, and the heights of the bodies."""
+"""S as a sheet: its area, gradients along it, its ends (straight or not), and the heights of the bodies."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from geometry.topology import (
     ridges,
 )
 
-QUADRILATERAL_TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of a quadrilateral
+QUADRILATERAL_TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of the two triangles of a quadrilateral
 CLOSED_NORMAL_LENGTH = 0.1  # length of the mean unit normal below which S counts as closed
 CORNER_COSINE = (
-    0.7  # cosine of the least angle between straight ends that meet: at smaller ones the end counts as curved
+    0.7  # cosine of the least angle between straight ends that meet; at smaller angles the end counts as curved
 )
 
 
@@ -40,7 +40,7 @@ class Rim:
     """Ridges where S ends: vertices in 2D, edges in 3D.
 
     Attributes:
-        vertices: (n, d - 1) of the joint.
+        vertices: (n, d - 1) vertices of the ridges, as numbers in the joint.
         simplex: (n,) simplex of the sheet at each ridge.
         outward: (n, d) unit vectors along S, normal to the ridge.
         depth: (n,) extent of the simplex along `outward`.
@@ -57,11 +57,11 @@ class Rim:
         return Rim(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def on(self, facets: IntArray) -> BoolArray:
-        """(n,) whether each ridge belongs to one of these facets, given by vertices."""
+        """(n,) whether each ridge belongs to one of these facets, given by their vertices."""
         return np.asarray(np.isin(ridge_keys(self.vertices), keys_of_ridges(facets, self.vertices.shape[1])))
 
     def distance(self, points: FloatArray, x: FloatArray) -> FloatArray:
-        """(n,) distances of places (n, d) from the ridges, whose vertices are some of these points; inf: there are none."""
+        """(n,) distances of places x (n, d) from the ridges, whose vertices are in `points`; inf without ridges."""
         distance = np.full(len(x), np.inf)
         for ends in points[self.vertices][:, [0, -1], None]:
             distance = np.minimum(distance, np.linalg.norm(vectors_from_segments(x, *ends)[:, 0], axis=1))
@@ -69,10 +69,10 @@ class Rim:
 
 
 def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
-    """Keys of the ridges of S where facets go on over the layer's side: they are all outer facets there.
+    """Keys of the ridges of S where `facets` continue over the layer's side: they include all outer facets there.
 
-    So they are on the bodies at both its faces, or beside layers that meet in the ridge. On a rigid base there is one
-    body. The facets of one body of two end where S begins.
+    At such a ridge they lie on the bodies at both faces of the layer, or next to layers that meet in the ridge. On a
+    rigid base there is one body. Facets on only one of two bodies end where S begins.
     """
     rows, keys = joint.outer_beside_s
     mine = np.isin(rows, joint.table.index(facets))
@@ -93,7 +93,7 @@ class Sheet:
 
     @cached_property
     def facets(self) -> IntArray:
-        """Positions of its facets among those of S, `joint.surface`."""
+        """Positions of the seam's facets in `joint.surface`, the facets of S."""
         return np.searchsorted(self.joint.surface_rows, self.joint.rows_of(self.name))
 
     @cached_property
@@ -104,13 +104,13 @@ class Sheet:
 
     @cached_property
     def vertices(self) -> IntArray:
-        """(n, d) vertices of the joint."""
+        """(n, d) vertices of the simplices, as numbers in the joint."""
         facet, corner = self.parts
         return np.asarray(self.joint.surface[facet[:, None], corner])
 
     @cached_property
     def mean_normal(self) -> FloatArray:
-        """(d,) unit vector; if S is closed, the normal of its first facet."""
+        """(d,) unit vector of the mean normal; if S is closed, the normal of its first facet."""
         normals = self.joint.interface_normals[self.facets]
         mean = normals.mean(axis=0)
         length = np.linalg.norm(mean)
@@ -118,7 +118,7 @@ class Sheet:
 
     @property
     def planar(self) -> bool:
-        """Whether it lies in planes of one direction."""
+        """Whether the seam lies in one plane, or in parallel planes."""
         return bool(
             np.ptp(self.joint.node_normals[self.facets].reshape(-1, self.joint.dim), axis=0).max() <= PLANAR_TOLERANCE
         )
@@ -130,7 +130,7 @@ class Sheet:
 
     @cached_property
     def gradients(self) -> FloatArray:
-        """(n, d, d) gradient along S of the function that is 1 at a vertex and linear, for each vertex."""
+        """(n, d, d) gradients along S of the linear shape functions of the vertices of each simplex."""
         others = np.swapaxes(np.linalg.pinv(self._edges), 1, 2)
         return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
 
@@ -142,7 +142,7 @@ class Sheet:
 
     @cached_property
     def rim(self) -> Rim:
-        """Where S ends at the outer boundary; tips inside the bodies are left out, and periodic sides, where it goes on."""
+        """Ridges where S ends at the outer boundary, without tips inside the bodies and without periodic sides."""
         joint, count = self.joint, len(self.vertices)
         ridges = np.concatenate([np.delete(self.vertices, k, axis=1) for k in range(joint.dim)])
         _, first, times = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
@@ -161,7 +161,7 @@ class Sheet:
 
     @cached_property
     def tip(self) -> FloatArray | None:
-        """A place where the seam ends inside the bodies, and no other one goes on; None if there is none."""
+        """A place where the seam ends inside the bodies and no other seam continues; None if there is no such place."""
         joint = self.joint
         seam_ridges, _ = ridges(joint.surface[self.facets], joint.cell_type)
         here = joint.tips[np.isin(ridge_keys(joint.tips), ridge_keys(seam_ridges))]
@@ -169,7 +169,7 @@ class Sheet:
 
     @cached_property
     def junction(self) -> FloatArray | None:
-        """A place where the seam branches or meets another one; None if there is none."""
+        """A place where the seam branches or meets another seam; None if there is no such place."""
         joint = self.joint
         surface = joint.masters[joint.surface]
         (s_ridges, counts), (subset, here) = (ridges(rows, joint.cell_type) for rows in (surface, surface[self.facets]))
@@ -179,10 +179,10 @@ class Sheet:
 
     @cached_property
     def heights(self) -> tuple[float, ...]:
-        """Volume over the area of S, of the lower side (none on a rigid base) and of the upper side.
+        """Heights of the lower side (left out on a rigid base) and of the upper side: volume over the area of S.
 
-        Where S is planar at most the distance from it, as bodies may go on beside it. If both sides are one body, the only
-        value is for this body.
+        If S is planar, a height is at most the largest distance from S, because bodies may extend beyond the ends of S.
+        If both sides are one body, there is one value.
         """
         joint = self.joint
         pieces, cells = joint.split_mesh.pieces, joint.surface_cells[self.facets]
@@ -197,7 +197,7 @@ class Sheet:
 
 
 def volume_of(joint: Joint, inside: BoolArray) -> float:
-    """Volume of whole pieces of the bodies, given by their cells (n_cells,), from their faces by the divergence theorem."""
+    """Volume of whole pieces of bodies, the cells `inside` (n_cells,), from their faces by the divergence theorem."""
     rows = np.concatenate([joint.outer_rows, joint.surface_rows, joint.surface_rows])
     cells = np.concatenate([joint.table.cells[joint.outer_rows, 0], *joint.surface_cells.T])
     kept = (cells >= 0) & inside[cells]
@@ -206,7 +206,7 @@ def volume_of(joint: Joint, inside: BoolArray) -> float:
     volume = 0.0
     for corners in QUADRILATERAL_TRIANGLES if joint.cell_type == "hexahedron" else (tuple(range(joint.dim)),):
         x = joint.points[nodes[:, corners]]
-        cones, side = (np.linalg.det(x - tip) for tip in (x[0, 0], middle))  # from one place, and from that in the cell
+        cones, side = (np.linalg.det(x - tip) for tip in (x[0, 0], middle))  # from one place, and the cell's middle
         volume += float((cones * np.sign(side)).sum()) / math.factorial(joint.dim)
     return volume
 
@@ -217,12 +217,12 @@ class StraightEnd:
 
     Attributes:
         n: unit normal of S, (d,).
-        level: least and largest n . x of places in its plane, which may be one of several parallel ones.
+        level: least and largest n . x of places in its plane, which may be one of several parallel planes.
         m: unit normal in S, outward, (d,).
         offset: m . x of its points.
         along: (d,) unit vector along it; zero in 2D.
         reach: least and largest along . x of its points.
-        length: of it; 1 in 2D.
+        length: length of the end; 1 in 2D.
     """
 
     n: FloatArray
@@ -239,33 +239,33 @@ class StraightEnd:
         return np.stack([np.pad(vector, (0, 3 - len(vector))) for vector in (-self.m, self.n)])
 
     def distance(self, x: FloatArray) -> FloatArray:
-        """Distance (...) of places (..., d) of S from it."""
+        """Distances (...) of places (..., d) of S from the line of the end, positive inwards."""
         return np.asarray(self.offset - x @ self.m)
 
     def has(self, x: FloatArray) -> BoolArray:
-        """Whether places (n, d) of S lie on it."""
+        """(n,) whether places (n, d) of S lie on the end."""
         allowed = (self.level[1] - self.level[0]) / 2
         return np.asarray((np.abs(self.distance(x)) <= allowed) & self._reaches(x))
 
     def adjoins(self, x: FloatArray) -> BoolArray:
-        """Whether places (n, d) of S lie on it, or beside it, inwards."""
+        """(n,) whether places (n, d) of S lie on the end, or inwards of it as in `faces`."""
         return self.has(x) | self.faces(x)
 
     def faces(self, x: FloatArray) -> BoolArray:
-        """Whether places (n, d) of S lie beside it, inwards."""
+        """(n,) whether places (n, d) of S lie inwards of the end, between its first and its last point."""
         return np.asarray((self.distance(x) > 0) & self._reaches(x))
 
     def _reaches(self, x: FloatArray) -> BoolArray:
-        """Whether places (n, d) lie in its plane, between its first and its last point."""
+        """(n,) whether places (n, d) lie in the plane of the end, between its first and its last point."""
         at, (low, high), (bottom, top), level = x @ self.along, self.reach, self.level, x @ self.n
         return np.asarray((at >= low) & (at <= high) & (level >= bottom) & (level <= top))
 
 
 def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
-    """The free ends of S, ridges on one line together that are connected.
+    """Straight free ends of S; each consists of the connected ridges on one line.
 
     Raises:
-        InputError: they are curved.
+        InputError: an end is curved.
     """
     joint, n, size = sheet.joint, sheet.mean_normal, sheet.joint.size
     x = joint.points[rim.vertices]  # (n, d - 1, d)
@@ -275,7 +275,7 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         m, offset = rim.outward[left[0]], offsets[left[0]]
         cosine = rim.outward @ m
         on_line = (cosine > 1 - PLANAR_TOLERANCE) & (np.abs(offsets - offset) <= PLANAR_TOLERANCE * size)
-        at, n_rim = np.flatnonzero(on_line), len(x)  # those that are connected, by their vertices
+        at, n_rim = np.flatnonzero(on_line), len(x)  # ridges are connected by their vertices
         links = at.repeat(rim.vertices.shape[1]), n_rim + rim.vertices[at].ravel()
         label = connected(*links, n_rim + int(rim.vertices.max()) + 1)[:n_rim]
         same = on_line & (label == label[left[0]])
@@ -295,7 +295,7 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
 
 
 def share_within(d: FloatArray, length: float) -> FloatArray:
-    """Part (n,) of segments (n, 2) or triangles (n, 3) where a linear function of values d at corners is below a length."""
+    """Fraction (n,) of segments or triangles where the linear function with corner values d (n, 2 or 3) is < length."""
     low, *middle, high = np.sort(d, axis=1).T
     if not middle:
         return np.asarray(np.clip((length - low) / (high - low), 0.0, 1.0)) if len(d) else low

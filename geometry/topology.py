@@ -1,7 +1,7 @@
-"""Cells and facets as plain arrays: which facets a mesh has, which cells meet there, how cuts part them, orders of places.
+"""Cells and facets as plain arrays: facets of a mesh, components of a mesh with cuts, sorting orders of places.
 
-The cells around a vertex, an edge or a face are in one component there if facets that are not cut lead from one to the
-other, around this entity. A vertex on a cut has two components, one at its tip, three where three cuts meet.
+Two cells around a vertex, an edge or a face are in one component there if uncut facets around this entity connect them.
+A vertex on a cut has two components. A vertex at the tip of a cut has one, a vertex where three cuts meet has three.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def corner_count(cell_type: str) -> int:
 
 
 def geometry_degree(cell_type: str, n_nodes: int) -> int:
-    """Degree of cells with that many nodes, 1 or 2; raises InputError for another number."""
+    """Degree, 1 or 2, of cells with `n_nodes` nodes; raise InputError for other numbers of nodes."""
     allowed = {int(lagrange(cell_type, degree).dim): degree for degree in (1, 2)}
     if n_nodes not in allowed:
         raise InputError(f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))} (degree 1 or 2)")
@@ -60,7 +60,7 @@ def local_facets(cell_type: str, degree: int = 1) -> IntArray:
 
 
 def sum_by_number(number: IntArray, values: FloatArray, n: int) -> FloatArray:
-    """(n, ...) sums of the values (..., ...) of equal numbers from 0 to n - 1."""
+    """(n, ...) sums of the values (..., ...) with equal numbers (...), which are from 0 to n - 1."""
     out = np.zeros((n, *values.shape[number.ndim :]))
     np.add.at(out, number, values)
     return out
@@ -73,7 +73,7 @@ def is_tensor(cell_type: str) -> bool:
 
 @cache
 def weights_between(cell_type: str) -> FloatArray:
-    """(m, k) values of linear functions of the k vertices at the m further nodes of a cell of degree 2."""
+    """(m, k) values of the k linear shape functions at the m further nodes of a cell of degree 2."""
     further = lagrange(cell_type, 2).points[corner_count(cell_type) :]
     return np.asarray(lagrange(cell_type, 1).tabulate(0, further)[0, :, :, 0])
 
@@ -94,7 +94,7 @@ class FacetTable:
 
     @classmethod
     def of(cls, corners: IntArray, cell_type: str) -> FacetTable:
-        """The table of a mesh given by its cells' vertices; raises InputError if more than two cells share a facet."""
+        """Table of a mesh with these cell vertices; raise InputError if more than two cells share a facet."""
         short = corners.T.astype(np.int32)  # half the memory, and faster
         facets = zip(*(short[f] for f in local_facets(cell_type)), strict=True)
         columns = sorted_columns([np.concatenate(column) for column in facets])
@@ -124,13 +124,13 @@ class FacetTable:
         return np.where(self._keys[at] == wanted, at, -1)
 
     def nodes(self, rows: IntArray, cells: IntArray, cell_type: str) -> IntArray:
-        """Nodes of facets, (n, nodes per facet), in the order of the facet's own element; `cells`: all nodes of cells."""
+        """Nodes of facets (n, nodes per facet) in the order of the facet's own element; `cells`: nodes of all cells."""
         local = local_facets(cell_type, geometry_degree(cell_type, cells.shape[1]))[self.local[rows, 0]]
         return np.take_along_axis(cells[self.cells[rows, 0]], local, axis=1)
 
 
 def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
-    """Columns of the same rows with each row in ascending order; faster than `np.sort` along rows, which are short."""
+    """Sort each row of a table given by its columns; faster than `np.sort` along short rows."""
     out = list(columns)
     for end in range(len(out) - 1, 0, -1):
         for k in range(end):
@@ -139,14 +139,14 @@ def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
 
 
 def _changes(columns: Sequence[IntArray], order: IntArray) -> BoolArray:
-    """(n,) whether rows, given by columns, differ from those before them in an order; so does the first."""
+    """(n,) whether each row (given by columns), in this order, differs from the row before it; True for the first."""
     changed = np.ones(len(order), bool)
     changed[1:] = reduce(np.logical_or, (np.diff(column[order]) != 0 for column in columns))
     return changed
 
 
 def _keys(rows: IntArray) -> npt.NDArray[np.void]:
-    """(n,) rows of numbers from 0 to 2^31, (n, k), as bytes whose order is theirs."""
+    """(n,) rows (n, k) of numbers from 0 to 2^31 as bytes that sort in the same order."""
     return np.ascontiguousarray(rows, ">i4").view(f"V{4 * rows.shape[1]}").ravel()
 
 
@@ -164,13 +164,13 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
 
 
 def ridge_keys(rows: IntArray) -> IntArray:
-    """(n,) a number for each ridge, given by one vertex or two, (n, k)."""
+    """(n,) unique number of each ridge, given by its one or two vertices (n, k)."""
     ordered = np.sort(rows, axis=1)
     return np.asarray((ordered[:, 0] << KEY_BITS) + ordered[:, -1])
 
 
 def keys_of_ridges(facets: IntArray, k: int) -> IntArray:
-    """(n, m) keys of the ridges of facets given by vertices in any order, k a ridge: of a quadrilateral diagonals, too."""
+    """(n, m) keys of ridges (k vertices each) of facets, given by vertices in any order; with quads' diagonals."""
     return np.stack([ridge_keys(facets[:, list(pair)]) for pair in combinations(range(facets.shape[1]), k)], axis=1)
 
 
@@ -181,7 +181,7 @@ def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> Float
     """
     element = lagrange(cell_type, geometry_degree(cell_type, cells.shape[1]))
     if element.degree == 1 and not is_tensor(cell_type):
-        first, *others = (points.T[:, nodes] for nodes in cells.T)  # a coordinate after the other, which is faster
+        first, *others = (points.T[:, nodes] for nodes in cells.T)  # one coordinate at a time is faster
         edge, *more = (other - first for other in others)
         normal = np.cross(more[0], more[1], axis=0) if more[1:] else np.stack([more[0][1], -more[0][0]])
         return np.asarray((edge * normal).sum(axis=0)[:, None])
@@ -190,7 +190,7 @@ def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> Float
 
 
 def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatArray:
-    """Unit normals (either direction) at the nodes of facets, (n_facets, n_nodes, d); nodes in the facet's own order."""
+    """Unit normals (n_facets, n_nodes, d) at the nodes of facets, of either sign; nodes in the facet's own order."""
     facet_type = FACET_TYPES[cell_type]
     element = lagrange(facet_type, geometry_degree(facet_type, nodes.shape[1]))
     gradients, plane = element.tabulate(1, element.points)[1:, :, :, 0], points.shape[1] == 2
@@ -201,13 +201,13 @@ def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatA
 
 @dataclass(frozen=True)
 class Splitting:
-    """The components of a mesh that is cut along some facets. The cut does not depend on the numbers of cells.
+    """Components of a mesh that is cut along some facets. The cut does not depend on the numbering of cells.
 
     Attributes:
         cells: (n_cells, k) nodes, vertices first.
         cell_type: type of the cells.
-        table: their facets.
-        cut: (m,) rows of `table`.
+        table: facets of the cells.
+        cut: (m,) rows of `table` of the cut facets.
     """
 
     cells: IntArray
@@ -236,7 +236,7 @@ class Splitting:
 
     @cached_property
     def keys(self) -> list[IntArray]:
-        """For each dimension (n_cells, entities of a cell): a number >= 0 for each component of each entity of the mesh."""
+        """For each dimension (n_cells, entities of a cell) numbers >= 0, one for each component of each mesh entity."""
         out, start = [], 0
         for dim in range(len(self._topology)):
             numbers, split = self.entities(dim, self._corners), self.components(dim)
@@ -257,7 +257,7 @@ class Splitting:
         on_cut = np.zeros(int(self.cells.max()) + 1, bool)
         on_cut[self.table.vertices[self.cut]] = True
         touched = on_cut[self._corners]
-        near = np.flatnonzero(touched.any(axis=1))  # other cells have nothing that is split
+        near = np.flatnonzero(touched.any(axis=1))  # other cells have no split entities
         place = np.full(len(self.cells), -1)
         place[near] = np.arange(len(near))
         pairs = place[self.table.cells]
@@ -312,31 +312,32 @@ class Splitting:
 
     @cached_property
     def valence(self) -> IntArray:
-        """(n_points,) number of components of the cells around each vertex; 0 for nodes that are no vertices."""
+        """(n_points,) number of components of the cells around each vertex; 0 for nodes that are not vertices."""
         out = np.zeros(int(self.cells.max(initial=-1)) + 1, np.int64)
         np.maximum.at(out, self._corners.ravel(), self.of_vertices.ravel() + 1)
         return out
 
 
 def connected(first: IntArray | Indices, second: IntArray | Indices, n: int) -> IntArray:
-    """(n,) labels of the connected components of a graph, given by its links."""
+    """(n,) labels of the connected components of a graph with n nodes, given by its links."""
     graph = scipy.sparse.coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(n, n))
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
-DISTANCE_TOLERANCE = 1e-9  # distance, over the size of the whole, below which two places are the same
+DISTANCE_TOLERANCE = 1e-9  # distance, over the size of the whole, below which two places count as the same
 
 
 def by_place(x: FloatArray, size: float) -> IntArray:
-    """Order of places (n, d) by the first coordinate, then by the next ones; `size`: length of the whole."""
+    """Sorting order of places (n, d) by the first coordinate, then by the next; `size`: length of the whole."""
     return np.lexsort(np.rint(x[:, ::-1] / (DISTANCE_TOLERANCE * size)).T)
 
 
 def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
-    """Order of places (n, 2) along the curves that pairs (m, 2) of neighbours form.
+    """Sorting order of places (n, 2) along the curves that pairs (m, 2) of neighbours form.
 
-    Curve after curve, each from its lower end, a closed one from its lowest place towards the lower of its neighbours
-    (`by_place`). Where a curve ends and another one begins, that follows: the parts of a bed joint, brick by brick.
+    Curves follow one another, each from its lower end in the order of `by_place`. A closed curve starts at its lowest
+    place, towards the lower of its neighbours. If a curve ends where another begins, the other comes next: the parts of
+    a bed joint, brick by brick.
     """
     order = by_place(x, size)
     rank = np.argsort(order)

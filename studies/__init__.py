@@ -1,5 +1,5 @@
-"""One script per figure of the paper, sweeps in the layer's thickness, limits; data/studies.toml has each of them once."""
+"""Studies: figures of the paper, sweeps in the layer's thickness, limits, estimates; data/studies.toml lists them."""
 
 from pathlib import Path
 
-__path__.append(str(Path(__file__).parents[1] / ".ci/benchmarks"))  # modules of a clone alone, which compare times
+__path__.append(str(Path(__file__).parents[1] / ".ci/benchmarks"))  # modules that compare times; only in a clone

@@ -21,13 +21,13 @@ from thinlayer.solving.history import Solution
 MODULI: Any = {"lmbda": 60.0, "mu": 40.0}
 OMEGA = 25.0
 FRICTION = math.tan(math.radians(OMEGA))
-# One cell through the band needs no elastic fraction: its nodes are those of the bodies, which hold it where it is open.
-# Inner nodes need one, which adds an error in proportion to it that does not vanish with eps.
+# One cell through the band needs no elastic fraction: its nodes belong to the bodies, which support it where it is
+# open. Inner nodes need an elastic fraction; the error is proportional to it and does not vanish with eps.
 BAND = MohrCoulombMonodirectional(**MODULI, cohesion=0.0, friction_angle=OMEGA, unilateral=True)
 IN_CELLS = replace(BAND, elastic_fraction=1e-5)
 AT_ONCE = HolonomicCoulomb.of_layer(**MODULI, friction=FRICTION)
 IN_TIME = IncrementalCoulomb.of_layer(**MODULI, friction=FRICTION)
-SINE = replace(AT_ONCE, friction=math.sin(math.radians(OMEGA)))  # which is wrong
+SINE = replace(AT_ONCE, friction=math.sin(math.radians(OMEGA)))  # a wrong law
 ONCE = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
 TO_AND_FRO = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
 NO_PRESSURE = 1e-3  # pressure, relative to the largest one, below which a node counts as separated
@@ -35,7 +35,7 @@ AT_LIMIT = 1e-2  # relative distance from the threshold at which a node counts a
 
 
 def blocks(h: float, path: dict[Any, tuple[float, float, float]]) -> tuple[Joint, dict[str, Any]]:
-    """The blocks of `pressed`, of elements Q1: contact acts at the nodes of S, the band at its quadrature points."""
+    """The blocks of `pressed`, of elements Q1; contact acts at the nodes of S, the band at its quadrature points."""
     joint, setup = pressed(h, path)
     return joint, setup | {"element": "Q1"}
 
@@ -47,7 +47,7 @@ def along_s(state: State, surface: Surface) -> dict[str, Array]:
 
 
 def zones(full: Solution, limit: Solution) -> dict[str, float]:
-    """Lengths of S that are separated, and that slide, by the tractions at its nodes, in both models."""
+    """Lengths of S that are separated and that slide in both models, by the tractions at its nodes."""
     surface, row = Surface(last(limit).model), dict[str, float]()
     for name, solution in (("band", full), ("contact", limit)):
         x, p, shear = along_s(last(solution), surface).values()
@@ -59,7 +59,7 @@ def zones(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def same_zones(record: Record, tables: Tables) -> None:
-    """Stick, sliding and separation at once; their ends in the thinnest band within two cells of the contact's."""
+    """Check that stick, sliding and separation occur, with lengths in thinnest band and contact that nearly agree."""
     for name in ("friction", "friction history"):
         table, h = tables[name], record.parameters[name]["h"]
         sizes = {zone: table[f"{zone}_contact"][-1] for zone in ("separated", "sliding")}
@@ -71,6 +71,6 @@ def same_zones(record: Record, tables: Tables) -> None:
 
 
 def sine_leaves_an_error(record: Record, tables: Tables) -> None:
-    """Friction sin(Omega) on S, as of the full law under lasting shear, is not this band's."""
+    """Check that friction sin(Omega) on S, as for the full law under lasting shear, is wrong for this band."""
     sine, tangent = (tables[name]["error_jump"][-1] for name in ("friction sine", "friction"))
     record.check("friction sin(Omega) on S: last error of the jump over that with tan(Omega)", sine / tangent, low=2)

@@ -1,4 +1,4 @@
-"""Rubber bearings, a disc between stiff plates: meshed, by a law with a pressure on S, and by one without."""
+"""Rubber bearings, a disc between stiff plates: meshed, and by interface laws with and without a pressure on S."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ RADIUS, PLATE = 30.0, 10.0  # mm: of the disc; height of a plate
 PLATES = LinearElastic.young(E=1e7, nu=0.3)  # MPa
 MU = 1.2  # MPa: shear modulus of the rubber
 SHAPES = (2.5, 5.0, 10.0)  # shape factors: loaded over free area, radius/(2 eps)
-RATIOS = (0.3, 0.4, 0.45, 0.48, 0.49, 0.495, 0.499, 0.4995, 0.4999, 0.5)  # Poisson's
-OPENING = 0.01  # mm
+RATIOS = (0.3, 0.4, 0.45, 0.48, 0.49, 0.495, 0.499, 0.4995, 0.4999, 0.5)  # Poisson's ratios
+OPENING = 0.01  # mm, displacement of the upper plate
 MODELS = {"meshed": "meshed layer", "rubber": "law Rubber, order 1", "order_0": "LinearElastic, order 0"}
 
 
 def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) -> None:
-    """Pull the upper plate by 0.01 mm, and compare the force with that of rigid plates in closed form.
+    """Pull the upper plate by 0.01 mm, and compare the force with the closed form for rigid plates.
 
     Args:
         record: where to write.
@@ -44,7 +44,7 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
     record.check("least excess of the law of order 0", (table["order_0"] / closed).min() - 1, low=0.01)
     below = table["nu"] < 0.5
     eps, lmbda = RADIUS / (2 * table["shape"][below]), np.array([_modulus(nu) for nu in table["nu"][below]])
-    pressures = lmbda / (closed[below] * eps - 2 * MU)  # of order 0 over that of the closed form
+    pressures = lmbda / (closed[below] * eps - 2 * MU)  # pressure of order 0 over pressure in closed form
     distance = np.abs(table["too_stiff"][below] / pressures - 1).max()
     record.check("largest distance of what is told of order 0 from closed forms", distance, high=0.01)
 
@@ -54,7 +54,7 @@ def _row(record: Record, structure: Structure, shape: float, nu: float) -> dict[
     row = {"shape": shape, "nu": nu, "closed": formulas.rubber_disc(_modulus(nu), MU, eps, RADIUS)}
     for name in MODELS:
         if nu == 0.5 and name == "order_0":
-            row |= {name: math.inf, "too_stiff": math.inf}  # it lets the plates part by nothing
+            row |= {name: math.inf, "too_stiff": math.inf}  # the plates cannot separate
             continue
         state = record.solved(solve(_model(structure, name, eps, nu)))
         row[name] = state.reaction("TOP").force[1] / (math.pi * RADIUS**2 * OPENING)
@@ -78,13 +78,13 @@ def _model(structure: Structure, name: str, eps: float, nu: float) -> Model:
     if name == "order_0":
         return structure.interface(ThinLayer(LinearElastic(_modulus(nu), MU), eps))
     law = Incompressible(MU) if nu == 0.5 else Rubber(_modulus(nu), MU)
-    if name == "rubber":  # in closed forms a pressure knows nothing of its ends but that it is zero there
+    if name == "rubber":  # the closed form has zero pressure at the ends and no correction there
         return structure.interface(ThinLayer(law, eps, order=1, edges="plain"))
     return structure.full(ThinLayer(law, eps), cells_through=6)
 
 
 def draw(record: Record) -> None:
-    """Draw stiffnesses over those in closed form against nu from table.csv."""
+    """Draw stiffnesses, relative to the closed form, against nu from table.csv."""
     parts = {}
     for shape, part in record.load("table.csv").split("shape").items():
         at = part["nu"] < 0.5

@@ -1,4 +1,4 @@
-"""Creep and relaxation of columns: interface law, meshed layer and closed forms; orders of the time steps."""
+"""Creep and relaxation of columns: interface law, meshed layer and closed forms; orders of the time schemes."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Pull:
     Attributes:
         name: "sheared" or "pulled".
         axis: component that moves, 0 or 1.
-        stress: traction on top, held from t = 0 on.
-        end: displacement of the top, likewise.
+        stress: traction on top, constant from t = 0 on.
+        end: displacement of the top, constant from t = 0 on.
         share: |[u] (x)_s n|^2 over |[u]|^2.
     """
 
@@ -63,8 +63,8 @@ class CreepCase:
 
     Attributes:
         law: the layer's law.
-        exact: closed form of what is measured, at times t > 0.
-        relaxes: whether the top is moved and the traction measured; otherwise the traction is held, the jump measured.
+        exact: closed form of the measured jump or traction at times t > 0.
+        relaxes: whether the top is moved and the traction measured; else the traction is fixed and the jump measured.
     """
 
     law: BulkLaw
@@ -73,25 +73,25 @@ class CreepCase:
 
 
 def kelvin_voigt(pull: Pull, t: Array) -> Array:
-    """Jump under a held traction."""
+    """Jump of a Kelvin-Voigt layer under a constant traction."""
     K, G = pull.modulus(LMBDA, MU), pull.modulus(LMBDA * THETA_LMBDA, MU * THETA_MU)
     return pull.stress / K * (1 - np.exp(-K / G * t))
 
 
 def maxwell(pull: Pull, t: Array) -> Array:
-    """Jump under a held traction."""
+    """Jump of a Maxwell layer under a constant traction."""
     return pull.stress / pull.modulus(LMBDA, MU) * (1 + t / T1)
 
 
 def relaxation(pull: Pull, t: Array) -> Array:
-    """Traction of a Maxwell layer under a held end; the bodies give way too."""
+    """Traction of a Maxwell layer under a constant displacement of the top; the bodies deform, too."""
     K = pull.modulus(LMBDA, MU)
     ratio = 1 + K / pull.modulus(BODY.lmbda, BODY.mu)  # the bodies are 1 high together
     return pull.end * K / ratio * np.exp(-t / (T1 * ratio))
 
 
 def norton(law: Norton, pull: Pull, t: Array) -> Array:
-    """Jump under a held traction; p > 2 comes to rest at a finite time."""
+    """Jump of a Norton layer under a constant traction; for p > 2 the creep ends at a finite time."""
     K, q = pull.modulus(LMBDA, MU), 1 / (law.p - 1)
     rate = (law.eta * pull.share ** (law.p / 2)) ** -q
     dashpot = np.maximum(pull.stress ** (1 - q) - (1 - q) * K * rate * t, 0.0) ** (1 / (1 - q))
@@ -99,7 +99,7 @@ def norton(law: Norton, pull: Pull, t: Array) -> Array:
 
 
 def series(pull: Pull, t: Array) -> Array:
-    """Jump of two halves under a held traction."""
+    """Jump of a Maxwell and a Kelvin-Voigt half in series under a constant traction."""
     return (maxwell(pull, t) + kelvin_voigt(pull, t)) / 2
 
 
@@ -116,9 +116,9 @@ CASES = {
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Columns sheared and pulled by a sudden load that is held: both models over time, then the error at t = 1.
+    """Shear and pull columns by a sudden constant load: both models over time, then the error at t = 1.
 
-    The curves are those of the midpoint rule.
+    The midpoint rule gives the curves.
 
     Args:
         record: where to write.
@@ -146,10 +146,10 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def check_printed(record: Record, curves: dict[str, Array]) -> None:
-    """Jumps by the laws that the paper prints are not those of the meshed layer.
+    """Check that jumps by the laws as printed in the paper differ from the meshed layer's, and by which factor.
 
-    Eq. (19) has half of the right tangential compliance, and a negative normal one. In Eq. (23) the modulus bars are around
-    the rate: for shear that is another viscosity, as |v (x)_s n| = |v|/sqrt(2).
+    Eq. (19) has half of the right tangential compliance, and a negative normal compliance. In Eq. (23) the modulus bars
+    are around the rate: for shear that is another viscosity, as |v (x)_s n| = |v|/sqrt(2).
     """
     (sheared, pulled), E, nu = PULLS, MU * (3 * LMBDA + 2 * MU) / (LMBDA + MU), LMBDA / (2 * (LMBDA + MU))
     jumps = {("Maxwell, creep", sheared): sheared.stress * (1 + nu) / E * (1 + AT / T1)}
@@ -186,7 +186,7 @@ class Column:
         self.models: dict[str, Model] = {INTERFACE: structure.interface(layer), FULL: structure.full(layer)}
 
     def follow(self, model: Model, times: Sequence[float], theta: float = 0.5) -> Array:
-        """Component along the load of the jump, or of the traction, at the ends of steps; S is 1 long."""
+        """March a model; return the jump along the load, in relaxation the traction, at the ends of steps."""
         history, surface = self.record.solved(march(model, times, theta=theta)), Surface(self.models[INTERFACE])
         field = surface.traction if self.case.relaxes else surface.jump
         return np.array([surface.integral(surface.frame(field(history.at(t)))[self.pull.axis]) for t in times])

@@ -1,4 +1,4 @@
-"""Cylinders in one another, in plane strain: a coated fibre and bonded tubes in `rates`, and their closed forms."""
+"""Concentric cylinders in plane strain: a coated fibre and bonded tubes in `rates`, and their closed forms."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 
 young = LinearElastic.young
-MODES = (0, 2)  # fields are proportional to cos(mode theta), those along the circles to sin(mode theta)
-Springs = Sequence[tuple[float, float] | None]  # between neighbours: normal and tangential stiffness, or bonded
+MODES = (0, 2)  # radial fields are proportional to cos(mode theta), circumferential fields to sin(mode theta)
+Springs = Sequence[tuple[float, float] | None]  # between neighbours: normal and tangential stiffness; None: bonded
 
 
 @dataclass(frozen=True)
 class Cylinders:
-    """Elastic cylinders in one another, the innermost one solid, with u = (a x, b y) on the outermost radius R.
+    """Concentric elastic cylinders, the innermost solid, with u = (a x, b y) on the outermost radius R.
 
-    u_r = u_0 + u_2 cos(2 theta), u_theta = v_2 sin(2 theta), and so are the stresses on circles. In each cylinder mode 0 is
-    u_0 = A r + B / r, and mode 2 follows from the complex potentials a z^3 + b / z and c z + d / z^3.
+    u_r = u_0 + u_2 cos(2 theta) and u_theta = v_2 sin(2 theta); stresses on circles have the same form. In each
+    cylinder mode 0 is u_0 = A r + B / r. Mode 2 follows from the complex potentials a z^3 + b / z and c z + d / z^3.
 
     Attributes:
-        laws: from the innermost one.
+        laws: laws of the cylinders, the innermost first.
         radii: their outer radii, growing lengths.
-        coefficients: mode -> (cylinders, 2 or 4) of its solutions.
+        coefficients: mode -> coefficients (cylinders, 2 or 4) of its solutions.
     """
 
     laws: tuple[LinearElastic, ...]
@@ -44,10 +44,10 @@ class Cylinders:
     def stretched(
         cls, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, stretch: tuple[float, float]
     ) -> Self:
-        """Solve.
+        """Solve for the coefficients.
 
         Args:
-            laws, radii: see above.
+            laws, radii: the attributes.
             springs: between neighbours, stress per length.
             stretch: a and b.
         """
@@ -66,20 +66,20 @@ class Cylinders:
         return zero + two * [np.cos(2 * theta), np.sin(2 * theta)]
 
     def jumps(self, k: int) -> Array:
-        """(2, 2) amplitudes of [u_r] and [u_theta] of both modes, from cylinder k to the next one."""
+        """(2, 2) amplitudes of [u_r] and [u_theta] of both modes, from cylinder k to the next cylinder."""
         r = self.radii[k]
         return np.array([(self.fields(mode, k + 1, r) - self.fields(mode, k, r))[:2] for mode in MODES])
 
     @property
     def energy(self) -> float:
-        """Half the work of the rim, per length of the cylinders."""
+        """Elastic energy per length of the cylinders: half the work of the tractions on the rim."""
         last, R = len(self.laws) - 1, self.radii[-1]
         zero, two = (self.fields(mode, last, R) for mode in MODES)
         return float(pi * R * zero[:2] @ zero[2:] + pi * R / 2 * two[:2] @ two[2:])
 
 
 def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
-    """(4, n) amplitudes of u_r, u_theta, s_rr and s_rtheta of the solutions of a mode at a radius, regular ones first."""
+    """(4, n) amplitudes of u_r, u_theta, s_rr, s_rtheta of a mode's solutions at a radius, regular solutions first."""
     mu, kappa = law.mu, (law.lmbda + 3 * law.mu) / (law.lmbda + law.mu)
     if mode == 0:
         return np.array([[r, 1 / r], [0.0, 0.0], [2 * (law.lmbda + mu), -2 * mu / r**2], [0.0, 0.0]])
@@ -89,7 +89,7 @@ def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
 
 
 def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs) -> Array:
-    """(cylinders - 1, 4, cylinders, n) jumps at these radii less those of springs, then jumps of stresses: all vanish."""
+    """Matrix (cylinders - 1, 4, cylinders, n) of interface conditions: jumps less springs' extensions; stress jumps."""
     rows = np.zeros((len(radii), 4, len(laws), _solutions(mode, laws[0], 1.0).shape[1]))
     for k, (spring, r) in enumerate(zip(springs, radii, strict=True)):
         inside, outside = (_solutions(mode, law, r) for law in laws[k : k + 2])
@@ -100,7 +100,7 @@ def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], s
 
 
 def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, rim: Array) -> Array:
-    """Coefficients of a mode: regular in the innermost cylinder, continuous stresses, jumps as of springs."""
+    """Coefficients of a mode: regular in the innermost cylinder, with continuous stresses and the springs' jumps."""
     between = _between(mode, laws, radii[:-1], springs)
     n, size = between.shape[3], between[0, 0].size
     at_rim = np.zeros((2, size))
@@ -114,11 +114,11 @@ def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], sp
 
 @dataclass(frozen=True)
 class Lame:
-    """Tubes in one another under inner pressure, without strain along the axis: u = A r + B/r in each.
+    """Concentric tubes under inner pressure, without strain along the axis: u = A r + B/r in each.
 
     Attributes:
-        radii: bore, interfaces and rim, growing lengths.
-        laws: of the tubes, from the innermost one.
+        radii: radii of the bore, the interfaces and the rim, growing lengths.
+        laws: laws of the tubes, the innermost first.
         coefficients: (tubes, 2) A and B.
     """
 
@@ -136,7 +136,7 @@ class Lame:
 
 
 def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequence[float | None], p: float) -> Lame:
-    """Solve.
+    """Solve for tubes under inner pressure.
 
     Args:
         radii, laws: see `Lame`.
@@ -144,7 +144,7 @@ def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequenc
         p: pressure in the bore; the rim is free.
     """
     pairs = [None if spring is None else (spring, spring) for spring in springs]
-    between = _between(0, laws, radii[1:-1], pairs)[:, ::2]  # nothing turns
+    between = _between(0, laws, radii[1:-1], pairs)[:, ::2]  # radial rows
     ends = np.zeros((2, 2 * len(laws)))
     ends[0, :2], ends[1, -2:] = (_solutions(0, laws[k], radii[k])[2] for k in (0, -1))
     A, b = np.concatenate([between.reshape(-1, ends.shape[1]), ends]), np.zeros(ends.shape[1])
@@ -159,14 +159,14 @@ COATING = LinearElastic(lmbda=0.6, mu=0.7)  # at the thickness 1
 
 
 def coated_fibre(h: float) -> tuple[Joint, dict[str, Any]]:
-    """A fibre in a disc of resin whose rim is stretched; joint, data of its models. Without units."""
+    """A fibre in a disc of resin whose rim is stretched; joint, arguments of its `Structure`. Without units."""
     rim = {"x": lambda x, t: STRETCH * x[0], "y": 0.0}
     setup = {"body": {"FIBRE": GLASS, "MATRIX": RESIN}, "supports": {"OUTSIDE": rim}}
     return fibre(RADIUS, RIM, h, cell="quadrilateral", degree=2), setup
 
 
 def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
-    """Relative L2 difference of both models' jumps in closed form; relative error of the full model's energy."""
+    """Relative L2 difference of both models' jumps in closed form, and relative error of the full model's energy."""
     eps = float(layer_of(full).eps)
     springs = (COATING.lmbda + 2 * COATING.mu, COATING.mu)
     jumps = Cylinders.stretched((GLASS, RESIN), (RADIUS, RIM), [springs], (STRETCH, 0.0)).jumps(0)
@@ -182,7 +182,7 @@ def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def as_cylinders(record: Record, tables: Tables) -> None:
-    """The difference of both models is that of their closed forms."""
+    """Check that both models differ as their closed forms do, and the energy of the full model."""
     ratio = tables["fibre"]["error_jump"] / tables["fibre"]["closed_form"]
     record.check("error of the jump over that of the closed forms, less 1", abs(ratio - 1).max(), high=2e-3)
     record.check("energy of the meshed model, relative error", max(tables["fibre"]["energy"]), high=5e-5)
@@ -194,14 +194,14 @@ GLUE, GLUE_EPS = young(E=2e3, nu=0.3), 0.2  # 2 GPa where the layer is 0.2 mm th
 RADII = (6.0, 12.0, 18.0)  # mm: bore, S, rim
 HEIGHT = 8.0  # mm
 PRESSURE, PUSH = 50.0, 40.0  # MPa: in the bore; on the end of the shaft
-LAME = 5e-5  # relative error of displacements and tractions by Q2 cells of 1 mm; of 2 mm: 16 times as large
+LAME = 5e-5  # relative error of displacements and tractions with Q2 cells of 1 mm; with 2 mm 16 times as large
 BETWEEN_PLATES = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
 PRESSED: dict[str, Any] = {"supports": BETWEEN_PLATES, "tractions": {"BOTTOM": (PRESSURE, 0.0)}}
 PUSHED: dict[str, Any] = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/LOWER": (0.0, -PUSH)}}
 
 
 def tubes(h: float, loads: dict[str, Any]) -> tuple[Joint, dict[str, Any]]:
-    """A tube glued into another one, in section; joint, data of its models.
+    """A tube glued into another tube, in section; joint, arguments of its `Structure`.
 
     x is the radius; "BOTTOM" is the bore, "LEFT" the upper end.
     """
@@ -212,7 +212,7 @@ def tubes(h: float, loads: dict[str, Any]) -> tuple[Joint, dict[str, Any]]:
 
 
 def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
-    """Relative differences from the closed form: of the bore's displacement, and of the mean traction on S."""
+    """Relative errors of the bore's displacement and of the mean traction on S, against each model's closed form."""
     eps, (bore, on_S, rim) = float(layer_of(limit).eps), RADII
     radii, laws = (bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB)
     layer = lame(radii, laws, (None, None), PRESSURE)
@@ -229,7 +229,7 @@ def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def as_lame(record: Record, tables: Tables) -> None:
-    """Both models under inner pressure are those in closed form."""
+    """Check both models under inner pressure against their closed forms."""
     high = 16 * LAME if record.options.get("quick") else LAME
     for name in ("meshed", "law"):
         worst = max(max(tables["tubes"][f"{name}_{what}"]) for what in ("bore", "traction"))

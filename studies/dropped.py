@@ -1,8 +1,8 @@
-"""Structures with thin layers that may be left out of the mesh: those with numbers, and those whose estimate is none.
+"""Structures for `may_i_drop`, with thin layers that may be left out of the mesh: selected and random cases.
 
-Some are those of another program, as far as the description of its cases goes. What that does not say is chosen here: the
-layer's modulus and the load on unequal bodies with nu = 0.45, the load on the bearing, the size of the cubic term, the
-strength and hardening of the plastic layer, the moduli and heights of the box.
+Some cases are taken from another program, as far as these are described. Some data are not described and are chosen
+here: the layer's modulus and the load on unequal bodies with nu = 0.45, the load on the bearing, the size of the cubic
+term. Also chosen are the strength and hardening of the plastic layer, and the moduli and heights of the box.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ Vector = tuple[float, ...]
 Layers = ThinLayer | dict[str, ThinLayer]
 
 
-# ---------------------------------------------------------------- structures; with `_` of a mesh for any thickness
+# ---------------------------------------------------------------- structures; `_`: the mesh suits any thickness
 # fmt: off
 def loaded(joint: Joint, top: Any, *, body: Any = FOURIER_BODY, supports: Any = CLAMPED, **more: Any) -> Structure:
     """Bodies under a traction on top, clamped below."""
@@ -101,20 +101,20 @@ def displaced(eps: float) -> Structure:
 
 
 def tilted(eps: float) -> Structure:
-    """Two blocks of unequal heights with free sides, turned by `TILT`, under a traction that is not."""
+    """Two blocks of unequal heights with free sides, rotated by `TILT`, under a traction that is not rotated."""
     joint = sandwich(1.0, 0.4, 0.7, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
     return loaded(joint.rotated(TILT), (-0.7, 0.4), body=young(E=150.0, nu=0.2))
 
 
 def channel(_: float) -> Structure:
-    """Two unequal blocks between rollers, under a traction that is no wave."""
+    """Two unequal blocks between rollers, under a traction that is quadratic in x."""
     joint = sandwich(WIDTH, 0.4, 0.6, 1 / 16, cell="quadrilateral", structured=True)
     body = {"LOWER": young(E=120.0, nu=0.25), "UPPER": young(E=80.0, nu=0.35)}
     return loaded(joint, lambda x, t: (x[0] * (WIDTH - x[0]), x[0] ** 2 - 0.3), body=body, supports=WALLS)
 
 
 def rings(_: float) -> Structure:
-    """A ring around another one that is held inside, pushed down on its upper half."""
+    """A ring around another ring that is fixed inside, pushed down on its upper half."""
     joint = ring(1.0, 1.5, 2.2, 1 / 6, h_S=1 / 12, cell="quadrilateral", degree=2)
     body = {"INNER": young(E=200.0, nu=0.3), "OUTER": young(E=70.0, nu=0.33)}
     loads = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, x[1], 0.0))}
@@ -152,7 +152,7 @@ def two_seams(eps: float) -> Structure:
 
 
 def heated(eps: float) -> Structure:
-    """Two blocks with free sides, of which the upper one expands by a hundredth."""
+    """Two blocks with free sides; the upper block expands by a hundredth."""
     body = {"LOWER": FOURIER_BODY, "UPPER": young(E=80.0, nu=0.2)}
     return free_blocks(_ends(eps), h_S=ALONG, body=body, tractions={}, eigenstrain={"UPPER": 0.01})
 
@@ -170,13 +170,13 @@ class DroppedCase:
     """A structure with thin layers.
 
     Attributes:
-        name: of the case, a few words: its group, and what it is.
+        name: group of the case and a few words about it, "group: words".
         structure: thickness -> the structure, with a mesh that is fine enough for a layer of this thickness.
         layers: thickness -> the layers, order 0.
-        bodies: "kept" or "extended", of both models.
-        step: length of the one step in time that is taken from rest; 0: none, a static solve.
-        asked: numbers beside traction and jump.
-        inner: whether effectivities of laws are those of the inner half of S, |x - 1/2| < 1/4.
+        bodies: "kept" or "extended", for both models.
+        step: length of the only time step, from rest; 0: a static solve.
+        asked: goals in addition to traction and jump.
+        inner: whether effectivities of laws are for the inner half of S, |x - 1/2| < 1/4.
         solid: whether it is in three dimensions.
     """
 
@@ -191,19 +191,19 @@ class DroppedCase:
 
 
 def unwarned() -> warnings.catch_warnings[None]:
-    """Without warnings of laws out of their range, which the estimate says."""
+    """Context without warnings of laws outside their range, as the estimate reports this."""
     return warnings.catch_warnings(action="ignore", category=RangeWarning)
 
 
-# ---------------------------------------------------------------- those of another program
-BEARING = Rubber.shear(0.01, 0.4999)  # moduli of a layer of any thickness
+# ---------------------------------------------------------------- cases of another program
+BEARING = Rubber.shear(0.01, 0.4999)  # moduli at any thickness
 VISCOUS = Norton(lmbda=60.0, mu=40.0, eta=5.0, p=1.5)
 STEP = 0.01
 
 
 @dataclass(frozen=True)
 class Hardening(BulkLaw):
-    """Isotropic elasticity and a stress c (e:e) e."""
+    """Isotropic elastic law with an additional stress c (e:e) e."""
 
     lmbda: float
     mu: float
@@ -211,22 +211,22 @@ class Hardening(BulkLaw):
     powers: ClassVar = {"lmbda": 1, "mu": 1, "c": 3}
 
     def stress(self, step: Step) -> Expr:
-        """The stress."""
+        """Stress at the strain of a step."""
         return lame_stress(self.lmbda, self.mu, step.e) + self.c * ufl.inner(step.e, step.e) * step.e
 
     def energy(self, step: Step) -> Expr:
-        """Its potential."""
+        """Potential of the stress."""
         square = ufl.inner(step.e, step.e)
         return self.lmbda / 2 * ufl.tr(step.e) ** 2 + self.mu * square + self.c / 4 * square**2
 
 
 def soft(mu: float, nu: float) -> Callable[[float], ThinLayer]:
-    """Thickness -> an elastic layer; mu is the shear modulus over the thickness."""
+    """Return thickness -> elastic layer; mu is the shear modulus over the thickness."""
     return of(LinearElastic.shear(mu, nu))
 
 
 def known_cases() -> list[DroppedCase]:
-    """The cases."""
+    """Cases of another program."""
     work, R = goals.Compliance(), Rubber.shear
     rolled = partial(DroppedCase, structure=rollers, asked=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
     ended = partial(DroppedCase, structure=free, asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
@@ -269,12 +269,12 @@ FIBRES = Anisotropic(np.diag([200.0, 60.0, 90.0, 25.0, 30.0, 40.0]) + 20.0 * np.
 
 
 def _plies(*laws: BulkLaw) -> Callable[[float], ThinLayer]:
-    """Thickness -> a layer of plies that are equally thick."""
+    """Return thickness -> layer of plies that are equally thick."""
     return of(Stack(*((1 / len(laws), law) for law in laws)))
 
 
 def further_cases() -> list[DroppedCase]:
-    """The cases."""
+    """Further cases, chosen here."""
     work, moved = goals.Compliance(), goals.Displacement((0.3, 0.35), (0.6, 0.8))
     ends, middle = (work, moved), (work, moved, goals.MeanTraction((1.0, 0.0)))
     unlike = partial(free, load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))
@@ -315,7 +315,7 @@ def further_cases() -> list[DroppedCase]:
 
 # ---------------------------------------------------------------- at random
 def random_case(seed: int) -> tuple[float, DroppedCase]:
-    """A thickness, and two blocks, 1 wide and 1.5 to 40 thicknesses high, with such a layer, of one to three plies."""
+    """Random thickness and case: two blocks, 1 wide, 1.5 to 40 thicknesses high, and a layer of one to three plies."""
     rng = np.random.default_rng(seed)
     eps = 10 ** rng.uniform(-2.0, -0.9)
     heights = np.minimum(1.5 * eps * 10 ** rng.uniform(0.0, 1.43, 2), 1.0)
@@ -339,11 +339,11 @@ def random_case(seed: int) -> tuple[float, DroppedCase]:
 
 
 def _random_ply(rng: np.random.Generator) -> LinearElastic | Anisotropic:
-    """A ply with moduli of three decades, the largest as bodies have them; one in two has fibres along any direction."""
+    """A random ply with E from 0.1 to 100 (bodies: >= 100); one in two has fibres in a random direction."""
     ply, d, stiff = young(10 ** rng.uniform(-1.0, 2.0), rng.uniform(0.0, 0.45)), rng.normal(size=3), rng.uniform(0.0, 2.0)
     if rng.random() < 0.5:
         return ply
-    along = np.array([d[i] * d[j] for i, j in VOIGT_PAIRS]) / (d @ d)  # strain along fibres, of that in Voigt's order
+    along = np.array([d[i] * d[j] for i, j in VOIGT_PAIRS]) / (d @ d)  # strain along fibres, from Voigt's order
     lmbda, mu = ply.elastic_moduli()
     C = np.diag([2.0 * mu] * 3 + [mu] * 3) + 10**stiff * np.outer(along, along)
     C[:3, :3] += lmbda

@@ -2,11 +2,11 @@
 
 The paper gives the loads as "(0.164, -0.0164) N/mm" and not the sides they act on. Two readings:
 
-R1: 0.164 MPa along S on the left side, 0.0164 MPa onto S on the upper one, the right side on rollers, as in Fig. 7. The
+R1: 0.164 MPa along S on the left side, 0.0164 MPa onto S on the upper side, right side on rollers, as in Fig. 7. The
     shear is ten times the pressure: without cohesion the layer yields all along S, and t_T/u_T is small everywhere.
-R4m: 0.164 MPa onto S on the upper side, 0.0164 MPa to the left on the right one, no support. The layer is pressed ten
-    times more than sheared: it stays elastic, with the ratio mu, but for a part near the left end. That is what Fig. 3
-    shows ("beginning of the plastification in the left part", the ratio "equal to the coefficient" mu on the right).
+R4m: 0.164 MPa onto S on the upper side, 0.0164 MPa to the left on the right side, no support. The layer is pressed ten
+    times more than sheared: it stays elastic, with the ratio mu, except near the left end. Fig. 3 shows this
+    ("beginning of the plastification in the left part", the ratio "equal to the coefficient" mu on the right).
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Loads:
     """A reading of the paper's loads.
 
     Attributes:
-        pressure, shear: side and traction (MPa) of each.
+        pressure, shear: side and traction (MPa) of each load.
         supports: prescribed displacements.
         why: expected result, as text in the picture.
-        scale: of the displacements in the picture of the layer's left end.
+        scale: scale of the displacements in the picture of the layer's left end.
         shown: range of the ratio in the picture, 10^3 N/mm^3; the free ends of the meshed layer lie outside.
     """
 
@@ -71,7 +71,7 @@ READINGS = {
 
 
 def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: bool = False) -> None:
-    """Solve Fig. 2 with the interface law and with the layer meshed; loads in one step, and for R1 in many.
+    """Solve Fig. 2 with the interface law and with the layer meshed; loads in one step, and for R1 in many steps.
 
     Without cohesion the free end of a meshed layer has no strength: an elastic fraction h makes the problem well posed.
     The interface law needs none; it is solved with and without.
@@ -104,7 +104,7 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
 
 
 def glue(h: float) -> MohrCoulomb:
-    """The glue of Fig. 2."""
+    """Law of the glue of Fig. 2 with the elastic fraction h."""
     return MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=OMEGA, elastic_fraction=h)
 
 
@@ -122,13 +122,13 @@ class YieldingBar:
         self.surface = Surface(self.model(Structure.interface, 0.0, loads.tractions))
 
     def model(self, kind: Callable[..., Model], h: float, tractions: dict[str, Any]) -> Model:
-        """The bar, its layer with an elastic fraction h."""
+        """Model of the bar; its layer has the elastic fraction h."""
         layer = ThinLayer(glue(h), EPS)
         supports = self.loads.supports
         return kind(Structure(self.joint, body=STEEL, supports=supports, tractions=tractions, element="S2"), layer)
 
     def solved(self, kind: Callable[..., Model], h: float) -> State:
-        """The state under all loads, found in one step."""
+        """The state under all loads, solved in one step."""
         return self.record.solved(solve(self.model(kind, h, self.loads.tractions)))
 
     def sheared(self, steps: int) -> State:
@@ -139,7 +139,7 @@ class YieldingBar:
         return march(self.model(Structure.interface, 0.0, tractions), times, keep="last").last
 
     def profile(self, state: State) -> Table:
-        """h, displacement, traction and their tangential ratio along S; the ratio is empty where it is nearly 0/0."""
+        """Table of h, displacement, traction and their tangential ratio along S; ratios near 0/0 are empty."""
         (law,), surface = (layer.law for layer in state.model.layers.values()), self.surface
         x, u = surface.profile(surface.frame(surface.jump(state)))
         t = surface.profile(surface.frame(surface.traction(state)))[1]
@@ -153,7 +153,7 @@ class YieldingBar:
         return self.surface.integral(self.surface.frame(self.surface.traction(state))[0])
 
     def check(self, shown: dict[str, State]) -> None:
-        """Numbers of the independent code, and where Fig. 3 shows the elastic ratio."""
+        """Check numbers against the independent code, and the elastic ratio where Fig. 3 shows it."""
         record, mu = self.record, GLUE.mu / EPS
         limit = next(iter(shown.values()))
         record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in shown.items()}

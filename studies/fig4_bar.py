@@ -2,7 +2,7 @@
 
 The bar is a strip on a rigid base: nu = 0, sides on rollers, chi = n (x) n; its end moves by delta. The relaxed law gives
 the least energy of all mixtures, Eqs. (45)-(47), corrected. Pure phases, one for each column of cells, have several
-equilibria at the same delta: they keep the last one until it no longer holds, and snap.
+equilibria at the same delta: they keep the last equilibrium until it no longer exists, and snap.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ class Strip:
     """The bar as a strip, 1 wide.
 
     Args:
-        record: of the study.
+        record: record of the study.
         eps: thickness of the meshed layer over the length; 0: the interface law.
-        cells: along each side.
+        cells: number of cells along each side.
     """
 
     def __init__(self, record: Record, eps: float, cells: int) -> None:
@@ -78,7 +78,7 @@ class Strip:
         return structure.full(layer, bodies="extended", cells_through=3) if bar.eps else structure.interface(layer)
 
     def march(self, law: type[Phases], steps: int) -> History:
-        """Up to END in equal steps, and back; U is measured on S, sigma at the end that moves."""
+        """March up to END in equal steps, and back; observe U on S, and sigma at the end that moves."""
         model, times = self._model(self.bar, law), [END * k / steps for k in range(1, 2 * steps + 1)]
         measured: Observers = {
             "U": lambda state: self.surface.integral(self.surface.jump(state)[1]),
@@ -87,7 +87,7 @@ class Strip:
         return self.record.solved(march(model, times, observe=measured, keep="last"))
 
     def rows(self, history: History) -> Table:
-        """delta, U, sigma, energy, phase, and the energy lost in a snap that ends there, of all states."""
+        """Table of delta, U, sigma, energy, phase, and the energy lost in a snap that ends there, for all states."""
         lost = {snap.row: snap.lost for snap in history.snaps}
         states, delta = history.table, moved(history.t)
         columns = {name: states[name] for name in ("U", "sigma", "energy")} | {"phase": states["plus"]}
@@ -95,7 +95,7 @@ class Strip:
         return Table.of({"eps": self.bar.eps, "delta": delta, **columns, "lost": lost_at})
 
     def least(self, history: History) -> Table:
-        """Rows of the relaxed law on the way up, with the phase boundary and the closed forms; checks both ways."""
+        """Table of the relaxed law on the way up, with the phase boundary and the closed forms; check both ways."""
         rows = self.rows(history)
         delta, bar = rows["delta"], self.bar
         exact = {name: getattr(bar, name)(delta) for name in ("U", "sigma", "energy", "phase", "boundary")}
@@ -109,7 +109,7 @@ class Strip:
         return Table.of({"eps": bar.eps, "delta": delta[up], **{name: column[up] for name, column in columns.items()}})
 
     def thresholds(self, relaxed: History, unrelaxed: History) -> dict[str, float]:
-        """Values of delta where branches meet and where the layer snaps, and the energy lost in a cycle; checks them."""
+        """Check and return delta where branches meet and where the layer snaps, and the energy lost in a cycle."""
         delta, sigma = moved(relaxed.t), relaxed.table["sigma"]
         first, mixed, last = (straight(delta, sigma, (delta >= low) & (delta <= high)) for low, high in BRANCHES)
         up, down = moved(np.array([snap.t for snap in unrelaxed.snaps]))
@@ -127,7 +127,7 @@ class Strip:
 
 
 def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: History) -> None:
-    """The least energy of a layer in one phase lies between the computed ones."""
+    """Check that the least energy of a layer in one phase lies between the computed energies."""
     bar, delta, energy = strip.bar, moved(unrelaxed.t), unrelaxed.table["energy"]
     excess = energy - bar.layouts(delta, 1).least().energy
     record.check(f"{strip}: energy of a local minimum less the least one, smallest", excess.min(), low=-EXACT)
@@ -137,7 +137,7 @@ def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: Hi
 
 
 def check_digits(record: Record, table: Table, limit: Table) -> None:
-    """The numbers of the bar and of its limit; thresholds are linear in eps. U as printed is another one."""
+    """Check numbers of the bar and its limit, that thresholds are linear in eps, and that the printed U is wrong."""
     for eps, digits in DIGITS.items():
         row = limit.rows[EPS.index(eps)]
         for name, value in zip(NAMES, digits, strict=True):
@@ -154,17 +154,17 @@ def check_digits(record: Record, table: Table, limit: Table) -> None:
 
 
 def moved(t: Array) -> Array:
-    """The prescribed displacement delta at given times."""
+    """The prescribed displacement delta at times t."""
     return END - np.abs(t - END)
 
 
 def straight(x: Array, y: Array, inside: BoolArray) -> Array:
-    """Slope and value at 0 of the line through some of the points."""
+    """Slope and value at 0 of the line fitted to the points in `inside`."""
     return np.polyfit(x[inside], y[inside], 1)
 
 
 def meet(a: Array, b: Array) -> float:
-    """Place at which two lines (slope, value at 0) meet."""
+    """Abscissa at which two lines (slope, value at 0) meet."""
     return float((b[1] - a[1]) / (a[0] - b[0]))
 
 
@@ -183,7 +183,7 @@ def draw(record: Record) -> None:
 
 
 def draw_energies(record: Record, relaxed: Table) -> None:
-    """Energies of the layer over its elongation, as in Fig. 4; their slopes, which meet the body's force at three delta."""
+    """Draw energies of the layer over its elongation, as in Fig. 4, and their slopes with the body's force."""
     U = np.linspace(0, 1.35, len(FINE), dtype=np.float64)
     (_, pure, _), (force, envelope, _) = BAR.layer(U, 0), BAR.layer(U, 1)
     first = BAR.kbar / BAR.l * U**2 / 2
@@ -204,7 +204,7 @@ def draw_energies(record: Record, relaxed: Table) -> None:
 
 
 def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
-    """Force over displacement: least energy, the loop of pure phases, and the equilibria of some elements."""
+    """Draw force over displacement: least energy, the loop of pure phases, and the equilibria of some elements."""
     states = BAR.layouts(FINE, ELEMENTS)
     equilibria = np.where(states.local, states.sigma, np.nan)
     equilibria[-1] = np.nan  # a gap between the lines

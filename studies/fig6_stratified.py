@@ -54,7 +54,7 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
 
 
 class StratifiedBar:
-    """The bar of Fig. 5 on any layer, and what its layer does along S."""
+    """The bar of Fig. 5 on any layer, and the stiffness of its layer along S."""
 
     def __init__(self, record: Record, h: float, h_S: float, h_ends: float) -> None:
         self.record, self.joint = record, block(WIDTH, HEIGHT, h, h_S=h_S, h_ends=h_ends)
@@ -68,7 +68,7 @@ class StratifiedBar:
         return self.record.solved(solve(self.bar.full(layer)))
 
     def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """x and t_T/u_T at the vertices of S, both projected to degree 1; up to 1 mm from the end where both are zero."""
+        """x and t_T/u_T at the vertices of S, both projected to degree 1; without the last mm, where both are zero."""
         surface = self.surface
         x, u = surface.profile(surface.frame(surface.jump(state)))
         _, t = surface.profile(surface.frame(surface.reaction(state)))
@@ -82,7 +82,7 @@ class StratifiedBar:
 
 
 def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Table:
-    """Deviations as eps -> 0: with moduli over thickness held (K_T fixed), and with the glue's own moduli (K_T ~ 1/eps)."""
+    """Deviations as eps -> 0, with moduli over thickness fixed (K_T fixed), and with the moduli fixed (K_T ~ 1/eps)."""
     rows = []
     for e in track(eps, "fig6_stratified", "eps = {:g} mm"):
         row = {"eps_mm": e, "deviation_ratios_held": bar.deviation(ThinLayer(GLUE, e, at=EPS), K_T)}

@@ -13,9 +13,9 @@ from thinlayer import Structure, Surface, Table, plotting, solve
 from thinlayer.running.record import Record
 
 FRICTION = 1.0
-N = 31  # squares along AB: 32 nodes with the held corner B
+N = 31  # squares along AB: 32 nodes with the fixed corner B
 STIFFNESS = ((15e8, 5e8), (15e4, 5e4), (15.0, 5.0))  # lmbda, mu per thickness, N/mm^3
-COUNTS = ((3, 15, 13), (2, 14, 15), (0, 0, 31))  # separated, sliding, stick; the paper counts B to the last 31
+COUNTS = ((3, 15, 13), (2, 14, 15), (0, 0, 31))  # separated, sliding, stick; the paper counts B among the last 31
 LEVELS = "separated", "sliding", "stick", "pinned"
 STATUS, MOVED = "status of the nodes (Fig. 7)", "tangential displacement (mm, Fig. 8)"
 PANELS = {"pressure (MPa)": "p_MPa", "friction (MPa)": "t_MPa", MOVED: "u_T_mm"}
@@ -77,6 +77,6 @@ def draw(record: Record) -> None:
         name = f"{in_tens(lmbda)}: " + ", ".join(f"{status.count(level)} {level}" for level in LEVELS[:3])
         panels[STATUS][name] = part["x_mm"], [LEVELS.index(level) + 0.2 * (1 - number) for level in status]
         for title, column in PANELS.items():
-            panels[title][name] = part["x_mm"][:-1], part[column][:-1]  # the support's forces are no friction
+            panels[title][name] = part["x_mm"][:-1], part[column][:-1]  # without B, where the force is a support's
     look = {"styles": ("o-", "s--", "^:"), "columns": 2, "levels": {STATUS: LEVELS}, "save": record.path("contact.svg")}
     plotting.curves(panels, "x from A to B (mm)", title="a bar pushed along a rigid base, 32 nodes", **look)

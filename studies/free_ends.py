@@ -1,4 +1,4 @@
-"""Free ends of a layer: constants on a half strip, errors of order 1 with and without them, how stiff bodies must be."""
+"""Free ends of a layer: constants on a half strip, errors of order 1 with and without them, least bodies' stiffness."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from thinlayer.running.record import Record
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 
-RATIOS = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49, 0.499, 0.4999, 0.5)  # Poisson's
-ROWS = 17  # of the package's table
+RATIOS = (0.0, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.475, 0.49, 0.499, 0.4999, 0.5)  # Poisson's ratios
+ROWS = 17  # number of rows of the package's table
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
-CELLS = 24  # through the thickness, and so near the ends: with 12 the mesh's own error is of order 1.5 at nu = 0.45
+CELLS = 24  # per thickness, through it and near the ends: with 12 the mesh's own error is of order 1.5 at nu = 0.45
 CELLS_3D, CELLS_RUBBER = 8, 12
-KNOWN, IGNORED = "known", "ignored"  # ends; laws that ignore them take the layer for an infinite one
+KNOWN, IGNORED = "known", "ignored"  # treatment of ends; laws that ignore them treat the layer as infinite
 KINDS = {KNOWN: "free", IGNORED: "plain"}
 WHAT = ("traction", "jump", "work")
 DRAWN = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
@@ -52,12 +52,12 @@ class EndCase:
     """A structure with free ends.
 
     Attributes:
-        name: of it.
-        structure: of a thickness, and how many cells there are along it near the ends of S.
-        law: of the layer.
-        inner: whether a place lies far from the ends.
-        lowest: least last order that errors of a law that knows the ends must have.
-        low: errors that are of a low order where a law ignores the ends; those of a pressure change their signs.
+        name: name of the structure.
+        structure: (thickness, number of cells per thickness near the ends of S) -> structure.
+        law: law of the layer.
+        inner: coordinates -> whether a point lies far from the ends.
+        lowest: least last order that errors of a law with corrected ends must have.
+        low: errors that have a low order if a law ignores the ends; other errors of laws with a pressure change sign.
     """
 
     name: str
@@ -97,7 +97,7 @@ RUBBER = (
 
 
 def graded(length: float, first: float, last: float) -> Array:
-    """Places from 0 to a length, whose distances grow from the first to the last, about."""
+    """Coordinates from 0 to a length, whose distances grow approximately from `first` to `last`."""
     count, sizes = 1, np.array([first])
     while sizes.sum() < length:
         count += 1
@@ -106,7 +106,7 @@ def graded(length: float, first: float, last: float) -> Array:
 
 
 def grid(*places: Array, cell: str = "hexahedron") -> Joint:
-    """A block of hexahedra or tetrahedra on a rigid base, with vertices at the products of places along x, y and z."""
+    """A block of hexahedra or tetrahedra on a rigid base, on a tensor grid of coordinates along x, y and z."""
     nx, ny, nz = (len(nodes) - 1 for nodes in places)
     joint = block(nx, ny, 1.0, depth=nz, cell=cell, structured=True)
     x = [np.interp(joint.points[:, k], np.arange(len(nodes)), nodes) for k, nodes in enumerate(places)]
@@ -131,12 +131,12 @@ EDGE = EndCase("edge in 3D", edge, LinearElastic.shear(8.0, 0.3), inner=lambda x
 
 # ---------------------------------------------------------------- errors
 def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) -> None:
-    """Solve the half strip for some Poisson's ratios, and for those of the package's table.
+    """Solve the half strip for Poisson's ratios, compare it with the package's table, and measure errors of order 1.
 
     Args:
         record: where to write.
         nu: Poisson's ratios of the layer, from 0 to 0.5.
-        quick: every other ratio, without the rows of the package's table, three structures of two thicknesses.
+        quick: every other ratio, without the rows of the package's table, three structures with two thicknesses.
     """
     table = record.table("table.csv")
     for ratio in track(nu[::2] if quick else nu, "free_ends", "nu = {:g}"):
@@ -154,21 +154,21 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
 
 
 def _row(end: FreeEnd) -> dict[str, float]:
-    """Constants that are finite for every ratio; nan where there are none."""
+    """Row of constants and ratios of constants; NaN where they are infinite or undefined."""
     normal = {"c_N": end.c_N, "m_N/c_N": end.m_N / end.c_N if 0 < end.nu < 0.5 else math.nan, "rho_N": end.rho_N}
     finite = {name: value if math.isfinite(value) else math.nan for name, value in normal.items()}
     return {"nu": end.nu, **finite, "c_T": end.c_T, "m_T/c_T": end.m_T / end.c_T, "kappa": end.kappa}
 
 
 def _difference(end: FreeEnd) -> float:
-    """Largest relative difference of the constants from those of the package's table."""
+    """Largest relative difference of the constants from the package's table."""
     table = free_end(end.nu)
     pairs = [(getattr(end, name), getattr(table, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
     return max(abs(a / b - 1) for a, b in pairs if 0 < b < math.inf)
 
 
 def _nodes(record: Record) -> None:
-    """Solve for the rows of the package's table, and write them as it has them."""
+    """Solve for the rows of the package's table, write them in its format, and check it."""
     table = record.table("nodes.csv")
     for ratio in track(list(chebyshev_ratios(ROWS)), "free_ends", "row of the table, nu = {:g}"):
         end = half_strip(float(ratio))
@@ -179,11 +179,11 @@ def _nodes(record: Record) -> None:
 
 
 def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, float]:
-    """Errors of laws of order 1 on the inner part of S, and of the work of loads on top, by kind of ends."""
+    """Errors of laws of order 1 on the inner part of S, and of the work of loads on top, for each treatment of ends."""
     structure, errors, law = case.structure(eps, cells), {"eps": eps}, case.law
     full = record.solved(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
     for kind, edges in KINDS.items():
-        with warnings.catch_warnings(action="ignore", category=RangeWarning):  # that ends are ignored
+        with warnings.catch_warnings(action="ignore", category=RangeWarning):  # says that ends are ignored
             limit = record.solved(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
         traction = by_reaction(full, limit, case.inner)["error_reaction"]
         jump, work = compare(full, limit, where=case.inner)["error_jump"], _work_on_top(limit) / _work_on_top(full)
@@ -192,7 +192,7 @@ def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, 
 
 
 def _work_on_top(state: State) -> float:
-    """Work of the loads on top; that of a load on the layer's side has a part that no law on S knows, its own pull."""
+    """Work of the loads on top; work of a load on the layer's side has a part that no law on S includes."""
     model = state.model
     top = model.with_loads(tractions={"TOP": (model.structure.tractions or {})["TOP"]})
     return state.integral(top.external_work(state.u, state.t))
@@ -220,9 +220,9 @@ def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cel
 
 
 def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[float]) -> None:
-    """Write how many times as large errors are if the law knows its ends, for bodies that are not much stiffer.
+    """Write the factors by which a correction of ends changes errors, for bodies that are not much stiffer.
 
-    Such bodies are refused below `MIN_STIFFNESS_CONTRAST`; here the limit itself is measured.
+    The correction is refused for bodies below `MIN_STIFFNESS_CONTRAST`; here this limit is measured.
     """
     cases = [(nu, eps, contrast) for nu in ratios for eps in thicknesses for contrast in CONTRASTS]
 
@@ -242,7 +242,7 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
 
 
 def draw(record: Record) -> None:
-    """Draw errors against the thickness. Then the constants against nu; lines are the package's table."""
+    """Draw errors against the thickness, and the constants against nu with the package's table as lines."""
     for case in (CASES[0], *RUBBER):
         table, shown = record.load(case.file), {}
         for kind in KINDS:

@@ -1,7 +1,7 @@
 """The free end of a layer between rigid faces: plane strain on the half strip x > 0, 0 < y < 1, and its constants.
 
-The faces y = 0 and y = 1 are moved by -+w/2 across the layer (N) or along it (T), and the end x = 0 is free. Far from
-it the strain is uniform; near it the layer is weaker. Lengths are over the thickness of the layer, stresses over mu.
+The faces y = 0 and y = 1 are moved by -w/2 and w/2, across the layer (N) or along it (T). The end x = 0 is free. Far
+from it the strain is uniform; near it the layer is weaker. Lengths are relative to the thickness, stresses to mu.
 
 A few quadrilaterals shrink towards the singular corner, with displacements of a high degree p and pressures of degree
 p - 2. The pressures are discontinuous, so that nothing locks up to an incompressible material.
@@ -28,11 +28,11 @@ from forms.ends.constants import FreeEnd, flow_factor, lame_over_mu
 from forms.tensors import Expr
 from geometry.domain import create_mesh
 
-MIDDLE = 0.5  # y of the middle line: what is solved is the half of the strip below it
-FAR = 14.0  # where what decays over the thickness has gone
-RATIO = 0.2  # of the sizes of cells that shrink towards the corner
-LEVELS, DEGREE = 10, 10  # how often they shrink, and the degree of displacements: constants to nine digits
-SPLIT = -0.5  # first Lame modulus over mu that is left beside the pressure: the rest stays positive definite
+MIDDLE = 0.5  # y of the middle line; the half of the strip below it is solved
+FAR = 14.0  # x at which fields that decay over the thickness are negligible
+RATIO = 0.2  # ratio of sizes of cells that shrink towards the corner
+LEVELS, DEGREE = 10, 10  # number of times that cells shrink, and degree of displacements: constants to nine digits
+SPLIT = -0.5  # first Lame modulus over mu of the stress without the pressure, which stays positive definite
 
 
 def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd:
@@ -40,14 +40,14 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
 
     Args:
         nu: Poisson's ratio, in [0, 0.5].
-        degree: of the displacements; >= 3.
+        degree: degree of the displacements, >= 3.
         levels: how often cells shrink by `RATIO` towards the corner.
 
     Raises:
         InputError: nu out of range.
     """
     lmbda = lame_over_mu(nu)
-    delta = math.sqrt(lmbda / 12) if lmbda < math.inf else 0.0  # length over which the pressure of N falls
+    delta = math.sqrt(lmbda / 12) if lmbda < math.inf else 0.0  # decay length of the pressure in case N
     mesh = _mesh(levels, max(FAR, 24 * delta), 2 * delta)
     cell, variants = "quadrilateral", basix.LagrangeVariant
     displacement = basix.ufl.element("P", cell, degree, lagrange_variant=variants.gll_warped, shape=(2,))
@@ -73,7 +73,7 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
     faces = dofs(W.sub(0), lambda x: (x[1] < 1e-13) | np.isclose(x[0], x[0].max()))
 
     def loaded(traction: Expr, odd: int) -> tuple[float, Callable[[Expr], float]]:
-        """Work of tractions on the end, with faces that do not move; and integrals of f(stress).
+        """Solve under tractions on the end with fixed faces; return their work, and f -> integral of f(stress).
 
         The component `odd` of displacements is zero on the middle line.
         """
@@ -85,7 +85,7 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
         return float(load @ w.x.array), lambda f: float(fem.assemble_scalar(fem.form(f(s) * dx)))
 
     X, Y, none = x[0], x[1] - MIDDLE, 0 * x[0]
-    # T: u_x is odd in y - 1/2; the end is pushed by mu w, which the uniform strain misses there
+    # T: u_x is odd in y - 1/2; the end is pushed by mu w, which cancels the traction of the uniform strain
     work, total = loaded(ufl.as_vector([none, none + 1]), odd=0)
     c_T, m_T = 2 * work, -2 * total(lambda s: s[0, 1] * X + s[0, 0] * Y)
     if nu == 0.5:
@@ -102,7 +102,7 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
 
 
 def _mesh(levels: int, length: float, longest: float) -> dolfinx.mesh.Mesh:
-    """A square whose cells shrink to its corner (0, 0), and a row of cells up to a length, not longer than another."""
+    """Mesh of a square whose cells shrink to its corner (0, 0), and of a row of cells up to x = `length`."""
     points, cells = [(0.0, 0.0)], []
     for size in MIDDLE * RATIO ** np.arange(levels, -1, -1.0):  # a square, then pairs of trapezoids around it
         k = len(points)

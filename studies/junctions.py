@@ -1,4 +1,4 @@
-"""Meshed networks of layers against their interface models: rates in eps, and what junctions do to them."""
+"""Meshed networks of layers against their interface models: convergence in eps, and the effect of junctions."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ BODY = LinearElastic.young(E=1.0, nu=0.2)
 BED, HEAD = LinearElastic(lmbda=0.6, mu=0.7), LinearElastic(lmbda=0.3, mu=0.45)  # at the thickness 1
 MORTAR = {"BED": (BED, 1.0), "HEAD": (HEAD, 0.7)}  # seam -> law, thickness over eps
 H = 1 / 16  # cell size
-SHIFT = (0.01, -0.02, 0.005)  # of the top
-RAYS = (10, 95, 150, 200, 310)  # degrees, of the star's layers
+SHIFT = (0.01, -0.02, 0.005)  # displacement of the top
+RAYS = (10, 95, 150, 200, 310)  # degrees, directions of the star's layers
 RATE = (0.9, 1.1)  # range of orders away from junctions and free ends
 STYLES = ("o-", "s-", "^-", "D-", "v-", "o--", "s--", "^--", "D--", "v--")  # of the cases' curves, in turn
 DRAWN = {
@@ -44,14 +44,14 @@ ERRORS = ("jump", "inner_jump", "inner_traction", "energy")
 
 @dataclass(frozen=True)
 class JunctionCase:
-    """A network whose bottom is held and whose top is shifted.
+    """A network whose bottom is fixed and whose top is displaced.
 
     Attributes:
         joint: eps -> the joint.
         layers: name of a seam -> law at the thickness 1, thickness over eps.
         bodies: of the full model, "kept" or "extended".
-        distance: from junctions and free ends, of the inner part of S, a length.
-        stiff: whether junctions have the bodies' stiffness besides that of a layer.
+        distance: distance of the inner part of S from junctions and free ends, a length.
+        stiff: whether junctions have the bodies' stiffness in addition to a layer's stiffness.
         refined: whether the cells of bodies at junctions are as small as eps.
         coarsest: the largest eps.
         quick: whether the case is one of a quick run.
@@ -67,11 +67,11 @@ class JunctionCase:
     quick: bool = False
 
     def thin(self, eps: float) -> dict[str, ThinLayer]:
-        """The layers."""
+        """Name of a seam -> its layer at the thickness eps."""
         return {name: ThinLayer(law, share * eps, at=1.0) for name, (law, share) in self.layers.items()}
 
     def structure(self, joint: Joint, *, meshed: bool) -> Structure:
-        """The structure; a stiff fill is in the meshed model alone."""
+        """Structure of the network; only the meshed model has stiff junctions."""
         supports: dict[str, Any] = {"BOTTOM": 0.0, "TOP": dict(zip("xyz", SHIFT[: joint.dim], strict=False))}
         parts = [UflPart(energy=stiff_fill)] if meshed and self.stiff else []
         return Structure(joint, body=BODY, supports=supports, parts=parts)
@@ -88,7 +88,7 @@ def bond_in_space(eps: float) -> Joint:
 
 
 def refined_bond(eps: float) -> Joint:
-    """The same, with cells of 2 eps at junctions and free ends."""
+    """The running bond with cells of 2 eps at junctions and free ends."""
     heads = {f"HEAD {k}": ((x, y), (x, y + 0.5)) for k, (x, y) in enumerate(((1.0, 0.0), (0.5, 0.5), (1.5, 0.5)), 1)}
     return faults(2.0, 1.0, {"BED": ((0.0, 0.5), (2.0, 0.5)), **heads}, H, h_ends=min(2 * eps, H))
 
@@ -119,12 +119,12 @@ CASES = {
 
 
 def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> None:
-    """Relative differences of both models for networks whose layers become thinner.
+    """Measure relative differences of both models for networks whose layers become thinner.
 
-    They are O(eps) away from junctions and free ends, and on all of S where the cells of the bodies there are as small as
-    eps; on other meshes jumps on all of S, and energies, have a lower order until eps is much smaller than the cells. Where
-    junctions are as stiff as the bodies, nothing converges: they tie the corners of the bodies together; with cells as
-    small as eps the tie fades as 1 / (c - log eps).
+    They are O(eps) away from junctions and free ends. If cells of the bodies there are as small as eps, they are O(eps)
+    on all of S. On other meshes jumps on all of S, and energies, have a lower order until eps is much smaller than the
+    cells. If junctions are as stiff as the bodies, nothing converges: they tie the corners of the bodies together. With
+    cells as small as eps the effect of this tie decreases as 1 / (c - log eps).
 
     Args:
         record: where to write.
@@ -173,7 +173,7 @@ def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, flo
 
 
 def stored_in(state: State) -> float:
-    """All stored energy; that of "layer" has those of the seams."""
+    """Total stored energy; energies of single seams are skipped, as "layer" includes them."""
     energies = state.energies().items()
     return sum(energy for name, energy in energies if name != "loads" and not name.startswith(f"{LAYER.lower()} "))
 
@@ -201,7 +201,7 @@ def check(record: Record, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def far_from_junctions(surface: Surface, distance: float) -> Array:
-    """1 on the facets of S whose middles are farther than a distance from junctions and from where S ends, else 0."""
+    """1 on facets of S whose midpoints are farther than a distance from junctions and from the ends of S, else 0."""
     joint = surface.joint
     on_s = np.unique(joint.table.vertices[joint.surface_rows])
     outer = joint.table.vertices[joint.table.cells[:, 1] < 0]
@@ -212,18 +212,18 @@ def far_from_junctions(surface: Surface, distance: float) -> Array:
 
 
 def stored(law: LinearElastic, u: Expr) -> Expr:
-    """Energy per volume."""
+    """Stored energy per volume."""
     e = ufl.sym(ufl.grad(u))
     return law.lmbda / 2 * ufl.tr(e) ** 2 + law.mu * ufl.inner(e, e)
 
 
 def stiff_fill(u: Expr, model: Model) -> Expr:
-    """The energy of bodies in the junctions."""
+    """Energy of the bodies' material in the junctions."""
     return stored(BODY, u) * model.dx(model.domain.cell_values(f"{LAYER}/{JUNCTIONS}"))
 
 
 def in_junctions(case: JunctionCase, state: State) -> float:
-    """The energy of the layers' law in the junctions."""
+    """Energy of the layers' materials in the junctions."""
     model, total = state.model, 0.0
     band = model.domain.joint.band
     assert band is not None, "of a full model"

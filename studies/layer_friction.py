@@ -19,10 +19,10 @@ NU = LMBDA / (2 * (LMBDA + MU))
 OMEGA = 30.0
 DILATANCIES = (10.0, 20.0, 30.0)
 DILATANT = {psi: f"psi = {psi:g}" for psi in DILATANCIES}
-CLOSING = -0.01  # constant normal jump; the constant normal stress is that of the elastic layer at this jump, -1.4
+CLOSING = -0.01  # constant normal jump; the constant normal stress is the elastic stress at this jump, -1.4
 DIRECTION = 75.0  # direction of the proportional path, degrees from the normal
 SHEAR = 5.0  # shear at the end of the curves: mu w_T over the pressure at the start
-LOOSENED = 0.6  # share of the closing by which the layer is opened when the normal stress is taken away
+LOOSENED = 0.6  # share of the closing by which the layer is opened to reduce the normal stress
 LASTING = 60.0  # shear, as in SHEAR, at which friction has its lasting value
 
 PRESSURE = -(LMBDA + 2 * MU) * CLOSING
@@ -35,7 +35,7 @@ DAVIS = tuple(f"lasting value (Davis), {DILATANT[psi]}" for psi in DILATANCIES i
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Apparent friction t_T/|t_N| of a layer without cohesion against shear, for several paths and laws.
+    """Compute the apparent friction t_T/|t_N| of a layer without cohesion against shear, for several paths and laws.
 
     Args:
         record: where to write.
@@ -91,27 +91,27 @@ def tangent() -> float:
 
 # ---------------------------------------------------------------- paths
 def shears(steps: int, end: float) -> Array:
-    """Equal steps of w_T from 0."""
+    """Values of w_T at the ends of equal steps from 0."""
     return np.linspace(0, end * PRESSURE / MU, steps + 1)[1:]
 
 
 def opening_held(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
-    """Closed, then sheared at a constant normal jump."""
+    """Path of a layer that is closed, then sheared at a constant normal jump."""
     return [{"w_T": 0.0, "w_N": CLOSING}, *({"w_T": w, "w_N": CLOSING} for w in shears(steps, end))]
 
 
 def stress_held(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
-    """Compressed, then sheared under a constant normal stress."""
+    """Path of a layer that is compressed, then sheared under a constant normal stress."""
     return [{"w_T": 0.0, "t_N": -PRESSURE}, *({"w_T": w, "t_N": -PRESSURE} for w in shears(steps, end))]
 
 
 def in_proportion(steps: int) -> list[dict[str, float]]:
-    """Closed and sheared at the same time."""
+    """Path of a layer that is closed and sheared in proportion."""
     return [{"w_T": w, "w_N": -w / np.tan(np.radians(DIRECTION))} for w in shears(steps, SHEAR)]
 
 
 def unloaded(steps: int) -> list[dict[str, float]]:
-    """Sheared under a constant normal stress to the middle, opened by LOOSENED of its closing, sheared on."""
+    """Path of a layer that is sheared under constant normal stress, opened by LOOSENED of its closing, sheared on."""
     first = stress_held(steps // 2, SHEAR / 2)
     w_T, w_N = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA), first).jumps[-1]
     opened = [{"w_T": w_T, "w_N": w} for w in np.linspace(w_N, (1 - LOOSENED) * w_N, steps // 2 + 1)[1:]]

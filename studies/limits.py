@@ -1,4 +1,4 @@
-"""Limits of the elastic law: stiffer and stiffer it bonds, without tangential stiffness it slides."""
+"""Limits of the elastic law: with growing stiffness it bonds, without tangential stiffness it slides."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SLIDING_JUMP, SLIDING_TRACTION = -5.45899860e-3, 0.574377539927  # amplitudes of
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """K_N = K_T = kappa -> infinity against bonded bodies, then K_T -> 0 with K_N held, on the Fourier problem.
+    """Solve the Fourier problem with K_N = K_T = kappa -> infinity and bonded bodies, then with K_T -> 0 at fixed K_N.
 
     Args:
         record: where to write.

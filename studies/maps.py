@@ -1,4 +1,4 @@
-"""Pictures of tables with two axes: cells with a colour for a range of values, and a text."""
+"""Pictures of tables with two axes: each cell has a colour for its range of values, and a text."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from thinlayer.output.plotting.picture import Picture, finish_picture
 
 RANGES = ("#5e9bc8", "#b7dfc0", "#fff7b0", "#f8b26a", "#dd5a4d")  # colours of the ranges, from the lowest values
 CELL, MARGIN = (0.37, 0.25), (0.45, 0.35)  # inches: of a cell, and of a panel around its cells
-SIZE = 8  # of text, points: 6 in print, where two columns fill 170 mm
-Axis = tuple[str, Sequence[str]]  # its label, those of its columns or rows
+SIZE = 8  # size of text, points: 6 in print, where two columns fill 170 mm
+Axis = tuple[str, Sequence[str]]  # label of the axis, labels of its columns or rows
 
 
 def maps(
@@ -24,8 +24,7 @@ def maps(
     """Draw values over two axes as cells, in panels in two columns with one legend.
 
     Args:
-        parts: title of a panel -> values (rows, columns), the first row lowest, and what is written into the cells; cells
-            that are not a number stay white.
+        parts: title of a panel -> values (rows, columns), the first row lowest, and texts of cells; NaN stays white.
         x, y: the axes.
         ranges: name of a range of values -> its upper end, growing; at most five.
         title: title of the picture.

@@ -1,4 +1,4 @@
-"""May you drop the layer? What leaving out its mesh changes: estimated, and in truth, in 41 structures."""
+"""May you drop the layer? Estimated and true changes if the layer is not meshed, in 41 structures."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 
 THICKNESSES = (COARSE, FINE)
-INNER = 0.25  # from the middle of S, where another program measured
-CLOSE = 0.01  # of effectivities about 1
-ROUNDING = 1e-8  # of goals
+INNER = 0.25  # distance from the middle of S up to which another program measured
+CLOSE = 0.01  # allowed distance of effectivities from 1
+ROUNDING = 1e-8  # relative rounding error of goals
 DRAWN = "free ends: two stiffnesses"
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Estimate what changes from the law of order 0 to the layer itself, and mesh the layer to see it.
+    """Estimate the changes from the law of order 0 to the layer itself, and mesh the layer to measure them.
 
-    effectivities.csv has the true changes, relative, and estimated over true ones, of tractions and jumps on S; goals.csv
-    other numbers; random.csv goals of structures made at random; along.csv changes along S of one structure.
+    effectivities.csv has the relative true changes of tractions and jumps on S, and estimated over true changes.
+    goals.csv has other numbers, random.csv goals of random structures, along.csv changes along S of one structure.
 
     Args:
         record: where to write.
-        quick: without structures in three dimensions, fewer ones at random.
+        quick: without structures in three dimensions, with fewer random structures.
     """
     _effectivities(record, quick=quick)
     _at_random(record, count=12 if quick else 100)
@@ -71,7 +71,7 @@ def _effectivities(record: Record, *, quick: bool) -> None:
 
 
 def _check(record: Record, table: Table, goals: Table) -> None:
-    """Fields on S, and goals."""
+    """Check the estimates of fields on S and of goals."""
     for name in ESTIMATED_FIELDS:
         off = np.abs(table[name] - 1).max()
         record.check(f"largest distance of the {name}'s effectivity from 1", off, high=CLOSE)
@@ -82,7 +82,7 @@ def _check(record: Record, table: Table, goals: Table) -> None:
 
 
 def _at_random(record: Record, *, count: int) -> None:
-    """Two goals of structures with layers whose laws are linear."""
+    """Estimate two goals of random structures with linear layers, and check the estimates."""
     table = record.table("random.csv")
     for seed in track(range(count), "may_i_drop", "random, {}"):
         eps, case = random_case(seed)
@@ -93,10 +93,10 @@ def _at_random(record: Record, *, count: int) -> None:
     record.check("random: largest distance of a goal's effectivity from 1", off.max(), high=CLOSE)
 
 
-# ---------------------------------------------------------------- what is measured
+# ---------------------------------------------------------------- measurements
 @dataclass(frozen=True)
 class Dropped:
-    """A case whose layers were dropped, and meshed.
+    """A case solved with its layers dropped, and meshed.
 
     Attributes:
         case, eps: the case and its thickness.
@@ -135,7 +135,7 @@ class Dropped:
 
     @property
     def estimated(self) -> dict[str, float]:
-        """The same changes, estimated."""
+        """Estimates of the changes in `truth`."""
         on_s = {name: float(getattr(self.estimate, name)) for name in ESTIMATED_FIELDS}
         return on_s | {name: goal.change for name, goal in self.estimate.goals.items()}
 
@@ -145,7 +145,7 @@ class Dropped:
         def part(on: Surface) -> Any:
             return abs(on.x[0] - 0.5) < INNER if self.case.inner else 1.0
 
-        return self._on_s(state, part, Surface.reaction)  # as the other program has it
+        return self._on_s(state, part, Surface.reaction)  # as in the other program
 
     def _on_s(
         self, state: State, part_of: Callable[[Surface], Any], traction: Field = Surface.traction
@@ -167,7 +167,7 @@ def solved(case: DroppedCase, model: Model) -> State | History:
 
 
 def effectivities(dropped: Dropped) -> tuple[dict[str, float], list[dict[str, float | str]]]:
-    """True changes and estimated over true ones: of traction and jump, and a row for each goal."""
+    """True changes, and estimated over true changes: a row for traction and jump, and a row for each goal."""
     truth, estimated = dropped.truth, dropped.estimated
     row = {f"true_{name}": truth[name] for name in ESTIMATED_FIELDS}
     row |= {name: estimated[name] / truth[name] for name in ESTIMATED_FIELDS}
@@ -182,18 +182,19 @@ def effectivities(dropped: Dropped) -> tuple[dict[str, float], list[dict[str, fl
 
 
 # ---------------------------------------------------------------- along S
-ROUND = 9  # digits of places
+ROUND = 9  # decimal digits to which coordinates are compared
 
 
 def along(dropped: Dropped) -> Table:
-    """Changes of the normal components of t and [u] along S, and densities of the change of the compliance.
+    """Table of changes of the normal components of t and [u] along S, and densities of the change of the compliance.
 
-    Bodies, loads and supports are linear and fixed. With L the loads, t_0, u_0 of the law of order 0 and u with meshed
-    layers, L(u) - L(u_0) = int_S t_0 . [u] - int_layer stress(u) : strain(v) for any v that is u_0 on the faces; v is
-    linear between them. Of the estimate the density is its own.
+    Bodies are linear, supports are fixed. Let L(u) be the work of the loads in u, t_0 and u_0 the solution of order 0,
+    and u the solution with meshed layers. Then L(u) - L(u_0) = int_S t_0 . [u] - int_layer stress(u) : strain(v) for
+    any v that is u_0 on the faces. Here v is the layer's equilibrium with its faces at u_0. The estimated density is
+    `Estimate.density`.
 
     Args:
-        dropped: two bodies in 2D, S between them on y = 0, elastic laws without a pressure, loads alone.
+        dropped: two bodies in 2D, S between them on y = 0, elastic laws without a pressure, under loads only.
     """
     estimate, surface = dropped.estimate, Surface(dropped.estimate.better.model)
     columns = {}
@@ -213,7 +214,7 @@ def along(dropped: Dropped) -> Table:
 
 
 def _of_layer(dropped: Dropped, at: Array) -> Array:
-    """Work of the meshed layer's stress in what it does if its faces are at u_0, spread over the places x of columns."""
+    """Work of the meshed layer's stress in the strain of v, see `along`, distributed to the columns at x."""
     model, state, layers = dropped.full.model, dropped.full, dropped.estimate._layers
     V, Q, comm = model.V, fem.functionspace(model.domain.mesh, ("Lagrange", 1)), model.comm
     v, q = fem.Function(V), ufl.TestFunction(Q)
@@ -221,7 +222,7 @@ def _of_layer(dropped: Dropped, at: Array) -> Array:
     inner = np.flatnonzero(np.abs(x[:, 1]) <= dropped.eps / 2 * (1 + 1e-9))
     faces = layers.at_faces(dropped.estimate.state.u.x.array)
     bent = Probe(layers.state(layers.dirichlet_displacements(faces, layers.load, layers.values)))
-    everywhere = comm.allgather(x[inner])  # a probe has the same places on all ranks
+    everywhere = comm.allgather(x[inner])  # a probe needs the same points on all ranks
     begin = sum(len(there) for there in everywhere[: comm.rank])
     v.x.array.reshape(-1, 2)[inner] = bent.displacement(np.concatenate(everywhere))[begin : begin + len(inner)]
     (term,) = state.layers

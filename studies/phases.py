@@ -1,4 +1,4 @@
-"""Layers of two phases in `rates`: their laws, wrong laws beside them, shares of S in each phase, and snaps."""
+"""Two-phase layers in `rates`: their laws, wrong laws for comparison, shares of S in each phase, and snaps."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ SHARE = 0.15  # least share of S that each phase, and mixtures, must have
 
 @dataclass(frozen=True)
 class Formula(TractionLaw):
-    """Interface law of `NonMonotone` in 2D, mu w_T + K_N w_N n - phase alpha chi n, with coefficients of one's own.
+    """Interface law of `NonMonotone` in 2D, mu w_T + K_N w_N n - phase alpha chi n, with user-defined coefficients.
 
     Attributes:
         mu, K_N: stiffness along and across S, stress per length.
-        alpha, C, G: as of `NonMonotone`, per thickness.
+        alpha, C, G: as in `NonMonotone`, per thickness.
         chi_12, chi_22: chi n in the layer's axes.
         minus: 1, or 0 for Eq. (43) as printed, which has no phase -1.
     """
@@ -63,7 +63,7 @@ class Formula(TractionLaw):
         return cls(**same | changed)
 
     def traction(self, step: JumpStep) -> Expr:
-        """Traction, as of any `TractionLaw`."""
+        """Traction, as in `TractionLaw`."""
         w, n = step.mid, step.n
         w_N, tangent = ufl.dot(w, n), ufl.as_vector([n[1], -n[0], 0])
         stress = self.alpha * (self.chi_12 * tangent + self.chi_22 * n)
@@ -73,15 +73,16 @@ class Formula(TractionLaw):
         return self.mu * (w - w_N * n) + self.K_N * w_N * n - phase * stress
 
 
-# lambda + mu of Eqs. (41)-(42); no phase -1, Eq. (43); laminates across n alone, 1/(lambda + 2 mu)
+# wrong laws: lambda + mu as in Eqs. (41)-(42); no phase -1, Eq. (43); laminates only across n, G = 1/(lambda + 2 mu)
 PRINTED, ONE_BRANCH = Formula.of(CASES[""][0], K_N=100.0), Formula.of(CASES[""][0], minus=0.0)
 SMALL_GAIN = Formula.of(CASES["across"][0], G=1 / 140)
 
 
 def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> tuple[Joint, dict[str, Any]]:
-    """Two blocks, 2 wide and 0.5 high, under (shear sin(pi x), pull cos(pi x/2)) on top; joint, data of its models.
+    """Two blocks, 2 wide, 0.5 high, under (shear sin(pi x), pull cos(pi x/2)) on top; joint, arguments of `Structure`.
 
-    That is a traction, or, times t, a displacement. The lower side is clamped, the lateral sides are on rollers.
+    This is a traction; with `moved` it is a displacement, times t. The lower side is clamped, the lateral sides are on
+    rollers.
     """
     joint = sandwich(2.0, 0.5, 0.5, h, cell="quadrilateral", structured=True)
 
@@ -100,7 +101,7 @@ def along_s(state: State, _: Surface) -> dict[str, Array]:
 
 
 def shares(full: Solution, limit: Solution) -> dict[str, float]:
-    """Shares of S in phase 1, in -1, and where they are mixed; columns whose phase in the meshed layer is another one."""
+    """Shares of S in phase 1, in phase -1 and in mixtures; number of columns whose phase differs between the models."""
     state = last(limit)
     (_, on_s), (_, meshed) = (phases_on_s(last(solution)) for solution in (limit, full))
     mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)
@@ -110,14 +111,14 @@ def shares(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def all_there(record: Record, tables: Tables) -> None:
-    """Both phases and mixtures have a part of S."""
+    """Check that both phases and mixtures occur on a part of S."""
     for name in ("non_monotone", "non_monotone across", "non_monotone along"):
         for share in ("plus", "minus", "mixed"):
             record.check(f"share of S, {share}, {name}", tables[name][share][-1], low=SHARE)
 
 
 def snaps(full: Solution, limit: Solution) -> dict[str, float]:
-    """Shares, and snaps on S: relative differences of their times, the largest, and of the energy lost in all."""
+    """Shares; number of snaps on S; both models' relative differences in snap times (largest) and total energy lost."""
     assert isinstance(full, History)
     assert isinstance(limit, History)
     row = shares(full, limit) | {"snaps": len(limit.snaps), "error_times": np.nan, "error_lost": np.nan}
@@ -129,7 +130,7 @@ def snaps(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def same_snaps(record: Record, tables: Tables) -> None:
-    """Columns of the meshed layer switch as facets of S do, at times that differ by O(eps)."""
+    """Check that columns of the meshed layer switch as facets of S do, at times that differ by O(eps)."""
     table = tables["non_monotone unrelaxed"]
     record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)
     record.check("snaps, unrelaxed", table["snaps"].min(), low=5.0)

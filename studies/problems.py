@@ -22,7 +22,7 @@ from thinlayer.discretisation.state import State
 
 FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)
 FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)
-MORTAR = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # of `sheared` blocks
+MORTAR = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # for `sheared`
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa, section 8.2 of the paper
 WALLS: dict[Any, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}  # clamped below, between rollers
 CHI = np.array([[0.0, 0.3], [0.3, 1.0]])  # a layer changes phase as it opens and is sheared
@@ -31,7 +31,7 @@ SHEAR = 5.0  # largest shear on the upper side in `sheared`, over the pressure t
 
 
 def of(law: BulkLaw, at: float | None = 1.0, **choices: Any) -> Callable[[float], ThinLayer]:
-    """Thickness -> the layer; it has the law's own parameters at one thickness, or, with None, at all of them."""
+    """Return thickness -> layer; the law's parameters are valid at the thickness `at`, for None at each thickness."""
     return partial(ThinLayer, law, at=at, **choices)
 
 
@@ -46,7 +46,7 @@ def fourier(h: float, *, cell: str = "triangle") -> tuple[Joint, dict[str, Any]]
         cell: "triangle" or "quadrilateral".
 
     Returns:
-        The joint, and the data of its models without their layer.
+        The joint, and the arguments of its `Structure`.
     """
     joint = sandwich(1.0, 0.5, 0.5, h, cell=cell, structured=True)
     tractions = {"TOP": lambda x, t: (0.5 * ufl.sin(ufl.pi * x[0]), ufl.cos(ufl.pi * x[0]))}
@@ -55,13 +55,13 @@ def fourier(h: float, *, cell: str = "triangle") -> tuple[Joint, dict[str, Any]]
 
 @dataclass(frozen=True)
 class Wave:
-    """A load (S sin(k x), T cos(k x)) on the upper of two blocks, clamped below, with a layer between them.
+    """Exact solution of two blocks with a layer between them, clamped below, under (S sin(k x), T cos(k x)) on top.
 
     Displacements are (U(y) sin(k x), V(y) cos(k x)), tractions on planes of constant y (S(y) sin, T(y) cos). Plane strain.
 
     Attributes:
         k: wave number; a half-wave is pi/k long.
-        height: of each block, in addition to the layer.
+        height: height of each block, without the layer.
         body: Lame moduli lmbda, mu of the blocks.
         load: (S, T).
     """
@@ -95,7 +95,10 @@ def free_blocks(
     h_S: float = 1 / 32,
     **more: Any,
 ) -> Structure:
-    """Two blocks, 1 wide, with free sides, clamped below, under a traction on top; h_ends, h_S: sizes of cells."""
+    """Two blocks, 1 wide, with free sides, clamped below, under a traction on top.
+
+    Cells have the size h_S on S, and h_ends at the ends of S.
+    """
     setup: dict[str, Any] = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}}
     return Structure(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), **setup | more)
 
@@ -105,7 +108,7 @@ def pressed(h: float, path: Mapping[Any, tuple[float, float, float]]) -> tuple[J
 
     The lower side is clamped, the lateral sides (the layer's too) are on rollers, so that nothing is singular at the ends
     of S; the upper side carries (q sin(pi x/2), -p - r cos(pi x/2)). Without units. The bodies have E = 100 and nu = 0.3.
-    Through a layer of `FOURIER_LAYER` S would carry the pressure p + (0.88 r - 0.36 q) cos(pi x/2) and the shear
+    With a layer of `FOURIER_LAYER` the pressure on S is p + (0.88 r - 0.36 q) cos(pi x/2). The shear traction is
     (0.13 r + 0.08 q) sin(pi x/2).
 
     Args:
@@ -113,7 +116,7 @@ def pressed(h: float, path: Mapping[Any, tuple[float, float, float]]) -> tuple[J
         path: time -> p, r and q, linear in between.
 
     Returns:
-        The joint, and the data of its models without their layer.
+        The joint, and the arguments of its `Structure`.
     """
     joint = sandwich(2.0, 0.5, 0.5, h, cell="quadrilateral", structured=True)
     loads = piecewise(path)
@@ -126,7 +129,7 @@ def pressed(h: float, path: Mapping[Any, tuple[float, float, float]]) -> tuple[J
 
 
 def sheared(h: float) -> tuple[Joint, dict[str, Any]]:
-    """The blocks of `fourier` under pressure, sheared up to t = 1 and back after it; joint and data of its models."""
+    """The blocks of `fourier` under pressure, sheared up to t = 1 and then back; joint, arguments of `Structure`."""
     joint, setup = fourier(h, cell="quadrilateral")
 
     def load(x: Any, t: Any) -> tuple[Any, Any]:
@@ -139,8 +142,8 @@ def sheared(h: float) -> tuple[Joint, dict[str, Any]]:
 def sliding_bar(n: int, *, depth: bool = False, **cells: Any) -> tuple[Joint, dict[str, Any]]:
     """The bar of Fig. 7: a square of 40 mm, in plane strain, pushed along a rigid base AB by 100 MPa and onto it by 50 MPa.
 
-    u_1 = 0 on the right side, and its lower corner B does not move. With a depth it is a cube, its back side on rollers,
-    without the held corner.
+    u_1 = 0 on the right side, and its lower corner B is fixed. With `depth` it is a cube whose back side is on rollers,
+    and whose corner is not fixed.
 
     Args:
         n: squares along each side; S has n + 1 nodes along x.
@@ -148,7 +151,7 @@ def sliding_bar(n: int, *, depth: bool = False, **cells: Any) -> tuple[Joint, di
         **cells: as in `geometry.block`; a grid unless `structured` is False.
 
     Returns:
-        The joint, and the data of its models without their layer.
+        The joint, and the arguments of its `Structure`.
     """
     side = 40.0
     joint = block(side, side, side / n, depth=side if depth else None, **{"structured": True} | cells)
@@ -165,20 +168,20 @@ STEEL, ALUMINIUM, STONE = young(E=210e3, nu=0.3), young(E=70e3, nu=0.33), young(
 GLUE, GLUE_EPS = young(E=2e3, nu=0.4), 0.2  # 2 GPa where the layer is 0.2 mm thick
 JOINT, JOINT_EPS = young(E=1e3, nu=0.2), 0.01  # 1 GPa where joints are 10 mm thick
 RADII = (10.0, 15.0, 20.0)  # mm: inside of the shaft, S, outside of the hub
-MESH = Path(__file__).parent / "data" / "arch.msh"  # curved cells; arch.geo is its drawing
+MESH = Path(__file__).parent / "data" / "arch.msh"  # mesh with curved cells; arch.geo has its geometry
 WEIGHT = (0.0, -0.025)  # MN/m^3
 ARCH_RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two thirds of their length
 
 
 def glued_hub(h: float) -> tuple[Joint, dict[str, Any]]:
-    """A hollow shaft, held inside, glued into a hub that is pushed down on its upper half; joint, data of its models."""
+    """A hollow shaft, fixed inside, glued into a hub pushed down on its upper half; joint, arguments of `Structure`."""
     tractions = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / RADII[2], 0.0))}
     setup = {"body": {"INNER": STEEL, "OUTER": ALUMINIUM}, "supports": {"INSIDE": 0.0}, "tractions": tractions}
     return ring(*RADII, h=h, cell="quadrilateral", degree=2), setup
 
 
 def arch(element: str) -> tuple[Joint, dict[str, Any]]:
-    """Five stones, from a mesh file, under their weight and a load on the right half; all four joints are one S."""
+    """Five stones, from a mesh file, under their weight and a load on the right half; all four joints are one seam."""
     tractions = {"EXTRADOS": lambda x, t: (0.0, ufl.conditional(x[0] > 0, -0.4, -0.1))}
     loaded = {"supports": {"SPRINGINGS": 0.0}, "tractions": tractions, "body_force": WEIGHT}
     joint = read(MESH, S="JOINTS", lower="ODD STONES", upper="EVEN STONES")
@@ -186,12 +189,12 @@ def arch(element: str) -> tuple[Joint, dict[str, Any]]:
 
 
 def inside_joints(x: Any) -> Any:
-    """Away from the ends of the arch's joints."""
+    """Whether points x are away from the ends of the arch's joints."""
     return abs(np.sqrt(x[0] ** 2 + x[1] ** 2) - ARCH_RADIUS) < MIDDLE
 
 
 def phases_on_s(state: State) -> tuple[Array, Array]:
-    """First coordinates (n,) of the facets of S, and the phase of the layer there."""
+    """First coordinates (n,) of the facets of S in ascending order, and phases (n,) of the layer there."""
     surface = Surface(state.model)
     x, phase = surface.x[0].mean(axis=1), surface.phase(state)[:, 0]
     return np.sort(x), phase[np.argsort(x)]

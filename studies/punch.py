@@ -20,8 +20,8 @@ from thinlayer.running.record import Record
 
 K = 1.0  # yield stress in shear; all stresses of the punch and the cylinder are relative to it
 STRENGTH = math.sqrt(3) * K
-GRADING = 1.5  # cells shrink towards the edge of the punch like this power of the distance over itself
-SUNK = (0.004, 0.008, 0.012, 0.016)  # ends of steps, over the half-width of the punch
+GRADING = 1.5  # exponent with which cells shrink towards the edge of the punch
+SUNK = (0.004, 0.008, 0.012, 0.016)  # depths at the ends of steps, over the half-width of the punch
 
 CYLINDER = formulas.PlasticCylinder(a=1.0, b=2.0, mu=300.0, k=K)
 CUT = 1.4  # radius of S
@@ -30,13 +30,13 @@ PRESSURES = (0.7, 1.0, 1.2, 1.3, 1.35)  # over K; elastic up to 0.75, the limit 
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Two problems.
+    """Solve a punch and a cylinder, and check them against closed forms.
 
-    punch.csv: a rough, rigid punch, half of it, is pushed into a block of ideally plastic metal: its mean pressure against
-    (2 + pi) k, by mesh refinement.
-    cylinder.csv: an incompressible (nu = 0.499) cylinder under pressure from inside, partly plastic, in plane strain and
-    axisymmetric, against the closed form: displacements inside and outside, and the radial stress on S, a bond that is
-    next to rigid.
+    punch.csv: half of a rough, rigid punch is pushed into a block of ideally plastic metal; its mean pressure against
+    (2 + pi) k under mesh refinement.
+    cylinder.csv: a nearly incompressible cylinder (nu = 0.499) under inner pressure, partly plastic, in plane strain
+    and axisymmetric. Displacements inside and outside, and the radial stress on S, an almost rigid bond, against the
+    closed form.
 
     Args:
         record: where to write.
@@ -65,7 +65,7 @@ def pressure(state: State) -> float:
 
 
 def punched(record: Record, cells: Sequence[int]) -> None:
-    """Sink the punch on each mesh."""
+    """Push the punch into the block on each mesh, and check its pressure."""
     table, limit = record.table("punch.csv"), formulas.prandtl_pressure(K)
     metal = VonMises.young(E=1000.0, nu=0.45, strength=STRENGTH)
     supports: dict[str, Any] = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "PUNCH": {"x": 0.0, "y": lambda x, t: -t}}
@@ -82,10 +82,10 @@ def punched(record: Record, cells: Sequence[int]) -> None:
 
 # ---------------------------------------------------------------- cylinder
 def cylinders(h: float) -> dict[str, tuple[dict[str, Any], str, str]]:
-    """Two models of the cylinder: data of the structure, names of the boundaries inside and outside.
+    """Name -> arguments of `Structure`, and names of the boundaries inside and outside, for two models of the cylinder.
 
-    A quarter of its cross section in plane strain, and its section by a plane through the axis, between ends that do not
-    move along the axis. S is the cylinder of radius CUT in both.
+    One is a quarter of its cross section in plane strain. The other is axisymmetric, and its ends do not move along the
+    axis. S is the cylinder of radius CUT in both.
     """
     c = CYLINDER
     quarter = ring(c.a, CUT, c.b, h, angle=math.pi / 2, cell="triangle", degree=2)
@@ -104,7 +104,7 @@ def cylinders(h: float) -> dict[str, tuple[dict[str, Any], str, str]]:
 
 
 def inflated(record: Record, h: float) -> None:
-    """Raise the pressure in both models of the cylinder."""
+    """Raise the pressure in both models of the cylinder, and check them against the closed form."""
     c, table = CYLINDER, record.table("cylinder.csv")
     nu = 0.499
     metal = VonMises.young(E=2 * c.mu * (1 + nu), nu=nu, strength=STRENGTH)
@@ -128,7 +128,7 @@ def inflated(record: Record, h: float) -> None:
 
 
 def moved(state: State, name: str, r: float) -> float:
-    """Mean outward displacement of a boundary of this radius."""
+    """Mean outward displacement of the boundary `name` with the radius r."""
     model = state.model
     x = ufl.SpatialCoordinate(model.domain.mesh)
     there = model.ds(model.domain.values(name))

@@ -41,9 +41,9 @@ from thinlayer.output.plotting.curves import COLOURS, ERROR_COLUMNS
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History, Solution
 
-# ---------------------------------------------------------------- what must hold beside the orders
-EARLY, SPECTRAL = 0.05, {"traction": 0.56140781698, "jump": 7.0602412711e-4}  # norms on S, p = 1.5, with the same steps
-FRACTION, LESS = 0.01, 1e-4  # elastic fractions: pulled layers have no strength in shear, open ones none along n
+# ---------------------------------------------------------------- checks in addition to the orders
+EARLY, SPECTRAL = 0.05, {"traction": 0.56140781698, "jump": 7.0602412711e-4}  # time; norms on S, p = 1.5, same steps
+FRACTION, LESS = 0.01, 1e-4  # elastic fractions: pulled layers have no shear strength, open layers none along n
 FLOOR = {"traction": (0.14, 0.18), "jump": (0.26, 0.31)}  # relative errors that Coulomb's law with tan(Omega) leaves
 
 
@@ -55,14 +55,14 @@ def early(_: Solution, limit: Solution) -> dict[str, float]:
 
 
 def spectral(record: Record, tables: Tables) -> None:
-    """Norms on S are those of a spectral solution."""
+    """Check norms on S against a spectral solution."""
     for name, value in SPECTRAL.items():
         norm, tolerance = tables["norton"][f"early_{name}"][-1], 5e-4 if record.options.get("quick") else 1e-4
         record.check(f"{name} at t = {EARLY:g}, from a spectral solution", abs(norm / value - 1), high=tolerance)
 
 
 def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
-    """L2 norm on S of [u_N], projected to the multiplier's degree 1, over that of the interface model's [u]."""
+    """L2 norms on S of [u_N], projected to the multiplier's degree 1, over the norm of the interface model's [u]."""
     surface = Surface(last(limit).model)
     size = surface.norm(surface.jump(last(limit)))
     norms = {}
@@ -73,7 +73,7 @@ def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def no_normal_jump(record: Record, tables: Tables) -> None:
-    """[u_N] is zero on S, and O(eps) in the meshed layer."""
+    """Check that [u_N] is zero on S, and O(eps) in the meshed layer."""
     table = tables["incompressible"]
     record.check("largest [u_N]/[u] of the interface law, projected", table["normal_jump_interface"].max(), high=1e-10)
     if len(table) > 1:
@@ -82,11 +82,11 @@ def no_normal_jump(record: Record, tables: Tables) -> None:
 
 
 def less_fraction(record: Record, tables: Tables) -> None:
-    """A smaller elastic fraction h leaves a larger error of pulled layers.
+    """Check that a smaller elastic fraction h leaves a larger error of pulled layers.
 
-    Where the tension is beyond C cot(Omega) nothing but h resists shear, and the layer contracts along S where it is pulled
-    along n: its strains along S are not small against those along n, as the interface law has them, unless eps is small
-    against sqrt(h) times the length of S (an estimate).
+    Where the tension exceeds C cot(Omega) only h resists shear, and the layer contracts along S where it is pulled
+    along n. The interface law assumes that strains along S are small against strains along n. This holds only if eps is
+    small against sqrt(h) times the length of S (an estimate).
     """
     for name in ERROR_COLUMNS:
         less, more = (tables[f"monodirectional {case}"][f"error_{name}"][-1] for case in ("pulled_less", "pulled"))
@@ -95,7 +95,7 @@ def less_fraction(record: Record, tables: Tables) -> None:
 
 
 def third_order(record: Record, tables: Tables) -> None:
-    """The traction's order comes to 3 from below, as eps E_layer/E_body becomes small beside the width of the blocks."""
+    """Check that the traction's order tends to 3 from below, as eps E_layer/E_body becomes small against the width."""
     for name, law in HARD.items():
         if len(table := tables[name]) > 1:
             low = 2.5 if table["eps"][-1] * law.mu / FOURIER_BODY.mu < 0.05 else 2.0
@@ -103,7 +103,7 @@ def third_order(record: Record, tables: Tables) -> None:
 
 
 def dissipated(_: Solution, limit: Solution) -> dict[str, float]:
-    """Energies that bodies and joint dissipate in a march of the interface model, over what is stored in the end."""
+    """Energies dissipated in bodies and joint in a march of the interface model, over the energy stored at the end."""
     assert isinstance(limit, History)
     whole, bodies = (float(limit.table[name].sum()) for name in ("dissipated", "dissipated bodies"))
     stored = limit.last.audit.total
@@ -111,7 +111,7 @@ def dissipated(_: Solution, limit: Solution) -> dict[str, float]:
 
 
 def both_yield(record: Record, tables: Tables) -> None:
-    """Bodies and joint."""
+    """Check that bodies and joint both dissipate energy."""
     for name in ("bodies", "joint"):
         dissipation = tables["mohr_coulomb metal"][name][-1]
         record.check(f"energy dissipated in the {name}, over the stored energy", dissipation, low=0.01)
@@ -119,20 +119,20 @@ def both_yield(record: Record, tables: Tables) -> None:
 
 # ---------------------------------------------------------------- problems
 def bar(sizes: tuple[float, float, float]) -> tuple[Joint, dict[str, Any]]:
-    """The bar of Fig. 2 under the loads R1, in mm and MPa; joint, data of its models."""
+    """The bar of Fig. 2 under the loads R1, in mm and MPa; joint, arguments of its `Structure`."""
     loads = fig3.READINGS["R1"]
     setup = {"body": fig3.STEEL, "supports": loads.supports, "tractions": loads.tractions, "element": "S2"}
     return fig3.meshed(sizes), setup
 
 
 def of_metal(h: float) -> tuple[Joint, dict[str, Any]]:
-    """The blocks of `sheared`, of hardening metal; joint, data of its models."""
+    """The blocks of `sheared`, of hardening metal; joint, arguments of its `Structure`."""
     joint, setup = sheared(h)
     return joint, setup | {"body": VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)}
 
 
 def wedge(x: Array) -> Array:
-    """Thickness over the mean thickness: three times as thick at the right end as at the left one."""
+    """Thickness over mean thickness at points x: three times as large at the right end as at the left end."""
     return 0.5 + x[0]
 
 
@@ -158,7 +158,7 @@ SUBLAYERS = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 6
 # fmt: off
 MM = (0.8, 0.4, 0.2, 0.1)
 FIFTHS, TENTHS, TWENTIETHS = (0.2, 0.4, 0.6, 0.8, 1.0), (0.1, 0.2, 0.3, 0.4, 0.5), (0.05, 0.1, 0.15, 0.2, 0.25)
-BESIDE = {"_order0": of(SUBLAYERS), "_mirrored": of(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}  # which is not theirs
+BESIDE = {"_order0": of(SUBLAYERS), "_mirrored": of(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}  # a wrong law
 
 still = partial(Row, problem=fourier, orders=(0.95, 1.05), pictured=middle)
 order_1 = partial(Row, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pictured=None)
@@ -179,7 +179,7 @@ at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.ONCE,
 
 
 def switches(case: str, label: str, **changed: Any) -> Row:
-    """A row of layers with two phases, by a name of `phases.CASES`."""
+    """Return a row for a two-phase layer, the case of this name in `phases.CASES`."""
     law, shear, pull = phases.CASES[case]
     problem = partial(phases.blocks, shear=shear, pull=pull)
     measured = {"orders": None} if "instead" in changed else {"more": phases.shares, "along": phases.along_s}
@@ -227,7 +227,7 @@ ROWS: dict[str, Row] = {
     "norton p3": norton(of(replace(NORTON, eta=2000.0, p=3.0)), "p = 3", check=spectral),
     "stack": Row(of(Stack((0.5, MAXWELL), (0.5, KELVIN_VOIGT))), "Maxwell, Kelvin-Voigt", eps=halves(4), times=FIFTHS),
     "stack norton": Row(of(Stack((0.5, FOURIER_LAYER), (0.5, NORTON))), "elastic, Norton", eps=halves(4), times=TWENTIETHS),
-    # thicker than 1/32 the next term still shows in the orders
+    # for eps > 1/32 the next term still affects the orders
     "incompressible": Row(of(Incompressible(mu=40.0)), eps=halves(5), more=normal_jumps, check=no_normal_jump),
     "monodirectional": slips(of(SLIPPING), "bilateral"),
     "monodirectional unilateral": slips(of(OPENING), "unilateral, h = 0.01", problem=pulled),
@@ -283,7 +283,7 @@ DRAWN: dict[str, dict[str, Any]] = {
     "rubber": {"errors": {"jump": "error_jump"}, "reference": 2.0},
     "incompressible": {"errors": ERROR_COLUMNS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}},
 }
-APART = ("monodirectional", "friction", "non_monotone")  # whose tractions and jumps have a picture each
+APART = ("monodirectional", "friction", "non_monotone")  # laws with separate pictures of tractions and jumps
 
 
 def run(
@@ -293,13 +293,13 @@ def run(
         "mohr_coulomb", "friction", "non_monotone", "bar",
     ] = "all", eps: Sequence[float] = (), quick: bool = False,
 ) -> None:
-    """Sweep the thickness of layers, meshed and as interface laws; parameters of their families are held.
+    """Sweep the thickness of layers, meshed and as interface laws; the parameters of a family of layers are fixed.
 
     Args:
-        record: where to write; table_LAW.csv has a law's first row, table_LAW_OTHER.csv another one.
-        law: of some rows, or all of them.
-        eps: thicknesses, in place of those of the rows.
-        quick: coarser meshes, fewer steps and pictures, without two rows of the bar.
+        record: where to write; table_LAW.csv has a law's first row, table_LAW_OTHER.csv another row.
+        law: law whose rows are swept, or all.
+        eps: thicknesses, in place of the rows' thicknesses.
+        quick: coarser meshes, fewer steps and pictures, without the longest rows.
     """
     tables: Tables = {}
     for name, row in ROWS.items():
@@ -314,7 +314,7 @@ def run(
 
 
 def draw(record: Record) -> None:
-    """Draw the rates from the tables that are there."""
+    """Draw the rates from the tables that exist."""
     for law in LAWS:
         rows = {row.label: name for name, row in ROWS.items() if name.split()[0] == law and record.has(table_of(name))}
         title = f"meshed against law on S: {law}" + (f", eps in {ROWS[law].unit}" if ROWS[law].unit else "")

@@ -1,4 +1,4 @@
-"""The paper's relaxation: sweeps against omega, mesh and stiffness, and what one omega everywhere does."""
+"""The paper's relaxation method: numbers of sweeps over omega, mesh and stiffness, also with one omega everywhere."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -> tuple[int, bool]:
-    """Sweeps until the relative increment meets the tolerance, or until the relaxation is given up."""
+    """Number of sweeps until the relaxation converges or fails, and whether it has converged."""
     joint, setup = sliding_bar(n, arrangement="AlternateLeft")
     options = {"omega": omega, "omega_contact": omega_contact, "tolerance": TOLERANCE, "max_sweeps": MAX_SWEEPS}
     model = Structure(joint, **setup).interface(HolonomicCoulomb.of_layer(lmbda, mu, friction=1.0))
@@ -55,7 +55,7 @@ def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -
 
 
 def check(record: Record, table: Table) -> None:
-    """Known counts, and the failures of one omega everywhere."""
+    """Check known numbers of sweeps, and that one omega everywhere fails in some cases."""
     unit_contact = table["omega_contact"] == 1.0
     for (n, lmbda, omega), expected in EXPECTED.items():
         at = unit_contact & (table["squares"] == n) & (table["lmbda"] == lmbda) & (table["omega"] == omega)

@@ -22,10 +22,10 @@ SAME = 0.01  # relative difference of means in three dimensions and in the axisy
 
 
 def rods(sizes: tuple[float, float]) -> tuple[Joint, dict[str, Any]]:
-    """Two cylinders, glued end to end, under tension and bending; sizes of cells inside and on S.
+    """Two cylinders, glued end to end, under tension and bending; `sizes` of cells inside and on S.
 
-    Bending opens one half of S as much as it closes the other: means over S and over the top are those of tension, which
-    the section through the axis has too.
+    Bending opens one half of S as much as it closes the other half. Means over S and over the top are therefore equal
+    to the means under tension alone, which the section through the axis gives, too.
     """
     tractions = {"TOP": lambda x, t: (0.0, STRESS + BENDING * x[0] / RADIUS, 0.0)}
     setup = {"body": STEEL, "supports": {"BOTTOM": 0.0}, "tractions": tractions}
@@ -33,7 +33,7 @@ def rods(sizes: tuple[float, float]) -> tuple[Joint, dict[str, Any]]:
 
 
 def inside_rods(x: Any) -> Any:
-    """Away from the edge, where the layer's free side disturbs."""
+    """Whether points x are away from the edge, where the layer's free side disturbs."""
     return _radius(x) < 0.75 * RADIUS
 
 
@@ -44,7 +44,8 @@ def _radius(x: Any) -> Any:
 def against_section(full: Solution, limit: Solution) -> dict[str, float]:
     """Mean rise of the top (mm) and mean normal traction (MPa), in 3D and in the section through the axis.
 
-    The mean is weighted with 1 - r^2/R^2, because equilibrium gives the plain one. In the section x = r, y is the axis.
+    The mean traction is weighted with 1 - r^2/R^2, because equilibrium alone gives the plain mean. In the section x is
+    the radius, and y the axis.
     """
     layer = layer_of(limit)
     section = sandwich(RADIUS, HEIGHT, HEIGHT, 2.0, h_S=0.8, h_ends=0.3)
@@ -67,7 +68,7 @@ def _rise(state: State) -> float:
 
 
 def in_section(record: Record, tables: Tables) -> None:
-    """Means in three dimensions are those in the section through the axis."""
+    """Check that means in three dimensions are equal to the means in the section through the axis."""
     for name in (f"{what}_{model}" for what in ("rise", "traction") for model in ("meshed", "law")):
         difference = np.abs(tables["butt_joint"][name] / tables["butt_joint"][f"{name}_axisymmetric"] - 1).max()
         record.check(f"{name} in 3D against the axisymmetric section", difference, high=SAME)

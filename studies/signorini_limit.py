@@ -1,4 +1,4 @@
-"""Contact with stiffer and stiffer interfaces: the error to Signorini's and Coulomb's laws is O(1/K); Newton steps."""
+"""Contact with interfaces of growing stiffness: the error to Signorini's and Coulomb's laws is O(1/K); Newton steps."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def solved(record: Record, n: int, K: float, friction: float) -> tuple[Contact, int]:
-    """Contact and Newton steps of the bar."""
+    """Contact fields and number of Newton steps of the bar on n squares."""
     joint, setup = sliding_bar(n)
     state = record.solved(solve(Structure(joint, **setup).interface(HolonomicCoulomb(5 * K, K, friction))))
     return Surface(state.model).contact(state), state.report.iterations
 
 
 def _errors(reports: dict[float, Contact]) -> Table:
-    """Differences to the stiffest of all, L2 on S over its own norm."""
+    """Table of relative L2 differences on S to the stiffest interface, with observed orders."""
     limit = fields(reports[LIMIT])
 
     def norm(field: np.ndarray) -> float:

@@ -1,9 +1,10 @@
-"""Through the instability of a non-monotone layer: snaps of pure phases, the least energy, and a path by arc length.
+"""Instability of a non-monotone layer: snaps of pure phases, the least energy, and a path by arc length.
 
-A block on a rigid base is pulled more at one end, so that phases spread along S, as its upper side is moved up and down.
-Three laws: pure phases, one for each facet of S, which snap; the relaxed one, whose energy is least; and one whose stress
-falls as phases mix, with a part r of the gain that mixtures have: its equilibria make one path, which turns back where the
-others snap. A uniform strip, with closed forms, is that of `fig4_bar`; its paths are those of `tests/test_arc_length.py`.
+The upper side of a block on a rigid base is moved up and down, more at one end, so that phases spread along S. Three
+laws are compared. Pure phases, one for each facet of S, snap. The relaxed law has the least energy. The third law has
+only a part r of the energy gain of mixtures, so that its stress falls as phases mix. Its equilibria form one path,
+which turns back where pure phases snap. `fig4_bar` solves a uniform strip with closed forms; `tests/test_arc_length.py`
+follows its paths.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ ALONG = 5e-3  # largest distance of two polygons along one path, relative to its
 def followed(
     joint: Joint, law: type[Phases], delta: Any, times: Any, eps: float | None = None, keep: str = "all", **choices: Any
 ) -> History:
-    """March with delta(x, t), the block on its interface law or a meshed layer that is eps thick; observes the force."""
+    """March the block with delta(x, t), on its interface law or a meshed layer of thickness eps; observe the force."""
 
     def top(x: Any, t: Any) -> Any:
         return delta(x, t) * (1 + TILT * (x[0] - MIDDLE))
@@ -58,13 +59,13 @@ def followed(
 
 
 def cycle(joint: Joint, steps: int, eps: float | None = None) -> History:
-    """Pure phases, up to END in equal steps and back."""
+    """March pure phases, up to END in equal steps and back."""
     times = [END * k / steps for k in range(1, 2 * steps + 1)]
     return followed(joint, NonMonotoneUnrelaxed, piecewise({0: 0, END: END, 2 * END: 0}), times, eps)
 
 
 def path(joint: Joint, r: float, first: float, *, back: bool = False) -> Table:
-    """Equilibria from delta = 0 to END, or from END to 0, by arc length."""
+    """Table of equilibria from delta = 0 to END, or from END to 0, by arc length."""
     arc = ArcLength(end=END, first=first)
     history = followed(joint, NonMonotone, lambda x, t: END - t if back else t, arc, keep="last", mixing=r)
     return rows(f"path by arc length, r = {r:g}", history, END - history.t if back else history.t)
@@ -101,7 +102,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
     Args:
         record: where to write.
-        quick: coarser mesh, a path with less of a snap-back.
+        quick: coarser mesh, a path with a smaller snap-back.
     """
     cells, steps, r, step = (12, 12, 0.4, 0.06) if quick else (32, 48, 0.3, 0.02)
     joint = block(2.0, 1.0, 2.0 / cells, cell="quadrilateral", structured=True)
@@ -125,7 +126,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float, *, quick: bool) -> Table:
-    """Check that the path is the same from both ends and with shorter steps, and ends where the relaxed law does."""
+    """Follow a path; check it from the other end, with shorter steps, and its end against the relaxed law."""
     first, name = path(joint, r, step), f"r = {r:g}"
     others = {"from the other end": path(joint, r, step, back=True)}
     if not quick:
@@ -143,7 +144,7 @@ def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float
 
 
 def check_energies(record: Record, pure: History, relaxed: History) -> None:
-    """The energy lost is the area of the loop; the relaxed one is never above that of pure phases."""
+    """Check that the energy lost is the area of the loop, and that relaxed energies do not exceed pure phases'."""
     area = float(np.trapezoid(pure.table["force"], moved(pure.t)))
     lost = sum(snap.lost for snap in pure.snaps)
     record.check_near("energy lost in all snaps over the area of the loop", lost / area, 1.0, ROUNDING)
@@ -156,7 +157,7 @@ def check_energies(record: Record, pure: History, relaxed: History) -> None:
 def draw(record: Record) -> None:
     """Draw force over displacement."""
     response = record.load("table_response.csv").split("curve")
-    meshed = f"{PURE}, layer meshed, eps = {EPS[0]:g}"  # finer ones hide one another
+    meshed = f"{PURE}, layer meshed, eps = {EPS[0]:g}"  # thinner layers would hide one another
     shown = [curve for curve in response if curve == meshed or "meshed" not in curve]
     curves = {curve: (response[curve]["delta"], response[curve]["force"]) for curve in shown}
     title, save = "a block on a layer that snaps, pulled more at one end", record.path("response.svg")

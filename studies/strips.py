@@ -1,4 +1,4 @@
-"""Heat: two bonded strips of unequal expansion are cooled: shear lag and bending, against closed forms.
+"""Two bonded strips of unequal thermal expansion are cooled: shear lag and bending, against closed forms.
 
 Strips are in plane strain: their axial modulus is E/(1 - nu^2), their free expansion (1 + nu) alpha dT.
 """
@@ -29,12 +29,12 @@ COOLING = -80.0  # K
 LENGTH = 200.0  # mm, half of the strips: the left end is the middle
 EPS = 0.05  # mm
 SHEAR = (0.5, 2.0)  # MPa, shear moduli of the soft layers of the shear lag
-STIFFENING = (0.03, 0.1, 0.3, 1.0, 10.0, 100.0)  # MPa, of the layers of the bending strip
+STIFFENING = (0.03, 0.1, 0.3, 1.0, 10.0, 100.0)  # MPa, shear moduli of the layers between the bending strips
 NEAR_ENDS = 0.95  # share of the half length in which shear stresses are compared
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Two tasks, each with the layer meshed and as an interface law.
+    """Solve the shear lag and the bending, each with the layer meshed and as an interface law.
 
     Args:
         record: where to write.
@@ -46,7 +46,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 # ---------------------------------------------------------------- strips
 def strips(h: float, mu: float, supports: dict[Any, Any]) -> dict[str, Model]:
-    """The right halves of two cooled strips with a layer of a shear modulus, by the name of the model."""
+    """Return name -> model of the right halves of two cooled strips with a layer of the shear modulus mu."""
     joint = sandwich(LENGTH, HEIGHTS["LOWER"], HEIGHTS["UPPER"], h, cell="quadrilateral", structured=True)
     cooled = {name: ThermalExpansion(alpha, COOLING) for name, alpha in ALPHA.items()}
     bodies = {"LOWER": ALUMINIUM, "UPPER": STEEL}
@@ -56,12 +56,12 @@ def strips(h: float, mu: float, supports: dict[Any, Any]) -> dict[str, Model]:
 
 
 def difference() -> float:
-    """Free expansion of the upper strip less that of the lower one, in plane strain."""
+    """Free expansion of the upper strip minus the free expansion of the lower strip, in plane strain."""
     return (1 + NU) * (ALPHA["UPPER"] - ALPHA["LOWER"]) * COOLING
 
 
 def compliances(eps: float = 0.0) -> tuple[float, float]:
-    """1/(E h) of both strips in plane strain, summed; and what their bending adds for forces at their inner sides.
+    """Sum of 1/(E h) of both strips in plane strain, and the compliance from bending under forces at their inner sides.
 
     Args:
         eps: distance of the strips, which adds to the lever arm of these forces.
@@ -72,18 +72,18 @@ def compliances(eps: float = 0.0) -> tuple[float, float]:
 
 
 def arm(eps: float = 0.0) -> float:
-    """Distance of the middles of the strips."""
+    """Distance between the mid-planes of the strips."""
     return sum(HEIGHTS.values()) / 2 + eps
 
 
 def lag(mu: float, x: Numbers) -> Array:
-    """Shear stress on S of strips that do not bend, at places from the middle: Volkersen's shear lag."""
+    """Shear stress on S of strips that do not bend, at distances x from the middle: Volkersen's shear lag."""
     B = np.sqrt(mu / EPS * compliances()[0])
     return np.asarray(mu * difference() * np.sinh(B * x) / (EPS * B * np.cosh(B * LENGTH)))
 
 
 def shear_lag(record: Record, h: float) -> None:
-    """Strips between smooth plates."""
+    """Solve strips between smooth plates, and check the shear stress on S."""
     table = record.table("shear_lag.csv")
     for mu in SHEAR:
         models = strips(h, mu, {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}})
@@ -102,28 +102,28 @@ def shear_lag(record: Record, h: float) -> None:
 
 
 def timoshenko(eps: float = 0.0) -> float:
-    """Curvature of two bonded strips (Timoshenko 1925), at some distance from one another."""
+    """Curvature of two bonded strips at the distance eps (Timoshenko 1925)."""
     stretch, bend = compliances(eps)
     return float(-difference() * bend / arm(eps) / (stretch + bend))
 
 
 def bent(mu: float, eps: float = 0.0) -> float:
-    """Curvature in the middle with a layer in between (Suhir 1986): axial forces grow over the shear lag."""
+    """Curvature in the middle with a layer in between (Suhir 1986): axial forces build up over the shear-lag length."""
     k = np.sqrt(mu / EPS * sum(compliances(eps)))
     return float(timoshenko(eps) * (1 - 1 / np.cosh(min(k * LENGTH, 700.0))))
 
 
 def curvature(surface: Surface, state: State) -> float:
-    """Curvature near the middle of the strips: that of the parabola through the mean displacements of both sides of S."""
+    """Curvature near the middle of the strips, from a parabola fitted to the mean displacements of both sides of S."""
     x, v = surface.profile(surface.displacements(state).mean(axis=0))
     near = x[:, 0] < 0.1 * LENGTH
     return float(2 * np.polyfit(x[near, 0] ** 2, v[near, 1], 1)[0])
 
 
 def bending(record: Record, h: float) -> None:
-    """Strips that are free to bend, with layers that are stiffer and stiffer."""
+    """Solve strips that are free to bend, with layers of growing stiffness, and check their curvature."""
     table, supports = record.table("bending.csv"), {(0.0, -HEIGHTS["LOWER"]): {"y": 0.0}}
-    gaps = {"meshed layer": EPS, "interface law": 0.0}  # the interface law leaves the layer's part of the arm out
+    gaps = {"meshed layer": EPS, "interface law": 0.0}  # the interface law neglects the thickness in the lever arm
     for mu in STIFFENING:
         models = strips(h, mu, supports)
         surface = Surface(models["interface law"])
@@ -138,7 +138,7 @@ def bending(record: Record, h: float) -> None:
 
 # ---------------------------------------------------------------- pictures
 def draw(record: Record) -> None:
-    """Draw shear lag, at every few places, and bending, from the tables."""
+    """Draw the shear lag, at every fourth point, and the bending, from the tables."""
     lines: dict[str, tuple[Any, Any]] = {}
     for mu, of_mu in record.load("shear_lag.csv").split("mu").items():
         for name, part in of_mu.split("model").items():

@@ -1,4 +1,4 @@
-"""Sweeps, shared by several studies: the meshed layer against the interface law over decreasing thickness."""
+"""Sweeps that several studies share: the meshed layer against the interface law as the thickness decreases."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ON_S = "interface law"
 
 
 def halves(k: int, n: int = 4) -> tuple[float, ...]:
-    """n thicknesses, 2^-k and half of it again and again; blocks are 0.5 high."""
+    """n thicknesses 2^-k, 2^-(k+1), ...; blocks are 0.5 high."""
     return tuple(2.0**-exponent for exponent in range(k, k + n))
 
 
@@ -44,24 +44,26 @@ class Row:
 
     Attributes:
         layer: thickness -> the layer.
-        label: tells it from the other rows of its law.
-        problem: size of cells, or what else makes the mesh -> the joint, and data of its models.
-        h: that size, and the one with --quick.
+        label: text that distinguishes the row from the other rows of its law.
+        problem: cell size, or another argument of the mesh -> the joint, and the arguments of its `Structure`.
+        h: argument of `problem`, and its value with --quick.
         eps: thicknesses.
         orders: range of the last observed orders of traction and jump; None for an open end, or for no such check.
-        times: ends of the steps to march, from rest under loads that are there from t = 0 on; the last states are
-            compared. None: a static solve.
-        steps: those that are taken with --quick.
-        instead: a law in place of the layer's in the interface model alone, to show the error of a wrong law.
-        bodies, cells_through: of the meshed layer, see `Structure.full`; `bodies` also of interface models of order 1.
+        times: ends of the steps to march, from rest under loads that act from t = 0 on; the last states are compared.
+            None: a static solve.
+        steps: slice of `times` with --quick.
+        instead: a law in place of the layer's, only in the interface model, to show the error of a wrong law.
+        bodies, cells_through: options of the meshed layer, see `Structure.full`. `bodies` also applies to interface
+            models of order 1.
         where: part of S to measure on, see `thinlayer.compare`.
-        other_layers: end of a column's name -> thickness -> the layer of a further law, whose errors are columns.
+        other_layers: end of column names -> thickness -> layer of another law, whose errors are further columns.
         more: full and interface model's solutions -> further columns of the table.
-        along: state and S -> places x along S, and what is drawn of both models there.
-        floors: what a wrong law leaves, see `check_floors`; the right law is that of the row with a word less.
-        check: what else must hold, of the tables of its law's rows up to this one.
-        pictured: chooses the thickness of the deformed structures that are drawn; None for no picture.
-        unit: of lengths.
+        along: state and S -> points x along S, and fields there that are drawn for both models.
+        floors: errors that a wrong law leaves, see `check_floors`. The right law's row has the same name without the
+            last word.
+        check: further checks of the tables of its law's rows up to this one.
+        pictured: function that chooses the thickness at which deformed structures are drawn; None for no picture.
+        unit: unit of lengths.
         long: whether the row is left out with --quick.
     """
 
@@ -87,7 +89,7 @@ class Row:
     long: bool = False
 
     def sweep(self, record: Record, name: str, eps: Sequence[float], *, quick: bool, pictured: bool) -> Table:
-        """Sweep, print the laws, draw one thickness, check the last observed orders."""
+        """Sweep the thickness and return the table; print the laws, draw one thickness, check the last orders."""
         joint, setup = self.problem(self.h[quick])
         structure, case = Structure(joint, **setup), name.replace(" ", "_")
         times = self.times[self.steps] if self.times and quick else self.times
@@ -134,7 +136,7 @@ class Row:
 
 
 def elastic_fraction(law: Law) -> dict[str, float]:
-    """The column h of a law that has an elastic fraction, for a table; of a stack the largest."""
+    """Column h of a table with a law's elastic fraction, the largest in a stack; empty for laws without it."""
     laws = [sublayer for _, sublayer in law.sublayers]
     fractions = [law.parameters()["elastic_fraction"] for law in laws if "elastic_fraction" in law.parameters()]
     return {"h": max(fractions)} if fractions else {}
@@ -146,7 +148,7 @@ def middle(eps: Sequence[float]) -> float:
 
 
 def last(solution: Solution) -> State:
-    """The state itself, or the last one of a history."""
+    """The state itself, or the last state of a history."""
     return solution if isinstance(solution, State) else solution.last
 
 
@@ -157,24 +159,27 @@ def layer_of(solution: Solution) -> ThinLayer:
 
 
 def last_order(table: Table, column: str) -> float:
-    """The last observed order of a column of errors; NaN where there is none."""
+    """The last observed order of a column of errors; NaN if there is none."""
     return table.orders(column)[-1] or math.nan
 
 
 def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> dict[str, float]:
-    """Error of the traction whose forces are the bodies' reactions; those of both laws' own nearly cancel the next term."""
+    """Relative error of the consistent traction from the bodies' nodal forces on S.
+
+    Errors of the laws' own tractions do not show the next term in eps, which nearly cancels in them.
+    """
     surface = Surface(last(limit).model)
     return {"error_reaction": difference(surface, Surface.reaction, last(full), last(limit), where or 1.0)}
 
 
 def difference(surface: Surface, field: Field, state: State, reference: State, where: Any = 1.0) -> float:
-    """L2 norm on a part of S of the difference of a field in two states, over that of the field in the reference."""
+    """Relative L2 difference, on a part of S, of a field in a state and in a reference state."""
     wanted = field(surface, reference)
     return surface.norm(field(surface, state) - wanted, where) / surface.norm(wanted, where)
 
 
 def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: Floors) -> None:
-    """Check the errors that a wrong law leaves, that they no longer fall, and that they are not the right law's."""
+    """Check a wrong law's errors: their ranges, that they no longer fall, and that the right law's are smaller."""
     for of, (low, high) in floors.items():
         errors = wrong[f"error_{of}"]
         record.check(f"error of the {of} that {name} leaves", errors[-1], low=low, high=high)
@@ -184,17 +189,17 @@ def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: 
 
 
 def table_of(case: str) -> str:
-    """Name of the table of a sweep."""
+    """File name of the table of a sweep."""
     return f"table_{case.replace(' ', '_')}.csv" if case else "table.csv"
 
 
 def along_of(case: str, eps: float) -> str:
-    """Name of the table along S for one thickness of a sweep."""
+    """File name of the table along S for one thickness of a sweep."""
     return f"along_{case.replace(' ', '_')}_{eps:g}.csv"
 
 
 def draw_along(record: Record, cases: Mapping[str, str], name: str) -> None:
-    """Draw the last column of the tables along S of some cases, label -> case, for all eps and by the interface law."""
+    """Draw the last column of tables along S for all eps and the interface law; `cases`: label -> case."""
     parts: dict[str, dict[str, tuple[Any, Any]]] = {}
     for label, case in cases.items():
         for eps in record.load(table_of(case))["eps"]:

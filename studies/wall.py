@@ -1,4 +1,4 @@
-"""A brick wall pressed and sheared to its limit: joints slide and open, heads with mortar and open; a meshed panel."""
+"""A brick wall, pressed and sheared to its limit: joints slide and open, with and without mortar in heads; a panel."""
 
 from __future__ import annotations
 
@@ -26,21 +26,24 @@ COHESION = {"BED": 0.1, "HEAD": 0.03}  # MPa
 PRESSURE = 0.5  # MPa, on the top
 STRENGTH = COHESION["BED"] + tan(radians(ANGLE)) * PRESSURE  # of a bed along which all bricks above slide
 WALLS = ("heads with mortar", "open heads")
-NEAR = 0.9  # of the strength of a bed, where walls are compared and drawn
+NEAR = 0.9  # share of the strength of a bed at which walls are compared and drawn
 PANEL = (2, 3)  # bricks and courses of the panel that is meshed
 SHIFTS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)  # mm, of its top
 THICKNESSES = (10.0, 5.0, 2.5)  # mm, of its meshed joints
-ELASTIC_FRACTION = 0.01  # of the mortar of the panel: ideal plasticity leaves nothing to hold its free ends
+ELASTIC_FRACTION = 0.01  # of the panel's mortar: without it nothing supports the free ends of joints
 SHARES = ("seam", "size", "elastic", "sliding", "crushed", "torn", "open")  # columns of joints.csv
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Push the top along, harder and harder, until no equilibrium is left.
+    """Push the top of walls along with growing shear stress, until no equilibrium exists.
 
-    The limit is at most that of a bed along which all bricks above slide: C + tan(Omega) p, per length of the wall.
-    table.csv: shear stress on the top against its shift. joints.csv: the share of each seam that stays elastic, slides, or
-    is open, at 0.9 of the strength of a bed and at the limit. panel.csv: a panel of five bricks with Mohr-Coulomb mortar,
-    whose top is moved along, by the interface law and meshed, whose real moduli are those of the first thickness.
+    The limit is at most the strength of a bed along which all bricks above slide: C + tan(Omega) p, per length of the
+    wall.
+
+    table.csv: shear stress on the top against its shift.
+    joints.csv: the share of each seam that is elastic, slides, or is open, at 0.9 of a bed's strength and at the limit.
+    panel.csv: the top of a panel of five bricks with Mohr-Coulomb mortar is moved along, with the interface law and
+    meshed. Its moduli are real at the first thickness.
 
     Args:
         record: where to write.
@@ -55,9 +58,9 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
 
     Args:
         record: where to write.
-        bricks, courses: of the walls.
+        bricks, courses: numbers of bricks along the walls, and of courses.
         cells: number of cells along the height of a brick.
-        step: of the shear stress on the top, MPa.
+        step: increment of the shear stress on the top, MPa.
     """
     table, joints = record.table("table.csv"), record.table("joints.csv")
     near, last, shifts = dict[str, State](), dict[str, State](), []
@@ -80,7 +83,7 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
 
 
 def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
-    """Move the top of a panel whose mortar is that of `MohrCoulomb`: its force by the interface law, and meshed."""
+    """Move the top of a panel with mortar of `MohrCoulomb`; compare its force by the interface law and meshed."""
     supports: dict[str, Any] = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t}}
     panel, pressed = wall(*PANEL, BRICK, BRICK[1] / 6, cell="quadrilateral"), {"TOP": (0.0, -PRESSURE)}
     structure = Structure(panel, body=CLAY, supports=supports, tractions=pressed, element="Q1")
@@ -97,7 +100,7 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
         models[f"meshed, {eps:g} mm"] = structure.full(mortar(eps), cells_through=2, bodies="extended")
     for name, model in models.items():
         history = record.solved(march(model, list(SHIFTS)))
-        # steps that failed were parted: the models are compared at the times that they have in common
+        # failed steps were subdivided: the models are compared at the times that they share
         forces[name] = [beds.integral(beds.reaction(history.at(t))[0]) / length for t in SHIFTS]
         table.extend(Table.of({"model": name, "shift_mm": SHIFTS, "shear_MPa": forces[name]}))
     by_law, *meshed = (np.array(curve) for curve in forces.values())
@@ -119,7 +122,7 @@ def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceMod
 
 
 def pushed(model: InterfaceModel, step: float, end: float) -> tuple[History, float]:
-    """The states up to the limit, and the shear stress there, MPa."""
+    """March up to the limit; return the states before it, and the shear stress there, MPa."""
     try:
         march(model, [float(t) for t in np.arange(step, end, step)])
     except LimitLoad as limit:

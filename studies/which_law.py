@@ -1,4 +1,4 @@
-"""Which law, when: errors of orders 0 and 1 and of Rubber over thickness, Poisson's ratio, stiffness of the bodies."""
+"""Which law to choose: errors of orders 0 and 1 and of Rubber over thickness, Poisson's ratio, stiffness of bodies."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ LAWS = {
     "rubber_edges": "Rubber, free ends",
 }
 LETTERS = {"order_0": "0", "order_1": "1", "rubber": "R"}
-CORRECTED = {"edges": "order_1", "rubber_edges": "rubber"}  # at free ends -> not corrected
+CORRECTED = {"edges": "order_1", "rubber_edges": "rubber"}  # law corrected at free ends -> law without correction
 QUANTITIES = ("traction", "jump", "compliance")
 RANGES = {"< 0.1 %": 0.001, "0.1 to 1 %": 0.01, "1 to 5 %": 0.05, "5 to 20 %": 0.2, "> 20 %": math.inf}  # of errors
 WANTED = (0.01, 0.05)  # errors for which the cheapest law is drawn
-TOLD = 0.1  # error of order 1 from which on there has to be a warning
-LOAD = 1e-6  # stress: far below the moduli of the layers, so that warnings are of the laws and not of the loads
+TOLD = 0.1  # error of order 1 from which on a warning is required
+LOAD = 1e-6  # stress: far below the moduli of the layers, so that warnings come from the laws, not from the loads
 INNER = 0.25  # free ends: errors are measured up to this distance from the middle of S
 SIGNS = "!: with a RangeWarning; -: a law without such a material, or S too narrow for its strips at free ends"
 SET_UPS = {"rollers": "between rollers, under one half-wave", "free": "free ends, inner half of S"}
@@ -51,7 +51,7 @@ Compared = Callable[[State], tuple[float, ...]]
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Measure the errors of the laws in two set-ups, against exact layers (rollers) and meshed ones (free ends).
+    """Measure the errors of the laws in two set-ups, against exact solutions (rollers) and meshed layers (free ends).
 
     Args:
         record: where to write.
@@ -67,7 +67,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: float) -> dict[str, float | None]:
-    """Errors of the laws; how much too stiff order 0 is told to be; whether a warning comes with each law."""
+    """Errors of the laws; the reported factor by which order 0 is too stiff; whether each law gives a warning."""
     lmbda = 2 * nu / (1 - 2 * nu) * mu if nu < 0.5 else math.inf
     compared, structure = set_up.against(record, lmbda, mu, eps), set_up.structure(eps)
     errors: dict[str, float | None] = {f"{quantity}_{law}": None for law in LAWS for quantity in QUANTITIES}
@@ -84,7 +84,7 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
 
 
 def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-    """The laws that take a material: no order 1 of `LinearElastic` at nu = 1/2, no `Rubber` at nu = 0."""
+    """Layers with the laws that accept a material: no order 1 of `LinearElastic` at nu = 1/2, no `Rubber` at nu = 0."""
     zero = partial(ThinLayer, eps=eps)
     first = partial(ThinLayer, eps=eps, order=1, edges="plain")
     if math.isinf(lmbda):
@@ -100,7 +100,7 @@ def _rubber(lmbda: float, mu: float) -> Rubber | Incompressible | LinearElastic:
 
 
 class Rollers:
-    """Blocks of height 1/2 between rollers, under one half-wave of length 1; exact layers by transfer matrices."""
+    """Blocks of height 1/2 between rollers, under one half-wave of length 1; exact solutions by transfer matrices."""
 
     def __init__(self, h: float) -> None:
         joint, setup = fourier(h, cell="quadrilateral")
@@ -114,11 +114,11 @@ class Rollers:
         return self._structure
 
     def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-        """The laws that take a material; there are no free ends."""
+        """Layers with the laws that accept a material; there are no free ends."""
         return _layers(lmbda, mu, eps)
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
-        """Relative errors of the traction, the jump (both L2 on S) and the compliance of a state."""
+        """Return a function of a state: relative errors of traction and jump (L2 on S), and of the compliance."""
         *exact, work = self._wave.solved(lmbda, mu, eps)
 
         def errors(state: State) -> tuple[float, ...]:
@@ -141,21 +141,21 @@ class FreeEnds:
         self._cells, self._structures = (16, 10, 2) if quick else (32, 15, 4), dict[float, Structure]()
 
     def structure(self, eps: float) -> Structure:
-        """The blocks, with cells at the ends that are a part of the thickness."""
+        """The blocks, with cells at the ends of S that are a fraction of the thickness."""
         along, ends, _ = self._cells
         if eps not in self._structures:
             self._structures[eps] = free_blocks(min(eps, 1 / 8) / ends, (0.3 * LOAD, -LOAD), h_S=1 / along)
         return self._structures[eps]
 
     def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-        """The laws that take a material; ends are corrected where Poisson's ratio and the bodies' stiffness allow it."""
+        """Layers with the laws that accept a material; corrected at ends if nu and the bodies' stiffness allow this."""
         layers = _layers(lmbda, mu, eps)
         corrected = {name: replace(layers[law], edges=None) for name, law in CORRECTED.items() if law in layers}
         legal = {name: self.structure(eps).interface(layer).free_ends("S") is None for name, layer in corrected.items()}
         return layers | {name: layer for name, layer in corrected.items() if legal[name]}
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
-        """Relative errors of the traction, the jump (both L2 on the inner half of S) and the compliance of a state."""
+        """Return a function of a state: relative errors of traction, jump (L2 on inner half of S) and compliance."""
         layer = ThinLayer(_rubber(lmbda, mu), eps)
         full = record.solved(solve(self.structure(eps).full(layer, cells_through=self._cells[2])))
         work = full.energies()["loads"]
@@ -170,12 +170,12 @@ class FreeEnds:
 
 
 def _worst(table: Table, law: str) -> Array:
-    """(rows,) larger of the errors of traction and jump."""
+    """The larger of the errors of traction and jump (rows,)."""
     return np.maximum(table[f"traction_{law}"], table[f"jump_{law}"])
 
 
 def _check(record: Record, name: str, table: Table) -> None:
-    """Rubber: of order 2 on rollers and 1 at free ends; LinearElastic of order 1: no large error without a warning."""
+    """Check the order of Rubber, 2 on rollers and 1 at free ends, and warnings of LinearElastic for large errors."""
     eps, errors = table["eps"], _worst(table, "rubber")
     order, high, fine = (2, 2.0, eps > 0.03) if name == "rollers" else (1, 0.3, eps < 0.1)
     record.check(f"{name}: largest error of Rubber over eps^{order}", np.nanmax((errors / eps**order)[fine]), high=high)
@@ -208,15 +208,15 @@ def draw(record: Record) -> None:
 
 
 def _drawn(table: Table) -> list[str]:
-    """Laws that take a material of the table."""
+    """Laws that accept a material of the table."""
     return [law for law in LAWS if np.isfinite(_worst(table, law)).any()]
 
 
 def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, tuple[Array, Any]], dict[str, str]]:
-    """The first law whose error is below each of `WANTED`, with known ends if it can; none: the meshed layer.
+    """Find the first law whose error is below each of `WANTED`, with corrected ends if possible; else the meshed layer.
 
     Returns:
-        Panels, see `maps`, of numbers and letters of laws; letter -> law.
+        Panels of `maps` with numbers and letters of laws; letter -> law.
     """
     corrected = {law: name for name, law in CORRECTED.items() if name in laws}
     laws = [law for law in laws if law in LETTERS]
@@ -233,7 +233,7 @@ def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, t
 
 
 def _percent(error: float, warned: bool) -> str:
-    """In per cent, of two digits; "-" for a law that does not take the material."""
+    """Text for an error in per cent, with two digits; "-" for a law that does not accept the material."""
     if math.isnan(error):
         return "-"
     number = 100 * error

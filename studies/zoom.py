@@ -1,4 +1,4 @@
-"""Inside a layer that is not meshed: stresses at free ends and strengths of corners, against meshed ends."""
+"""Stresses at free ends of a layer that is not meshed, and stress intensities of its corners, against meshed ends."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from thinlayer.system.progress import track
 
 # Poisson's ratio; E of the bodies over mu, see EPS
 CASES = ((0.3, 1000.0), (0.3, 100.0), (0.45, 1000.0), (0.45, 100.0))
-EPS = (1 / 16, 1 / 32, 1 / 64)  # the moduli are those of the first one there, and proportional to eps
+EPS = (1 / 16, 1 / 32, 1 / 64)  # thicknesses; moduli are proportional to eps, and defined at the first one
 THROUGH = 32  # cells through the meshed layer
 LONG = 2.0  # length of cells of S where it is not meshed, over eps
-DISTANCES = np.array([0.05, 0.1, 0.2, 0.5, 1, 1.5, 2, 3, 5, 10])  # of the places compared from an end, over eps
-HEIGHTS = np.array([-0.3, -0.15, 0.0, 0.15, 0.3])  # not nearer to corners, where the mesh is too coarse
-AT_END = 3.0  # distance up to which places count as at the end
+DISTANCES = np.array([0.05, 0.1, 0.2, 0.5, 1, 1.5, 2, 3, 5, 10])  # distances of compared points from an end, over eps
+HEIGHTS = np.array([-0.3, -0.15, 0.0, 0.15, 0.3])  # heights of these; nearer to corners the mesh is too coarse
+AT_END = 3.0  # distance over eps up to which points belong to the end
 
 
 def _by_law(blocks: Structure, law: LinearElastic, eps: float, **choices: Any) -> State:
@@ -35,15 +35,15 @@ STATES: dict[str, Callable[[Structure, LinearElastic, float], State]] = {
     "order 0": _by_law,
     "order 1, free": partial(_by_law, order=1, edges="free"),
     "estimate": lambda *case: estimate(_by_law(*case)).better,
-}  # whose faces the layer has
+}  # states that prescribe the displacements of the layer's faces
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Compare stresses in a meshed layer between two blocks with those of the layer by itself.
+    """Compare stresses in a meshed layer between two blocks with stresses in the layer solved as a subproblem.
 
     Args:
         record: where to write.
-        quick: two thicknesses, one ratio of moduli for each of Poisson's.
+        quick: two thicknesses, one ratio of moduli for each Poisson's ratio.
     """
     for nu, ratio in CASES[::3] if quick else CASES:
         _errors(record, nu, ratio, EPS[:2] if quick else EPS)
@@ -71,7 +71,7 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
 
 
 def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
-    """Relative errors of stresses at the ends and inside, root mean squares over the places, and of H, the largest."""
+    """Relative root mean square errors of stresses at the ends and inside, and the largest relative error of H."""
     eps, samples = zoom.eps, []
     for end, (start, *_) in zoom.ends:
         d, y = (grid.ravel() for grid in np.meshgrid(DISTANCES[DISTANCES * eps <= 0.5], HEIGHTS))

@@ -38,7 +38,7 @@ def test_another_layer_is_as_in_a_model_of_its_own(layer):
     reference = joined().interface(layer)
     for _ in range(2):  # the second time with what the family keeps
         derived = first.with_layer(layer)
-        assert derived.made_from == reference.made_from
+        assert derived.description == reference.description
         assert derived.V is first.V
         assert difference(solve(derived), solve(reference)) < 1e-10
     assert difference(solve(first), solve(joined().interface(GLUE))) < 1e-12  # the first one is what it was
@@ -53,7 +53,7 @@ def test_other_loads_are_as_in_a_model_of_its_own(kind):
     reference = getattr(joined(OTHER, supports=supports, body_force=(0.1, -0.2), parts=springs), kind)(*layer)
     for _ in range(2):
         derived = first.with_loads(tractions=OTHER, supports=supports).with_loads(body_force=(0.1, -0.2))
-        assert derived.made_from == reference.made_from
+        assert derived.description == reference.description
         assert difference(solve(derived), solve(reference)) < 1e-11
     assert difference(solve(first.with_loads(tractions=PULL)), solve(first)) < 1e-12
 

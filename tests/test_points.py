@@ -10,7 +10,7 @@ from tests.at_points import DT, respond, situation, tensor, vector
 from tests.laws_at_points import BALANCED, EXACT, LAWS, QUADRATIC, ROUNDING, THETAS
 from tests.mohr_coulomb_points import LAWS as MOHR_COULOMB
 from tests.mohr_coulomb_points import METALS, SOILS
-from thinlayer.pointwise.kernels import SIZES
+from thinlayer.pointwise.kernels import VARIABLE_SIZES
 
 YIELDING = METALS | SOILS | {f"Mohr-Coulomb, {name}": law for name, law in MOHR_COULOMB.items()}
 ALL = LAWS | YIELDING
@@ -28,7 +28,7 @@ def memory_blocks(law: BulkLaw) -> list[int]:
         return [3] * len(law.laws) + [size for sublayer in law.laws for size in memory_blocks(sublayer)]
     if isinstance(law, KernelLaw):
         return [6] * (law.memory // 6) + [1] * (law.memory % 6)
-    return [SIZES[shape] for shape in law.internal.values()]
+    return [VARIABLE_SIZES[shape] for shape in law.internal.values()]
 
 
 @pytest.mark.parametrize("theta", THETAS)

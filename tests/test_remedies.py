@@ -208,5 +208,5 @@ def test_what_a_refusal_advises_works(words, call, remedies):
 
 def test_each_key_of_a_refusal_has_its_remedy_tried():
     sources = "".join(path.read_text() for path in (CLONE / "thinlayer").rglob("*.py"))
-    keys = {*re.findall(r'Refused\(\s*"([^"]+)"', sources)}
+    keys = {*re.findall(r'Violation\(\s*"([^"]+)"', sources)}
     assert keys - {words for words, *_ in CASES} == OTHERS | OF_A_COLUMN

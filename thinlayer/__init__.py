@@ -1,7 +1,7 @@
 """Structures with thin soft layers: the layer is meshed, or replaced by its interface law.
 
 Names are imported when they are first used, so that `python3 -m thinlayer list` does not load DOLFINx. As in SPEC 1 of
-Scientific Python, `__init__.pyi` says where they are.
+Scientific Python, `__init__.pyi` has the module of each name.
 """
 
 # ruff: noqa: E402, F401
@@ -33,7 +33,7 @@ logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by def
 
 
 def _refuse_others() -> None:
-    """Raise ImportError where a file or package of a user has the name of one of ours, and Python would import it."""
+    """Raise ImportError if Python would import a user's file or package in place of our package of the same name."""
     for name in ("forms", "geometry"):
         spec, folder = find_spec(name), join(_PACKAGE_FOLDER, name)
         if spec and spec.origin and dirname(realpath(spec.origin)) != folder:

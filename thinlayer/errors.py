@@ -14,7 +14,7 @@ from forms.base import ThinlayerError as ThinlayerError
 from forms.traits import RangeWarning as RangeWarning
 from forms.traits import show_warnings, warn_of_range, warn_outside
 
-MIN_NAMED_SHARE = 0.005  # of a seam's squares of jumps, to be named in a message
+MIN_NAMED_SHARE = 0.005  # least share of the squared jumps at which a message names a seam
 
 
 def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
@@ -32,18 +32,18 @@ def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
 def deprecated(what: str, since: str, instead: str) -> None:
     """Issue a DeprecationWarning at the user's line: the next major version removes a public name or argument.
 
-    Python shows it once for each line of a script; for lines of modules where it is asked to, `python3 -W default`.
+    Python shows it once for each line of a script, and for lines of modules only with `python3 -W default`.
 
     Args:
         what: the name or argument, as the user writes it.
         since: version that deprecated it.
-        instead: what the user writes from then on.
+        instead: what the user should write.
     """
     warn_outside(DeprecationWarning(f"{what} is deprecated since thinlayer {since}; use {instead}"))
 
 
 def former_names(module: str, now: Mapping[str, Any]) -> Callable[[str], Any]:
-    """The `__getattr__` of a module whose names of version 1.0 are deprecated: old name -> what it is now."""
+    """Return the `__getattr__` of a module whose names of version 1.0 are deprecated; `now`: old name -> object."""
 
     def find(name: str) -> Any:
         if name not in now:
@@ -56,7 +56,7 @@ def former_names(module: str, now: Mapping[str, Any]) -> Callable[[str], Any]:
 
 @dataclass(frozen=True)
 class Violation:
-    """Why something is not known: the key of the condition that does not hold, the reason, and what to do instead."""
+    """A condition that does not hold: its key, the reason, and what to do instead."""
 
     key: str
     reason: str
@@ -66,14 +66,14 @@ class Violation:
         return f"{self.reason}; {self.remedy}"
 
     def error(self, what: str = "") -> InputError:
-        """The error of one who asks for it, after some words."""
+        """InputError with the words `what`, the reason and the remedy; it has the condition's key."""
         error = InputError(f"{what}{self}")
         error.key = self.key
         return error
 
 
 class SolveError(ThinlayerError, RuntimeError):
-    """A solve that did not converge. Says the reason, the last residual, and what to try.
+    """Error of a solve that did not converge; its message has the reason, the last residual, and what to try.
 
     Attributes:
         reason: the message without the advice.
@@ -86,7 +86,7 @@ class SolveError(ThinlayerError, RuntimeError):
         self.reason, self.history, self.residuals = reason, history, residuals
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For another process; its meshes stay in this one, and with them the history."""
+        """Data for pickling, without the history: its meshes cannot be sent to another process."""
         return Exception.__new__, (type(self), *self.args), vars(self) | {"history": None}
 
 
@@ -103,12 +103,12 @@ class LooseBody(SolveError):
 
 
 class TurningPoint(SolveError):
-    """A march in time has come to where the equilibria of a softening layer lead back in time: loads have a maximum there.
+    """Error of a march where the equilibria of a softening layer turn back in time: the loads have a maximum there.
 
-    Neither growing loads nor growing displacements of supports can be followed farther; a path can, by arc length.
+    A march with growing loads or growing displacements of supports cannot continue; a path by arc length can.
 
     Attributes:
-        t: time of the last equilibrium before.
+        t: time of the last equilibrium before this point.
         history: the accepted steps.
     """
 
@@ -120,13 +120,13 @@ class TurningPoint(SolveError):
 
 
 class NoEquilibrium(SolveError):
-    """A step without an equilibrium: its displacements run away as weak springs soften (`solving/weak_springs.py`).
+    """Error of a step without an equilibrium: displacements diverge as weak springs soften (`solving/weak_springs.py`).
 
     Attributes:
-        growth: norm of these displacements over that of an elastic layer, or of seams in contact that neither open nor
-            slide, under the same change of loads.
-        shares: name of a seam -> its share of the squares of the jumps that they cause at seams whose law bounds tractions,
-            the largest first; empty if there is one seam only.
+        growth: norm of these displacements over the norm with an elastic layer under the same change of loads. In this
+            reference, seams in contact neither open nor slide.
+        shares: name of a seam -> its share of the squared jumps of these displacements, at seams whose law bounds
+            tractions. The largest is first; empty if there is one seam only.
     """
 
     def __init__(self, growth: float, shares: Mapping[str, float]) -> None:
@@ -137,17 +137,18 @@ class NoEquilibrium(SolveError):
 class LimitLoad(SolveError):
     """The loads of a march exceed what a yielding layer, or contact, bears: even the shortest step has no equilibrium.
 
-    This is tested with weak springs at all nodes. With them an equilibrium exists; if its displacements grow without bound
-    as the springs soften, there is none without springs. A step that fails for another reason raises a plain SolveError.
+    This is tested with weak springs at all nodes. With them an equilibrium exists. If its displacements grow without
+    bound as the springs soften, no equilibrium exists without springs. A step that fails for another reason raises a
+    plain SolveError.
 
     Attributes:
         t: time of the last equilibrium.
         failed_at: earliest time at which no equilibrium was found.
         resultant: (d,) sum of the tractions and body forces on the bodies at t, a force.
-        growth: norm of the displacements with the weakest springs from t to `failed_at`, over that of an elastic layer; if
-            the layer's flow is associated, an equilibrium is at least this far away.
-        shares: of several seams, name -> share of the squares of the jumps that these displacements cause, over the areas
-            of layers that yield and of contact; the largest first. They tell which seams give way.
+        growth: norm of the displacements with the weakest springs from t to `failed_at`, over the norm with an elastic
+            layer. If the layer's flow is associated, an equilibrium is at least this far away.
+        shares: name of a seam -> its share of the squared jumps of these displacements, over the areas of layers that
+            yield and of contact. They show which seams fail, the largest first; empty if there is one seam only.
         history: the accepted steps.
     """
 
@@ -157,7 +158,7 @@ class LimitLoad(SolveError):
         growth, shares = run_away.growth, run_away.shares
         loads = ", ".join(f"{force:.6g}" for force in resultant)
         most = ", ".join(f"{name!r} {share:.0%}" for name, share in shares.items() if share >= MIN_NAMED_SHARE)
-        seams = f", with jumps at the seams {most}" if most else ""  # which part or slide most, where there are several
+        seams = f", with jumps at the seams {most}" if most else ""  # which open or slide most
         last = f"the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to ({loads})"
         none = f"at t = {failed_at:.10g} none was found (last attempt: {reason})"
         away = f"displacements run away, {growth:.3g} times as far as with an elastic layer{seams}"

@@ -1,4 +1,4 @@
-"""A script in plain DOLFINx, as a careful user writes it for one problem: two blocks with springs on S; for benchmarks."""
+"""A script in plain DOLFINx, as a careful user would write it, for two blocks with springs on S; for benchmarks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MULTIGRID = {"ksp_type": "cg", "ksp_rtol": 1e-10, "pc_type": "gamg", **LEVELS}
 
 
 class TwoBlocks:
-    """Two blocks, 1 wide and 0.5 high each, on a grid halved into simplices whose nodes on S are doubled, as arrays.
+    """Arrays of two blocks, 1 wide and 0.5 high each, on a grid of simplices with duplicated nodes on S.
 
     Args:
         n: even number of cells along each side.
@@ -39,7 +39,7 @@ class TwoBlocks:
 
     Attributes:
         points: (nodes, dim) coordinates.
-        cells: (cells, dim + 1) their nodes.
+        cells: (cells, dim + 1) nodes of the cells.
         springs: (facets, 2 dim) nodes of each facet of S, of the lower block and then of the upper one.
         jump: (2 dim^2, 2 dim^2) stiffness that the springs of one facet add, node by node.
     """
@@ -61,7 +61,7 @@ class TwoBlocks:
 
     @cached_property
     def is_fixed(self) -> npt.NDArray[np.bool_]:
-        """Displacements (nodes, dim) that are zero: all at the bottom, the first one at the sides."""
+        """Mask (nodes, dim) of displacements that are zero: all components at the bottom, the first at the sides."""
         at_sides = np.isclose(self.points[:, 0] * (1 - self.points[:, 0]), 0.0)
         return np.isclose(self.points[:, 1], -0.5)[:, None] | np.outer(at_sides, np.arange(self.points.shape[1]) == 0)
 
@@ -73,14 +73,14 @@ class TwoBlocks:
         return forces
 
     def spring_entries(self, numbers: Any) -> tuple[Any, Any, Any]:
-        """Rows, columns and values of the springs' stiffness; numbers (nodes, dim): of the displacements."""
+        """Rows, columns and values of the springs' stiffness; `numbers` (nodes, dim): numbers of displacements."""
         at = numbers[self.springs].reshape(len(self.springs), -1)
         rows, columns = np.repeat(at, at.shape[1], axis=1), np.tile(at, at.shape[1])
         return rows.ravel(), columns.ravel(), np.tile(self.jump.ravel(), len(at))
 
 
 def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, Any]:
-    """Solve `TwoBlocks`, with PETSc options of the linear solver; what `Stages.measured` returns."""
+    """Solve `TwoBlocks` with PETSc options of the linear solver; return `Stages.measured`."""
     stages, blocks = Stages(), TwoBlocks(n, dim)
     element = basix.ufl.element("Lagrange", "triangle" if dim == 2 else "tetrahedron", 1, shape=(dim,))
     mesh = dolfinx.mesh.create_mesh(comm=MPI.COMM_SELF, cells=blocks.cells, e=element, x=blocks.points)
@@ -110,7 +110,7 @@ def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, Any]:
     stages.end("forms")
 
     x = V.tabulate_dof_coordinates()[:, :dim]
-    number = np.empty(len(blocks.points), np.int32)  # of the node of each point of the grids
+    number = np.empty(len(blocks.points), np.int32)  # number of the node at each grid point
     number[mesh.geometry.input_global_indices[mesh.geometry.dofmap]] = V.dofmap.list
     springs, jump = number[blocks.springs], blocks.jump
     pattern = fem.create_sparsity_pattern(a)

@@ -26,9 +26,9 @@ from thinlayer.solving.petsc import faster_products, require_all_read
 from thinlayer.solving.solve import Solver
 from thinlayer.system.table import Row
 
-TOLERANCE = 1e-10  # relative residual of the iterative reference, as of the contact solver
-PREDICTED_LIMIT = 1.15  # of ratios in 3D if the contact status is predicted
-NETWORK, BRICKS = "friction in 217 bricks", (14, 15, (1.0, 0.5))  # along, courses, size
+TOLERANCE = 1e-10  # relative residual of the iterative reference, as in the contact solver
+PREDICTED_LIMIT = 1.15  # limit of ratios in 3D if the contact status is predicted
+NETWORK, BRICKS = "friction in 217 bricks", (14, 15, (1.0, 0.5))  # bricks along, courses, size of a brick
 
 
 def bar(n: int, **choices: Any) -> InterfaceModel:
@@ -45,7 +45,7 @@ def bricks(n: int) -> InterfaceModel:
     return structure.interface({"BED": HolonomicCoulomb(200.0, 80.0, 0.5), "HEAD": HolonomicCoulomb(100.0, 40.0, 0.3)})
 
 
-WORKS: dict[str, tuple[Callable[[int], InterfaceModel], dict[int, float]]] = {  # work -> n -> limit of the ratio
+WORKS: dict[str, tuple[Callable[[int], InterfaceModel], dict[int, float]]] = {  # work -> model(n), n -> limit of ratio
     "friction 2D": (bar, {128: 1.4, 256: 1.25, 512: 1.1, 724: 1.1}),
     "friction 2D, unstructured": (partial(bar, structured=False), {128: 1.4, 512: 1.1, 724: 1.1}),
     "friction 3D": (partial(bar, depth=True), {24: 1.3, 32: 1.3, 46: 1.3}),
@@ -55,10 +55,10 @@ WORKS: dict[str, tuple[Callable[[int], InterfaceModel], dict[int, float]]] = {  
 
 
 def friction(work: str, n: int, repeats: int) -> list[Row]:
-    """Rows of one of WORKS; our solver and the reference alternate in one process, warm.
+    """Rows of one of `WORKS`; our solver and the reference alternate in one process after a warm-up.
 
     The reference is the faster of MUMPS (Cholesky) and of conjugate gradients with multigrid, on the matrix with bonded
-    springs at S. Times are of the processor; all costs from the assembled stiffness on are counted.
+    springs at S. Times are processor times; all costs after the assembly of the stiffness are counted.
     """
     of, limits = WORKS[work]
     bench = Bench(of(n))
@@ -72,8 +72,8 @@ class Bench:
     """A model in contact, ready to be solved again and again.
 
     Attributes:
-        equations: its equations.
-        bonded: its stiffness with bonded springs at S, which the reference solves.
+        equations: equations of the model.
+        bonded: stiffness with bonded springs at S, which the reference solves.
     """
 
     def __init__(self, model: InterfaceModel) -> None:
@@ -92,7 +92,7 @@ class Bench:
         self.bonded.setNearNullSpace(PETSc.NullSpace().create(vectors=near, comm=self.bonded.comm))
 
     def load(self, sideways: float) -> None:
-        """Set the loads, the one that pushes along x times a factor."""
+        """Set the loads, with their x components times a factor."""
         self.equations.begin(TimeStep(self.solver.rest(0.0), 0.0, 0.0, 1.0))
         self.equations.external.array[:: self.dim] *= sideways
         self.equations.loads.array[:: self.dim] *= sideways
@@ -111,7 +111,7 @@ class Bench:
         return seconds, u
 
     def linear(self, kind: str) -> float:
-        """Processor time of one linear solve; infinite where it does not converge."""
+        """Processor time of one linear solve; infinite if it does not converge."""
         factorising = DIRECT_OPTIONS | ORDERING_OPTIONS[self.dim] | {"pc_type": "cholesky"}
         options = factorising if kind == "cholesky" else MULTIGRID_OPTIONS | {"ksp_type": "cg"}
         options |= {"ksp_rtol": TOLERANCE, "pc_gamg_aggressive_coarsening": self.dim - 1}
@@ -121,9 +121,9 @@ class Bench:
             return solve_once(self.bonded, self.equations.external, options)
 
     def compare(self, work: str, repeats: int, limit: float) -> list[Row]:
-        """Rows of the table: cold, and in 3D from the state under 0.9 of the load along x, whose status is another one."""
+        """Rows of the table: from rest; in 3D also from 0.9 of the load along x, where the contact status differs."""
         unknowns = self.equations.K.getSize()[0]
-        large = self.dim == 3 and unknowns > 30_000  # there factorising falls further and further behind
+        large = self.dim == 3 and unknowns > 30_000  # a factorisation is far slower there
         kinds = ("multigrid",) if large else ("cholesky", "multigrid")
         starts: dict[str, tuple[PETSc.Vec | None, float]] = {work: (None, limit)}
         if self.dim == 3:

@@ -21,7 +21,7 @@ LEAST = 5e5  # least number of points per second for the return mapping
 
 YIELDING, DILATANT = MohrCoulomb(LMBDA, MU, C, OMEGA), MohrCoulomb(LMBDA, MU, C, OMEGA, dilatancy_angle=PSI)
 ELASTIC, HARDER = LinearElastic(LMBDA, MU), LinearElastic(2 * LMBDA, MU)
-CASES: dict[str, tuple[BulkLaw, tuple[int, ...]]] = {  # the law; components of the strains it is run over
+CASES: dict[str, tuple[BulkLaw, tuple[int, ...]]] = {  # law; Mandel components of its strains
     "linear elastic": (ELASTIC, PLANE),
     "monodirectional": (MohrCoulombMonodirectional(LMBDA, MU, C, OMEGA), PLANE),
     "Mohr-Coulomb, plane strain": (YIELDING, PLANE),
@@ -33,7 +33,7 @@ CASES: dict[str, tuple[BulkLaw, tuple[int, ...]]] = {  # the law; components of 
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Stress, tangent, internal values and energies of random strains, from rest; the best of several repeats.
+    """Time stress, tangent, internal variables and energies of random strains, from rest; the best of several repeats.
 
     Args:
         record: where to write.
@@ -48,7 +48,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def measure(name: str, points: int, repeats: int) -> dict[str, float | str]:
-    """Least processor time of all points, in seconds, and the share of points that yield."""
+    """Row with the least processor time of all points, in seconds, and the share of points that yield."""
     law, slots = CASES[name]
     random, m = np.random.default_rng(1), len(slots)
     material = CompiledLaw(MPI.COMM_SELF, law)

@@ -1,4 +1,4 @@
-"""Two blocks with springs on S in NGSolve and in scikit-fem, which are no dependencies; for benchmarks."""
+"""Two blocks with springs on S in NGSolve and in scikit-fem, which are not dependencies; for benchmarks."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from studies.timing import Stages
 
 LMBDA, MU = E * NU / (1 + NU) / (1 - 2 * NU), E / 2 / (1 + NU)
 MODULES = {"NGSolve": "ngsolve", "scikit-fem": "skfem"}
-RESIDUAL = 1e-10  # of conjugate gradients, relative
+RESIDUAL = 1e-10  # relative residual of conjugate gradients
 
 
 def ngsolve(n: int, dim: int) -> dict[str, Any]:
-    """By sparse Cholesky in 2D, by conjugate gradients in 3D, on one thread; what `Stages.measured` returns."""
+    """Solve `TwoBlocks` on one thread: sparse Cholesky in 2D, conjugate gradients in 3D; return `Stages.measured`."""
     ngs, netgen = import_module("ngsolve"), import_module("netgen.meshing")
     ngs.SetNumThreads(1)
     stages, blocks, raw = Stages(), TwoBlocks(n, dim), netgen.Mesh(dim=dim)
@@ -50,7 +50,7 @@ def ngsolve(n: int, dim: int) -> dict[str, Any]:
 
 
 def scikit_fem(n: int, dim: int) -> dict[str, Any]:
-    """By scipy's factorisation; what `Stages.measured` returns."""
+    """Solve `TwoBlocks` by scipy's factorisation; return `Stages.measured`."""
     fem, elasticity = import_module("skfem"), import_module("skfem.models.elasticity")
     stages, blocks = Stages(), TwoBlocks(n, dim)
     kind, element = (fem.MeshTri, fem.ElementTriP1()) if dim == 2 else (fem.MeshTet, fem.ElementTetP1())

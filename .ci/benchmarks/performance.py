@@ -1,4 +1,4 @@
-"""Benchmark: laws on S in solves of the same mesh without them, beside meshed layers and other programs; friction."""
+"""Benchmark: cost of laws on S against bonded bodies, meshed layers and other programs; cost of friction."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ SIZES = {2: (70, 222, 700), 3: (14, 32, 46)}  # dimension -> cells along: about 
 QUICK = {2: (70,), 3: (10,)}
 SOLVERS: dict[str, dict[str, Any]] = {"direct": {"pc_type": "cholesky"}, "iterative": {"pc_type": "gamg"}}
 BY_HAND = {"direct": CHOLESKY, "iterative": MULTIGRID}
-# name -> its work, largest numbers of cells along for which it ends in reasonable time, limits for the largest mesh
+# name -> its work, largest numbers of cells along a side with a reasonable time, limits of ratios for the largest mesh
 PROGRAMS: dict[str, tuple[Callable[..., dict[str, Any]], dict[tuple[int, str], int], dict[int, float]]] = {
     "script by hand": (by_hand, {(dim, kind): SIZES[dim][-1] for dim in SIZES for kind in SOLVERS}, {2: 1.0, 3: 1.05}),
     "NGSolve": (ngsolve, {(2, "direct"): 700, (3, "iterative"): 46}, {2: 0.5, 3: 0.5}),
     "scikit-fem": (scikit_fem, {(2, "direct"): 222, (3, "direct"): 14}, {}),
 }
 BEST = {2: "direct", 3: "iterative"}  # dimension -> the faster solver for the largest mesh
-BONDED_LIMITS = {"direct": 1.1, "iterative": 1.3}  # time with a law on S over that of bonded bodies
-STIFFER, STIFF = (1.0, 100.0, 1e4), 100.0  # stiffness of S times height over modulus of a body; limited up to here
+BONDED_LIMITS = {"direct": 1.1, "iterative": 1.3}  # time with a law on S over time with bonded bodies
+STIFFER, STIFF = (1.0, 100.0, 1e4), 100.0  # K h/E of S; ratios of times have a limit up to STIFF
 RANKS = {2: (1 / 1.6, math.inf), 4: (math.inf, 0.35)}  # limits of time, for fewer ranks than cores, and of memory
-ESTIMATE_LIMIT = 1.6  # time of an estimate over that of a solve
+ESTIMATE_LIMIT = 1.6  # time of an estimate over time of a solve
 EPS = {2: (1 / 16, 1 / 32, 1 / 64, 1 / 128), 3: (1 / 8, 1 / 16, 1 / 32)}  # thickness of the layer over the width of S
 SAME = 1e-9  # relative difference of energies of other programs and of the interface model
-FINEST = "cells as long as thick"  # the meshed layer with whose energy others are compared
+FINEST = "cells as long as thick"  # meshed layer whose energy is the reference
 SECONDS, FIRST = itemgetter("seconds"), itemgetter(0)
 TENTHS = [k / 10 for k in range(1, 11)]
 COLUMNS: tuple[str, ...] = ("part", "work", "dim", "unknowns", "eps", "reference", "seconds", "reference_seconds")
@@ -87,7 +87,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def parts(*, quick: bool = False) -> dict[str, Callable[[], Iterable[Row]]]:
-    """Name of a part -> what measures its rows, also alone: `[*parts()["ranks"]()]`."""
+    """Name of a part -> function that measures its rows; to run one part: `[*parts()["ranks"]()]`."""
     sizes, repeats, cube = (QUICK, 1, 10) if quick else (SIZES, 2, SIZES[3][-1])
     frictions = {work: [*limits][: 1 if quick else None] for work, (_, limits) in WORKS.items()}
     return {
@@ -102,7 +102,7 @@ def parts(*, quick: bool = False) -> dict[str, Callable[[], Iterable[Row]]]:
 
 
 def draw(record: Record) -> None:
-    """Draw ratios of times over unknowns; unknowns, times and errors of thin layers over the width by the thickness."""
+    """Draw ratios of times over unknowns, and unknowns, times and errors of thin layers over width by thickness."""
     rows = record.load("table.csv").split("part")
 
     def lines(table: Table) -> dict[str, tuple[Any, Any]]:
@@ -141,12 +141,12 @@ def blocks(n: int, dim: int, element: str = "P1", load: Any = None) -> Structure
 
 
 def layer(stiffness: float = 1.0, eps: float = 0.01) -> ThinLayer:
-    """A layer with the stiffnesses of the script's springs, times a factor."""
+    """A layer with the stiffnesses of the springs of `by_hand`, times a factor."""
     return ThinLayer(LinearElastic(stiffness * (K_N - 2 * K_T), stiffness * K_T), eps, at=1.0)
 
 
 def on_s(n: int, dim: int, stiffness: float, options: dict[str, Any]) -> dict[str, Any]:
-    """From the mesh to the energy, with a law on S, `stiffness` times that of the script; 0: with bonded bodies."""
+    """Measure a solve from the mesh to the energy, with a law on S, `stiffness` times `by_hand`; 0: bonded bodies."""
     stages = Stages()
     structure = blocks(n, dim)
     stages.end("mesh")
@@ -160,7 +160,7 @@ def on_s(n: int, dim: int, stiffness: float, options: dict[str, Any]) -> dict[st
 
 
 def alone(work: str, n: int, *others: Any, ranks: int = 1) -> dict[str, Any]:
-    """A run of a work on some ranks of their own."""
+    """Run a work in new processes, one for each rank, and return its row."""
     words = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     command = [*words, sys.executable, "-c", ALONE, work, json.dumps(n), json.dumps(others)]
     prints = subprocess.check_output(command, text=True, env={"OMP_NUM_THREADS": "1", **os.environ})
@@ -169,9 +169,9 @@ def alone(work: str, n: int, *others: Any, ranks: int = 1) -> dict[str, Any]:
 
 # ---------------------------------------------------------------- parts of the table
 def solves(n: int, dim: int, repeats: int) -> Iterable[Row]:
-    """A law on S against bonded bodies and against other programs, with both kinds of solvers; small ones more often."""
+    """Rows of a law on S against bonded bodies and other programs, with both solvers; small meshes more often."""
     largest = n == SIZES[dim][-1]
-    for kind in SOLVERS if dim == 2 or not largest else ("iterative",):  # factorising it takes minutes, and 20 GB
+    for kind in SOLVERS if dim == 2 or not largest else ("iterative",):  # its factorisation takes minutes, and 20 GB
         works = {name: partial(alone, "on_s", n, dim, k, SOLVERS[kind]) for name, k in (("law", 1.0), ("bonded", 0.0))}
         for name, (work, most, _) in PROGRAMS.items():
             if n > most.get((dim, kind), 0):
@@ -195,7 +195,7 @@ def solves(n: int, dim: int, repeats: int) -> Iterable[Row]:
 
 
 def stiffer(n: int, repeats: int) -> Iterable[Row]:
-    """Stiffer and stiffer laws on S, by multigrid."""
+    """Rows of laws on S with growing stiffness against bonded bodies, by multigrid."""
     works = {
         ratio: partial(alone, "on_s", n, 3, 2 * E * ratio / K_N, SOLVERS["iterative"]) for ratio in (0.0, *STIFFER)
     }
@@ -206,7 +206,7 @@ def stiffer(n: int, repeats: int) -> Iterable[Row]:
 
 
 def thin(dim: int, eps: float) -> Iterable[Row]:
-    """A meshed layer with cells as long as it is thick, one with cells of the bodies along S, and laws on S."""
+    """Rows of a meshed layer with cells as long as it is thick or as the bodies' cells along S, and of laws on S."""
     depth, h = (0.25, 1 / 8) if dim == 3 else (None, 1 / 16)
     works = {FINEST: ("full", eps, 0), "flat cells": ("full", h, 0)}
     works |= {f"law on S of order {order}": ("interface", h, order) for order in (0, 1)}
@@ -223,12 +223,12 @@ def thin(dim: int, eps: float) -> Iterable[Row]:
 
 
 def solved(kind: str, soft: ThinLayer, *data: Any, **more: Any) -> State:
-    """The solution of a "full" or "interface" model, made anew."""
+    """Make a "full" or "interface" model and return its solution."""
     return solve(getattr(Structure(*data, **more), kind)(soft))
 
 
 def ranks(n: int, repeats: int) -> Iterable[Row]:
-    """A cube on several ranks, by multigrid, against one: time, and memory of a rank."""
+    """Rows of a cube on several ranks against one rank, by multigrid: time, and memory of a rank."""
     run = partial(alone, "on_s", n, 3, 1.0, SOLVERS["iterative"])
     runs = in_turn({number: partial(run, ranks=number) for number in (1, *RANKS)}, repeats, SECONDS)
     for number, (limit, most) in RANKS.items():
@@ -239,7 +239,7 @@ def ranks(n: int, repeats: int) -> Iterable[Row]:
 
 
 def marches(n: int, repeats: int) -> Iterable[Row]:
-    """Steps of marches, and an estimate, in linear solves of the same mesh."""
+    """Rows of steps of marches, and of an estimate, against a linear solve of the same mesh."""
     flowing, switching = VonMises(K_N - 2 * K_T, K_T, strength=0.3), NonMonotone(**SNAPPING, mixing=0.4)
     works: dict[str, tuple[str, Any, float, Any]] = {
         "step of a march that yields": ("P2", ThinLayer(flowing, 0.01, at=1.0), 1.0, TENTHS),
@@ -261,7 +261,7 @@ def marches(n: int, repeats: int) -> Iterable[Row]:
 
 
 def first_use() -> Iterable[Row]:
-    """Starts of Python, and the first and second solve of a user with no compiled forms."""
+    """Rows of starts of Python, and of the first and second solve of a user without compiled forms."""
     works = {
         "import numpy": (["-c", "import numpy"], math.inf),
         "import thinlayer": (["-c", "import thinlayer"], 0.3),

@@ -1,4 +1,4 @@
-"""What benchmarks measure with: stages, processor time of works in turn, memory, and rows that compare two works."""
+"""Measurements for benchmarks: stages, processor time of works in turn, memory, and rows that compare two works."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from geometry.parallel import ResultType
 from thinlayer.solving.petsc import PREFIX, OptionValue, default_options
 from thinlayer.system.ranks import destroy
 
-# "seconds" of a work; where they are known also "peak_mb", "unknowns", "dim", "energy", stages
+# "seconds" of a work; if known, also "peak_mb", "unknowns", "dim", "energy", stages
 Measured = Mapping[str, Any]
-ENOUGH = 20.0  # seconds of short works in turn; on shared cores the quiet ones come and go within some
+ENOUGH = 20.0  # s for which short works are repeated in turn: the load of shared cores varies within seconds
 
 
 class Stages(dict[str, float]):
-    """Name of a stage -> its seconds by the clock; each begins where the one before it ends."""
+    """Name of a stage -> its seconds by the clock; each stage begins when the stage before it ends."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -34,7 +34,7 @@ class Stages(dict[str, float]):
         self[name], self._begin = time.perf_counter() - self._begin, time.perf_counter()
 
     def measured(self, energy: float, unknowns: int, dim: int) -> dict[str, Any]:
-        """All stages as one work, with the largest memory of a rank, MB; each has its part of shared pages. Collective."""
+        """All stages as one work, with the largest memory of a rank, MB; ranks divide shared pages. Collective."""
         shared = status("VmRSS") - status("Pss:", "smaps_rollup")
         peak_mb = MPI.COMM_WORLD.allreduce(status("VmHWM") - shared, MPI.MAX)
         of_work = {"dim": dim, "unknowns": int(unknowns), "energy": float(energy), "peak_mb": peak_mb}
@@ -42,7 +42,7 @@ class Stages(dict[str, float]):
 
 
 def compared(work: str, ours: Measured, reference: str, other: Measured, limit: float = math.inf) -> dict[str, Any]:
-    """A row: a work, the work that it is compared with, the ratio of times and its limit, the difference of energies."""
+    """A row: a work, its reference work, the ratio of times and its limit, the relative difference of energies."""
     error = abs(ours["energy"] / other["energy"] - 1) if {"energy"} <= {*ours} & {*other} else None
     row = {"work": work, **ours, "reference": reference, "limit": limit, "error": error}
     row |= {"reference_seconds": other["seconds"], "reference_peak_mb": other.get("peak_mb")}
@@ -50,7 +50,7 @@ def compared(work: str, ours: Measured, reference: str, other: Measured, limit: 
 
 
 def timed(work: Callable[[], ResultType]) -> tuple[float, ResultType]:
-    """Processor time of some work, s, and what it returns."""
+    """Processor time of some work, s, and its result."""
     gc.collect()
     begin = time.process_time()
     result = work()
@@ -60,9 +60,9 @@ def timed(work: Callable[[], ResultType]) -> tuple[float, ResultType]:
 def in_turn(
     works: Mapping[Any, Callable[[], ResultType]], repeats: int, key: Callable[[ResultType], Any] | None = None
 ) -> dict[Any, ResultType]:
-    """The least of several results of each work, by a key; done in turn, so that a busy machine slows all of them down.
+    """Return the least of several results of each work, by a key; works run in turn, so that a busy machine slows all.
 
-    Short works are done more often, for `ENOUGH`, unless one repeat is asked for.
+    Short works are repeated until `ENOUGH` seconds have passed, unless `repeats` is 1.
     """
     begin, runs = time.perf_counter(), list[list[ResultType]]()
     while len(runs) < repeats or (repeats > 1 and time.perf_counter() - begin < ENOUGH):
@@ -71,16 +71,16 @@ def in_turn(
 
 
 def peak(work: Callable[[], object]) -> float:
-    """Largest memory that this process takes during some work, on top of what it had, MB; Linux only."""
-    ctypes.CDLL(None).malloc_trim(0)  # what was freed goes back to the system
+    """Largest additional memory that this process takes during some work, MB; Linux only."""
+    ctypes.CDLL(None).malloc_trim(0)  # return freed memory to the system
     before = status("VmRSS")
-    Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # forget the largest so far
+    Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # reset the peak
     work()
     return max(status("VmHWM") - before, 0.0)
 
 
 def status(name: str, file: str = "status") -> float:
-    """A size of memory of this process, MB, by its name in a file of /proc; NaN if there is none."""
+    """A memory size of this process, MB, by its name in a file of /proc/self; NaN if the name is missing."""
     for line in Path("/proc/self", file).read_text(encoding="utf-8").splitlines():
         if line.startswith(name):
             return int(line.split()[1]) / 1024

@@ -18,21 +18,22 @@ TABLE_FILE = Path(__file__).parent / "table.csv"
 
 @dataclass(frozen=True)
 class FreeEnd:
-    """Constants of a free end that stands at a right angle on an isotropic layer between faces much stiffer than it.
+    """Constants of a free end, at a right angle to the faces, of an isotropic layer between much stiffer bodies.
 
     Plane strain, or plane stress with the ratio nu/(1 + nu). Lengths are over the thickness, stresses over mu, and
     M = lmbda + 2 mu. At nu = 0.5 c_N, m_N and rho_N are infinite. Source: `studies/half_strip.py`.
 
     Attributes:
         nu: Poisson's ratio of the layer.
-        c_N: a layer of length L under an opening w_N bears the force M w_N (L - c_N) per such end.
-        m_N: first moment, about the end, of the normal tractions that are missing, over M w_N.
+        c_N: with one such end, a layer of length L under an opening w_N carries the force M w_N (L - c_N).
+        m_N: first moment, about the end, of the missing normal tractions, over M w_N.
         rho_N: mean distance from the end of the tractions along S that balance lmbda w_N.
-        c_T: as c_N, of the force mu w_T; also the mean distance of the tractions across S that balance its moment, and the
-            mean displacement of the end across S, towards the face that moves outwards, over minus w_T.
-        m_T: first moment of the shear tractions that are missing, over mu w_T.
-        kappa: factor of the flow along S of a pressure (`forms.rubber`) within one thickness of the end, with which the
-            pressure alone gives c_N.
+        c_T: as c_N, for the force mu w_T. It is also the mean distance from the end of the tractions across S that
+            balance the moment of this force. It is also the mean displacement of the end across S, towards the face
+            that moves outwards, over -w_T.
+        m_T: first moment, about the end, of the missing shear tractions, over mu w_T.
+        kappa: factor on the pressure-driven flow along S (`forms.rubber`) within one thickness of the end. With this
+            factor the pressure alone gives c_N.
     """
 
     nu: float
@@ -45,10 +46,10 @@ class FreeEnd:
 
     @property
     def drawn_in(self) -> float:
-        """Mean distance by which the end is drawn in as the layer opens, over w_N.
+        """Mean inward displacement of the end as the layer opens, over w_N.
 
-        The end is free of the stress lmbda w_N/eps along S of an infinite layer: what it takes away from the energy,
-        c_N M w_N^2/2, is half the work of this stress in the end's displacement.
+        The end is free of the stress lmbda w_N/eps along S of an infinite layer. The end lowers the energy by
+        c_N M w_N^2/2, which is half the work of this stress on the end's displacement.
         """
         lmbda = lame_over_mu(self.nu)
         return self.c_N * (lmbda + 2) / lmbda if lmbda else 0.0
@@ -67,8 +68,8 @@ def lame_over_mu(nu: float) -> float:
 def free_end(nu: float) -> FreeEnd:
     """Constants of a free end for Poisson's ratio nu from 0 to 0.5, to nine digits, from a table.
 
-    With s = sqrt(1 - 2 nu) the numbers c_N M mu/(lmbda^2 s), m_N M s^2/lmbda, rho_N s, c_T and m_T are analytic for s
-    from 0 to 1, and polynomials of s; the first one is sqrt(1/12) at s = 0.
+    The table is interpolated by polynomials of s = sqrt(1 - 2 nu), from 0 to 1. The numbers c_N M mu/(lmbda^2 s),
+    m_N M s^2/lmbda, rho_N s, c_T and m_T are analytic in s; the first is sqrt(1/12) at s = 0.
 
     Raises:
         InputError: nu out of range.
@@ -86,14 +87,14 @@ def free_end(nu: float) -> FreeEnd:
 
 
 def chebyshev_ratios(n: int) -> Array:
-    """Poisson's ratios of a table of n rows: Chebyshev's points in s, from the largest to the smallest ratio."""
+    """Poisson's ratios of a table of n rows: Chebyshev points in s, from the largest to the smallest ratio."""
     s = (1 - np.cos(np.pi * (np.arange(n) + 0.5) / n)) / 2
     return np.asarray((1 - s**2) / 2)
 
 
 @cache
 def shipped_table() -> dict[str, Array]:
-    """The table that comes with the package: name of a column -> values, in the order of `chebyshev_ratios`."""
+    """Table of this package: name of a column -> values, in the order of `chebyshev_ratios`."""
     return dict(zip(TABLE_COLUMNS, np.loadtxt(TABLE_FILE, delimiter=",", skiprows=1).T, strict=True))
 
 
@@ -110,10 +111,10 @@ def _coefficients() -> Array:
 
 
 def flow_factor(delta: float, excess: float) -> float:
-    """Factor f of the flow on 0 < x < 1 with which int (1 - p) dx over x > 0 is delta + excess.
+    """Flow factor f on 0 < x < 1 such that int (1 - p) dx over x > 0 is delta + excess.
 
-    The pressure p solves delta^2 (f p')' = p - 1 with p(0) = 0; f = 1 for x > 1. With r = sqrt(f) and t = tanh(1/(r delta))
-    the integral is r delta (1 + r t)/(t + r).
+    The pressure p solves delta^2 (f p')' = p - 1 with p(0) = 0; f = 1 for x > 1. With r = sqrt(f) and
+    t = tanh(1/(r delta)) the integral is r delta (1 + r t)/(t + r).
     """
 
     def missing(r: float) -> float:

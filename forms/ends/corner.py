@@ -1,11 +1,11 @@
 """The singular field at the corner of a layer's free end.
 
-At its corners, where a face meets the free side, the layer is a wedge of 90 degrees, 0 < theta < pi/2, held at theta = 0
-and free at theta = pi/2. Its stresses grow like H r^(lambda - 1) towards the corner (Williams 1952). With Muskhelishvili's
-potentials phi = a z^lambda, psi = b z^lambda
+At a corner, where a face meets the free side, the layer is a wedge of 90 degrees, 0 < theta < pi/2. It is fixed at
+theta = 0 and traction-free at theta = pi/2. Its stresses grow like H r^(lambda - 1) towards the corner (Williams 1952).
+With Muskhelishvili's potentials phi = a z^lambda, psi = b z^lambda
 
-    2 mu (u + i v) = kappa phi - z conj(phi') - conj(psi),   kappa = 3 - 4 nu,
-    s_xx + s_yy = 4 Re phi',   s_yy - s_xx + 2 i s_xy = 2 (conj(z) phi'' + psi').
+    2 mu (u + i v) = kappa phi - z conj(phi') - conj(psi);   kappa = 3 - 4 nu;
+    s_xx + s_yy = 4 Re phi';   s_yy - s_xx + 2 i s_xy = 2 (conj(z) phi'' + psi').
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from numpy.polynomial import legendre
 from forms.base import Array
 from forms.ends.constants import lame_over_mu
 
-ARC_GAUSS_POINTS = 24  # Gauss points of an arc around the corner
+ARC_GAUSS_POINTS = 24  # number of Gauss points on an arc around the corner
 
 
 @dataclass(frozen=True)
 class CornerField:
     """The singular field at the corner between a layer's free side and a rigid face; plane strain, stresses over mu.
 
-    In plane stress nu is nu/(1 + nu) of the layer. The polar angle is that from the face, into the layer.
+    In plane stress nu is nu/(1 + nu) of the layer. The polar angle is measured from the face into the layer.
 
     Attributes:
         nu: Poisson's ratio, in [0, 0.5].
@@ -36,13 +36,13 @@ class CornerField:
     nu: float
 
     def __post_init__(self) -> None:
-        lame_over_mu(self.nu)  # raises errors of ratios out of range
+        lame_over_mu(self.nu)  # raises InputError for a ratio out of range
 
     @cached_property
     def exponent(self) -> float:
         """lambda, from 1 at nu = 0 to 0.595 at nu = 0.5: stresses grow like r^(lambda - 1).
 
-        The only root from 0 to 1 of 4 kappa sin(lambda pi/2)^2 = (kappa + 1)^2 - 4 lambda^2.
+        It is the only root from 0 to 1 of 4 kappa sin(lambda pi/2)^2 = (kappa + 1)^2 - 4 lambda^2.
         """
         k = 3 - 4 * self.nu
 
@@ -54,7 +54,7 @@ class CornerField:
         return float(brentq(excess, 0.0, 1.0, xtol=1e-15, rtol=1e-14)) if excess(1.0) > 0 else 1.0
 
     def _values(self, power: float, coefficients: Array, r: Array, angle: Array) -> tuple[Array, Array]:
-        """Displacements (..., 2) and stresses 11, 22, 12 (..., 3) of a = c_0 + i c_1, b = c_2 + i c_3."""
+        """Displacements (..., 2) and stresses 11, 22, 12 (..., 3) for a = c_0 + i c_1, b = c_2 + i c_3."""
         a, b = coefficients[0] + 1j * coefficients[1], coefficients[2] + 1j * coefficients[3]
         z = r * np.exp(1j * angle)
         first, second, third = z**power, power * z ** (power - 1), power * (power - 1) * z ** (power - 2)
@@ -64,7 +64,7 @@ class CornerField:
         return np.stack([u.real, u.imag], axis=-1), stress
 
     def _mode(self, power: float) -> Array:
-        """Coefficients (4,) of the field that is zero on the face and free of tractions on the side."""
+        """Coefficients (4,) of the field with zero displacement on the face and zero traction on the free side."""
         rows = np.empty((4, 4))
         for k, unit in enumerate(np.eye(4)):
             on_face, _ = self._values(power, unit, np.array(1.0), np.array(0.0))
@@ -82,7 +82,7 @@ class CornerField:
         return self._mode(-self.exponent)
 
     def field(self, r: Array, angle: Array) -> tuple[Array, Array]:
-        """The field with H = 1: traction r^(lambda - 1) on the face, across it.
+        """The field with H = 1, which has the normal traction r^(lambda - 1) on the face.
 
         Returns:
             Displacements (..., 2), for mu = 1, and stresses 11, 22, 12, (..., 3), with axis 1 along the face.
@@ -91,7 +91,7 @@ class CornerField:
 
     @property
     def shear(self) -> float:
-        """Traction along the face over that across it; axis 1 leads away from the corner."""
+        """Tangential over normal traction on the face; axis 1 points away from the corner."""
         return float(self.field(np.array(1.0), np.array(0.0))[1][2])
 
     @cached_property
@@ -100,34 +100,34 @@ class CornerField:
         return (points + 1) * np.pi / 4, weights * np.pi / 4
 
     def arc(self, r: float) -> Array:
-        """Places (n, 2) on the arc of radius r around the corner, at which `strength` takes displacements and stresses."""
+        """Points (n, 2) on the arc of radius r around the corner, where `strength` needs displacements and stresses."""
         angles = self._arc[0]
         return r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def strength(self, r: float, u: Array, stress: Array) -> float:
-        """H of a field, by reciprocity with the dual field, of displacements ~ r^(-lambda).
+        """Intensity H of a field, by reciprocity with the dual field, whose displacements are ~ r^(-lambda).
 
-        Any radius gives the same, as long as the face does not move and the side is free.
+        The result does not depend on the radius if the face is fixed and the side is traction-free.
 
         Args:
             r: radius of the arc.
-            u: displacements (n, 2), times mu, less that of the face, at `arc`.
-            stress: 11, 22, 12, (n, 3), there.
+            u: displacements (n, 2) at `arc` relative to the face, times mu.
+            stress: stresses 11, 22, 12, (n, 3), at `arc`.
 
         Returns:
-            H, in the unit of stress times that of r to the power 1 - lambda.
+            H, in units of stress times length^(1 - lambda).
         """
         return self._reciprocal(r, u, stress) / self._reciprocal(1.0, *self.field(np.array(1.0), self._arc[0]))
 
     def _reciprocal(self, r: float, u: Array, stress: Array) -> float:
-        """Work of the stresses in the dual displacements, less that of the dual stresses, on an arc."""
+        """Work of the stresses on the dual displacements minus work of the dual stresses on u, on an arc."""
         angles, weights = self._arc
         dual_u, dual = self._values(-self.exponent, self._dual, np.array(r), angles)
         return float(weights @ (_work(stress, angles, dual_u) - _work(dual, angles, u))) * r
 
 
 def _work(stress: Array, angles: Array, u: Array) -> Array:
-    """Work (n,) of the tractions of stresses 11, 22, 12 (n, 3) on an arc in displacements (n, 2)."""
+    """Work (n,) of the tractions of stresses 11, 22, 12 (n, 3) at points of an arc on displacements (n, 2)."""
     c, s = np.cos(angles), np.sin(angles)
     t_x, t_y = stress[:, 0] * c + stress[:, 2] * s, stress[:, 2] * c + stress[:, 1] * s
     return np.asarray(t_x * u[:, 0] + t_y * u[:, 1])

@@ -1,4 +1,4 @@
-"""Meshes of Abaqus's .inp files; meshio loses sets, and nodes, that are in several blocks."""
+"""Reader of Abaqus .inp files; the reader of meshio loses sets and nodes that are split into several blocks."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ CELL_NAMES = {  # start of an element's type -> number of its nodes -> meshio's 
     r"CP[SE]|CG?AX|D?C2D|STRI|S\d|S?F?M3D|R3D": {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9"},
     r"[TB][23]|[SMR]AX|R2D": {2: "line", 3: "line3"},
 }
-# with data: what makes or moves nodes or elements
+# keywords that create or move nodes or elements, refused if they have data
 UNSUPPORTED_KEYWORDS = "SYSTEM", "INSTANCE", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY"
 
 
 def load(path: Path) -> meshio.Mesh:
-    """The mesh of an .inp file, and of files that it includes: one part, which its instance does not move.
+    """Read the mesh of an .inp file and of files that it includes: one part, which its instance does not move.
 
     Blocks of one set are joined. Sets of nodes, surfaces and internal sets are left out.
 
     Raises:
-        InputError: what is not read, or wrong, with its keyword and line.
+        InputError: data are not supported or wrong; the message names keyword and line.
     """
     points: list[list[float]] = []
     nodes: dict[int, int] = {}  # number -> row in `points`
     elements: dict[int, tuple[str, list[int]]] = {}
-    sets: dict[str, tuple[str, bool, set[int]]] = {}  # in capitals -> as first written, in the assembly?, elements
+    sets: dict[str, tuple[str, bool, set[int]]] = {}  # in capitals -> as first written, if in the assembly, elements
     count, assembled = 0, False
     for keyword, options, rows, place in _blocks(path):
         kind, name, members = options.get("TYPE", "").upper(), options.get("ELSET", ""), set[int]()
@@ -85,7 +85,7 @@ def _blocks(path: Path) -> Iterator[tuple[str, dict[str, str], list[list[str]], 
         options = {key.strip().upper(): value.strip(' \t"') for key, _, value in (arg.partition("=") for arg in others)}
         if keyword == "INCLUDE":
             yield from _blocks(path.parent / options.get("INPUT", ""))
-        if keyword == "ELEMENT":  # whose data go on after a comma
+        if keyword == "ELEMENT":  # data continue on the next line after a comma
             data = re.sub(r",\s*\n", ",", data)
         rows = [re.split(r"\s*,\s*", row.strip(" \t,")) for row in data.split("\n") if row.strip()]
         yield keyword, options, rows, f"line {line} of {path.name}"

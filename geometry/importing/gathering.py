@@ -19,7 +19,7 @@ from geometry.parallel import default_comm, on_root
 from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
 
 DEFAULT_REGION = "BODY"  # region of all cells if there are no cell tags
-TagNames = Mapping[str, Sequence[int]]  # name -> dimension of what is tagged, and numbers of its tags
+TagNames = Mapping[str, Sequence[int]]  # name -> dimension of the tagged entities, then their tags
 
 
 def gather_joint(
@@ -49,8 +49,8 @@ class _Part(NamedTuple):
         nodes: (n_cells, k) nodes of the cells that the rank owns.
         region: (n_cells,) tags of these cells.
         tagged: (n_cells,) whether these cells have a tag; without cell tags all have the tag 0.
-        facets: (n_facets, k) vertices of its tagged facets.
-        tags: (n_facets,) their tags.
+        facets: (n_facets, k) vertices of the rank's tagged facets.
+        tags: (n_facets,) tags of these facets.
     """
 
     type: str
@@ -63,7 +63,7 @@ class _Part(NamedTuple):
 
     @classmethod
     def of(cls, mesh: Any, cell_tags: Any, facet_tags: Any, comm: MPI.Intracomm) -> _Part:
-        """The part of this rank; raises InputError if a joint cannot be made of it."""
+        """The part of this rank; raise InputError if it is unsuitable for a joint."""
         require(isinstance(mesh, dolfinx.mesh.Mesh), "mesh", mesh, "give the name of a file, or a dolfinx.mesh.Mesh")
         if MPI.Comm.Compare(comm, mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             remedy = "give comm the communicator that the mesh was made with"
@@ -101,7 +101,7 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[Indi
 
 
 def _joint_of_parts(parts: list[Any], names: Any, whole: Any, scale: float, sides: SideArguments) -> Joint:
-    """The joint of all ranks' parts, in the order of places: of the nodes, and of the cells' nodes."""
+    """The joint of all ranks' parts; nodes are sorted by their places, cells by their nodes."""
     for part in parts:
         if isinstance(part, Exception):
             raise part
@@ -125,7 +125,7 @@ def _joint_of_parts(parts: list[Any], names: Any, whole: Any, scale: float, side
 
 
 def _by_dimension(names: Any) -> dict[int, dict[str, list[int]]]:
-    """Dimension -> name -> numbers."""
+    """Tag names sorted by dimension: dimension -> name -> tags."""
     chosen: dict[int, dict[str, list[int]]] = {}
     try:
         for name, (dim, first, *others) in names.items():
@@ -138,7 +138,7 @@ def _by_dimension(names: Any) -> dict[int, dict[str, list[int]]]:
 
 
 def _groups(names: dict[str, list[int]] | None, values: IntArray, tagged: BoolArray, what: str) -> Groups:
-    """Name -> which entities have one of its tags; all tags by their numbers if there are no names."""
+    """Name -> which entities have one of its tags; without names each tag is named by its number."""
     tags = [int(number) for number in np.unique(values[tagged])]
     groups: Groups = {}
     for name, numbers in ({str(number): [number] for number in tags} if names is None else names).items():

@@ -1,4 +1,4 @@
-"""Cells of a mesh from a file or from DOLFINx, and the choice of regions, seams and their sides among its named groups."""
+"""Cells of an imported mesh, and the choice of regions, seams and their sides among its named groups."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from geometry.topology import (
     node_jacobians,
 )
 
-NODE_TOLERANCE = 1e-9  # distance of nodes at the same place, at most, over the size of the mesh
-MIN_RELATIVE_JACOBIAN = 1e-12  # Jacobian of a cell without volume, at most, over size^d
-MIN_JACOBIAN_RATIO = 1e-10  # ratio of the smallest to the largest Jacobian in a folded cell, at most
+NODE_TOLERANCE = 1e-9  # largest distance of nodes that count as coincident, over the size of the mesh
+MIN_RELATIVE_JACOBIAN = 1e-12  # largest Jacobian of a cell that counts as degenerate, over size^d
+MIN_JACOBIAN_RATIO = 1e-10  # ratio of the smallest to the largest Jacobian up to which a cell counts as folded
 
 Groups = dict[str, BoolArray]  # name -> which cells are in the group
 Names = tuple[str, ...]
 
 
 class SideArguments(TypedDict, total=False):
-    """S and its sides, as `read` describes them."""
+    """Arguments for S and its sides, as `read` describes them."""
 
     S: str | Sequence[str] | Mapping[str, Any] | None
     upper: str | Sequence[str] | None
@@ -47,9 +47,9 @@ class FileCells:
     """Cells of one type.
 
     Attributes:
-        points: (n_points, d) coordinates of their nodes.
-        nodes: (n_cells, k) in DOLFINx's order.
-        type: as in `Joint.cell_type`.
+        points: (n_points, d) coordinates of the cells' nodes.
+        nodes: (n_cells, k) nodes of each cell, in DOLFINx's order.
+        type: type as in `Joint.cell_type`.
         used: (n_points,) numbers of these points in the mesh they come from.
     """
 
@@ -64,8 +64,8 @@ class FileCells:
 
         Args:
             points: (n, d or 3) coordinates.
-            nodes: (n_cells, k) in DOLFINx's order.
-            cell_type: as in `Joint.cell_type`.
+            nodes: (n_cells, k) nodes of each cell, in DOLFINx's order.
+            cell_type: type as in `Joint.cell_type`.
             what: text for the cells in messages.
 
         Raises:
@@ -89,12 +89,12 @@ class FileCells:
         return self.nodes[:, : corner_count(self.type)]
 
     def refuse(self, bad: BoolArray, what: str) -> None:
-        """Raise InputError if there are bad cells, with their number and the first one's place."""
-        if bad.any():  # the places of all nodes of cells are many
+        """Raise InputError if there are bad cells, with their number and the place of the first."""
+        if bad.any():  # gathering the places of all nodes is expensive
             refuse(bad, self.points[self.nodes], f"{{bad}} of {{all}} cells {what}; the first is at {{at}}")
 
     def require_sound(self) -> None:
-        """Raise InputError for cells without volume, folded or duplicate cells, and for nodes at the same place."""
+        """Raise InputError for cells without volume, for folded cells, and for nodes at the same place."""
         size = np.ptp(self.points[self.nodes], axis=1).max(axis=1)
         jacobian = node_jacobians(self.points, self.nodes, self.type)
         largest = np.abs(jacobian).max(axis=1)
@@ -115,7 +115,7 @@ class FileCells:
             raise InputError(f"{len(pairs)} {where}; {remedy} of the mesh")
 
     def facets_among(self, vertices: IntArray) -> FacetTable:
-        """Facets of the cells that have a whole facet among the given vertices; cells numbered as in `nodes`."""
+        """Facets of the cells that have a whole facet among `vertices`; cells are numbered as in `nodes`."""
         near = np.flatnonzero(np.isin(self.corners, vertices).sum(axis=1) >= corner_count(FACET_TYPES[self.type]))
         table = FacetTable.of(self.corners[near], self.type)
         return replace(table, cells=np.where(table.cells < 0, -1, near[table.cells]))
@@ -127,8 +127,8 @@ class SeamSides:
 
     Attributes:
         S: name of the set of facets of the only seam; None for all facets between the regions `lower` and `upper`.
-        single: its sides, as far as they are given.
-        seams: instead of these, the seams with their names; {} if there is only one.
+        single: sides of the only seam, as far as they are specified.
+        seams: name -> seam, in place of `S` and `single`, if there are several seams; else {}.
     """
 
     S: str | None
@@ -137,7 +137,7 @@ class SeamSides:
 
     @classmethod
     def of(cls, S: Any = S, upper: Any = None, lower: Any = None, direction: Any = None) -> SeamSides:
-        """The choice from arguments as in `read`; raises InputError for wrong types."""
+        """The choice from arguments as in `read`; raise InputError for wrong types."""
         above, below = _names_of(upper, "upper"), _names_of(lower, "lower")
         way: Any = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
         if S is None or isinstance(S, str):
@@ -168,7 +168,7 @@ def _seam(name: str, rule: Any) -> Seam:
 
 
 def _names_of(regions: Any, what: str) -> Names:
-    """The names of one side's regions; () if none are given."""
+    """Names of the regions of one side; () for None."""
     names = (regions,) if isinstance(regions, str) else () if regions is None else regions
     if not (isinstance(names, Sequence) and all(isinstance(name, str) for name in names)):
         raise InputError(f"{what} is {regions!r}; give the name of a region, or several in a list")
@@ -180,11 +180,11 @@ class NamedGroups:
     """The named groups of a mesh.
 
     Attributes:
-        cells: its cells.
+        cells: cells of the mesh.
         regions: name -> which of these cells are in the region.
         facets: name -> (n, k) vertices of the facets.
         source: origin of the names, for messages.
-        sides: the caller's choice among them.
+        sides: the caller's choice among the names.
     """
 
     cells: FileCells
@@ -194,7 +194,7 @@ class NamedGroups:
     sides: SeamSides
 
     def joint(self) -> Joint:
-        """The joint; where groups of cells overlap, those named in `sides` are the regions.
+        """The joint of the groups; where groups of cells overlap, the groups named in `sides` are the regions.
 
         Raises:
             InputError: unusable cells or names, or an S that does not fit them.
@@ -213,7 +213,7 @@ class NamedGroups:
         return joint
 
     def _disjoint(self) -> Groups:
-        """The regions, each cell in one of them."""
+        """The regions, with each cell in exactly one of them."""
         regions, cells, sides = self.regions, self.cells, self.sides
         chosen = sides.single.upper + sides.single.lower
         chosen += tuple(name for seam in sides.seams.values() for name in seam.lower + seam.upper)
@@ -233,7 +233,7 @@ class NamedGroups:
         return regions
 
     def _single(self) -> tuple[IntArray, Seam]:
-        """Facets (n, k) of the only seam, and its sides."""
+        """Facets (n, k) of the only seam, and the seam."""
         name, lower, upper = self.sides.S, self.sides.single.lower, self.sides.single.upper
         way = self.sides.single.direction
         regions, whole = f"regions: {', '.join(self.regions)}", tuple(self.regions)
@@ -261,18 +261,18 @@ class NamedGroups:
         return facets, Seam(lower or tuple(region for region in whole if region not in upper), upper)
 
     def adjacent_cells(self, name: str) -> IntArray:
-        """(n, 2) cells on either side of the facets of a set, those that are facets of cells; -1 on the outer boundary."""
+        """(n, 2) cells on either side of the facets of a set that belong to cells; -1 on the outer boundary."""
         facets = self.facets[name]
         table = self.cells.facets_among(np.unique(facets))
         rows = table.index(facets)
         return table.cells[rows[rows >= 0]]
 
     def touched(self, cells: IntArray) -> list[str]:
-        """Names of the regions of cells; those < 0 are none."""
+        """Names of the regions of cells; numbers < 0 are no cells."""
         return [region for region, member in self.regions.items() if member[cells[cells >= 0]].any()]
 
     def _boundary(self, upper: Names, lower: Names) -> IntArray:
-        """All facets between the bodies."""
+        """All facets between the regions `upper` and `lower`."""
         above, below = (np.any([self.regions[name] for name in side], axis=0) for side in (upper, lower))
         table = self.cells.facets_among(np.intersect1d(self.cells.corners[above], self.cells.corners[below]))
         first, second = table.cells[table.cells[:, 1] >= 0].T
@@ -297,7 +297,7 @@ def _require_whole(joint: Joint) -> None:
 
 
 def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:
-    """Nodes that lie on facets (n, k) of the outer boundary, given by their vertices, and are nodes of others only."""
+    """Nodes that lie on a facet (n, k) of the outer boundary, given by its vertices, without being its vertex."""
     vertices, x = np.unique(facets), points[facets]
     middles = x.mean(axis=1)
     near = cKDTree(points[vertices]).query_ball_point(middles, np.linalg.norm(x - middles[:, None], axis=2).max(axis=1))
@@ -305,7 +305,7 @@ def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:
     other = (facets[facet] != vertex[:, None]).all(axis=1)
     x, vertex = x[facet[other]], vertex[other]
     on = np.zeros(len(vertex), bool)
-    for chosen in combinations(range(x.shape[1]), x.shape[2]):  # of a quadrilateral, whose corners are in no order
+    for chosen in combinations(range(x.shape[1]), x.shape[2]):  # the corners of a quadrilateral are unordered
         first, *others = (x[:, k] for k in chosen)
         edges, way = np.stack(others, axis=1) - first[:, None], points[vertex] - first
         shares = np.einsum("nj,njk->nk", way, np.linalg.pinv(edges))

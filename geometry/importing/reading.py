@@ -1,4 +1,4 @@
-"""Joints from mesh files of any format that meshio reads, Abaqus's by a reader of our own, and from meshes of DOLFINx."""
+"""Joints from mesh files, read by meshio or (Abaqus) by `geometry.importing.abaqus`, and from meshes of DOLFINx."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 MESHIO_FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # start of meshio's names
 GMSH_PHYSICAL = "gmsh:physical"
-MESHIO_NAMES = ("triangle triangle6", "quad quad9", "tetra tetra10", "hexahedron hexahedron27")  # of meshio
+MESHIO_NAMES = ("triangle triangle6", "quad quad9", "tetra tetra10", "hexahedron hexahedron27")  # degrees 1 and 2
 MESHIO_CELLS = {name: kind for kind, names in zip(CELL_TYPES, MESHIO_NAMES, strict=True) for name in names.split()}
 ELEMENT_REMEDIES = {
     "quad8|hexahedron20": "save complete cells (gmsh: Mesh.SecondOrderIncomplete = 0)",
@@ -52,34 +52,36 @@ def read(
 ) -> Joint:
     """A joint from a mesh file, or from a mesh of DOLFINx with its tags. Collective.
 
-    Names of a file are gmsh's physical names, or its cell sets; without these the numbers, as text, in the cell data
-    "gmsh:physical" or in its only array of integers (negative: no name). Named groups of cells are the regions; every cell
-    must be in one of them. Groups of cells of one dimension less are sets of facets. Where groups of cells overlap, those
-    named in `upper` and `lower` are the regions.
+    Names in a file are gmsh's physical names, or its cell sets. Without these, names are the numbers, as text, in the
+    cell data "gmsh:physical" or in the only array of integers (negative: no name). Named groups of cells are the
+    regions; every cell must be in exactly one region. Groups of cells of one dimension less are sets of facets. Where
+    groups of cells overlap, the groups named in `upper` and `lower` are the regions.
 
     A mesh of DOLFINx may be distributed in any way, with or without ghosts: the joint's nodes and cells are numbered by
     their places.
 
     Args:
-        mesh: a file; or a mesh of DOLFINx, or (mesh, cell tags, facet tags), None for tags that there are not. Triangles,
-            quadrilaterals, tetrahedra or hexahedra, straight or of degree 2; 2D: in a plane z = const.
-        names: of tags of DOLFINx, as gmsh's physical groups have them: name -> (dimension, number), or several numbers.
-            Tags of a dimension without names have their numbers, as text; facets with other numbers are left out; without
-            cell tags there is one region, "BODY". The value on rank 0 is used.
-        S: name of the group of facets that becomes "S"; None for all facets between the regions `lower` and `upper`. For a
-            network, the names of several groups, which keep their names, or {name: its upper side}: a vector that points
-            there, (lower, upper) with names of regions, or None for the later region.
+        mesh: a file; or a mesh of DOLFINx; or (mesh, cell tags, facet tags) with None for missing tags. Cells are
+            triangles, quadrilaterals, tetrahedra or hexahedra, straight or of degree 2; in 2D they lie in a plane z =
+            const.
+        names: names of tags of DOLFINx, in the form of gmsh's physical groups: name -> (dimension, number, ...) with
+            one or several numbers. In a dimension without any names, tags are named by their numbers, as text. Facets
+            with other numbers are left out. Without cell tags there is one region, "BODY". The value on rank 0 is used.
+        S: name of the group of facets that becomes "S"; None for all facets between the regions `lower` and `upper`.
+            For a network, the names of several groups, which keep their names, or {name: its upper side}. The upper
+            side is a vector that points there, (lower, upper) with names of regions, or None for the later region.
         upper: name or names of the regions above S (default for S on the outer boundary or with `direction`: all).
-        lower: name or names of the regions below S (default: all others; for S on the outer boundary none, a rigid base).
+        lower: name or names of the regions below S (default: all others; for S on the outer boundary none, a rigid
+            base).
         direction: (d,) vector to the upper side, for S inside one body.
         scale: factor on the coordinates, > 0, e.g. 1e3 from metre to millimetre.
         comm: communicator whose rank 0 reads the file, or that the mesh is distributed on (default: the world).
 
     Raises:
-        InputError: the file cannot be read or lacks names; tags that are not those of the mesh, a number that nothing has,
-            a mesh on other ranks than those of `comm`; a name is unknown or ambiguous; cells of several types or
-            of one that is not allowed; a surface in 3D; duplicate nodes or cells; flat or folded cells; hanging nodes, or
-            cells that overlap their neighbours; S does not fit `Joint`.
+        InputError: the file cannot be read or lacks names; tags are of another mesh, no entity has a tag in `names`, or
+            the mesh is on other ranks than `comm`; a name is unknown or ambiguous; cells are of several types or of a
+            type that is not allowed; the mesh is a surface in 3D; nodes or cells are duplicate, cells are flat or
+            folded, nodes hang, or cells overlap their neighbours; S does not fit `Joint`.
     """
     require(is_finite(scale) and scale > 0, "scale", scale, "it must be a number > 0")
     if not isinstance(mesh, (str, Path)):
@@ -92,7 +94,7 @@ def read(
 def read_groups(
     path: Path, use: Callable[[NamedGroups], ResultType], sides: SeamSides | None = None, scale: float = 1.0
 ) -> ResultType:
-    """What a function makes of the named groups of a mesh file; errors of input name the file. Not collective."""
+    """Apply a function to the named groups of a mesh file; input errors name the file. Not collective."""
     try:
         mesh = _load(path, scale)
         cells = _cells_of(mesh)
@@ -109,15 +111,15 @@ def read_groups(
 
 
 def _load(path: Path, scale: float) -> meshio.Mesh:
-    """The file as meshio reads it, coordinates times a factor; messages that meshio prints are suppressed.
+    """Read the file with meshio, with coordinates times a factor; messages that meshio prints are suppressed.
 
     Raises:
-        InputError: not readable, or two groups with one physical name.
+        InputError: the file is not readable, or two groups have the same physical name.
     """
     meshio = import_optional("meshio")
     if not isfile(path):
         raise InputError(f"there is no such file in {path.parent.resolve()}")
-    if not path.stat().st_size:  # some readers of meshio wait for lines for ever
+    if not path.stat().st_size:  # some readers of meshio would wait for lines forever
         raise InputError("the file is empty")
     said = io.StringIO()
     try:
@@ -151,7 +153,7 @@ def _require_single_names(path: Path) -> None:
 
 
 def _cells_of(mesh: meshio.Mesh) -> FileCells:
-    """The cells of highest dimension; raises InputError if they are not all of one known type, or a surface in space."""
+    """The cells of highest dimension; raise InputError unless all are of one known type, and for a surface in space."""
     dim = max((block.dim for block in mesh.cells if len(block)), default=0)
     blocks = [block for block in mesh.cells if len(block) and block.dim == dim]
     kinds = list(dict.fromkeys(block.type for block in blocks))
@@ -205,7 +207,7 @@ def _names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str
     if families := getattr(mesh, "cell_tags", None):
         return tuple(families.get(number, ()))
     if array == GMSH_PHYSICAL:
-        number = abs(number) or -1  # negative where gmsh turned the cells round; zero: no group
+        number = abs(number) or -1  # negative where gmsh reversed the cells; zero: no group
         names = [name for name, value in mesh.field_data.items() if tuple(np.ravel(value)) == (number, dim)]
         return names or ([str(number)] if number > 0 else ())
     return [str(number)] if number >= 0 else ()

@@ -1,4 +1,4 @@
-"""Bands: copies of the nodes of S, one for each body there, posts of nodes between two copies, cells between posts."""
+"""Bands: copies of the nodes of S for each body, node lines ("posts") between two copies, and cells between lines."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from geometry.joint import Joint
 from geometry.refusals import place_text, refuse
 from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, is_tensor, lagrange
 
-HEIGHT_TOLERANCE = 1e-12  # difference of heights, relative to the thickness, that counts as none
+HEIGHT_TOLERANCE = 1e-12  # difference of heights, relative to the thickness, that counts as zero
 
 
 @dataclass(frozen=True)
 class NodeCopies:
-    """The nodes of the bodies when they have parted on S: each body has its own copy of a node of S.
+    """Nodes of the bodies after parting on S: each body has its own copy of a node of S.
 
-    One copy keeps the node's number, that of the upper side of the node's first facet. The others follow after the
-    joint's points, in the order of their nodes. The nodes of a rigid base follow there, too.
+    One copy keeps the node's number, the copy on the upper side of the node's first facet. The other copies, and the
+    nodes of a rigid base, are numbered after the joint's points, in the order of their nodes.
 
     Attributes:
         cells: (n_cells, k) nodes of the bodies' cells.
         below, above: (n_S, k) copies of the nodes of each facet of S, on its lower and on its upper side.
         new: (n,) nodes of S whose copies follow after the joint's points.
-        base: (n,) whether these are on a rigid base.
+        base: (n,) whether these copies are on a rigid base.
     """
 
     cells: IntArray
@@ -64,21 +64,21 @@ class NodeCopies:
         return cls(body_cells, number(sides[0]), number(sides[1]), nodes, component == on_base)
 
     def renumbered(self, number: IntArray) -> NodeCopies:
-        """The copies with other numbers; -1 for those that are left out, which are on a rigid base."""
+        """The copies with other numbers; -1 for copies that are left out, which are on a rigid base."""
         return replace(self, cells=number[self.cells], below=number[self.below], above=number[self.above])
 
 
 @dataclass(frozen=True)
 class NodeLines:
-    """Posts of nodes from one copy of a node of S to another one. Level 0 is the first copy, the last level the second.
+    """Lines of nodes, each from one copy of a node of S (level 0) to another copy (the last level).
 
     Cells of degree 2 have nodes at the levels of their faces and half-way between.
 
     Attributes:
         first_new: number of the first node between copies.
-        ends: (n, 2) the two copies of each post.
+        ends: (n, 2) the two copies of each line.
         nodes: (n,) the node of S that they are copies of.
-        kind: (n,) number of the seam of a facet at the post, whose heights it has.
+        kind: (n,) number of the seam of a facet at the line; the line has the heights of this seam.
         heights: for each seam the heights of the levels, in units of the thickness, from 0 to 1.
     """
 
@@ -90,12 +90,12 @@ class NodeLines:
 
     @cached_property
     def top(self) -> IntArray:
-        """(n,) the last level of each post."""
+        """(n,) the last level of each line."""
         return np.array([len(heights) - 1 for heights in self.heights])[self.kind]
 
     @cached_property
     def start(self) -> IntArray:
-        """(n,) number of the node at level 1 of each post; the next levels follow."""
+        """(n,) number of the node at level 1 of each line; the next levels follow."""
         return self.first_new + np.cumsum(self.top - 1) - (self.top - 1)
 
     @property
@@ -104,12 +104,12 @@ class NodeLines:
         return int((self.top - 1).sum())
 
     def number(self, posts: IntArray, level: IntArray | int) -> IntArray:
-        """Nodes of posts at levels."""
+        """Nodes of the lines `posts` at levels."""
         second = np.where(level == self.top[posts], self.ends[posts, 1], self.start[posts] + np.asarray(level) - 1)
         return np.where(np.asarray(level) == 0, self.ends[posts, 0], second)
 
     def between(self, values: FloatArray) -> tuple[FloatArray, IntArray]:
-        """At the nodes between copies, in their order: values, linear between those (n_nodes, d) at copies; nodes of S."""
+        """Values at the nodes between copies, linear between values (n_nodes, d) at copies; and their nodes of S."""
         post = np.repeat(np.arange(len(self.top)), self.top - 1)
         first = np.cumsum([0, *map(len, self.heights)])[self.kind[post]]
         level = np.arange(self.first_new, self.first_new + self.size) - self.start[post] + 1
@@ -117,7 +117,7 @@ class NodeLines:
         return (1 - z) * values[self.ends[post, 0]] + z * values[self.ends[post, 1]], self.nodes[post]
 
     def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> NodeLines:
-        """These posts and more of them."""
+        """These lines and further lines."""
         more = (self.ends, ends), (self.nodes, nodes), (self.kind, np.full(len(nodes), kind))
         ends, nodes, kinds = map(np.concatenate, more)
         return replace(self, ends=ends, nodes=nodes, kind=kinds)
@@ -125,11 +125,11 @@ class NodeLines:
 
 @dataclass(frozen=True)
 class FacetLines:
-    """Where the facets of S have their posts.
+    """Node lines at the nodes of each facet of S.
 
     Attributes:
-        posts: (n_S, k) the post at each node of each facet.
-        turned: (n_S, k) whether the post leads from the upper side of this facet to the lower one.
+        posts: (n_S, k) the line at each node of each facet.
+        turned: (n_S, k) whether the line leads from the upper side of this facet to the lower side.
     """
 
     posts: IntArray
@@ -137,16 +137,16 @@ class FacetLines:
 
 
 def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) -> tuple[NodeLines, FacetLines]:
-    """The posts at the nodes of S, one for each two copies with a facet between them.
+    """Node lines at the nodes of S, one for each two copies with a facet between them.
 
     Args:
         joint: the joint before inflating.
-        copies: of its nodes.
-        heights: of the levels, for each seam.
+        copies: copies of its nodes.
+        heights: heights of the levels, for each seam.
 
     Raises:
         InputError: one body is on both sides of S at a vertex; the levels of two seams differ where they continue one
-            another, or those of one seam where its upper side changes.
+            another; the levels of one seam differ where its upper side changes, or in 3D its upper side changes.
     """
     below, above = copies.below.ravel(), copies.above.ravel()
     rows = np.column_stack([joint.surface.ravel(), np.minimum(below, above), np.maximum(below, above)])
@@ -179,9 +179,9 @@ def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -
     """Heights of the levels of a layer, in units of its thickness, from 0 to 1.
 
     Args:
-        degree: of the cells' geometry.
+        degree: degree of the cells' geometry.
         cells_through: number of cells through the thickness.
-        fractions: of the sublayers; () for a single layer.
+        fractions: thickness fractions of the sublayers; () for a single layer.
     """
     shares = np.asarray(fractions if len(fractions) else [1.0])
     counts = degree * np.maximum(1, np.rint(cells_through * shares).astype(int))
@@ -194,7 +194,7 @@ def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -
 def band_cells(
     joint: Joint, posts: NodeLines, footing: FacetLines, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Cells of the band over some facets of S, their sublayer, and the normal of S at each of their corners."""
+    """Cells of the band over the facets `rows` of S, their sublayers, and the normals of S at their corners."""
     surface, normals, degree = joint.surface[rows], joint.node_normals[rows], joint.degree
     if is_tensor(joint.cell_type):
         patterns = _tensor_pattern(joint.cell_type, degree, len(surface))
@@ -227,8 +227,8 @@ def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[Pattern]:
 def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
     """Simplices: prisms are split along sorted vertex numbers, so that neighbours split their common side alike.
 
-    With the facet's vertices sorted, simplex k has its first k + 1 vertices below and the rest, from k on, above. Nodes
-    half-way along an edge stand on the middle of that edge's footprint.
+    With the facet's vertices sorted, simplex k has the first k + 1 vertices below, and the vertices from k on above. A
+    node half-way along an edge lies above the middle of the edge's projection onto S.
     """
     n = order.shape[1]
     middle = np.diag(np.arange(n))

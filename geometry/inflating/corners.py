@@ -1,9 +1,10 @@
-"""Junctions: where three or more bodies meet on S, vertices of S in 2D and edges of S in 3D, and what is left open there.
+"""Junctions: vertices (2D) or edges (3D) of S where three or more bodies meet, and the space that opens there.
 
-When the bodies part, a polygon opens at each vertex of a junction: its corners are the copies of the vertex, one on each
-body, its sides the posts at the ends of the layers. On the outer boundary one more side closes it. In 2D the polygon is the
-junction. In 3D the junction is a prism between the polygons at the two ends of an edge. Edges in line have one polygon at
-their common vertex. Where other edges meet at a vertex a polyhedron would open, which is not meshed.
+When the bodies part, a polygon opens at each vertex of a junction. Its corners are the copies of the vertex, one on
+each body; its sides are the node lines at the ends of the layers. On the outer boundary one more side closes it. In 2D
+the polygon is the junction. In 3D the junction is a prism between the polygons at the two ends of an edge. Edges on one
+line have one polygon at their common vertex. Where other edges meet at a vertex a polyhedron would open, which is not
+meshed.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ class JunctionCorners(NamedTuple):
     """Corners of polygons; k of them, one at each vertex of a junction, belong together.
 
     Attributes:
-        copies: (n, k) copy of a vertex of S at each corner; k vertices of a junction in ascending order of their numbers.
-        sides: (n, k, 2) posts from there to the next two corners.
+        copies: (n, k) copy of a vertex of S at each corner; the k vertices of a junction are in ascending order.
+        sides: (n, k, 2) node lines from each corner to its two neighbours.
         polygons: (n, k) number of the polygon.
         of: (n,) number of the junction.
     """
@@ -35,16 +36,16 @@ class JunctionCorners(NamedTuple):
 
 
 def junction_corners(joint: Joint, posts: NodeLines, footing: FacetLines) -> tuple[NodeLines, JunctionCorners | None]:
-    """The corners of junctions, if there are any, and all posts, with those that close polygons on the outer boundary.
+    """All node lines, with lines that close polygons on the outer boundary, and the corners of junctions (or None).
 
     Args:
         joint: the joint before inflating.
-        posts: all posts at the nodes of S; those at junctions have one number of levels.
-        footing: where the facets have them.
+        posts: all node lines at the nodes of S; at junctions they have one number of levels.
+        footing: node lines of the facets of S.
 
     Raises:
-        InputError: bodies that touch at a vertex, or along an edge, only lie between the layers that end there; in 3D
-            edges where layers meet that meet each other.
+        InputError: between layers that meet, bodies touch only at a vertex or along an edge; in 3D, edges where layers
+            meet come together at a vertex.
     """
     links, facets = _junction_lines(joint, posts, footing)
     k = links.shape[1]
@@ -81,9 +82,9 @@ def junction_corners(joint: Joint, posts: NodeLines, footing: FacetLines) -> tup
 
 
 def _junction_lines(joint: Joint, posts: NodeLines, footing: FacetLines) -> tuple[IntArray, IntArray]:
-    """(n, k) the posts at the k vertices of each junction, for each layer that ends there, in ascending order.
+    """(n, k) node lines at the k vertices of each junction, in ascending order, for each layer that ends there.
 
-    And (n,) the number of facets of S that each joins to the junction.
+    Also (n,) the number of facets of S that join each of these layers to the junction.
     """
     several = np.bincount(posts.nodes)[posts.nodes] > 1
     ridges = lagrange(FACET_TYPES[joint.cell_type], 1).entity_closure_dofs[-2]
@@ -95,16 +96,16 @@ def _junction_lines(joint: Joint, posts: NodeLines, footing: FacetLines) -> tupl
 
 
 def _unique_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Different rows in lexicographic order, and the number of each given one among them."""
+    """Unique rows in lexicographic order, and for each row its number among them."""
     unique, number = np.unique(rows, axis=0, return_inverse=True)
     return unique, number.ravel()
 
 
 def _polygons(sides: IntArray, of: IntArray) -> IntArray:
-    """(n, k) numbers of polygons: two with the same sides are one.
+    """(n, k) number of the polygon of each corner; polygons with the same sides have one number.
 
     Args:
-        sides: (n, k, 2) posts at their corners.
+        sides: (n, k, 2) node lines at the corners.
         of: (n,) junction of each corner.
     """
     k, count = sides.shape[1], np.bincount(of)
@@ -119,13 +120,13 @@ def _polygons(sides: IntArray, of: IntArray) -> IntArray:
 
 
 def common_normals(joint: Joint, footing: FacetLines, corners: JunctionCorners, gap: BoolArray) -> FloatArray:
-    """(n, d) unit normal of S of all layers that end at the junction of each corner; zero if they differ.
+    """(n, d) common unit normal of all layers that end at the junction of each corner; zero if normals differ.
 
     Args:
         joint: the joint before inflating.
-        footing: where the facets of S have their posts.
-        corners: of junctions.
-        gap: (n_posts,) whether each post is that of a gap, or closes a polygon on the outer boundary.
+        footing: node lines of the facets of S.
+        corners: corners of junctions.
+        gap: (n_posts,) whether each line belongs to a gap, or closes a polygon on the outer boundary.
     """
     normals = sum_by_number(footing.posts, joint.node_normals, len(gap))
     normals[gap] = 0.0

@@ -1,4 +1,4 @@
-"""Dividing the cells of layers towards their ends, where stresses change over less than the thickness."""
+"""Refinement of layers towards their ends, where stresses change over less than the thickness."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from scipy.spatial import cKDTree
 from geometry.joint import Joint
 from geometry.topology import BoolArray, FloatArray, IntArray, connected, is_tensor, lagrange, local_facets
 
-NODE_TOLERANCE = 1e-10  # distance of nodes that are one, over the size of the joint
-LENGTH_TOLERANCE = 1e-9  # of lengths and of reference coordinates
+NODE_TOLERANCE = 1e-10  # largest distance of nodes that count as one, over the size of the joint
+LENGTH_TOLERANCE = 1e-9  # relative tolerance of lengths, and tolerance of reference coordinates
 
 
 @dataclass(frozen=True)
 class RefinedLayers:
-    """Layers whose cells are parts of others, so that functions on these go over to them exactly.
+    """Layers whose cells are parts of coarser cells, so that functions on the coarse cells transfer exactly.
 
     Attributes:
-        joint: the layers.
-        parent: (n,) the cell that each cell is a part of.
-        corners: (n, k, d) places of its vertices in the reference cell of its parent.
+        joint: the refined layers.
+        parent: (n,) the coarse cell that each cell is a part of.
+        corners: (n, k, d) places of each cell's vertices in the reference cell of its parent.
     """
 
     joint: Joint
@@ -35,15 +35,15 @@ class RefinedLayers:
 
 
 def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> RefinedLayers:
-    """Halve the cells at ends again and again, until they reach no farther from these than a size.
+    """Halve the cells at ends repeatedly, until they reach no farther from the ends than `size`.
 
     Args:
-        layers: layers by themselves, inflated.
-        distance: (n_points,) along S from the nearest end; 0 there.
+        layers: inflated layers without bodies.
+        distance: (n_points,) distance along S from the nearest end; 0 at ends.
         size: length > 0.
     """
     kind = layers.cell_type
-    local = np.array(basix.topology(basix.CellType[kind])[1])  # vertices of edges; of parallel ones in one order
+    local = np.array(basix.topology(basix.CellType[kind])[1])  # vertices of edges; parallel edges have one order
     cells: IntArray = layers.corners.copy()
     parent: IntArray = np.arange(len(cells))
     X = np.tile(basix.geometry(basix.CellType[kind]), (len(cells), 1, 1))
@@ -69,18 +69,19 @@ def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> Re
 
 
 def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, wanted: BoolArray) -> BoolArray:
-    """Which edges (m,) to halve first, of those that are wanted: in each cell one, or all that are parallel to it.
+    """(m,) which of the wanted edges to halve first: in each cell one edge, or all edges parallel to it.
 
-    Where an edge of quadrilaterals or hexahedra is halved, so are those parallel to it in its cells, in theirs, and so on.
+    If an edge of quadrilaterals or hexahedra is halved, so are the parallel edges of its cells, of their neighbours,
+    and so on.
 
     Args:
         kind: type of the cells.
         edges: (n, k) edges of each cell.
-        far: (m,) how far they reach; of simplices the farthest come first.
-        wanted: (m,).
+        far: (m,) distance that each edge reaches; in simplices the farthest edges come first.
+        wanted: (m,) whether each edge is to be halved.
     """
     first, last = np.array(basix.topology(basix.CellType[kind])[1]).T
-    direction = last - first if is_tensor(kind) else np.arange(len(first))  # parallel edges have one
+    direction = last - first if is_tensor(kind) else np.arange(len(first))  # parallel edges have one label
     parallel, none = [np.flatnonzero(direction == label) for label in np.unique(direction)], len(far)
     if is_tensor(kind):
         links = np.concatenate([edges[:, [some[0], edge]] for some in parallel for edge in some[1:]])
@@ -97,13 +98,13 @@ def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, wanted: BoolA
 
 
 def _shapes(kind: str, degree: int, X: FloatArray) -> FloatArray:
-    """(..., k) values of the functions of degree 1 or 2 at places (..., d) in the reference cell."""
+    """(..., k) values of the shape functions of degree 1 or 2 at places (..., d) in the reference cell."""
     table = lagrange(kind, degree).tabulate(0, X.reshape(-1, X.shape[-1]))[0, :, :, 0]
     return np.asarray(table.reshape(*X.shape[:-1], -1))
 
 
 def _refined_joint(layers: Joint, parent: IntArray, corners: FloatArray) -> RefinedLayers:
-    """The layers of these parts of cells, with all their names."""
+    """The layers with refined cells, given by parents and corners, and with all names."""
     band, kind = layers.band, layers.cell_type
     assert band is not None
     nodes = _shapes(kind, 1, lagrange(kind, layers.degree).points) @ corners

@@ -1,4 +1,4 @@
-"""Bodies that are extended: they give way to layers where these open, and their nodes follow by a harmonic motion."""
+"""Motion for bodies="extended": bodies give up the space of the layers, and their nodes follow by a harmonic motion."""
 
 from __future__ import annotations
 
@@ -14,29 +14,30 @@ from geometry.refusals import place_text, refuse
 from geometry.topology import FloatArray, IntArray, facet_normals, is_tensor, lagrange, sum_by_number, weights_between
 
 SMOOTH_SQUARED_SINE = 0.01  # squared sine below which outer faces around a vertex of S count as one smooth surface
-EXACT_SQUARED_SINE = 1e-10  # the same for the bodies' other vertices, which must stay on their outer faces
+EXACT_SQUARED_SINE = 1e-10  # the same bound for the bodies' other vertices, which must stay on their outer faces
 MIN_COSINE = 0.1  # smallest cosine of the angle between S's normal and the direction in which its vertices can move
-MIN_FACET_ANGLE = 1e-3  # the same, in radians, between facets of S whose layers have different thicknesses
-CORNER_ERROR = 0.02  # error of a thickness, relative to it, from which on a body has no corner between two layers
+MIN_FACET_ANGLE = 1e-3  # smallest angle, in radians, between facets of S whose layers have different thicknesses
+CORNER_ERROR = 0.02  # relative error of a thickness beyond which a body has no corner between two layers
 CG_TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic motion
 
 
 def face_motion(
     joint: Joint, copies: NodeCopies, given_up: tuple[FloatArray, FloatArray]
 ) -> tuple[IntArray, FloatArray]:
-    """The copies of the nodes of S on bodies, and how each of them moves into its body, (n, d).
+    """Copies of the nodes of S on bodies, and the motion (n, d) of each copy into its body.
 
-    The motion d is the least one with n . d = g for each facet of S around the copy, where n points into the body (least
-    squares where there are many); at the end of S it is along the outer faces of the body.
+    The motion d is the smallest with n . d = g for each facet of S around the copy, where n points into the body. With
+    many facets it is a least-squares solution. At the end of S it is tangential to the outer faces of the body.
 
     Args:
         joint: the joint before inflating.
-        copies: of its nodes.
-        given_up: g, (n_S, k) at the nodes of each facet: what the body below gives up, and the body above.
+        copies: copies of its nodes.
+        given_up: g for the body below and for the body above, (n_S, k) at the nodes of each facet: the thickness that
+            the body gives up.
 
     Raises:
-        InputError: S is folded; an outer face touches S nearly parallel to it; layers of different thickness meet nearly
-            in line.
+        InputError: S is folded; an outer face touches S nearly parallel to it; layers of different thickness meet
+            nearly in line.
     """
     upper, there = joint.node_normals, joint.surface_cells[:, 0] >= 0
     at = np.concatenate([copies.above, copies.below[there]])
@@ -78,7 +79,7 @@ def face_motion(
 
 
 def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]:
-    """For every node the sum of m m^T over the unit normals m of outer faces there, except S, and their number.
+    """For every node, the sum of m m^T over the unit normals m of outer faces there except S, and the number of faces.
 
     Args:
         joint: the joint before inflating.
@@ -95,15 +96,15 @@ def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]
 def extended_motion(
     joint: Joint, body_cells: IntArray, n_nodes: int, face_nodes: IntArray, values: FloatArray, fixed: IntArray
 ) -> FloatArray:
-    """Motion (n_nodes, d) of the bodies' nodes: given at the layer's faces, harmonic inside, sliding along outer faces.
+    """Motion (n_nodes, d) of the bodies' nodes: prescribed at the layers' faces, else harmonic, sliding on outer faces.
 
     Args:
         joint: the joint before inflating.
         body_cells: (n_cells, k) nodes of its cells, numbered as in the inflated joint.
         n_nodes: number of nodes of the inflated joint.
-        face_nodes: nodes of the faces.
-        values: (n, d) their motion.
-        fixed: nodes of the joint that do not move, as those of periodic sides.
+        face_nodes: (n,) nodes of the layers' faces.
+        values: (n, d) motion of these nodes.
+        fixed: nodes of the joint that do not move, such as nodes of periodic sides.
     """
     d, k = joint.dim, joint.corners.shape[1]
     corners = body_cells[:, :k]
@@ -142,7 +143,7 @@ def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scip
 
 
 def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
-    """Conjugate gradients; the same on every rank, each for itself."""
+    """Solve by conjugate gradients; no communication between ranks."""
     scaled = scipy.sparse.diags(1 / matrix.diagonal())
     solution, failed = scipy.sparse.linalg.cg(matrix, b, rtol=CG_TOLERANCE, atol=0.0, maxiter=50_000, M=scaled)
     if failed:

@@ -1,8 +1,8 @@
-"""Blocks of cells that fill junctions, each cut into a grid.
+"""Blocks of cells that fill junctions, each divided into a grid.
 
-A polygon has a block, a quadrilateral, at each corner: between the corner, the middles of its two sides, and the centre. A
-node has integer weights on these key points of its block, which are bilinear. Blocks share a node where they have the same
-weights on the same key points.
+A polygon has a quadrilateral block at each corner: between the corner, the middles of its two sides, and the centre.
+Each node of the grid is identified by bilinear integer weights on these four key points. Blocks share a node if it has
+the same weights on the same key points.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class JunctionCells(NamedTuple):
 
     Attributes:
         cells: (n, k) nodes of the cells.
-        corners: (n,) the corner of each, among those of junctions.
-        values: (n_new, d) at the new nodes.
-        nodes: (n_new,) the node of S below each.
+        corners: (n,) row of each cell's corner in `JunctionCorners`.
+        values: (n_new, d) values at the new nodes.
+        nodes: (n_new,) the node of S below each new node.
     """
 
     cells: IntArray
@@ -36,13 +36,13 @@ class JunctionCells(NamedTuple):
 def junction_cells(
     joint: Joint, posts: NodeLines, corners: JunctionCorners, values: FloatArray, nodes: IntArray
 ) -> JunctionCells:
-    """Cells in junctions. Their new nodes are numbered after those of the posts.
+    """Cells in junctions. Their new nodes are numbered after the nodes of the node lines.
 
     Args:
         joint: the joint before inflating.
-        posts: all posts; those of junctions have one even number of cells.
-        corners: of the polygons at the vertices of each junction.
-        values: (n, d) at the copies of nodes; bilinear in the blocks.
+        posts: all node lines; at junctions they have one even number of cells.
+        corners: corners of the polygons at the vertices of each junction.
+        values: (n, d) values at the copies of nodes, interpolated bilinearly in the blocks.
         nodes: (n,) the node of S below each copy.
     """
     half, k = int(posts.top[corners.sides.flat[0]]) // 2, corners.copies.shape[1]
@@ -83,12 +83,12 @@ def junction_cells(
 def _halved(quads: IntArray, back: BoolArray) -> IntArray:
     """Triangles (n, k, 2 m, 3) from the quadrilaterals (n, k, m, 4) of blocks, halved from the corner to the centre.
 
-    This suits corners of all angles. Vertices are in an order that is the same wherever triangles share an edge, along
-    posts that of their levels.
+    This suits corners of all angles. Vertices are in the same order wherever triangles share an edge; along node lines
+    this is the order of the levels.
 
     Args:
-        quads: of the blocks.
-        back: (n, 2) whether the posts at the block's two outer sides lead towards its corner.
+        quads: quadrilaterals of the blocks.
+        back: (n, 2) whether the node lines at the block's two outer sides lead towards its corner.
     """
     half = round(quads.shape[2] ** 0.5)
     p, q = np.divmod(np.arange(half * half), half)
@@ -100,7 +100,7 @@ def _halved(quads: IntArray, back: BoolArray) -> IntArray:
 
 
 def _extruded(triangles: IntArray) -> IntArray:
-    """Cells between the triangles (n, k, m, 3) at the k vertices of junctions: in 3D prisms, split as those of bands."""
+    """Cells between the triangles (n, k, m, 3) at the k vertices of junctions; in 3D prisms, split as in bands."""
     if triangles.shape[1] == 1:
         return triangles[:, 0]
     low, high = triangles[:, 0], triangles[:, 1]

@@ -1,4 +1,4 @@
-"""Inflating S: layers become bands of cells between bodies, junctions where they meet; bodies that part for no cells."""
+"""Inflating S: layers become bands of cells between bodies, with junctions where they meet; or gaps without cells."""
 
 from __future__ import annotations
 
@@ -37,42 +37,43 @@ def inflate(
 ) -> Joint:
     """Open S into meshed layers.
 
-    What differs from seam to seam is given as {name of a seam: value}.
+    Arguments that differ between seams are written as {name of a seam: value}.
 
     Args:
         joint: the joint.
         eps: thickness of the layers, a length > 0.
-        profile: function of coordinates (d, n) that returns n numbers > 0: the thickness at the vertices of S is eps times
-            these, and linear in between. None: uniform.
-        cells_through: number of cells through the thickness, at least 1; each sublayer gets at least one. Even, where
-            layers meet.
-        fractions: thickness shares of the sublayers, from the lower to the upper face, with sum 1; () for a single layer.
-        bodies: "kept": the bodies keep their shape and move apart, each facet of S by eps (on a rigid base the layer grows
-            below the body), with the least jumps along S; the thickness uniform, S such that this is possible: planar
-            seams of running bonds, crossings and stacks are. "extended": the outer shape is kept; each body gives up half
-            of the thickness (on a rigid base the body gives up all of it), its nodes move by a harmonic motion that slides
-            along the outer faces.
-        junctions: names of the seams in the order of their claims to the cells of junctions; others follow in the joint's
+        profile: function of coordinates (d, n) that returns n numbers > 0. The thickness is eps times these at the
+            vertices of S, and linear in between. None: uniform.
+        cells_through: number of cells through the thickness, at least 1; each sublayer gets at least one. It must be
+            even where layers meet.
+        fractions: thickness shares of the sublayers, from the lower to the upper face, with sum 1; () for a single
+            layer.
+        bodies: "kept": the bodies keep their shape and move apart by eps at each facet of S, with the least jumps along
+            S. On a rigid base the layer grows below the body. The thickness must be uniform, and S must allow this
+            motion, as planar seams of running bonds, crossings and stacks do. "extended": the outer shape is kept. Each
+            body gives up half of the thickness, on a rigid base all of it. Its nodes move by a harmonic motion that
+            slides along the outer faces.
+        junctions: names of seams in the order of priority for the cells of junctions; the others follow in the joint's
             order. A junction's cells belong to the first seam that ends there and is no gap.
-        gaps: names of seams that get no cells: their thickness is left empty between the bodies. Layers that pass the end
-            of a gap go on: the junction there is filled as others are. It is empty where two neighbouring seams are gaps:
-            the body between them would touch its cells at a corner only.
+        gaps: names of seams that get no cells: their thickness is left empty between the bodies. Layers that pass the
+            end of a gap continue; the junction there is filled like others. A junction is empty where two neighbouring
+            seams are gaps, because the body between them would touch its cells at a corner only.
 
     Returns:
-        A joint with the layer's cells in regions "LAYER" (or "LAYER/1", "LAYER/2", ... upwards), its faces in the facet
-        sets "LOWER_FACE" ("BASE" on a rigid base) and "UPPER_FACE", and its side faces in "NAME/LAYER" for each outer
-        set NAME that they continue. Of several seams, regions are "LAYER/SEAM", "LAYER/SEAM/1", ..., and faces
+        A joint with the layer's cells in the regions "LAYER" (or "LAYER/1", "LAYER/2", ... upwards). Its faces are the
+        facet sets "LOWER_FACE" ("BASE" on a rigid base) and "UPPER_FACE". Its side faces are in "NAME/LAYER" for each
+        outer set NAME that they continue. With several seams, regions are "LAYER/SEAM", "LAYER/SEAM/1", ..., and faces
         "SEAM/LOWER_FACE", "SEAM/UPPER_FACE". Cells where three or more bodies meet are the region "LAYER/JUNCTIONS"
-        ("LAYER/JUNCTIONS/SEAM" where they belong to different seams). Body cells keep their numbers and their nodes' order,
-        curved cells stay curved.
+        ("LAYER/JUNCTIONS/SEAM" where they belong to different seams). Body cells keep their numbers and the order of
+        their nodes; curved cells stay curved.
 
     Raises:
-        InputError: a size, cells_through or fractions out of range; S reaches a periodic side, ends inside the bodies
-            or is folded; the thickness varying, or bodies that cannot move apart in one piece (kept); outer faces that
-            touch S and are nearly parallel to it, layers of different thickness that meet in line (extended); cells
-            turned inside out, layers that overlap the bodies; junctions of sublayers, of a varying thickness, of curved
-            cells, of an odd number of cells; in 3D, junctions that meet at a vertex; bodies that touch at a vertex, or
-            along an edge, only; gaps alone.
+        InputError: a size, cells_through or fractions are out of range; S reaches a periodic side, ends inside the
+            bodies or is folded; all seams are gaps. "kept": the thickness varies, or bodies cannot move apart in one
+            piece. "extended": an outer face touches S nearly parallel to it, or layers of different thickness meet in
+            line. Cells turn inside out, or layers overlap the bodies. A junction has sublayers, a varying thickness,
+            curved cells or an odd number of cells; in 3D junctions meet at a vertex. Bodies touch only at a vertex or
+            along an edge.
     """
     check_layering(cells_through, bodies)
     if not isinstance(joint, Joint):
@@ -134,9 +135,9 @@ def inflate(
 
 
 def without_bodies(inflated: Joint) -> Joint:
-    """The layers of an inflated joint by themselves.
+    """The layers of an inflated joint as a joint without bodies.
 
-    What continues an outer facet set NAME over the layers' sides, "NAME/LAYER", is NAME as well.
+    Facets "NAME/LAYER", which continue an outer facet set NAME over the layers' sides, are also named NAME.
     """
     band = inflated.band
     assert band is not None
@@ -164,7 +165,7 @@ class _BandCells(NamedTuple):
     Attributes:
         cells: (n, k) nodes.
         region: (n,) number of the region, or of a seam.
-        director: (n, corners, d) normal of S at each corner; zero in junctions of layers with different ones.
+        director: (n, corners, d) normal of S at each corner; zero in junctions of layers with different normals.
     """
 
     cells: IntArray
@@ -180,14 +181,14 @@ def _junctions(
     claims: list[str],
     filled: JunctionCells,
 ) -> _BandCells:
-    """The cells of junctions; `region` is the number of the seam that they belong to, one for each junction.
+    """The cells of junctions; `region` is the number of the seam to which a junction belongs.
 
     Args:
         joint: the joint before inflating.
-        posts: all posts.
-        footing: where the facets of S have theirs.
-        corners: of junctions.
-        claims: names of the seams with cells, the first one first.
+        posts: all node lines.
+        footing: node lines of the facets of S.
+        corners: corners of junctions.
+        claims: names of the seams with cells, in order of priority.
         filled: cells in all junctions.
     """
     seams, last = list(joint.seams), len(claims)
@@ -209,7 +210,7 @@ def _junctions(
 def _bands(
     joint: Joint, posts: NodeLines, footing: FacetLines, layers: Layering
 ) -> tuple[_BandCells, dict[str, tuple[str, ...]]]:
-    """Cells of the bands, and the names of their regions, by seam, from the lower to the upper face; not of gaps."""
+    """Cells of the bands, and seam -> names of its regions from the lower to the upper face; gaps are left out."""
     bands: list[_BandCells] = []
     names: dict[str, tuple[str, ...]] = {}
     first = len(joint.regions)
@@ -226,7 +227,7 @@ def _bands(
 
 
 def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str, fixed: IntArray) -> FloatArray:
-    """(n, d) motion of each node of the parted bodies, and of the copies on a rigid base; some are fixed if they extend."""
+    """(n, d) motion of the nodes of parted bodies and of copies on a rigid base; extended bodies keep `fixed` nodes."""
     n_nodes = len(joint.points) + len(copies.new)
     if bodies == "extended":
         on_base = (joint.surface_cells[:, 0] < 0)[:, None]
@@ -258,10 +259,10 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
 
 
 def with_gaps(joint: Joint, eps: float | Mapping[str, float], *, profile: Profiles = None) -> Joint:
-    """The same joint, whose bodies have given up their share of the thickness, as `inflate(..., bodies="extended")` has it.
+    """The same joint with bodies parted by the thickness, as in `inflate(..., bodies="extended")`, without layer cells.
 
-    Cells, names and numbers stay, and so do `points`, in which S is one surface; the cells' own nodes are elsewhere
-    (`Joint.parted`).
+    Cells, names and numbers stay, and so do `points`, in which S is one surface. The parted places of the cells' nodes
+    are in `Joint.parted`.
 
     Args:
         joint, eps, profile: as in `inflate`.
@@ -274,7 +275,7 @@ def with_gaps(joint: Joint, eps: float | Mapping[str, float], *, profile: Profil
 
 
 def points_on_middle(joint: Joint) -> FloatArray:
-    """(n_points, d) `points`, those of S in the middle between bodies that have parted; seams do not meet."""
+    """(n_points, d) `points`, with points of S midway between parted bodies; seams must not meet."""
     if joint.parted is None:
         return joint.points
     x = joint.points.copy()
@@ -283,7 +284,7 @@ def points_on_middle(joint: Joint) -> FloatArray:
 
 
 def offset_to_middle(joint: Joint) -> FloatArray:
-    """(n_cells, k, d) how far the nodes of each cell on its facets of S are from the middle; zero at other nodes."""
+    """(n_cells, k, d) vectors from the nodes of each cell on S to the middle between parted bodies; zero elsewhere."""
     out, both = np.zeros_like(joint.cell_points), joint.faces()
     for cells, face in zip(joint.surface_cells.T, both, strict=True):
         at = np.flatnonzero(cells >= 0)

@@ -1,4 +1,4 @@
-"""Bodies that are kept: their pieces move apart when layers open, if they have room."""
+"""Motion for bodies="kept": the pieces of the bodies are translated apart when layers open, if there is room."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from geometry.refusals import place_text, refuse
 from geometry.sheet import Sheet
 from geometry.topology import FloatArray, IntArray, connected, is_tensor, sum_by_number
 
-THICKNESS_TOLERANCE = 1e-12  # relative difference of thicknesses that counts as none
+THICKNESS_TOLERANCE = 1e-12  # relative difference of thicknesses that counts as zero
 FLAT_GAP_TOLERANCE = 1e-9  # relative error of the thickness between bodies that are kept
-CURVED_GAP_TOLERANCE = 0.05  # the same between bodies on a curved S: its normals are within 18 degrees
-GAP_WARNING_ERROR = 1e-3  # of which users are warned
-NORMAL_PENALTY = 1e3  # stiffness across the layers relative to that along them, in the least squares for kept bodies
-MAX_MULTIPLIER_STEPS = 200  # of its multiplier, at most
+CURVED_GAP_TOLERANCE = 0.05  # the same error on a curved S: its normals are then within 18 degrees
+GAP_WARNING_ERROR = 1e-3  # relative error of the thickness beyond which users are warned
+NORMAL_PENALTY = 1e3  # stiffness across the layers over stiffness along them, in the least squares for kept bodies
+MAX_MULTIPLIER_STEPS = 200  # largest number of updates of the multiplier in this problem
 NOT_KEPT_MESSAGE = "the bodies cannot be moved apart in one piece; use bodies='extended'"
 # weights of a facet's vertices: their mean lies above no edge of an aligned grid
 RAY_OFFSETS = np.array([1.0, 1.3, 1.7, 2.3])
@@ -27,16 +27,16 @@ RAY_OFFSETS = np.array([1.0, 1.3, 1.7, 2.3])
 def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     """Translations (n_pieces, d) of the bodies' pieces that open each facet of S by its thickness.
 
-    Of all such motions it is the one with the least jumps along S. The middle of S stays where it is, and so do bodies on
-    a rigid base. The base is the last piece, if there is one. On a shallow arc the thickness is right in the mean; a
-    RangeWarning names its range.
+    Among these motions it has the least jumps along S. The middle of S does not move, and neither do bodies on a rigid
+    base. The base is the last piece, if there is one. On a shallow arc the thickness is right in the mean; a
+    RangeWarning gives its range.
 
     Args:
         joint: the joint before inflating.
         eps: (n_S,) thickness at each facet of S.
 
     Raises:
-        InputError: there is no such motion.
+        InputError: no such motion exists.
     """
     pieces, cells, n, d = joint.split_mesh.pieces, joint.surface_cells, joint.interface_normals, joint.dim
     count = int(pieces.max()) + 1
@@ -62,7 +62,7 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     due, mean = (wanted[at] * n).sum(axis=1), (np.bincount(at, eps) / np.bincount(at))[at]
     shallow = np.where(
         np.abs(eps - mean) > FLAT_GAP_TOLERANCE * mean, FLAT_GAP_TOLERANCE, CURVED_GAP_TOLERANCE
-    )  # not for layers of several thicknesses
+    )  # layers of several thicknesses get the strict tolerance
     for jump, least, allowed, reason in (
         (wanted[at], eps, shallow, "S is not planar, as at {at}"),
         (T[ends[:, 1]] - T[ends[:, 0]], due, FLAT_GAP_TOLERANCE, contradictory),
@@ -87,9 +87,9 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
 
 
 def _translations(pair: IntArray, part: IntArray, jump: FloatArray, across: FloatArray, area: FloatArray) -> FloatArray:
-    """Least squares of the jumps along S, under the constraint of those across: (count, d), up to a common translation.
+    """Translations (count, d) with the least jumps along S for prescribed jumps across, up to a common translation.
 
-    By an augmented Lagrangian, whose multiplier exists for redundant constraints, too.
+    The method is an augmented Lagrangian, whose multiplier also exists for redundant constraints.
 
     Args:
         pair: (n, 2) pieces below and above.
@@ -118,11 +118,11 @@ def _translations(pair: IntArray, part: IntArray, jump: FloatArray, across: Floa
 
 
 def require_room(joint: Joint, translation: FloatArray) -> None:
-    """Raise InputError if bodies that are kept, or a layer on a rigid base, hit one another on their way.
+    """Raise InputError if translated bodies, or a rigid base and bodies, collide on their way.
 
     Args:
         joint: the joint before inflating.
-        translation: of its pieces, and of the rigid base if there is one, see `kept_motion`.
+        translation: translations of its pieces, and of the rigid base if there is one, see `kept_motion`.
     """
     table, cells = joint.table, joint.surface_cells
     outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
@@ -133,10 +133,10 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
     low, high = np.full_like(translation, np.inf), np.full_like(translation, -np.inf)
     np.minimum.at(low, piece, x.min(axis=1))
     np.maximum.at(high, piece, x.max(axis=1))
-    least = FLAT_GAP_TOLERANCE * np.abs(translation).max()  # motion of bodies that move together, at most
+    least = FLAT_GAP_TOLERANCE * np.abs(translation).max()  # largest relative motion of bodies that move together
     for body in range(len(translation) - 1):
         lengths = np.linalg.norm(translation[body] - translation[body + 1 :], axis=1)
-        gap = np.maximum(low[body + 1 :] - high[body], low[body] - high[body + 1 :]).max(axis=1)  # of their boxes
+        gap = np.maximum(low[body + 1 :] - high[body], low[body] - high[body + 1 :]).max(axis=1)  # of bounding boxes
         for other in body + 1 + np.flatnonzero((gap <= lengths) & (lengths > least)):
             way, eps = translation[body] - translation[other], float(lengths[other - body - 1])
             for moving, fixed, sign in ((body, other, 1.0), (other, body, -1.0)):
@@ -151,7 +151,7 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
 
 
 def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:
-    """The first of the points (n, d) that meets one of the facets on its way, a length eps along a unit vector."""
+    """The first of the points (n, d) that hits one of the facets as it moves by eps along the unit vector `way`."""
     nodes = joint.table.nodes(rows, joint.corners, joint.cell_type)
     if is_tensor(joint.cell_type) and joint.dim == 3:
         nodes = np.concatenate([nodes[:, [0, 1, 2]], nodes[:, [3, 1, 2]]])
@@ -164,7 +164,7 @@ def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps
     for facet, height in zip(facets[near] @ plane.T, heights[near], strict=True):
         edges = (facet[1:] - facet[0]).T
         if abs(np.linalg.det(edges)) < tolerance ** (joint.dim - 1):
-            continue  # the facet is parallel to the way
+            continue  # the facet is parallel to the motion
         weights = np.linalg.solve(edges, (x @ plane.T - facet[0]).T).T
         gap = height[0] + weights @ (height[1:] - height[0]) - start
         inside = (weights > 1e-9).all(axis=1) & (weights.sum(axis=1) < 1 - 1e-9)

@@ -1,4 +1,4 @@
-"""What is given of layers that are to be meshed, checked, and the facet sets of the joint that has them."""
+"""Checked arguments for the layers of `inflate`, and the facet sets of the inflated joint."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from geometry.sheet import continued_ridges
 from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, keys_of_ridges
 
 BODY_CHOICES = ("kept", "extended")
-MIN_THICKNESS = 1e-11  # thickness of a meshed layer over the size of its joint
+MIN_THICKNESS = 1e-11  # smallest thickness of a meshed layer, over the size of its joint
 ValueType = TypeVar("ValueType")
 
 
 def value_by_seam(
     joint: Joint, value: ValueType | Mapping[str, ValueType], what: str, *default: ValueType
 ) -> dict[str, ValueType]:
-    """A value for each seam, from one for all, or from {name of a seam: value}; others get the default, if one is given.
+    """Value of each seam, from one value for all or {name of a seam: value}; other seams get the default, if any.
 
     Raises:
         InputError: a value for an unknown seam, or none for a seam.
@@ -49,15 +49,15 @@ def check_layering(cells_through: int, bodies: str) -> None:
 
 @dataclass(frozen=True)
 class Layering:
-    """What is given of the layers, by the names of their seams.
+    """Checked arguments of `inflate` for the layers of all seams.
 
     Attributes:
-        eps: thickness.
-        fractions: of the sublayers.
-        heights: of the levels of nodes.
-        thickness: (n_S, k) at the nodes of each facet of S.
+        eps: name of a seam -> thickness.
+        fractions: name of a seam -> thickness fractions of its sublayers.
+        heights: for each seam, heights of the levels of nodes.
+        thickness: (n_S, k) thickness at the nodes of each facet of S.
         varying: names of the seams with a profile.
-        claims: names of the seams with cells, in the order of their claims to those of junctions.
+        claims: names of the seams with cells, in order of priority for the cells of junctions.
         with_cells: (n_S,) which facets of S get cells.
     """
 
@@ -71,7 +71,7 @@ class Layering:
 
     @classmethod
     def of(cls, joint: Joint, eps: Any, profile: Any, through: int, fractions: Any, junctions: Any, gaps: Any) -> Self:
-        """From the arguments of `inflate`; raises InputError if they are out of range, or S ends inside the bodies."""
+        """Check the arguments of `inflate`; raise InputError if they are out of range, or S ends inside the bodies."""
         for what, names in (("junctions", junctions), ("gaps", gaps)):
             for name in names:
                 require_known("seam", name, joint.seams, what)
@@ -107,7 +107,7 @@ def check_junctions(joint: Joint, posts: NodeLines, layers: Layering) -> None:
 
     Args:
         joint: the joint before inflating.
-        posts: all posts at the nodes of S.
+        posts: all node lines at the nodes of S.
         layers: the layers.
     """
     meeting = np.flatnonzero(np.bincount(posts.nodes)[posts.nodes] > 1)
@@ -126,14 +126,14 @@ def check_junctions(joint: Joint, posts: NodeLines, layers: Layering) -> None:
 def moved_facets(
     joint: Joint, copies: NodeCopies, layers: Layering, cells: IntArray, n_bands: int, footprint: IntArray
 ) -> tuple[dict[str, IntArray], tuple[str, ...]]:
-    """Facet sets of the inflated joint, and the names of those between bodies and layers.
+    """Facet sets of the inflated joint, and the names of the sets between bodies and layers.
 
     Args:
         joint: the joint before inflating.
-        copies: of its nodes.
-        layers: what is given of the layers.
-        cells: vertices of the layers' cells, those of bands first.
-        n_bands: number of the latter.
+        copies: copies of its nodes.
+        layers: the layers.
+        cells: vertices of the layers' cells, cells of bands first.
+        n_bands: number of cells of bands.
         footprint: node of S below or above each node.
     """
     filled, order = layers.with_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
@@ -161,7 +161,7 @@ def moved_facets(
         rows = joint.table.index(facets)
         out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
         on = np.isin(below_sides, continued_ridges(joint, facets)).any(axis=1)
-        around = stands[on & of_band]  # the end of a junction in 3D continues what the layers around it do
+        around = stands[on & of_band]  # in 3D the end of a junction continues the same sets as its layers
         on |= upright & np.isin(stands[:, 0], around)
         if on.any():
             out[f"{name}/{LAYER}"] = sides[on]

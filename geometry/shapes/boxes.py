@@ -1,4 +1,4 @@
-"""Boxes on top of each other; walls of bricks in running bond, and the cell that repeats in them, on grids."""
+"""Stacked boxes; walls of bricks in running bond, and their periodic cell, on grids."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Boxes(Prism):
     """One or two rectangles on top of each other, in 3D boxes, S at height 0.
 
     Attributes:
-        width: along x, a length > 0.
-        bodies: name and height, a length > 0, of each body, the lower one first.
+        width: width along x, a length > 0.
+        bodies: name and height, a length > 0, of each body, the lower body first.
     """
 
     width: float
@@ -42,11 +42,11 @@ class Boxes(Prism):
 
     @property
     def extent(self) -> SizeLengths:
-        """The smallest side, the longest one of S, and the height."""
+        """The smallest side, the longest side of S, and the distance from S."""
         return SizeLengths(min(self.lengths.values()), max(self.width, self.depth or 0.0), "abs(y)")
 
     def draw_plane(self) -> Drawing:
-        """Rectangles; a grid needs no drawing."""
+        """Draw rectangles; a grid needs no drawing."""
         kernel = gmsh.model.geo
         two = len(self.bodies) == 2
         heights = [-self.bodies[0][1], 0.0, self.bodies[1][1]] if two else [0.0, self.bodies[0][1]]
@@ -63,7 +63,7 @@ class Boxes(Prism):
         return Drawing(bodies, curves, surfaces, {})
 
     def _build(self, unit: float) -> Joint:
-        """A grid, its cells from h_S at S to h away from it, from h_ends at S's ends to h_S between; else gmsh's mesh."""
+        """A grid with cells from h_S at S to h, and from h_ends at the ends of S to h_S; or else gmsh's mesh."""
         if not self.gridded:
             return super()._build(unit)
         h, h_S, h_ends = self.sizes
@@ -101,7 +101,7 @@ class BoxGrid:
 
     @cached_property
     def _numbers(self) -> IntArray:
-        """Numbers of the points, by their place along each axis."""
+        """Numbers of the points, by their index along each axis."""
         return np.arange(len(self.points)).reshape([len(axis) for axis in self.axes])
 
     @cached_property
@@ -112,7 +112,7 @@ class BoxGrid:
 
     @cached_property
     def places(self) -> IntArray:
-        """(m, d) place of each cell's box along each axis."""
+        """(m, d) index of each cell's box along each axis."""
         boxes = np.indices([len(axis) - 1 for axis in self.axes]).reshape(len(self.axes), -1).T
         return np.tile(boxes, (len(self.cells) // len(boxes), 1))
 
@@ -140,7 +140,7 @@ class BoxGrid:
         return np.concatenate([np.where(left, flipped, plain).T for plain, flipped in halves])
 
     def _swept(self, rows: IntArray) -> IntArray:
-        """Cells of all layers between rows of the points at z = 0 and those above them, whose numbers are next."""
+        """Cells of all layers over `rows` of points at z = 0; the points above have consecutive numbers."""
         below = (rows[:, None] + np.arange(len(self.axes[2]) - 1)[:, None]).reshape(-1, rows.shape[1])
         if is_tensor(self.kind):
             return np.column_stack([below, below + 1])
@@ -153,7 +153,7 @@ def running_bond(cells: MeshOptions, size: Sequence[float], bricks: int, courses
     Args:
         cells: the requested cells.
         size: lengths of a brick along each axis, > 0.
-        bricks, courses: number of bricks in a course, and of courses.
+        bricks, courses: number of bricks in a course, and number of courses.
 
     Raises:
         InputError: sizes or numbers are out of range.
@@ -166,7 +166,7 @@ def running_bond(cells: MeshOptions, size: Sequence[float], bricks: int, courses
 
 
 def repeated_bond(cells: MeshOptions, size: Sequence[float], cut: tuple[float, float]) -> Joint:
-    """The cell that repeats in a running bond, not yet periodic: one brick wide and two courses high, cut through bricks.
+    """The repeating cell of a running bond, not yet periodic: one brick wide, two courses high, cut through bricks.
 
     Args:
         cells: the requested cells.
@@ -188,7 +188,7 @@ def repeated_bond(cells: MeshOptions, size: Sequence[float], cut: tuple[float, f
 
 
 def _counts(cells: MeshOptions, size: Sequence[float], least: int) -> list[int]:
-    """Cells in half a brick along x, in its height, at least so many in each of the two, and in its depth."""
+    """Numbers of cells in half a brick along x and in its height, `least` or more each, and in its depth."""
     names = ("width", "height", "depth")
     cells.check({f"{name} of a brick": a for name, a in zip(names, size, strict=False)}, len(size))
     h = cells.h or min(size) / 4
@@ -201,9 +201,9 @@ def _joint(cells: MeshOptions, lengths: Sequence[float], counts: list[int], bric
 
     Args:
         cells: the requested cells.
-        lengths, counts: size of the grid along each axis, and its numbers of cells.
+        lengths, counts: size of the grid along each axis, and number of cells along each axis.
         brick: numbers of cells in half a brick along x, and in its height.
-        start: the place in a brick where the grid begins, in cells.
+        start: place in a brick where the grid begins, in cells.
     """
     d, (half, height) = len(lengths), brick
     kind = cells.cell or {2: "quadrilateral", 3: "hexahedron"}[d]

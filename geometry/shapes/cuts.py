@@ -22,9 +22,9 @@ from geometry.topology import BoolArray, FloatArray, IntArray, sum_by_number
 SIDE_NAMES = ("BOTTOM", "RIGHT", "TOP", "LEFT")
 MIN_LINE_DISTANCE = 0.5  # least distance between lines that do not meet, over the cell size there
 MIN_GRAIN_SIDE = 0.12  # least side of relaxed grains, over the root of their mean area
-LLOYD_STEPS = 3  # steps of points to the centres of their cells
-MAX_RELAXATION_STEPS = 100  # of the relaxation, at most
-COORDINATE_DECIMALS = 10  # of coordinates that gmsh gets, which are between 1 and 1000
+LLOYD_STEPS = 3  # number of steps that move points to the centres of their cells
+MAX_RELAXATION_STEPS = 100  # largest number of relaxation steps
+COORDINATE_DECIMALS = 10  # decimals of coordinates passed to gmsh, the largest between 1 and 1000
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class CutRectangle(Shape):
         width, height: lengths > 0.
         grain: the length that the default cell size divides.
         cuts: (n, 2, 2) ends of straight lines, which may cross each other and the sides.
-        names: of these lines.
-        seams: name of a line -> which side is up.
+        names: names of these lines.
+        seams: name of a line -> its upper side.
         part: name of the parts of the rectangle, which are numbered.
         centres: (n, 2) points of the parts, in the order of their numbers; None: from left to right, then upwards.
     """
@@ -71,7 +71,7 @@ class CutRectangle(Shape):
         return np.asarray(((x > margin) & (x < np.array([self.width, self.height]) - margin)).all(axis=1))
 
     def draw(self) -> Drawing:
-        """The rectangle in fragments, with the lines that end in one of them."""
+        """Draw the rectangle in fragments, with the lines that end inside a fragment."""
         kernel, near = gmsh.model.occ, DISTANCE_TOLERANCE * self.extent.span
         gmsh.option.setNumber("Geometry.ToleranceBoolean", near)
         ends = [kernel.addPoint(x, y, 0.0) for x, y in np.round(self.lines, COORDINATE_DECIMALS).reshape(-1, 2)]
@@ -96,7 +96,7 @@ class CutRectangle(Shape):
         return Drawing(bodies, facets, [], {}, self.seams)
 
     def require_apart(self, what: str, remedy: str) -> Self:
-        """The shape; raises InputError for lines that end near another one or a side, but not on it."""
+        """Return the shape; raise InputError if a line ends near another line or a side, but not on it."""
         size, lines, near = self.sizes[2], self.lines, DISTANCE_TOLERANCE * self.extent.span
         ends = lines.reshape(-1, 2)
         points = ends[self.inside(ends, -near)]
@@ -127,14 +127,14 @@ def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: M
 
 
 def _points(points: Any, what: str) -> FloatArray:
-    """(n, 2) points; raises InputError."""
+    """Points as an array (n, 2); raise InputError unless there are two or more finite points."""
     if (x := finite_values(points, (-1, 2))) is None or len(x) < 2:
         raise InputError(f"{what} is {points!r}; it must be two points (x, y) or more")
     return x
 
 
 def _path(name: str, points: Any) -> FloatArray:
-    """(n, 2) points of a fault that does not turn back; raises InputError."""
+    """Points of a fault as an array (n, 2); raise InputError if it turns back."""
     x = _points(points, f"the fault {name!r}")
     way, whole = np.diff(x, axis=0), x[-1] - x[0]
     back = way @ whole <= MIN_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
@@ -146,7 +146,7 @@ def _path(name: str, points: Any) -> FloatArray:
 def grain_rectangle(
     cells: MeshOptions, width: float, height: float, grains: Any, seed: int, seams: Callable[[int, int], str] | None
 ) -> CutRectangle:
-    """Voronoi grains of given points, or of random ones. Raises InputError, see `builders.grains`."""
+    """A rectangle of Voronoi grains, of prescribed or random points. Raises InputError, see `builders.grains`."""
     cells.check({"width": width, "height": height}, 2)
     size = max(width, height)
     box = np.array([width, height]) / size
@@ -165,7 +165,7 @@ def grain_rectangle(
 
 
 def _grain_points(points: Any, width: float, height: float) -> FloatArray:
-    """(n, 2) points of grains; raises InputError."""
+    """Points of grains as an array (n, 2); raise InputError if one is outside or two coincide."""
     x = _points(points, "grains")
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"
     refuse(~((x > 0) & (x < (width, height))).all(axis=1), x, f"the point {{at}} of a grain is not inside {box}")
@@ -175,7 +175,7 @@ def _grain_points(points: Any, width: float, height: float) -> FloatArray:
 
 
 def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
-    """(m, 2, 2) sides between the Voronoi cells of points in the box (0, box), and (m, 2) the cells they are between."""
+    """(m, 2, 2) sides between the Voronoi cells of points in the box (0, box), and (m, 2) the two cells of each."""
     cells = _voronoi(points, box)
     pairs = np.sort(cells.ridge_points, axis=1)
     inner = pairs[:, 1] < len(points)
@@ -186,7 +186,7 @@ def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def _voronoi(points: FloatArray, box: FloatArray) -> Voronoi:
-    """Voronoi cells of points and of their mirror images beyond the four sides, which the sides are between."""
+    """Voronoi cells of points and of their mirror images beyond the four sides, so that the sides bound cells."""
     images = [points]
     for axis in (0, 1):
         for side in (0.0, box[axis]):
@@ -197,9 +197,9 @@ def _voronoi(points: FloatArray, box: FloatArray) -> Voronoi:
 
 
 def _relaxed_points(points: FloatArray, box: FloatArray) -> FloatArray:
-    """Points moved to the centres of their cells a few times, then towards each other across short sides of their cells.
+    """Move points to the centres of their cells a few times, then towards each other across short sides of cells.
 
-    This makes such a side longer.
+    The second makes a short side longer.
     """
     n, size = len(points), float(np.sqrt(box.prod() / len(points)))
     for _ in range(LLOYD_STEPS):
@@ -227,6 +227,6 @@ def _centres(points: FloatArray, box: FloatArray) -> FloatArray:
     kept = (cell < n) & (ends >= 0).all(axis=1)
     cell, x = cell[kept], cells.vertices[ends[kept]]
     to = x - points[cell][:, None]
-    area = np.abs(to[:, 0, 0] * to[:, 1, 1] - to[:, 0, 1] * to[:, 1, 0])  # twice that of a triangle over the point
+    area = np.abs(to[:, 0, 0] * to[:, 1, 1] - to[:, 0, 1] * to[:, 1, 0])  # twice the area of a triangle with the point
     moment = area[:, None] * to.sum(axis=1) / 3
     return np.asarray(points + sum_by_number(cell, moment, n) / np.bincount(cell, area, n)[:, None])

@@ -1,4 +1,4 @@
-"""One gmsh session: drawing a shape with named parts, sizing its cells, meshing, taking the arrays over."""
+"""One gmsh session: draw a shape with named parts, set cell sizes, mesh, and read the arrays."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from geometry.shapes.sizing import (
 )
 from geometry.topology import FACET_TYPES, FloatArray, IntArray, corner_count, is_tensor, weights_between
 
-GMSH_FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from ours
+GMSH_FAMILIES = {"interval": "line", "quadrilateral": "quadrangle"}  # gmsh's names, where they differ from DOLFINx
 SIZE_GROWTH = 0.3  # growth of the cell size per unit of distance from a refined place
 UNIT_DECADES = 3  # powers of ten between units of length such as mm and m
 
@@ -41,9 +41,10 @@ class Drawing:
         bodies: tags of the entities of the shape's dimension, the lower body first.
         facets: tags of the entities of one dimension less.
         floor: tags of the four-sided surfaces for a grid; in 3D the surfaces that were swept.
-        gradings: tag of each curve around them -> its grading.
-        seams: name of a seam -> which of its sides is up; {}: "S" between the last body and those below.
-        circles: of a polar grid the two axes in the circles' plane, and the radius up to which it is straight, a length.
+        gradings: tag of each curve around these surfaces -> its grading.
+        seams: name of a seam -> its upper side; {}: "S" between the last body and the bodies below it.
+        circles: for a polar grid, the two axes in the circles' plane and the radius up to which it stays straight, a
+            length.
     """
 
     bodies: dict[str, list[int]]
@@ -55,7 +56,7 @@ class Drawing:
 
 
 class SizeLengths(NamedTuple):
-    """What cell sizes of a shape follow from.
+    """Lengths from which the cell sizes of a shape follow.
 
     Attributes:
         thinnest: the length that the default cell size divides.
@@ -72,7 +73,7 @@ class SizeLengths(NamedTuple):
 
 @dataclass(frozen=True)
 class Shape(ABC):
-    """A joint that gmsh can draw and mesh. All numbers among its fields are lengths, but `angles`."""
+    """A joint that gmsh can draw and mesh. All numbers among its fields are lengths, except `angles`."""
 
     cells: MeshOptions
     angles: ClassVar[tuple[str, ...]] = ()
@@ -93,10 +94,10 @@ class Shape(ABC):
     @property
     @abstractmethod
     def extent(self) -> SizeLengths:
-        """Lengths that the sizes of cells depend on."""
+        """Lengths on which the cell sizes depend."""
 
     def scaled(self, factor: float) -> Self:
-        """The shape, sizes of cells included, with all lengths times a factor."""
+        """The shape with all lengths, including cell sizes, times a factor."""
         lengths = [f.name for f in fields(self) if f.name not in self.angles]
         return replace(self, **{name: _scaled(getattr(self, name), factor) for name in lengths})
 
@@ -122,10 +123,10 @@ class Shape(ABC):
         return h, h_S, float(self.cells.h_ends or h_S)
 
     def build(self) -> Joint:
-        """Mesh with gmsh and take the arrays over.
+        """Mesh with gmsh and return the joint.
 
         gmsh's tolerances are absolute lengths. Lengths are therefore scaled by a power of 1000 so that the largest is
-        between 1 and 1000, and the mesh is the same in nm, mm, m and km.
+        between 1 and 1000. The mesh is then the same in nm, mm, m and km.
         """
         largest = max(self.lengths.values())
         require_width("the thinnest part", self.extent.thinnest, largest)
@@ -137,7 +138,7 @@ class Shape(ABC):
         return self.scaled(10.0**-digits)._build(10.0**digits)
 
     def _build(self, unit: float) -> Joint:
-        """The mesh with points times a unit of length."""
+        """The joint, with gmsh's coordinates times a unit of length."""
         gmsh.initialize(interruptible=False)
         try:
             gmsh.option.setNumber("General.Terminal", 0)
@@ -158,7 +159,7 @@ class Shape(ABC):
         return joint()  # now that gmsh's memory is free
 
     def sweep(self, surfaces: Sequence[int], way: tuple[float, float, float], grading: Grading) -> dict[int, list[int]]:
-        """Extrude surfaces (in graded layers for a grid); for each of them the volume and the surface at its far end."""
+        """Extrude surfaces (in graded layers for a grid); surface -> [volume, surface at the far end]."""
         kernel, layers = gmsh.model.geo, grading.layers
         grid = dict(numElements=[1] * len(layers), heights=layers, recombine=is_tensor(self.kind))
         swept = kernel.extrude([(2, tag) for tag in surfaces], *way, **(grid if self.gridded else {}))
@@ -167,7 +168,7 @@ class Shape(ABC):
         return {tag: [swept[k][1], swept[k - 1][1]] for tag, k in zip(surfaces, volumes, strict=True)}
 
     def _set_grid(self, drawing: Drawing) -> None:
-        """A grid of quadrilaterals, or of triangles that halve them, on surfaces; layers on it are part of the drawing."""
+        """Set a grid of quadrilaterals, or of their halves, on the surfaces; swept layers are part of the drawing."""
         for curve, grading in drawing.gradings.items():
             grading.put(curve)
         for surface in drawing.floor:
@@ -176,7 +177,7 @@ class Shape(ABC):
                 gmsh.model.mesh.setRecombine(2, surface)
 
     def _set_sizes(self, s: Sequence[int]) -> None:
-        """Size fields: h_ends where S ends or branches, h_S on it, growing to h."""
+        """Set size fields: h_ends where S ends or branches, h_S on S, growing to h away from it."""
         h, h_S, h_ends = self.sizes
         field = gmsh.model.mesh.field
         boundary = gmsh.model.getBoundary([(self.dim - 1, tag) for tag in s], combined=False, oriented=False)
@@ -203,7 +204,7 @@ class Shape(ABC):
             gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
 
     def _read(self, drawing: Drawing, unit: float) -> Callable[[], Joint]:
-        """Read gmsh's arrays; returns a function that makes the joint of them without gmsh."""
+        """Read gmsh's arrays; return a function that makes the joint from them without gmsh."""
         nodes, x, _ = gmsh.model.mesh.getNodes()
         bodies = [self._elements(self.kind, tags) for tags in drawing.bodies.values()]
         facet_type = FACET_TYPES[self.kind]
@@ -267,7 +268,7 @@ class Prism(Shape):
 
 
 def _scaled(value: Any, factor: float) -> Any:
-    """A number or coordinates, what is in a tuple, cells or lines, times a factor; anything else as it is."""
+    """Scale numbers, arrays, items of tuples and objects with a method `scaled`; return other values unchanged."""
     if isinstance(value, tuple):
         return tuple(_scaled(part, factor) for part in value)
     if hasattr(value, "scaled"):
@@ -278,7 +279,7 @@ def _scaled(value: Any, factor: float) -> Any:
 
 
 def swept_surfaces(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:
-    """The surfaces that sweeping `surfaces` has made of some of their curves."""
+    """Surfaces that some boundary `curves` have swept when `surfaces` were swept."""
     return [int(tag) for curve in curves for tag in gmsh.model.getAdjacencies(1, curve)[0] if tag not in surfaces]
 
 
@@ -289,16 +290,16 @@ def plane_surface(sides: Sequence[int]) -> int:
 
 
 def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], core: float) -> FloatArray:
-    """Points of a polar grid of degree 2 whose circles are all curved, less and less towards a straight core.
+    """Points of a polar grid of degree 2 with all circles curved, gradually less towards a straight core.
 
-    gmsh itself curves only cells that touch a circle of the drawing, and would fold thin ones.
+    gmsh itself curves only cells that touch a circle of the drawing, and would fold thin cells.
 
     Args:
         points: (n_points, d) coordinates, lengths.
         cells: (n_cells, n_nodes) nodes of degree 2, vertices first.
         kind: "quadrilateral" or "hexahedron".
         axes: the two coordinates in the circles' plane.
-        core: radius up to which nodes stay, a length; 0: all circles are curved in full.
+        core: radius up to which nodes do not move, a length; 0: all circles are fully curved.
     """
     corners = corner_count(kind)
     radius = np.hypot(*points[:, axes].T)

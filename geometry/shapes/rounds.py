@@ -33,11 +33,11 @@ class PolarLines:
 
     @classmethod
     def drawn(cls, radii: Sequence[float], angle: float, plane: str, *, chords: bool = False) -> PolarLines:
-        """Draw a web with gmsh.
+        """Draw arcs and spokes with gmsh.
 
         Args:
             radii: radii of the arcs, growing lengths > 0.
-            angle: angle of the web from the x axis, in radians, > 0 and at most 2 pi.
+            angle: angle of the sector from the x axis, in radians, > 0 and at most 2 pi.
             plane: "xy" or "xz".
             chords: whether the innermost arcs are straight lines instead.
         """
@@ -71,7 +71,7 @@ class Rings(Prism):
 
     Attributes:
         inner, interface, outer: radii, growing lengths > 0.
-        angle: of the sector from the x axis, in radians, up to the full circle.
+        angle: angle of the sector from the x axis, in radians, up to the full circle.
     """
 
     inner: float
@@ -95,7 +95,7 @@ class Rings(Prism):
 
     @property
     def extent(self) -> SizeLengths:
-        """At any radius cells are small enough to follow a circle."""
+        """Lengths for cell sizes that are small enough to follow a circle at any radius."""
         thinnest = min(self.interface - self.inner, self.outer - self.interface, self.depth or self.outer)
         radius = "sqrt(x*x + y*y)"
         distance = f"abs({radius} - {float(self.interface)!r})"
@@ -104,9 +104,9 @@ class Rings(Prism):
         )
 
     def draw_plane(self) -> Drawing:
-        """Rings between spokes; INNER's spokes end at S, where OUTER's begin.
+        """Draw rings between spokes; the spokes of INNER end at S, where the spokes of OUTER begin.
 
-        A polar grid has cells from h_S at S to h away from it, from h_ends at the ends of S to h_S between them.
+        Cells of a polar grid grow from h_S at S to h away from it. Along S they grow from h_ends at its ends to h_S.
         """
         web = PolarLines.drawn((self.inner, self.interface, self.outer), self.angle, "xy")
         gmsh.model.geo.synchronize()
@@ -161,15 +161,16 @@ class Discs(Shape):
 
     @property
     def extent(self) -> SizeLengths:
-        """Cells are small enough to follow a circle, at every radius if there is a hole."""
+        """Lengths for cell sizes that are small enough to follow a circle, at every radius if there is a hole."""
         radius = "sqrt(x*x + z*z)" if self.hole else repr(float(self.radius))
         thinnest = min(self.radius - self.hole, self.lower, self.upper)
         return SizeLengths(thinnest, tau * self.radius, "abs(y)", f"{MAX_CELL_ANGLE!r} * {radius}")
 
     def draw(self) -> Drawing:
-        """A disc in the plane of S, swept to both sides.
+        """Draw a disc in the plane of S, swept to both sides.
 
-        A grid is polar, around a square one if there is no hole, with cells from h_ends at circles to h_S between them.
+        A grid is polar, around a square grid if there is no hole. Its cells grow from h_ends at the circles that bound
+        S to h_S between them.
         """
         h, h_S, h_ends = self.sizes
         core = CORE_RADIUS_RATIO * self.radius if self.gridded and not self.hole else 0.0
@@ -196,7 +197,7 @@ class Fibre(Shape):
     """A disc about the origin in a larger disc or a rectangle, S the circle between.
 
     Attributes:
-        radius: of the fibre, a length > 0.
+        radius: radius of the fibre, a length > 0.
         around: radius of the matrix's outer circle, or width and height of its rectangle.
     """
 
@@ -231,13 +232,13 @@ class Fibre(Shape):
 
     @property
     def extent(self) -> SizeLengths:
-        """Cells are small enough to follow a circle at every radius from that of S on."""
+        """Lengths for cell sizes that are small enough to follow a circle at every radius outside S."""
         radius = repr(float(self.radius))
         limit = f"{MAX_CELL_ANGLE!r} * ({radius} + abs(sqrt(x*x + y*y) - {radius}))"
         return SizeLengths(min(self.radius, self.gap), tau * self.radius, limit=limit)
 
     def draw(self) -> Drawing:
-        """A disc in a ring or in a rectangle with a hole; a polar grid around a square one, from h_S at S to h."""
+        """Draw a disc in a ring or rectangle; a grid is polar around a square grid, with cells from h_S at S to h."""
         h, h_S, _ = self.sizes
         core = CORE_RADIUS_RATIO * self.radius
         radii = (*([core] if self.gridded else []), self.radius, *(self.around if self.round else ()))

@@ -1,4 +1,4 @@
-"""Requested cells of a shape, and the change of their sizes along a line. And gmsh, which draws and meshes it."""
+"""Mesh options of a shape, the grading of cells along a line, and the module gmsh, imported on first use."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MIN_CELL_SIZE_RATIO = 1e-5  # smallest cell size allowed, over the size of the s
 
 
 class _Gmsh:
-    """The module gmsh, imported when it is first used: it takes a third of a second, and one rank needs it."""
+    """The module gmsh, imported on first use: the import takes a third of a second, and only one rank needs it."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(import_optional("gmsh"), name)
@@ -38,7 +38,7 @@ class SizeArgs(TypedDict, total=False):
 
 
 class GridArgs(SizeArgs, total=False):
-    """And the cells of boxes, see `block`."""
+    """Cell sizes and options of boxes, see `block`."""
 
     cell: str | None
     structured: bool
@@ -46,7 +46,7 @@ class GridArgs(SizeArgs, total=False):
 
 
 class CurvedArgs(SizeArgs, total=False):
-    """And the cells of round shapes, see `disc`."""
+    """Cell sizes and options of round shapes, see `disc`."""
 
     cell: str | None
     degree: int
@@ -86,7 +86,7 @@ class MeshOptions:
 
     @classmethod
     def of(cls, h: float | None, options: Mapping[str, Any], allowed: type[SizeArgs]) -> Self:
-        """From what a builder is given; raises InputError for a keyword that is not one of those of `allowed`."""
+        """Options from a builder's keywords; raise InputError for a keyword that is not in `allowed`."""
         for name in options.keys() - (keywords := get_type_hints(allowed)):
             raise InputError(unknown_name_message("keyword", name, keywords))
         return cls(h, **options)
@@ -109,14 +109,14 @@ class MeshOptions:
         require_known("arrangement", self.arrangement, ARRANGEMENTS)
 
     def scaled(self, factor: float) -> MeshOptions:
-        """The cells with all sizes times a factor."""
+        """The options with all sizes times a factor."""
         h, h_S, h_ends = (size and scaled_length(size, factor) for size in (self.h, self.h_S, self.h_ends))
         return replace(self, h=h, h_S=h_S, h_ends=h_ends)
 
 
 @dataclass(frozen=True)
 class Grading:
-    """Cells along a line, each larger than the one before by the same factor.
+    """Cells along a line whose sizes grow by a constant factor.
 
     Attributes:
         n: number of cells.
@@ -133,7 +133,7 @@ class Grading:
 
     @classmethod
     def of(cls, length: float, first: float, last: float, *, symmetric: bool = False, backwards: bool = False) -> Self:
-        """The grading of a line of a length that comes nearest to these sizes."""
+        """The grading of a line of this length that comes closest to these cell sizes."""
         if first == last:
             return cls(max(1, round(round(length / first, COUNT_DECIMALS))), first, last, symmetric, backwards)
         graded = length / 2 if symmetric else length
@@ -158,7 +158,7 @@ class Grading:
         return [*ends[:-1].tolist(), 1.0]
 
     def along(self, length: float) -> FloatArray:
-        """(n + 1,) ends of the cells along a line of a length."""
+        """(n + 1,) ends of the cells along a line of this length."""
         return length * np.array([0.0, *self.layers])
 
     def put(self, curve: int) -> None:

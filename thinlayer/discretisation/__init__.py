@@ -1,1 +1,1 @@
-"""From joints, laws and loads to spaces, weak forms and states."""
+"""Discretisation: function spaces, weak forms and states from joints, laws and loads."""

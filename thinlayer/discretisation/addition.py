@@ -1,4 +1,4 @@
-"""The name of version 1.0 of `thinlayer.discretisation.part_definition`."""
+"""Deprecated module name of version 1.0; the module is now `thinlayer.discretisation.part_definition`."""
 
 from thinlayer.discretisation.part_definition import PartDefinition
 from thinlayer.errors import former_names

@@ -1,4 +1,4 @@
-"""Reduction: which interface law stands for a layer on its seam and, where none does, why, and what to do instead."""
+"""Applicability: whether an interface law can replace a layer on its seam, or why not, and what to do instead."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ from thinlayer.discretisation.prescribed_strains import SINGULARITY_TOLERANCE
 from thinlayer.discretisation.sides import FLAT_DIRECTION_SHARE, FacetWeights, constrained_directions, side_kinds
 from thinlayer.errors import Violation
 
-MIN_STIFFNESS_CONTRAST = 40.0  # Young's modulus of the bodies over the layer's mu
-MIN_RADIUS_RATIO = (
-    4.0  # of curved ends, over the thickness; what constants leave out there is of the order of its inverse
-)
+MIN_STIFFNESS_CONTRAST = 40.0  # least Young's modulus of the bodies over the layer's mu
+# least radius of free ends over the thickness in axisymmetry; the error of end constants is of the order of its inverse
+MIN_RADIUS_RATIO = 4.0
 MESH_REMEDY = "use order=0, or mesh the layer (structure.full)"
-BENDING_FACTOR = (
-    44.0  # 48 (1 - nu^2): (eps k)^3 E/mu where half-spaces yield to a pressure of wave number k as the layer does
-)
+# 48 (1 - nu^2): (eps k)^3 E/mu at which half-spaces are as compliant as the layer under a pressure of wave number k
+BENDING_FACTOR = 44.0
 
 
 class Applicability:
-    """The interface law of a layer on its seam: of the joint, the layer and the structure's data, without a mesh or forms.
+    """Range of validity of a layer's interface law, found from joint, layer and structure without a mesh or forms.
 
     Attributes:
         seam_layer: the layer on its seam.
-        bodies: "kept" or "extended", as of its model.
+        bodies: "kept" or "extended", as in the model.
     """
 
     def __init__(self, seam_layer: SeamLayer, bodies: str = "kept") -> None:
         self.seam_layer, self.bodies = seam_layer, bodies
 
     def why_not(self, question: str) -> Violation | None:
-        """The first condition of a question (`CONDITIONS_OF_USE`) that does not hold; None: all do. The same on all ranks.
+        """Return the first violated condition of a question, a key of `CONDITIONS_OF_USE`; None if all hold.
+
+        The result is the same on all ranks.
 
         Raises:
             InputError: parameters out of range, or a bad profile.
@@ -55,18 +55,18 @@ class Applicability:
         return next((refused for ask in CONDITIONS_OF_USE[question] for refused in ask(self)), None)
 
     def require(self, question: str, what: str = "") -> None:
-        """Raise InputError with its key, after some words, for the first condition that does not hold; as `why_not`."""
+        """Raise InputError, with the prefix `what`, for the first violated condition of a question; see `why_not`."""
         if refused := self.why_not(question):
             raise refused.error(what)
 
     @cached_property
     def law(self) -> BulkLaw:
-        """The law with real parameters, for the structure's kinematics."""
+        """Law with real parameters, for the structure's kinematics."""
         return law_with_numbers(self.seam_layer.layer, self.seam_layer.structure.kinematics)
 
     @cached_property
     def curvature_text(self) -> str | None:
-        """In what way the layer is not flat and of one thickness, if it is not."""
+        """Phrase for messages on how the layer is curved or varies in thickness; None if it is flat and uniform."""
         if self.seam_layer.thin_layer and self.seam_layer.thin_layer.profile is not None:
             return "of a thickness that varies"
         if not self.seam_layer.sheet.planar:
@@ -76,7 +76,7 @@ class Applicability:
 
     # ---------------------------------------------------------------- sides
     def rim(self, *kinds: str) -> Rim:
-        """The part of the seam's rim where the layer's side is of some kinds (`side_kinds`)."""
+        """Part of the seam's rim where the layer's side is of one of the given kinds, see `side_kinds`."""
         return self.seam_layer.sheet.rim[np.isin(self._kinds, kinds)]
 
     @cached_property
@@ -85,22 +85,22 @@ class Applicability:
 
     @cached_property
     def free(self) -> Rim:
-        """Where an end has a field of its own: nothing holds the side along m or n, or something oblique does."""
+        """Rim with the local field of a free end: the side is free along m and n, or constrained obliquely."""
         return self.rim("free", "oblique")
 
     @cached_property
     def loose(self) -> Rim:
-        """Where the side is not held along m: loads on it reach the layer, and a pressure falls to zero."""
+        """Rim where the side is not constrained along m: loads on it reach the layer, and a pressure falls to zero."""
         return self.rim("free", "antisymmetric", "oblique")
 
     @cached_property
     def neglected(self) -> Rim:
-        """The free ends of which the law knows nothing: all, or none."""
+        """Free ends that the interface law does not correct: all of them, or none."""
         return self.free[np.full(len(self.free.vertices), self.why_not("ends") is not None)]
 
     @cached_property
     def pressure_lengths(self) -> FloatArray:
-        """(n,) eps sqrt(lmbda/(12 mu)) at the loose sides, over which a pressure of order 1 falls to zero; may be inf."""
+        """Decay lengths (n,) of a pressure of order 1 at `loose`, eps sqrt(lmbda/(12 mu)); may be inf."""
         thin, joint, at = self.seam_layer.thin_layer, self.seam_layer.sheet.joint, self.loose.vertices
         laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
         squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
@@ -110,17 +110,19 @@ class Applicability:
 
     @property
     def is_coarse(self) -> BoolArray:
-        """(n,) at which loose sides cells are longer than the fall of a pressure.
+        """Mask (n,) of the ridges of `loose` whose cells are longer than `pressure_lengths`.
 
-        It is not set to zero there, as if they were held: it would be too small over a whole cell.
+        The pressure is not set to zero at these ridges, as it would be too small over a whole cell.
         """
         return np.asarray(self.loose.depth > self.pressure_lengths)
 
     # ---------------------------------------------------------------- better laws
     def next_order(self) -> ThinLayer:
-        """The layer with the law of order 1 that an error is estimated from, if the conditions of "estimate" hold.
+        """Return the layer with the law of order 1 for error estimates, if the conditions of "estimate" hold.
 
-        An elastic one has a pressure, but beside free ends for large nu alone: constants of others need no fine mesh.
+        A `LinearElastic` law with lmbda > 0 becomes `Rubber`, with a pressure, unless parameters are functions or the
+        structure is in plane stress. With loose sides this is done for large nu only: the end constants for smaller nu
+        need no fine mesh.
         """
         law, loose = self.seam_layer.thin_layer.law, len(self.loose.vertices) > 0
         in_sheet = self.seam_layer.structure.plane == "stress"  # no pressure builds up there
@@ -132,40 +134,40 @@ class Applicability:
     # ---------------------------------------------------------------- ends
     @property
     def free_end_text(self) -> str:
-        """What the law knows of the free ends, in words."""
+        """Phrase that says whether the interface law corrects the free ends."""
         refused = self.why_not("ends")
         return f"not corrected, as {refused.reason}" if refused else "corrected" if self.weights else "none"
 
     @cached_property
     def strips(self) -> Any:
-        """The `Strips` along free ends; None: they are not known for the law."""
+        """The `EndStrips` along free ends; None if they are not known for the law."""
         return self.law.end_strips()
 
     @cached_property
     def contrast(self) -> float:
-        """The least Young's modulus at rest of the bodies on the seam over the layer's mu."""
+        """Least Young's modulus at rest of the bodies on the seam, over the layer's mu."""
         return softest_body(self.seam_layer) / float(self.law.parameters()["mu"])
 
     @property
     def width(self) -> float:
-        """Area of the seam over the length of its free ends, over the thickness."""
+        """Area of the seam over the total length of its free ends, in units of the thickness."""
         return float(self.seam_layer.sheet.areas.sum() / self.free.length.sum()) / float(self.seam_layer.thin_layer.eps)
 
     @cached_property
     def all_weights(self) -> FacetWeights:
-        """Weights of the free ends on the facets, if conditions before `overlap` hold."""
+        """Weights of the free ends on the facets, valid if the conditions of "ends" before "overlap" hold."""
         strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING_FACTOR) ** (1 / 3)))
         sheet, eps = self.seam_layer.sheet, float(self.seam_layer.thin_layer.eps)
         return FacetWeights.of(straight_ends(self.free, sheet), sheet, eps, strips)
 
     @cached_property
     def weights(self) -> FacetWeights | None:
-        """Weights of the free ends on the facets; None: there are none, or the law does not know them."""
+        """Weights of the free ends on the facets; None without free ends, or if the law does not correct them."""
         return None if self.why_not("ends") or not len(self.free.vertices) else self.all_weights
 
 
 def softest_body(seam_layer: SeamLayer) -> float:
-    """The least Young's modulus at rest of the bodies on a seam, at the mean over all directions."""
+    """Return the least Young's modulus at rest of the bodies on a seam, with moduli averaged over all directions."""
     joint, n, moduli = seam_layer.structure.joint, seam_layer.sheet.mean_normal, [np.inf]
     sides = joint.surface_cells[seam_layer.sheet.facets]
     cells = np.unique(sides[sides >= 0])
@@ -180,9 +182,9 @@ def softest_body(seam_layer: SeamLayer) -> float:
     return float(min(moduli))
 
 
-# ---------------------------------------------------------------- conditions, each group in its order
+# ---------------------------------------------------------------- conditions, in the order in which they are checked
 def _law_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of a law of order 0, and of a meshed layer."""
+    """Conditions for a law of order 0 and for a meshed layer."""
     seam_layer, layer, setup = r.seam_layer, r.seam_layer.layer, r.seam_layer.structure
     if not isinstance(layer, ThinLayer | SurfaceLaw):
         yield Violation("no layer", f"the layer is {layer!r}", "give ThinLayer(law, eps), or a law of jumps or contact")
@@ -201,13 +203,13 @@ def _law_conditions(r: Applicability) -> Iterator[Violation]:
     if seam_layer.thin_layer:
         setup.joint.relative_thickness(
             seam_layer.thin_layer.profile, seam_layer.name
-        )  # a user's function, may fail on one rank alone
+        )  # a user's function may fail on one rank only
     for sample in seam_layer.samples:
         sample.initial_tangents.require_stable()
 
 
 def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of the next term of a law, away from tips and junctions, and then there."""
+    """Conditions for a law of order 1: first away from tips and junctions, then at them."""
     thin, setup, sheet = r.seam_layer.thin_layer, r.seam_layer.structure, r.seam_layer.sheet
     if thin is None or thin.order == 0:
         return
@@ -247,7 +249,7 @@ def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
     )
     for law in (law for _, law, _ in sublayers if law.traits.softens):
         C = tangent_at_rest(law, n)
-        if C is None or np.linalg.eigvals(acoustic_tensor(C, n)).real.min() <= 0:  # it holds nodes in the layer
+        if C is None or np.linalg.eigvals(acoustic_tensor(C, n)).real.min() <= 0:  # it supports inner nodes
             reason = f"{type(law).__name__} softens, and its stiffness at rest is not known, or not positive"
             yield Violation("sound", reason, "write a method stiffness(n) in its class, that of the sound material")
 
@@ -258,7 +260,7 @@ def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _support_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of supports that hold the layer's own side, NAME/LAYER: they hold the bodies beside it, too."""
+    """Conditions for supports on the layer's side NAME/LAYER: the adjacent bodies must be supported there too."""
     rim, alone = (
         r.seam_layer.sheet.rim,
         constrained_directions(r.seam_layer) - constrained_directions(r.seam_layer, of_layer=False),
@@ -275,7 +277,7 @@ def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of an interface law that knows its free ends, or has none."""
+    """Conditions for an interface law of order 1 that corrects its free ends, or has no free ends."""
     seam_layer, thin = r.seam_layer, r.seam_layer.thin_layer
     if thin.order == 0:
         yield Violation("order 0", "the interface law is of order 0", "use order=1")
@@ -304,7 +306,7 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of fields and constants of free ends, which are those of straight ones between rigid faces."""
+    """Conditions for the end constants, which are known for straight free ends between rigid faces."""
     seam_layer, sheet = r.seam_layer, r.seam_layer.sheet
     if r.strips is None:
         allowed = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
@@ -317,7 +319,7 @@ def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Violation]:
-    """Of free ends that are straight, on a flat layer between rigid faces: its contrast with the bodies is large."""
+    """Conditions for straight free ends of a flat layer between nearly rigid faces: large stiffness contrast."""
     sheet = r.seam_layer.sheet
     if r.curvature_text:
         yield Violation("bent", f"free ends are not known of a layer {r.curvature_text}")
@@ -334,7 +336,7 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
 
 
 def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of a pressure whose excess is known (`thinlayer.surface.pressure_excess`)."""
+    """Conditions for a known excess of the pressure (`thinlayer.surface.pressure_excess`)."""
     seam_layer = r.seam_layer
     if seam_layer.thin_layer and seam_layer.thin_layer.eigenstrain is not None:
         yield Violation("eigenstrain", "the layer has an eigenstrain")
@@ -355,7 +357,7 @@ def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of the layer by itself, between faces that are moved."""
+    """Conditions for solving the layer as a subproblem with prescribed face displacements."""
     traits, kind = r.seam_layer.law.traits, r.seam_layer.kind
     if traits.phases or traits.softens:
         first = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
@@ -367,7 +369,7 @@ def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of the layer by itself, under forces on its faces: only the stresses of its strains bear them."""
+    """Conditions for solving the layer as a subproblem with forces on its faces: no strain may be free of stress."""
     slots = r.seam_layer.structure.kinematics.slots(r.seam_layer.structure.joint.dim)
     for C in (
         C[np.ix_(slots, slots)]
@@ -384,7 +386,7 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of bodies that are bonded where the layer was, which it moves apart in one piece."""
+    """Conditions for an estimate from bonded bodies: the meshed layer must shift each body rigidly."""
     if r.curvature_text:
         remedy = "solve structure.full(layer, bodies='extended'), and compare goals: goal.value(state, model)"
         yield Violation(
@@ -393,13 +395,13 @@ def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _rate_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of a state that knows no rates."""
+    """Conditions for evaluating the law in a state, which has no strain rates."""
     if r.seam_layer.law.traits.rate:
         yield Violation("rate", f"{r.seam_layer.kind} has a rate, of which a state does not know", "mesh the layer")
 
 
 def _corner_conditions(r: Applicability) -> Iterator[Violation]:
-    """Of the singular stresses at corners of free ends: a wedge of 90 degrees on a rigid face, in plane strain."""
+    """Conditions for singular stresses at corners of free ends: a wedge of 90 degrees on a rigid face, plane strain."""
     if not r.seam_layer.law.traits.linear:
         yield Violation("not linear", f"exponents are known of linear laws, not of {r.seam_layer.kind}")
     sublayers, n = r.law.sublayers, r.seam_layer.sheet.mean_normal

@@ -1,4 +1,4 @@
-"""The boundary of the bodies: the axis of revolution, which places are no boundary, and normals at the nodes of a space."""
+"""Boundary of the bodies: axis of revolution, places where loads and supports may act, normals at nodes of a space."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from thinlayer.system.compat import interpolation_points
 from thinlayer.system.ranks import send
 
 AXIS_NAMES = "xyz"  # names of components and of motions
-AXIS_TOLERANCE = 1e-10  # distance from the axis, over the size of the joint, that is rounding
-RIGID_NORMAL_TOLERANCE = 1e-9  # largest component of a normal along which bodies cannot move
+AXIS_TOLERANCE = 1e-10  # distance from the axis, over the size of the joint, that counts as zero
+RIGID_NORMAL_TOLERANCE = 1e-9  # largest radial component of a unit normal of an S across the axis of revolution
 CORNER_ANGLE_DEGREES = 30.0  # degrees; facets whose normals differ by less at a node are one smooth surface there
 NORMAL_COMPONENT_TOLERANCE = 1e-12  # a component of a unit normal that counts as rounding
 
 
 def nodes_on_axis(kinematics: Kinematics, joint: Joint) -> BoolArray:
-    """(n,) which points of a joint lie on the axis."""
+    """Mask (n,) of the points of a joint that lie on the axis of revolution."""
     return np.asarray(np.abs(kinematics.radius(joint.points)) <= AXIS_TOLERANCE * joint.size)
 
 
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
-    """Raise InputError unless a joint may be turned about the axis: r >= 0, no seam on the axis, no period across it."""
+    """Raise InputError unless a joint has r >= 0, no seam on the axis of revolution, and no period across the axis."""
     r, on = kinematics.radius(joint.points), nodes_on_axis(kinematics, joint)
     message = f"plane={kinematics.name!r}: x is the distance from the axis of revolution, and {{bad}} points have x < 0"
     refuse((r < 0) & ~on, joint.points, f"{message}, the first at {{at}}; allowed: x >= 0")
@@ -47,13 +47,13 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
 
 
 def lies_across_axis(kinematics: Kinematics, normals: Array) -> bool:
-    """Whether S, with these normals (n, d), lies across the axis: translations along them are rigid motions."""
+    """Whether translations along normals (n, d) of S are rigid motions; in axisymmetry only across the axis."""
     radial = np.delete(normals, kinematics.translations(normals.shape[1]), axis=1)
     return bool(np.abs(radial).max(initial=0.0) <= RIGID_NORMAL_TOLERANCE)
 
 
 def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
-    """Raise InputError unless bodies can be moved apart along the normals of S without a strain (bodies="kept")."""
+    """Raise InputError unless bodies can move apart along the normals of S without strain (bodies="kept")."""
     if not lies_across_axis(kinematics, joint.interface_normals.reshape(-1, joint.dim)):
         reason = "bodies='kept' moves them along the normal of S; a body of revolution cannot move away from its axis"
         raise InputError(f"plane={kinematics.name!r}: {reason}; use bodies='extended', or an S across the axis")
@@ -62,18 +62,18 @@ def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
 def boundary_values(
     domain: Domain, kinematics: Kinematics, name: Any, what: str, *, inside: bool = False, side: bool = False
 ) -> tuple[int, ...]:
-    """Facet values of a place of the outer boundary, given by its name.
+    """Return the facet tag values of a named place on the outer boundary.
 
     Args:
         domain: the mesh.
-        kinematics: of the mesh.
-        name: as a user gives it.
+        kinematics: kinematics of the mesh.
+        name: the name as the user wrote it.
         what: first words of errors.
         inside: whether the place may lie inside the bodies, or on the axis, but not on S.
-        side: whether it may be the side of a layer that is not meshed, without facets.
+        side: whether it may be the side of a layer that is not meshed, which has no facets.
 
     Raises:
-        InputError: another place, no place, or an empty one.
+        InputError: the place is not allowed, not known, or empty.
     """
     joint = domain.joint
     base = joint.band.base if joint.band else joint
@@ -94,19 +94,21 @@ def boundary_values(
 
 
 def refuse_periodic(joint: Joint, name: str, what: str) -> None:
-    """Raise InputError if a name is that of a periodic side: inside the periodic structure there is no boundary."""
+    """Raise InputError if a periodic side has this name: it is no boundary of the periodic structure."""
     if joint.periods and name.split("/")[0] in joint.periods.names:
         remedy = "a periodic cell is loaded by a mean strain, Structure(..., strain=...)"
         raise InputError(f"{what}: this side is identified with another one, the structure goes on there; {remedy}")
 
 
 def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntArray, Array]:
-    """Outer normals of facets at their nodes, with weights whose sum at a vertex on a circle or sphere is along its normal.
+    """Return outer normals of facets at their nodes, weighted so that their sum at a vertex of a sphere is radial.
 
-    A layer's side has the normals of the side that it continues: bodies that have made room may stand askew.
+    The side of a layer gets the normals of the body side that it continues: its own facets may be oblique where bodies
+    made room for the layer.
 
-    The weight is sin(angle)/(product of lengths) of the facet's edges at a vertex (Max 1999, Weights for computing vertex
-    normals from facet normals), in 2D 1/length, so that the triangulation of a smooth side does not show. Collective.
+    The weight is sin(angle)/(product of lengths) of the facet's two edges at a vertex, in 2D 1/length. The sum then has
+    the exact direction at vertices on circles and spheres, and the triangulation of a smooth side does not affect it.
+    Reference: Max 1999, Weights for computing vertex normals from facet normals. Collective.
 
     Args:
         domain: the domain.
@@ -114,7 +116,7 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
         place: name of facets on the outer boundary; ghosts are left out.
 
     Returns:
-        (n,) local numbers of blocks of this rank, one for each of the facets around a node, and (n, d) normals.
+        Local numbers (n,) of blocks owned by this rank, one for each facet around a node, and normals (n, d).
     """
     mesh, d = domain.mesh, domain.joint.dim
     kind, points, layout = basix.CellType[domain.joint.cell_type], interpolation_points(V), V.dofmap.dof_layout
@@ -130,7 +132,7 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
         here = np.flatnonzero(local == number)
         nodes = np.array(layout.entity_closure_dofs(d - 1, number))
         inverse = np.linalg.inv(J[here][:, nodes])
-        n = np.einsum("cnji,j->cni", inverse, outward[number])  # the normal is along J^-T of the reference's
+        n = np.einsum("cnji,j->cni", inverse, outward[number])  # normals transform with J^-T
         n /= np.linalg.norm(n, axis=2)[..., None]
         n = np.where(np.isnan(continued[here]), n.swapaxes(0, 1), continued[here]).swapaxes(0, 1)
         x = mesh.geometry.x[cell_nodes(mesh)[cells[here]][:, corners[number]]]
@@ -142,7 +144,7 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
 
 
 def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
-    """Mean outer unit normals (n, d) of the facets of a name at ridges, (n, k) vertices; NaN where it has none."""
+    """Mean outer unit normals (n, d) of a named facet set at ridges given by vertices (n, k); NaN where it has none."""
     rows, kind = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
     cells = joint.table.cells[joint.table.index(rows), 0]
     inward = joint.points[joint.corners[cells]].mean(axis=1) - joint.points[rows].mean(axis=1)
@@ -157,7 +159,7 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
 
 
 def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
-    """(n, d) outer unit normals of the side that facets of layers continue, before inflating; NaN for other facets."""
+    """Outer unit normals (n, d), before inflating, of the side that a layer's facets continue; NaN for other facets."""
     joint, band, name = domain.joint, domain.joint.band, place.split("/")[0]
     out = np.full((len(facets), joint.dim), np.nan)
     if band is None or name not in band.base.facets or not len(facets):
@@ -172,7 +174,7 @@ def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
 
 
 def _weights(x: Array, k: int) -> Array:
-    """Weights (n,) of facets, given by their corners (n, m, 3), at the k-th corner."""
+    """Weights (n,) of facets with corners (n, m, 3) at their k-th corner."""
     adjacent = [k ^ 1, k ^ 2] if x.shape[1] == 4 else [j for j in range(x.shape[1]) if j != k]
     edges = x[:, adjacent] - x[:, k : k + 1]
     squares = (edges**2).sum(axis=2)
@@ -182,7 +184,7 @@ def _weights(x: Array, k: int) -> Array:
 
 
 def _at_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Array) -> tuple[IntArray, Array]:
-    """Rows of local blocks on the ranks that own the blocks. Collective."""
+    """Send rows of local blocks to the ranks that own the blocks; return those received. Collective."""
     imap = V.dofmap.index_map
     owners = np.concatenate([np.full(imap.size_local, domain.comm.rank), imap.owners])[blocks]
     numbers = imap.local_to_global(blocks.astype(np.int32)).astype(float)
@@ -191,9 +193,10 @@ def _at_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Arr
 
 
 def smooth_surfaces(normals: Array) -> tuple[IntArray, Array]:
-    """Which facet normals (n, d) at a node belong to one smooth surface, and the unit normals (k, d) of these surfaces.
+    """Group facet normals (n, d) at a node; return numbers (n,) of smooth surfaces, and their unit normals (k, d).
 
-    Facets whose normals differ by less than CORNER are one surface with their mean normal; others meet in a corner.
+    Facets whose normals differ by less than `CORNER_ANGLE_DEGREES` form one surface with their mean normal. Others meet
+    in a corner.
     """
     unit = normals / np.linalg.norm(normals, axis=1)[:, None]
     facet, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER_ANGLE_DEGREES)))

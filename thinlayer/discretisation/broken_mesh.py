@@ -1,4 +1,4 @@
-"""BrokenMesh: your own DOLFINx mesh with tags, whose bodies may part on tagged facets."""
+"""BrokenMesh: a user's DOLFINx mesh with tags, whose bodies may separate on tagged facets."""
 
 from __future__ import annotations
 
@@ -36,34 +36,34 @@ MIN_COSINE = 0.02  # least cosine between a facet's normal and a direction that 
 
 
 class BrokenMesh:
-    """A DOLFINx mesh whose bodies may part on tagged facets, S. Collective, as all methods are.
+    """A DOLFINx mesh whose bodies may separate on tagged facets, S. Collective, as are all methods.
 
     Args:
         mesh: the mesh; on several ranks with ghost cells across facets, `ghost_mode=GhostMode.shared_facet`.
-        bodies: tags of all cells, one value for each body: functions are continuous in a body. Bodies of one value that
-            touch on S are one body there; give each brick of a wall its own value.
+        bodies: tags of all cells, one value for each body; functions are continuous in a body. Bodies with the same
+            value that touch on S are one body there, so give each brick of a wall its own value.
         facet_tags: tags of facets.
-        S: values of `facet_tags` where bodies may part, and which side of each is the upper one:
+        S: values of `facet_tags` where bodies may separate, each with a rule that chooses its upper side:
 
-            - a vector, such as (0, 1): the side that it points to; for plane joints of many bodies, bed or head joints;
-            - a value of `bodies`, or a set of them: that body, or those; for an S of any shape;
-            - None, or no mapping but the values alone: the body of the larger value.
+            - a vector, such as (0, 1): the side to which it points; for plane joints of many bodies, bed or head joints
+            - a value of `bodies`, or a set of values: the side of these bodies; for an S of any shape
+            - None, or values without a mapping: the side of the body with the larger value.
 
-            The side decides the sign of reported jumps and tractions, and which sublayer of a `Stack` is the lower one. S
-            on the boundary of the mesh is a rigid base: the body is above it.
-        plane: "strain", "stress" or "axisymmetric", see `Structure`; a body's term is then `forms.work.body(
-            mesh.kinematics.law(law), measure, mesh.kinematics)`, loads have the factor `mesh.kinematics.factor`, and
-            conditions hold u_x = 0 on the axis.
+            The upper side decides the sign of reported jumps and tractions, and which sublayer of a `Stack` is the
+            lower one. S on the boundary of the mesh is a rigid base, and the body is above it.
+        plane: "strain", "stress" or "axisymmetric", see `Structure`. With this object as `mesh`, the term of a body is
+            `forms.work.body(mesh.kinematics.law(law), measure, mesh.kinematics)`. Multiply loads by
+            `mesh.kinematics.factor`, and prescribe u_x = 0 on the axis of revolution.
 
     Attributes:
-        mesh, bodies, facet_tags: as given.
+        mesh, bodies, facet_tags: the arguments.
         kinematics: strains of displacements, and the factor of measures.
-        dS: measure of the facets between bodies, dS(value); "+" is the upper side. DOLFINx allows one set of tags
-            for all integrals dS of a form: use this measure for other terms on facets of S in it, too.
+        dS: measure of the facets between bodies, dS(value); "+" is the upper side. DOLFINx allows one set of tags for
+            all dS integrals of a form: use this measure also for its other terms on facets of S.
 
     Raises:
-        InputError: cells without a body, bodies that meet outside S, facets of S inside a body, facets whose sides the rule
-            does not tell apart, ghost cells that are missing; with numbers and places.
+        InputError: cells without a body, bodies that meet outside S, or facets of S inside a body; facets whose upper
+            side the rule does not determine; missing ghost cells. The message has numbers and places.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class BrokenMesh:
             if not outer:
                 self._sides[tag] = self._oriented(tag, facets, upper)
         self._bases = rules.keys() - self._sides.keys()
-        data = [(tag, rows.ravel()) for tag, rows in sorted(self._sides.items())]  # DOLFINx loses others
+        data = [(tag, rows.ravel()) for tag, rows in sorted(self._sides.items())]  # DOLFINx loses unsorted tags
         self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=data)
         self._tags = tuple(rules)
 
@@ -109,9 +109,9 @@ class BrokenMesh:
             raise InputError(f"plane={plane!r}: x is the distance from the axis, and the mesh has x = {behind:g} < 0")
         return kinematics.on(mesh)
 
-    # ---------------------------------------------------------------- what users ask for
+    # ---------------------------------------------------------------- for users
     def space(self, element: Any) -> fem.FunctionSpace:
-        """Function space, continuous in each body, with jumps on S.
+        """Return a function space that is continuous in each body and jumps across S.
 
         Args:
             element: a basix.ufl element, or its arguments (family, degree) or (family, degree, shape).
@@ -126,7 +126,7 @@ class BrokenMesh:
         return broken_space(self.comm, SharedDofs.of_components(self.comm, self.mesh, element, components))
 
     def interface(self, tag: int) -> Interface:
-        """The two sides of the facets of S with a tag: normal, jump, and the measure of integrals over them."""
+        """Return the two sides of the facets of S with a tag: normal, jump, and the measure of integrals over them."""
         self._require(tag)
         if tag in self._bases:
             ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
@@ -134,17 +134,17 @@ class BrokenMesh:
         return Interface.between_bodies(self.dS(tag), self.kinematics)
 
     def layer(self, tag: int, layer: ThinLayer | TractionLaw) -> list[Term]:
-        """The terms of a layer's law on the facets of S with a tag: for `work`, or for `StepProblem`.
+        """Return the terms of a layer's law on the facets of S with a tag, for `work` or `StepProblem`.
 
         Args:
-            tag: of the facets.
-            layer: the law and the thickness; a law of jumps (`TractionLaw`) may stand alone.
+            tag: tag of the facets.
+            layer: law and thickness, or a law of jumps (`TractionLaw`), which has no thickness.
 
-        The law of order 1 is for a flat S.
+        The law of order 1 requires a flat S.
 
         Raises:
-            InputError: a law of contact (see `contact_surface`), or one that needs a pressure of its own; order 1 of a
-                thickness that varies, or of a law that would lock; an eigenstrain, or corrected ends.
+            InputError: a contact law (see `contact_surface`), or a law with a pressure field; order 1 with a thickness
+                that varies, or with a law that locks; an eigenstrain, or edges="free".
         """
         good = isinstance(layer, ThinLayer | TractionLaw)
         require(good, "layer", layer, "allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart")
@@ -171,14 +171,14 @@ class BrokenMesh:
         return [replace(term, law=law_of_terms(term.law, self.mesh)) for term in surface(law, sides, thickness, order)]
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
-        """The facets of S with a tag, for a contact law: `ContactPart(law, surface)` is a part of a `StepProblem`.
+        """Return the facets of S with a tag, for a contact law: `ContactPart(law, surface)` is a part of `StepProblem`.
 
         Args:
-            tag: of the facets.
-            V: space of the displacements, of `space`, Lagrange of degree 1 or, but for tetrahedra, 2.
+            tag: tag of the facets.
+            V: displacement space from `space`, Lagrange of degree 1, or of degree 2 except on tetrahedra.
 
         Raises:
-            InputError: a tag that is not in S, another mesh or element.
+            InputError: a tag that is not in S; a space on another mesh or with another element.
         """
         self._require(tag)
         element, wanted = V.ufl_element(), f"contact laws act at nodes: space(('Lagrange', 1, ({self._dim},)))"
@@ -203,13 +203,13 @@ class BrokenMesh:
                     raise refused.error()
 
     def _at_vertices(self, tag: int) -> tuple[fem.Function, Indices, Array]:
-        """A function of degree 1, its unknowns on the facets with a tag, and the places (d, n) of these."""
+        """Return a function of degree 1, its dofs on the facets with a tag, and their coordinates (d, n)."""
         f = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))
         dofs = fem.locate_dofs_topological(f.function_space, self._dim - 1, self.facet_tags.find(tag))
         return f, dofs, f.function_space.tabulate_dof_coordinates()[dofs, : self._dim].T
 
     def _law_on(self, tag: int, law: BulkLaw) -> BulkLaw:
-        """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
+        """The law with function parameters as expressions on S, linear between vertices, and others as Constants."""
         on_s = {}
         for name in law.fields:
             f, dofs, x = self._at_vertices(tag)
@@ -224,7 +224,7 @@ class BrokenMesh:
         return [int(n) for n in self.comm.allreduce(np.array(counts, np.int64))]
 
     def _owned(self, tag: int) -> Indices:
-        """This rank's own facets with a tag, sorted."""
+        """Facets with a tag that this rank owns, sorted."""
         facets = self.facet_tags.find(tag)
         return np.sort(facets[facets < self.mesh.topology.index_map(self._dim - 1).size_local])
 
@@ -244,7 +244,7 @@ class BrokenMesh:
         return np.asarray(body.array)
 
     def _check_cuts(self, cuts: Indices) -> None:
-        """Refuse bodies that meet where no layer holds them, and an S inside a body."""
+        """Raise InputError for missing ghost cells, bodies that meet outside S, and facets of S inside a body."""
         topology = self.mesh.topology
         inner = np.setdiff1d(np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32), self._outer)
         cells_of = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
@@ -267,7 +267,7 @@ class BrokenMesh:
             raise InputError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in first)})")
 
     def _oriented(self, tag: int, facets: Indices, upper: Upper) -> Indices:
-        """(upper cell, local facet, lower cell, local facet) of facets between bodies, (n, 4)."""
+        """Rows (n, 4) of facets between bodies: upper cell, local facet, lower cell, local facet."""
         rows = interior_facet_entities(self.mesh, facets)
         first, second = rows[:, 0], rows[:, 2]
         if upper is None:
@@ -283,7 +283,7 @@ class BrokenMesh:
         return rows
 
     def _points_to(self, cells: Indices, tag: int, facets: Indices, direction: Array) -> BoolArray:
-        """Whether cells lie on the side of their facets that a direction points to."""
+        """Mask (n,) of the cells that lie on the side of their facet to which a direction points."""
         if direction.shape != (self._dim,) or not np.linalg.norm(direction) > 0:
             raise InputError(f"S: the upper side of {tag} is {direction}; allowed: {self._dim} numbers, not all 0")
         normals = cpp.mesh.cell_normals(self.mesh._cpp_object, self._dim - 1, facets)[:, : self._dim]

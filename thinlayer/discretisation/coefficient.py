@@ -1,4 +1,4 @@
-"""Given: a value of place and time that users write for loads, supports, stiffnesses and strains, checked once."""
+"""Coefficient: a user's value of place and time for loads, supports, stiffnesses and strains, checked once."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ Value = float | Callable[[Expr, Expr], Expr]
 Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
 Shape = tuple[int, ...]
 
-FUNCTION_TOLERANCE = 1e-9  # difference of a function of symbols from the same of numbers, at most, over its size
-NUMPY_DEGREE = 2  # of functions in numpy
-COMPARISON_TIMES = (0.37, 0.0, 1.0, 2.0)  # at which the two are compared
+FUNCTION_TOLERANCE = 1e-9  # largest relative difference of a function's values for symbols and for numbers
+NUMPY_DEGREE = 2  # degree of interpolants of numpy functions
+COMPARISON_TIMES = (0.37, 0.0, 1.0, 2.0)  # times at which a function's values for symbols and for numbers are compared
 NUMPY_HINT = (
     "x and t stand for all places and times, they are no numbers: use ufl.sin(t), ufl.conditional(ufl.gt(t, 1), a, b), "
     "..., and piecewise({time: value, ...}) for a table"
@@ -48,15 +48,15 @@ NUMPY_HINT = (
 
 @dataclass(frozen=True)
 class Coordinates:
-    """Arguments of what is given: the place in the joint before inflating (kept bodies) and the time.
+    """Arguments of users' functions: the time and the place, for kept bodies in the joint before inflating.
 
     Attributes:
         mesh: the mesh.
         x: (d,) UFL coordinates.
-        clock: the model's.
-        places: (n, d) some vertices of the joint, extreme ones among them.
-        cache: coefficients that were made for these coordinates.
-        planned: the break times that the last march has asked for; empty: none has yet.
+        clock: clock of the model.
+        places: (n, d) some vertices of the joint, among them those with extreme coordinates.
+        cache: coefficients made so far.
+        planned: break times that the last march has read; empty before the first march.
     """
 
     mesh: Mesh
@@ -68,7 +68,7 @@ class Coordinates:
 
     @classmethod
     def of(cls, domain: Domain) -> Self:
-        """Coordinates on a domain, with a clock; for kept bodies without the rigid shifts by inflating."""
+        """Make the coordinates and the clock of a domain; for kept bodies x excludes the rigid shifts by inflating."""
         mesh, band = domain.mesh, domain.joint.band
         x, points = ufl.SpatialCoordinate(mesh), (band.base if band else domain.joint).points
         chosen = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
@@ -79,20 +79,23 @@ class Coordinates:
 
     @property
     def t(self) -> TimeConstant:
-        """The time, a UFL constant."""
+        """Time as a UFL constant."""
         return self.clock.symbol
 
     @property
     def detached(self) -> Self:
-        """The same with the same clock, for what may be replaced: its break times are not those of others."""
+        """A copy that shares the clock but keeps its own break times, for loads and supports that may be replaced."""
         return changed(self, cache={}, planned=[])
 
     def moved(self, x: Expr) -> Self:
-        """The same at other places."""
+        """A copy with other coordinates x (d,)."""
         return changed(self, x=x)
 
     def coefficient(self, value: Any, what: str, *shapes: Shape, of_place: bool = False) -> Coefficient:
-        """What a value gives here, checked once. Collective. Arguments and errors as in `Coefficient`."""
+        """Return the coefficient of a value, made and checked once. Collective.
+
+        Arguments and errors are as in `Coefficient`. New break times after a march has begun also raise InputError.
+        """
         key = (id(value), what, shapes, id(self.x))
         if key not in self.cache:
             self.cache[key] = coefficient = Coefficient(value, what, shapes, self, of_place=of_place)
@@ -108,14 +111,14 @@ class Coordinates:
         return self.coefficient
 
     def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
-        """A traction on facets of the outward normal n, (d,) UFL; errors as of `coefficient`."""
+        """Traction (d,) in UFL on facets with the outward normal n; errors as in `coefficient`."""
         if isinstance(load, Pressure):
             return -self.coefficient(load.p, what, ()).expression * n
         return self.coefficient(load, what, (self.mesh.geometry.dim,)).expression
 
     @property
     def breaks(self) -> set[float]:
-        """The break times of all that was given here."""
+        """Break times of all coefficients made so far."""
         self.planned[:] = [set[float]().union(*(coefficient.breaks for coefficient in self.cache.values()))]
         return self.planned[0]
 
@@ -123,30 +126,31 @@ class Coordinates:
 class Coefficient:
     """A value of place and time: numbers, a table, a function (x, t), a UFL expression or a field.
 
-    A function is called with the place and the clock's constant. It must give the same for plain numbers, at some places
-    and times: Python's == and `in` are always False for symbols. Functions on other meshes, such as computed temperatures,
-    are taken over to this one.
+    A function is called with the place and the clock's constant as symbols. It must give the same values for plain
+    numbers, which is tested at some places and times: Python's == and `in` are always False for symbols. Functions on
+    other meshes, such as computed temperatures, are interpolated on this mesh.
 
     Args:
-        value: as users write it.
+        value: value as the user wrote it.
         what: first words of errors, such as "traction on 'TOP'".
-        shapes: allowed ones: () a number, (d,) components, (d, d) a table.
+        shapes: allowed shapes: () a number, (d,) components, (d, d) a table.
         at: coordinates and time.
-        of_place: whether functions are of x alone. One that fails for symbols is then called with places (d, n), and
-            interpolated in each cell with degree 2.
+        of_place: whether functions have the argument x alone. A function that fails for symbols is then called with
+            places (d, n), and interpolated in each cell with degree 2.
 
     Attributes:
-        shape: its shape, one of these.
+        shape: shape of the value, one of `shapes`.
         components: (*shape) numbers, or UFL scalars.
-        varies: whether it is anything but numbers.
+        varies: False if all components are numbers.
 
     Raises:
-        InputError: another shape, what is no finite real number, a function that fails for symbols or that compares them.
+        InputError: another shape; a component that is no finite real number; a function that fails for symbols or that
+            compares them.
     """
 
     def __init__(self, value: Any, what: str, shapes: Sequence[Shape], at: Coordinates, *, of_place: bool) -> None:
         self.value, self.what, self._shapes, self._of_place = value, what, shapes, of_place
-        self.at = at.detached  # which knows nothing of this one, so that both are freed with their model
+        self.at = at.detached  # does not refer to this object: both are freed with their model
         is_function = callable(value) and not isinstance(value, ufl.core.expr.Expr)
         self.components = self._on_mesh(self._of_function() if is_function else self._read(value))
         self.varies = is_function or any(isinstance(c, ufl.core.expr.Expr) for c in self.components.flat)
@@ -157,7 +161,7 @@ class Coefficient:
         return self.value(x) if self._of_place else self.value(x, t)
 
     def _of_function(self) -> npt.NDArray[Any]:
-        """The components that a function gives; it must give the same for plain numbers."""
+        """Return the components that a function gives for symbols; its values for plain numbers must agree."""
         try:
             content = self._called(self.at.x, self.at.t)
         except Exception as error:
@@ -170,7 +174,7 @@ class Coefficient:
         return components
 
     def _interpolated(self) -> fem.Function:
-        """A numpy function of places (d, n), interpolated. Collective."""
+        """Interpolate a numpy function of places (d, n). Collective."""
         f = fem.Function(fem.functionspace(self.at.mesh, ("DG", NUMPY_DEGREE)))
         x = places_in_cells(f.function_space, self.at.x).reshape(-1, self.at.mesh.geometry.dim)
         try:
@@ -193,10 +197,10 @@ class Coefficient:
         return InputError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a function (x, t) that gives that")
 
     def _read(self, content: Any) -> npt.NDArray[Any]:
-        """The components of numbers and UFL expressions."""
+        """Return the components of nested numbers and UFL expressions; raises InputError if they are not allowed."""
         try:
             shape = _shape_of(content)
-        except Exception:  # whatever a user gives
+        except Exception:  # of any user's object
             shape = (-1,)
         if shape not in self._shapes:
             raise self._refusal(content)
@@ -206,7 +210,7 @@ class Coefficient:
         return components
 
     def _component(self, component: Any) -> Any:
-        """A finite number, or a UFL scalar."""
+        """Return a component as a finite number or a UFL scalar; raises InputError if it is neither."""
         if isinstance(component, np.ndarray):
             component = component[()]
         if is_finite(component):
@@ -217,7 +221,7 @@ class Coefficient:
         return component
 
     def _on_mesh(self, components: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """The same with functions on other meshes replaced by functions on this one. Collective if there are any."""
+        """Replace functions on other meshes by their interpolants on this mesh. Collective if there are any."""
         fields = {f for c in components.flat for f in _fields(c) if isinstance(f, fem.Function)}
         others = sorted((f for f in fields if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
         replacements = {f: sampled_function(f, self.at.mesh, self.at.x, self.what) for f in others}
@@ -227,7 +231,7 @@ class Coefficient:
         return components
 
     def _compare(self, components: npt.NDArray[Any]) -> None:
-        """Raise InputError if the function says another thing of plain numbers than of symbols."""
+        """Raise InputError if the function gives other values for plain numbers than for symbols."""
         if any(map(_fields, components.flat)):
             return
         for place, t in [
@@ -236,7 +240,7 @@ class Coefficient:
         ]:
             try:
                 plain = self._read(self._called(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
-            except Exception:  # a function of symbols alone, such as ufl.grad
+            except Exception:  # the function accepts symbols only, as with ufl.grad
                 continue
             a, b = (np.array([evaluate_component(c, t, place) for c in some.flat]) for some in (components, plain))
             if (
@@ -247,37 +251,37 @@ class Coefficient:
                 both = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
                 raise self._no_function(f"at {at_place(place)}, t = {t:g} it gives {both}")
 
-    # ---------------------------------------------------------------- what it is
+    # ---------------------------------------------------------------- values
     @cached_property
     def expression(self) -> Expr:
-        """The value in UFL, (*shape). Numbers are constants: forms are compiled once for all of them."""
+        """Value in UFL, (*shape). Numbers are Constants, so that forms are compiled once for all numbers."""
         if not self.varies:
             return fem.Constant(self.at.mesh, self.components.astype(float))
         return ufl.as_tensor(self.components.tolist()) if self.shape else ufl.as_ufl(self.components[()])
 
     def in_space(self, V: fem.FunctionSpace) -> fem.Function:
-        """A number at places, interpolated in a scalar space. Collective."""
+        """Interpolate a scalar value in a scalar space. Collective."""
         f, on_mesh = fem.Function(V), self.expression + fem.Constant(self.at.mesh, 0.0)
         interpolate(f, fem.Expression(on_mesh, interpolation_points(V)))
         return f
 
     @cached_property
     def breaks(self) -> set[float]:
-        """Times at which its slope changes."""
+        """Times at which the slope of the value changes."""
         components = [c for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)]
         return set[float]().union(*(reading.breaks for c in components for reading in time_constants(c)))
 
     def once(self, thing: str) -> Coefficient:
-        """Itself; raises InputError if it depends on the place, as what is given once for a whole thing must not."""
+        """Return this coefficient; raises InputError if it depends on the place, as one value must hold for `thing`."""
         if any(depends_on_place(c) for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)):
             raise InputError(f"{self.what} depends on the place x; it is one for {thing}")
         return self
 
     def at_time(self, t: float) -> Array:
-        """Its numbers (*shape) at a time, of a value that does not depend on the place.
+        """Numbers (*shape) at a time, of a value that does not depend on the place.
 
         Raises:
-            InputError: they are not finite.
+            InputError: the numbers are not finite.
         """
         numbers = np.array([evaluate_component(c, t) for c in self.components.flat]).reshape(self.shape)
         if not np.isfinite(numbers).all():
@@ -287,20 +291,20 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Pressure:
-    """A traction -p n along the inner normal of facets, on any inclined or curved boundary.
+    """A traction -p n along the inner normal of facets, on any inclined or curved boundary; n is the outer normal.
 
     Attributes:
-        p: stress, > 0 where it presses; a number or a function (x, t).
+        p: pressure, a stress > 0 in compression; a number or a function (x, t).
     """
 
     p: Value
 
 
 def values_by_body(values: Any, joint: Joint, what: str = "", others: Sequence[str] = ()) -> dict[str, Any]:
-    """What is given for bodies, one for all or by name, in the same order on all ranks.
+    """Map names of bodies to values, from one value for all bodies or a mapping, in the same order on all ranks.
 
     Raises:
-        InputError: a name, after some words, that is none of a body nor one of others.
+        InputError: a name that is neither a body nor in `others`; the message begins with `what`.
     """
     each = values if isinstance(values, Mapping) else dict.fromkeys(joint.bodies, values)
     for name in (name for name in each if name not in others):
@@ -310,7 +314,7 @@ def values_by_body(values: Any, joint: Joint, what: str = "", others: Sequence[s
 
 # ---------------------------------------------------------------- content
 def _shape_of(content: Any) -> Shape:
-    """The shape of nested sequences of numbers and UFL expressions."""
+    """Return the shape of nested sequences of numbers and UFL expressions; -1 where rows differ."""
     if isinstance(content, ufl.core.expr.Expr):
         return tuple(content.ufl_shape)
     if isinstance(content, np.ndarray):
@@ -337,7 +341,7 @@ def _fields(component: Any) -> list[Any]:
 
 
 def evaluate_component(component: Any, t: float, place: Sequence[float] = ()) -> float:
-    """A number or a UFL scalar at a time and a place; NaN where it has no value."""
+    """Evaluate a number or a UFL scalar at a time and a place; NaN where it has no value."""
     if not isinstance(component, ufl.core.expr.Expr):
         return float(component)
     values = {c: c.at(t) if isinstance(c, TimeConstant) else c.value for c in extract_constants(component)}

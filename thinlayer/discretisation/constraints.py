@@ -1,4 +1,4 @@
-"""Constraints: u = T y, for unknowns y that conditions at nodes leave free; y has the places of u."""
+"""Constraints: displacements u = T y under supports and multi-point constraints; y has the size of u."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from thinlayer.discretisation.supports import LENGTH_TOLERANCE, Prescribed
 from thinlayer.system.ranks import destroy
 
 Sparse = Any  # scipy.sparse.csr_matrix, which has no types
-INDEPENDENCE_TOLERANCE = 1e-6  # least singular value of conditions that are independent of each other
-AGREEMENT_TOLERANCE = (
-    1e-9  # difference of two values of one displacement, at most, over the largest prescribed displacement
-)
+INDEPENDENCE_TOLERANCE = 1e-6  # least singular value of independent conditions
+# largest difference of two values of one displacement, over the largest prescribed displacement
+AGREEMENT_TOLERANCE = 1e-9
 COEFFICIENT_TOLERANCE = 1e-13  # coefficient of a condition that counts as rounding; coefficients are of order 1
 
 
 @dataclass(frozen=True)
 class MultiPointConstraint:
-    """Displacements u = R q that follow a few motions q of their own, as those of a rigid plate do.
+    """Multi-point constraint u = R q: slave displacements u follow a few motions q, as on a rigid plate.
 
     Attributes:
-        key: name, for messages.
-        names: of the motions, likewise.
-        R: (n, m) sparse, of this rank's displacements; q are lengths. Rows of other displacements are empty.
-        motion: number of a motion -> its value at a time, of those that are prescribed.
-        resultant: (m,) what is conjugate to q at a time, zero where a motion is prescribed.
+        key: name in messages.
+        names: names of the motions in messages.
+        R: (n, m) sparse, with a row for each displacement of this rank, empty unless it is a slave; q are lengths.
+        motion: number of each prescribed motion -> function of the time that returns its value.
+        resultant: function of the time that returns the prescribed forces (m,) conjugate to q, zero for prescribed
+            motions.
     """
 
     key: str
@@ -53,9 +53,10 @@ class MultiPointConstraint:
 
 @dataclass(frozen=True)
 class _ConditionGroup:
-    """Conditions N y = c that share unknowns: numbers of their rows, of their columns, and a frame.
+    """Conditions N y = c that share unknowns, and an orthonormal frame (k, k) of these unknowns.
 
-    The first `rank` columns of the frame are what they hold.
+    The conditions constrain the first `rank` columns of the frame. `rows` are positions among the grouped conditions of
+    all ranks, `columns` are global numbers of unknowns.
     """
 
     rows: np.ndarray
@@ -73,35 +74,39 @@ class _ConditionGroup:
         return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENCE_TOLERANCE))
 
     def constrained_values(self, c: Array) -> Array:
-        """Values of the held unknowns."""
+        """Values (rank,) of the constrained unknowns for right-hand sides c."""
         return np.asarray(self._inverse @ c)
 
     def residual(self, c: Array) -> Array:
-        """What each condition lacks."""
+        """Residual |N y - c| of each condition at the constrained values."""
         return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ self.constrained_values(c) - c))
 
     @cached_property
     def shares(self) -> Array:
-        """Forces on the unknowns -> the least forces of the conditions that balance them."""
+        """Matrix from forces on the unknowns to the least-norm forces of the conditions that balance them."""
         return np.asarray(np.linalg.pinv(self.N.T, rcond=INDEPENDENCE_TOLERANCE))
 
 
 class Constraints:
-    """Conditions of supports and plates on the displacements of a model. All methods are collective.
+    """Constraints on the displacements of a model: supports and multi-point constraints. All methods are collective.
 
-    Ties give u = T0 y: the motions q of a tie stand in the places of displacements of its first nodes; y is zero, and held,
-    at the others that follow. Supports and prescribed motions are rows A T0 y = c. Rows that share unknowns are a group,
-    whose frame says which combinations they hold: y = Q z, T = T0 Q. Where conditions only select displacements T is None.
+    Multi-point constraints give u = T0 y. In y the motions q of each constraint replace its first slave displacements,
+    and are their masters. Entries of y at its other slaves are constrained to zero.
+
+    Supports and prescribed motions are conditions A T0 y = c. Conditions that share unknowns form a group, whose frame
+    separates constrained from free combinations: y = Q z and T = T0 Q. The unknowns are then z, which methods call y. T
+    is None if it is the identity, as where conditions only select displacements.
 
     Args:
-        prescribed: conditions of supports, on nodes.
-        ties: displacements that follow motions.
+        prescribed: conditions of supports, at nodes.
+        ties: the multi-point constraints.
 
     Attributes:
-        bc_dofs: (h,) local numbers of the entries of y that are prescribed or stand for nothing, increasing.
+        bc_dofs: (h,) local numbers, increasing, of the constrained unknowns, those at slaves included.
 
     Raises:
-        InputError: two ties have a node in common; a tie has too few nodes; conditions of numbers contradict each other.
+        InputError: two multi-point constraints share a node; one has fewer displacements than motions; conditions with
+            constant values contradict each other.
     """
 
     def __init__(self, prescribed: Prescribed, ties: Sequence[MultiPointConstraint] = ()) -> None:
@@ -122,9 +127,9 @@ class Constraints:
         if not self.comm.allreduce(int(prescribed.varies.any()) + len(self._motions)):
             self._require_agreement(self._values_of_rows(0.0))
 
-    # ---------------------------------------------------------------- who follows whom
+    # ---------------------------------------------------------------- slaves and masters
     def _require_apart(self) -> None:
-        """Raise InputError if a displacement follows two ties."""
+        """Raise InputError if a displacement is a slave of two multi-point constraints."""
         of = {mpc.key: np.diff(mpc.R.indptr) > 0 for mpc in self.mpcs}
         both = sum((rows.astype(int) for rows in of.values()), np.zeros(self.n, int)) > 1
         names = [key for key, rows in of.items() if (rows & both).any()]
@@ -132,7 +137,7 @@ class Constraints:
             raise InputError(f"{' and '.join(several[0])} share a node: their motions would not be independent")
 
     def _slots_of(self, tie: MultiPointConstraint) -> np.ndarray:
-        """(m,) global numbers of the displacements in whose places the motions of a tie stand."""
+        """Global numbers (m,) of the unknowns that are the motions of a multi-point constraint: its first slaves."""
         rows = self.first + np.flatnonzero(np.diff(tie.R.indptr))
         least = np.sort(np.concatenate(self.comm.allgather(rows[: tie.count])))[: tie.count]
         if len(least) < tie.count:
@@ -140,7 +145,7 @@ class Constraints:
         return least
 
     def _tie(self) -> PETSc.Mat | None:
-        """T0: the displacements that y and the motions in it give; None: the identity."""
+        """Matrix T0 from the unknowns, which include motions, to displacements; None for the identity."""
         if not self.comm.allreduce(len(self.slaves) + len(self.mpcs)):
             return None
         free = np.setdiff1d(np.arange(self.n), self.slaves)
@@ -153,7 +158,10 @@ class Constraints:
         return self._matrix(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
 
     def _matrix(self, i: np.ndarray, j: np.ndarray, v: Array, rows: int | None = None) -> PETSc.Mat:
-        """Entries v in rows i of this rank and columns j of all displacements; diagonals are stored, products need them."""
+        """Make a PETSc matrix with entries v at local rows i and global columns j.
+
+        Diagonals of square matrices are stored, as products need them.
+        """
         rows = self.n if rows is None else rows
         if rows == self.n:
             every = np.arange(self.n)
@@ -164,7 +172,7 @@ class Constraints:
 
     # ---------------------------------------------------------------- conditions
     def _conditions(self) -> Sparse:
-        """(r, all) rows of this rank on y: of supports, then of prescribed motions, which the first rank has."""
+        """This rank's conditions (r, N) on y: supports, then prescribed motions, which are on rank 0."""
         rows, total = self.prescribed.conditions.tocoo(), int(self.comm.allreduce(self.n))
         A = self._matrix(rows.row, self.first + rows.col, rows.data, rows.shape[0])
         on_y = A if self._T0 is None else A.matMult(self._T0)
@@ -180,19 +188,24 @@ class Constraints:
         return conditions
 
     def of_supports(self, forces: Array, motions: Callable[[IntArray], Array]) -> Array:
-        """Work (entries, k) of the supports' forces in k motions, a function of the displacements, by number of support."""
+        """Work (entries, k) of the supports' forces in k motions, by number of the support; not summed over ranks.
+
+        Args:
+            forces: (r,) forces of this rank's conditions, see `support_forces`.
+            motions: function of local numbers (n,) of displacements that returns the motions there, (n, k).
+        """
         works = forces[:, None] * self._along_conditions(motions)
         return sum_by_number(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
     def _values_of_rows(self, t: float) -> Array:
-        """(r,) values of the conditions of this rank at a time."""
+        """Prescribed values (r,) of this rank's conditions at a time."""
         return np.concatenate([self.prescribed.values(t), [value(t) for _, _, value in self._motions]])
 
-    # ---------------------------------------------------------------- what they hold
+    # ---------------------------------------------------------------- constrained unknowns
     def _resolve(self) -> None:
-        """Part the conditions into groups that share no unknowns, and find what each holds.
+        """Divide the conditions into groups that share no unknowns, and set `bc_dofs`.
 
-        A condition on one unknown that no other condition has is none of a group. Groups are known on all ranks.
+        A condition on a single unknown that no other condition involves is in no group. All ranks have all groups.
         """
         A, counts = self._rows, np.diff(self._rows.indptr)
         foreign = np.ones(len(A.indices), bool)
@@ -213,7 +226,7 @@ class Constraints:
         self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, slots)).astype(np.int32)
 
     def _frames(self) -> PETSc.Mat | None:
-        """Q; None: the identity."""
+        """Matrix Q of the groups' frames; None for the identity."""
         turned = [group for group in self._groups if group.turned]
         if not turned:
             return None
@@ -224,20 +237,20 @@ class Constraints:
             rows, columns = np.meshgrid(places, group.columns, indexing="ij")
             i.append(rows.ravel())
             j.append(columns.ravel())
-            v.append((group.frame - np.eye(len(group.columns)))[owned].ravel())  # beside the identity
+            v.append((group.frame - np.eye(len(group.columns)))[owned].ravel())  # added to the identity
         return self._matrix(np.concatenate(i), np.concatenate(j), np.concatenate(v))
 
     def _owned(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which global numbers of displacements are of this rank, and their local numbers."""
+        """Positions of the global numbers that this rank owns, and their local numbers."""
         owned = np.flatnonzero((columns >= self.first) & (columns < self.first + self.n))
         return owned, columns[owned] - self.first
 
     # ---------------------------------------------------------------- values
     def values(self, t: float) -> Array:
-        """(h,) values of `bc_dofs` at a time. Collective.
+        """Values (h,) of the unknowns `bc_dofs` at a time. Collective.
 
         Raises:
-            InputError: two conditions prescribe different values of a displacement, or one that is not finite.
+            InputError: two conditions prescribe different values of a displacement, or a value is not finite.
         """
         c = self._values_of_rows(t)
         if self.comm.allreduce(int(not np.isfinite(c).all())):
@@ -251,12 +264,12 @@ class Constraints:
         return y[self.bc_dofs]
 
     def _with_values(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
-        """Groups, each with the values of its conditions; those of this rank's are given."""
+        """Pair each group with the values of its conditions, from values c (r,) of this rank's conditions."""
         every = np.concatenate(self.comm.allgather(c[self._grouped]))
         return [(group, every[group.rows]) for group in self._groups]
 
     def _by_rows(self, of_groups: Sequence[Array]) -> Array:
-        """(r,) numbers for this rank's conditions from those of each group."""
+        """Collect numbers (r,) of this rank's conditions from arrays of the groups; zero for conditions in no group."""
         out, every = np.zeros(self._rows.shape[0]), np.zeros(sum(len(group.rows) for group in self._groups))
         for group, numbers in zip(self._groups, of_groups, strict=True):
             every[group.rows] = numbers
@@ -275,7 +288,7 @@ class Constraints:
             raise InputError(f"{messages[0]}; where supports overlap, their values must agree")
 
     def _contradiction(self, row: int, c: Array) -> str:
-        """Words for a condition that does not agree with those that share its unknowns."""
+        """Message about a condition that contradicts others on the same unknowns."""
         columns = self._rows.indices[self._rows.indptr[row] : self._rows.indptr[row + 1]]
         of_entries = np.arange(len(c)).repeat(np.diff(self._rows.indptr))
         touched = np.unique(of_entries[np.isin(self._rows.indices, columns)])
@@ -293,11 +306,11 @@ class Constraints:
 
     # ---------------------------------------------------------------- displacements and forces
     def displacements(self, y: Array) -> Array:
-        """u (n,) of unknowns y (n,) of this rank."""
+        """Return displacements u = T y (n,) of this rank."""
         return self._times(self.T, y)
 
     def unknowns(self, u: Array) -> Array:
-        """y (n,) of displacements u (n,) that follow the ties, or nearest to them."""
+        """Return unknowns y (n,) of displacements u (n,), projected onto the multi-point constraints."""
         y = u.copy()
         y[self.slaves] = 0.0
         for mpc in self.mpcs:
@@ -306,7 +319,7 @@ class Constraints:
         return self._times(self.Q, y, transposed=True)
 
     def forces(self, f: Array) -> Array:
-        """T'f of nodal forces f (n,)."""
+        """Return the forces T'f (n,) on the unknowns for nodal forces f (n,)."""
         return self._times(self.T, f, transposed=True)
 
     def _times(self, matrix: PETSc.Mat | None, values: Array, *, transposed: bool = False) -> Array:
@@ -321,20 +334,20 @@ class Constraints:
         return np.asarray(product)
 
     def motion(self, tie: MultiPointConstraint, u: Array) -> Array:
-        """Motions (m,) of a tie, on every rank, that are nearest to displacements u (n,)."""
+        """Motions (m,) of a multi-point constraint by least squares from displacements u (n,), on every rank."""
         return self._solved(tie, self.comm.allreduce(tie.R.T @ u))
 
     def loads_at(self, t: float) -> Array:
-        """(n,) the least nodal forces with the given resultants of the ties at a time."""
+        """Least-norm nodal forces (n,) with the prescribed resultants of the multi-point constraints at a time."""
         return sum((mpc.R @ self._solved(mpc, mpc.resultant(t)) for mpc in self.mpcs), np.zeros(self.n))
 
     def _solved(self, tie: MultiPointConstraint, b: Array) -> Array:
-        """R'R x = b, of all ranks."""
+        """Solve R'R x = b with the rows of R of all ranks."""
         return np.asarray(np.linalg.lstsq(self.comm.allreduce((tie.R.T @ tie.R).toarray()), b, rcond=None)[0])
 
     # ---------------------------------------------------------------- reactions
     def support_forces(self, r: Array) -> Array:
-        """(k,) the least forces of the supports' conditions, along their directions, that balance nodal forces r (n,)."""
+        """Least-norm forces (k,) along the directions of the supports' conditions that balance nodal forces r (n,)."""
         f = self._times(self._T0, r, transposed=True)
         columns = np.concatenate([np.empty(0, np.int64), *(group.columns for group in self._groups)])
         owned, places = self._owned(columns)
@@ -346,27 +359,27 @@ class Constraints:
         return out[: len(self.prescribed.entry)]
 
     def _shifts(self, holders: Sequence[int], direction: Array) -> dict[str, Array]:
-        """Motions (m,) of ties that are a unit translation along a direction (d,); zero but for ties among some holders."""
+        """Motions (m,) of each multi-point constraint in a unit translation along `direction`; zero if no holder."""
         first, shift = len(self.prescribed.supports.entries), np.tile(direction, self.n // self.d)
         return {tie.key: self.motion(tie, shift) * (first + k in holders) for k, tie in enumerate(self.mpcs)}
 
     def given_resultant(self, holders: Sequence[int], direction: Array, t: float) -> float:
-        """The force along a direction (d,) that is given at a time for the ties among some holders."""
+        """Prescribed force at a time, along a direction (d,), on the multi-point constraints among some holders."""
         shifts = self._shifts(holders, direction)
         return float(sum(shifts[tie.key] @ tie.resultant(t) for tie in self.mpcs))
 
     def dual_to_resultant(self, holders: Sequence[int], direction: Array) -> Array:
-        """(n,) motions g of y for which g . T'r, and what is given, is the force of some holders along a direction (d,).
+        """Return g (n,) such that g . T'r plus `given_resultant` is the force of some holders along a direction.
 
         Args:
-            holders: numbers of supports, then of ties, as in `Model.holders`.
-            direction: the direction.
+            holders: numbers of supports, then of multi-point constraints, as in `Model.holders`.
+            direction: the direction, (d,).
         """
         prescribed, shifts = self.prescribed, self._shifts(holders, direction)
         along = np.isin(prescribed.entry, holders) * (prescribed.directions @ direction)
         along = np.append(along, [shifts[tie.key][k] for tie, k, _ in self._motions])
         g = np.zeros(self.n)
-        for tie in self.mpcs:  # of motions that are not prescribed: what balances their resultants
+        for tie in self.mpcs:  # motions that are not prescribed: the forces that balance their resultants
             owned, places = self._owned(self.masters[tie.key])
             g[places] = shifts[tie.key][owned]
         g[self._columns] = along[self._single] / self._coefficient
@@ -377,14 +390,14 @@ class Constraints:
 
     # ---------------------------------------------------------------- motions
     def admissible(self, motions: Sparse) -> tuple[Sparse, Sparse]:
-        """Motions as conditions allow them, and how far conditions prevent them.
+        """Return motions with constrained unknowns set to zero, and the Gram matrix of the constraint violations.
 
         Args:
-            motions: (n, c) sparse, at the displacements of this rank.
+            motions: (n, c) sparse, with a row for each displacement of this rank.
 
         Returns:
-            Motions (n, c + m) of displacements, of those given and of all ties, without what conditions hold; and the Gram
-            matrix (c + m, c + m) of what conditions prevent: it is zero for a motion that they allow.
+            Displacements (n, c + m): of the c motions, and of the m motions of all multi-point constraints. The Gram
+            matrix (c + m, c + m) is zero for a motion that the constraints admit.
         """
         c, m = motions.shape[1], sum(mpc.count for mpc in self.mpcs)
         first = dict(zip(self.masters, np.cumsum([0, *(mpc.count for mpc in self.mpcs)]).tolist(), strict=False))
@@ -403,7 +416,10 @@ class Constraints:
         return distributed_product(self.T, z), self.comm.allreduce(gram)
 
     def resistance(self, motions: Callable[[IntArray], Array]) -> Array:
-        """(c, c) how far conditions prevent c motions, a function of displacements, where ties follow if they can."""
+        """Gram matrix (c, c) of the constraint violations of c motions, least over motions of multi-point constraints.
+
+        `motions` is a function of local numbers (n,) of displacements that returns the motions there, (n, c).
+        """
         if self._T0 is None:
             rows = self._along_conditions(motions)
             return np.asarray(self.comm.allreduce(rows.T @ rows))
@@ -412,13 +428,13 @@ class Constraints:
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 
     def _along_conditions(self, motions: Callable[[IntArray], Array]) -> Array:
-        """(r, k) values of k motions along the conditions of this rank."""
+        """Values (r, k) of k motions along the supports' conditions of this rank."""
         dofs = np.unique(self.prescribed.conditions.indices)
         return np.asarray(self.prescribed.conditions[:, dofs] @ motions(dofs))
 
 
 def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
-    """This rank's rows of a matrix, or of its transpose, times sparse columns (n, c) of all ranks; None: an identity."""
+    """This rank's rows of a matrix, or of its transpose, times sparse columns (n, c) of all ranks; None: identity."""
     if matrix is None:
         return columns
     wide = create_aij(columns, matrix.comm, ((columns.shape[0], None), (None, columns.shape[1])))
@@ -429,14 +445,14 @@ def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed
 
 
 def _without_rows(A: Sparse, rows: np.ndarray) -> Sparse:
-    """A matrix whose entries in some rows are zero; its places stay the same."""
+    """Return a copy of a matrix with zeros in some rows and the same sparsity pattern."""
     kept = np.ones(A.shape[0])
     kept[rows] = 0.0
     return scipy.sparse.csr_matrix((A.data * kept.repeat(np.diff(A.indptr)), A.indices, A.indptr), A.shape)
 
 
 def _connected_rows(A: Sparse) -> list[_ConditionGroup]:
-    """Groups of rows of A that share columns."""
+    """Group the rows of A that share columns, directly or through other rows."""
     columns, local = np.unique(A.indices, return_inverse=True)
     if not len(columns):
         return []
@@ -459,12 +475,12 @@ def _rows_by_label(labels: np.ndarray) -> list[np.ndarray]:
 
 
 def create_aij(A: Sparse, comm: MPI.Intracomm, sizes: Any = None) -> PETSc.Mat:
-    """A PETSc matrix with the rows A (csr) on this rank; sizes as PETSc takes them, None: those of A."""
+    """Make a PETSc matrix with the rows A (CSR) on this rank; `sizes` as in PETSc, by default the shape of A."""
     csr = (*(places.astype(PETSc.IntType, copy=False) for places in (A.indptr, A.indices)), A.data)
     return PETSc.Mat().createAIJ(sizes or A.shape, csr=csr, comm=comm)
 
 
 def local_csr(A: PETSc.Mat) -> Sparse:
-    """This rank's rows of a matrix."""
+    """This rank's rows of a PETSc matrix, as CSR."""
     begins, columns, entries = A.getValuesCSR()
     return scipy.sparse.csr_matrix((entries, columns, begins), (A.getLocalSize()[0], A.getSize()[1]))

@@ -1,4 +1,4 @@
-"""The nodes of S under a contact law: their displacements on both sides, areas and frames."""
+"""Nodes of S under a contact law: displacements on both sides, areas and frames."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ NO_NODES = np.empty(0, np.int32)
 
 
 def body_pairs(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArray, IntArray]:
-    """Pairs of bodies at the vertices beside nodes of a seam, one after the other: index of the node, number of the pair.
+    """Return index of the node and number of the body pair for each vertex that is adjacent to a node of a seam.
 
-    A node at a vertex has this one only. The nodes are given as `ContactNodes.file_numbers`.
+    A node at a vertex has this vertex only. `file_numbers` are `ContactNodes.file_numbers`.
     """
     here = joint.seam_numbers == list(joint.seams).index(seam)
     rows, facets = joint.surface_rows[here], joint.pairs[here]
@@ -41,16 +41,16 @@ def body_pairs(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArra
 
 @dataclass(frozen=True, eq=False)
 class ContactSurface:
-    """The facets of S that this rank owns, and the cells on their two sides.
+    """Facets of S that this rank owns, and the cells on their two sides.
 
     Attributes:
-        V: space of the displacements, P1, Q1, Q2 or, in 2D, P2, broken across S.
+        V: displacement space, P1, Q1, Q2 or, in 2D, P2, broken across S.
         comm: communicator for messages.
         facets: (n,) local numbers, ascending.
         upper: (n,) local cells on the upper side.
         lower: (n,) local cells on the lower side; None on a rigid base.
         rows: (n,) numbers of the facets in the joint, for files; empty without a joint.
-        kinematics: those of the mesh, for areas.
+        kinematics: kinematics of the mesh, for areas.
     """
 
     V: fem.FunctionSpace
@@ -63,7 +63,7 @@ class ContactSurface:
 
     @classmethod
     def of(cls, model: Model, name: str) -> ContactSurface:
-        """A seam of an interface model."""
+        """Make the surface of a seam of an interface model."""
         domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
         facets = domain.facets(name)
         facets = np.sort(facets[facets < mesh.topology.index_map(d - 1).size_local])
@@ -73,22 +73,23 @@ class ContactSurface:
 
 
 class ContactNodes:
-    """The nodes of S under a contact law. Collective.
+    """Nodes of S under a contact law. Collective.
 
-    A node is a pair of an upper and a lower displacement; a rank has those whose upper displacement it owns. Quadrature is
-    at the nodes: the trapezoidal rule, or Simpson's for elements of degree 2, which pass on a uniform pressure as such. The
-    weight of a node is the area of S around it, and its normal is the mean normal there.
+    A node is a pair of an upper and a lower displacement. A rank has the nodes whose upper displacement it owns.
+    Quadrature is at the nodes, by the trapezoidal rule, or by Simpson's rule for elements of degree 2. Both transmit a
+    uniform pressure exactly. The weight of a node is the area of S around it, and its normal is the mean normal there.
 
     Attributes:
         surface: the facets.
         upper: (n,) local number of the node of V on the upper side.
-        file_numbers: (n,) a number for each, also where several share a vertex; the same on any number of ranks. With the
-            k vertices of a facet in order, its last k bits are those beside the node, the others the facet's number.
-        x: (n, d) places.
+        file_numbers: (n,) unique number of each node, also where several nodes share a vertex; the same on any number
+            of ranks. The last k bits mark which of the k sorted vertices of a facet are adjacent to the node. The other
+            bits are the facet's number.
+        x: (n, d) coordinates.
         weights: (n,) areas (lengths in 2D).
         frames: (n, d, d) rows are the axes of the node's frame: tangents as in `Surface.frame`, then the normal.
-        is_fixed: (n, d) components of the jump (global axes) that supports prescribe.
-        is_fixed_upper: (n, d) components of the upper side's displacement that supports prescribe.
+        is_fixed: (n, d) mask of the components of the jump (global axes) that supports prescribe.
+        is_fixed_upper: (n, d) mask of the components of the upper side's displacement that supports prescribe.
         gap: (n,) initial gap between the sides; < 0: interference.
     """
 
@@ -98,7 +99,7 @@ class ContactNodes:
         Args:
             surface: the facets.
             bc_dofs: displacements of this rank that supports prescribe (local, unrolled).
-            gap: initial gaps (n,) at places (d, n).
+            gap: function of places (d, n) that returns the initial gaps (n,).
         """
         self.surface, self.comm, self.dim = surface, surface.comm, surface.V.mesh.topology.dim
         V, d = surface.V, self.dim
@@ -111,7 +112,7 @@ class ContactNodes:
         pairs, at = np.unique(corners[:, :2], axis=0, return_inverse=True)
         upper, at = pairs[:, 0], at.ravel()
         total = sum_by_number(at, corners[:, 2 : 3 + d], len(upper))
-        self.weights, vectors = total[:, 0].copy(), total[:, 1:]  # C reads them
+        self.weights, vectors = total[:, 0].copy(), total[:, 1:]  # contiguous, as compiled code reads it
         self.upper = (upper - self._first).astype(np.int32)
         self._lower = pairs[:, 1].astype(np.int64)  # global
         self._corners_of = corners[:, 3 + d].astype(np.int64), at
@@ -130,7 +131,7 @@ class ContactNodes:
 
     @classmethod
     def joined(cls, several: Sequence[ContactNodes]) -> ContactNodes:
-        """The pairs of several seams, one seam after the other: their places, areas, frames and gaps."""
+        """Concatenate the nodes of several seams: both sides, places, areas, frames and gaps."""
         out = copy(next((nodes for nodes in several if nodes.surface.lower is not None), several[0]))
         for cached in ("dofs", "lower"):
             vars(out).pop(cached, None)
@@ -140,7 +141,7 @@ class ContactNodes:
 
     @property
     def pairs(self) -> IntArray:
-        """(n, 2) global numbers of the nodes of V on the upper and on the lower side; -1 on a rigid base."""
+        """Global numbers (n, 2) of the nodes of V on the upper and on the lower side; -1 on a rigid base."""
         return np.column_stack([self._first + self.upper.astype(np.int64), self._lower])
 
     def shared(self) -> IntArray:
@@ -158,7 +159,7 @@ class ContactNodes:
 
     @property
     def lines(self) -> IntArray:
-        """(m, 2) neighbours along S, on one rank; none in three dimensions."""
+        """Pairs (m, 2) of neighbouring nodes along S, on one rank; empty in three dimensions."""
         number, node = self._corners_of
         along = np.array([0, 0, 2, 1])[number & 3]  # first end, second end, middle
         order = np.lexsort((along, number >> 2))[: len(number) if self.dim == 2 else 0]
@@ -169,10 +170,10 @@ class ContactNodes:
         return self.surface.V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
 
     def _corners(self) -> Array:
-        """A row for each node of each facet of S that this rank owns.
+        """Return a row for each node of each facet of S that this rank owns.
 
         Columns: node on the upper side (local), node on the lower side (global; -1 on a rigid base), area, area times
-        normal (d), number of this node of this facet.
+        normal (d), number as in `file_numbers`.
         """
         V, facets, d = self.surface.V, self.surface.facets, self.dim
         upper, lower = self.surface.upper, self.surface.lower
@@ -211,7 +212,7 @@ class ContactNodes:
         return np.concatenate(rows)
 
     def _entities(self, a: int, b: int) -> Indices:
-        """(all, m) entities of dimension b of those of dimension a."""
+        """Entities (n, m) of dimension b of each local entity of dimension a."""
         connectivity = self.surface.V.mesh.topology.connectivity(a, b)
         return np.asarray(connectivity.array.reshape(connectivity.num_nodes, -1))
 
@@ -225,7 +226,7 @@ class ContactNodes:
 
     # ---------------------------------------------------------------- supports
     def _note_held(self, bc_dofs: Indices) -> None:
-        """Set `is_fixed` and `is_fixed_upper` from the held displacements of this rank (local, unrolled)."""
+        """Set `is_fixed` and `is_fixed_upper` from the constrained dofs of this rank (local, unrolled)."""
         mark = self.zero()
         mark.array[bc_dofs] = 1.0
         self.is_fixed_upper = mark.array_r.reshape(-1, self.dim)[self.upper] > 0
@@ -239,12 +240,12 @@ class ContactNodes:
 
     @cached_property
     def dofs(self) -> Indices:
-        """Local numbers of the displacements of the upper side, (n, d)."""
+        """Local dofs (n, d) of the displacements of the upper side."""
         return self.upper[:, None] * np.int32(self.dim) + np.arange(self.dim, dtype=np.int32)
 
     @cached_property
     def lower(self) -> PETSc.Mat | None:
-        """Matrix (n d, all) that selects the displacements of the lower side; None on a rigid base."""
+        """Matrix (n d, N) that selects the displacements of the lower side; None on a rigid base."""
         if self.surface.lower is None:
             return None
         n, d, there = len(self.upper), self.dim, self._lower >= 0
@@ -254,7 +255,7 @@ class ContactNodes:
         return PETSc.Mat().createAIJ(((n * d, None), (size, None)), csr=csr, comm=self.comm)
 
     def lower_side(self, u: PETSc.Vec) -> Array:
-        """Displacement of the lower side, (n, d), global axes; zero on a rigid base."""
+        """Displacements (n, d) of the lower side in global axes; zero on a rigid base."""
         if self.lower is None:
             return np.zeros((len(self.upper), self.dim))
         there = self.lower.createVecLeft()
@@ -264,19 +265,19 @@ class ContactNodes:
         return values
 
     def jump(self, u: PETSc.Vec) -> Array:
-        """Jumps in the nodes' frames, (n, d)."""
+        """Jumps (n, d) of displacements u in the nodes' frames."""
         return np.einsum("nij,nj->ni", self.frames, u.array_r.reshape(-1, self.dim)[self.upper] - self.lower_side(u))
 
     def separation(self, u: PETSc.Vec) -> Array:
-        """How far the sides are apart, in the nodes' frames, (n, d): jumps, and the initial gap along the normal."""
+        """Separations (n, d) of the sides in the nodes' frames: jumps, plus the initial gap in the normal component."""
         w = self.jump(u)
         w[:, -1] += self.gap
         return w
 
     def add_forces(self, t: Array, out: PETSc.Vec) -> None:
-        """Add the nodal forces of tractions (n, d), in the nodes' frames."""
+        """Add to `out` the nodal forces of tractions t (n, d) in the nodes' frames."""
         forces = np.einsum("nji,nj->ni", self.frames, t * self.weights[:, None])
-        np.add.at(out.array.reshape(-1, self.dim), self.upper, forces)  # where bodies branch, nodes share an upper side
+        np.add.at(out.array.reshape(-1, self.dim), self.upper, forces)  # where S branches, nodes share an upper side
         if self.lower is not None:
             sent, there = self.lower.createVecLeft(), out.duplicate()
             sent.array[:] = -forces.ravel()
@@ -285,7 +286,7 @@ class ContactNodes:
             destroy(sent, there)
 
     def stiffness(self, tangent: Array) -> PETSc.Mat:
-        """Stiffness matrix over all displacements for tangents (n, d, d) of the law."""
+        """Stiffness matrix over all displacements for tangents (n, d, d) of the law in the nodes' frames."""
         d, size = self.dim, self._size * self.dim
         sides = self.pairs[:, :1] if self.lower is None else self.pairs
         dofs = (sides[:, :, None] * d + np.arange(d)).reshape(-1, sides.shape[1] * d).astype(PETSc.IntType)
@@ -308,7 +309,7 @@ class ContactNodes:
 
 
 def _vertex_areas(corners: Array) -> tuple[Array, Array]:
-    """Each vertex's share (n, k) of the area of facets (n, k, d), and their unit normals (n, d) of either sign."""
+    """Area shares (n, k) of the vertices of facets (n, k, d), and unit normals (n, d) of either sign."""
     if corners.shape[2] == 2:
         along = corners[:, 1] - corners[:, 0]
         length = np.linalg.norm(along, axis=1)
@@ -322,7 +323,7 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
 
 
 def normal_frames(n: Array) -> Array:
-    """Axes of S at normals (n, d), tangents first, equal to those of `forms.tensors.layer_frame`."""
+    """Axes (n, d, d) of S at normals (n, d), tangents first, equal to the axes of `forms.tensors.layer_frame`."""
     if n.shape[1] == 2:
         return np.stack([np.column_stack([n[:, 1], -n[:, 0]]), n], axis=1)
     e = np.eye(3)

@@ -26,7 +26,7 @@ from thinlayer.errors import warn
 
 BodyForce = Load | Mapping[str, Load]
 
-LAYER_FORCE_LABEL = "body force in the layer {!r}"  # the words for it, by the name of the seam
+LAYER_FORCE_LABEL = "body force in the layer {!r}"  # label in messages, by the name of the seam
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class LoadRegion:
     """Where a load acts: in cells or on facets of bodies, in a layer's volume, or on its side.
 
     Attributes:
-        measure: of the cells or facets; of a layer on S its seam.
+        measure: measure of the cells or facets; for a layer on S that of its seam.
         weight: factor of the measure, times the thickness on S.
-        value: how a function of place and time is taken there.
-        mean: what the load does work in, of displacements; of a layer their mean over the thickness.
-        base_test: the part of this mean that is of a rigid base, for motions that move it as well; None: there is no base.
+        value: maps the load's expression to its value in the region, as on one side of S.
+        mean: maps a displacement to the one in which the load does work; for a layer on S the mean over the thickness.
+        base_test: maps motions that also move a rigid base to the base's share of this mean; None without a base.
     """
 
     measure: ufl.Measure
@@ -53,25 +53,24 @@ class Forces:
 
     Args:
         domain: the domain.
-        kinematics: of the mesh; all measures have their factor.
+        kinematics: kinematics of the mesh; all measures have their factor.
         points: makes forms of loads at points and along lines.
-        setup: the `Setup`, which imports this module: its tractions, body force, and loads at points and along lines.
+        setup: the `Setup`, for tractions, body force, and loads at points and along lines; its module imports this one.
 
     Attributes:
         at: coordinates for loads that are functions.
-        user_loads: description of kind and place -> the load as given.
+        user_loads: description of kind and place -> the load as the user wrote it.
 
     Raises:
-        InputError: unknown names, a traction on S or inside, loads that are no vectors.
+        InputError: unknown names, a traction on S or inside the bodies, loads that are no vectors.
     """
 
     def __init__(self, domain: Domain, kinematics: Kinematics, points: ConcentratedForms, setup: Any) -> None:
         self.domain, self.at, self._kinematics = domain, points.at, kinematics
         self.user_loads: dict[str, Any] = {}
-        self._loads: list[
-            tuple[str, Expr, LoadRegion, str]
-        ] = []  # words, force, its place, the seam if it is a layer's
-        self._form: tuple[fem.FunctionSpace, fem.Form] | None = None  # of the work in a space
+        # label, force, region, name of the seam if it is a layer's load
+        self._loads: list[tuple[str, Expr, LoadRegion, str]] = []
+        self._form: tuple[fem.FunctionSpace, fem.Form] | None = None  # a space, and the work in it
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
         tractions, body_force = ({} if loads is None else loads for loads in (setup.tractions, setup.body_force))
@@ -92,7 +91,7 @@ class Forces:
             self._add(what, load, dx(domain.cell_values(name)))
         for concentrated_load in setup.loads:
             self.user_loads[f"{concentrated_load.what}, {len(self.user_loads)}"] = concentrated_load
-            for density, measure in points.terms(concentrated_load):  # whole forces: their measures have no factor
+            for density, measure in points.terms(concentrated_load):  # total forces: without the factor of measures
                 self.add_weighted("", concentrated_load.what, density, LoadRegion(measure, 1))
         self._everywhere = dx
 
@@ -100,17 +99,17 @@ class Forces:
         """Add a force per volume of a layer.
 
         Args:
-            name: of its seam.
+            name: name of its seam.
             load: the force.
-            place: where the layer is: its weight, and how the work of displacements there is told, see `LoadRegion`.
-            at: coordinates there, with the time of the other loads.
+            place: region of the layer.
+            at: coordinates in the layer, with the time of the other loads.
         """
         what = LAYER_FORCE_LABEL.format(name)
         self.user_loads[what] = load
         self.add_weighted(name, what, at.coefficient(load, what, (self.domain.joint.dim,)).expression, place)
 
     def add_weighted(self, name: str, what: str, force: Expr, place: LoadRegion) -> None:
-        """Add a force, a UFL vector, at a place: of the layer of a seam, or of the bodies ("")."""
+        """Add a force, a UFL vector, in a region; `name` is the seam of a layer's load, "" for loads on bodies."""
         self._loads.append((what, place.value(force) * place.weight, place, name))
 
     def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
@@ -120,7 +119,7 @@ class Forces:
             self.add_weighted("", what, checked, LoadRegion(measure, self._kinematics.factor))
 
     def _warn_of_gaps(self, name: str) -> None:
-        """Warn where a gap ends that bodies gave up a part of their loaded faces to."""
+        """Warn if a gap ends on a loaded facet set: bodies gave up a part of their loaded faces to it."""
         band, whole = self.domain.joint.band, name.split("/")[0]
         if band is None or band.bodies == "kept" or whole not in band.base.facets:
             return
@@ -131,12 +130,12 @@ class Forces:
                 warn("end of a gap", what, self.domain.comm)
 
     def _share(self, name: str) -> float:
-        """Share of a traction on bodies that also acts on the layer's side: the room that these bodies gave up.
+        """Share of a traction on bodies that also acts on the layer's side, for the room that these bodies gave up.
 
         It is 0 for kept bodies. With it the full and the interface model have the same total load.
 
         Raises:
-            InputError: the layer has no cells, and so no facets on its side.
+            InputError: the layer has no cells, so its side has no facets.
         """
         band, parted = self.domain.joint.band, self.domain.joint.parted is not None
         whole, _, region = name.partition("/")
@@ -161,13 +160,13 @@ class Forces:
         return sum(bool(some.all()) for some in covered) / len(covered)
 
     def work(self, v: Expr, *, layers: bool = False) -> Expr:
-        """Virtual work of the loads, or of those on layers alone, a UFL form linear in v that reads the clock."""
+        """Virtual work of all loads, or of loads on layers only: a UFL form linear in v that reads the clock."""
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
         loads = [entry for entry in self._loads if entry[3] or not layers]
         return sum((ufl.inner(load, region.mean(v)) * region.measure for _, load, region, _ in loads), form)
 
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
-        """Virtual work of what goes to rigid bases by itself, in motions v that move them, by seam; see `work`."""
+        """Virtual work of loads that act directly on rigid bases, by seam, in motions v that move them; see `work`."""
         works: dict[str, Expr] = {}
         for _, load, region, name in self._loads:
             if region.base_test:
@@ -175,7 +174,7 @@ class Forces:
         return works
 
     def nodal_at(self, V: fem.FunctionSpace, t: float, *, layers: bool = False) -> PETSc.Vec:
-        """Nodal forces of the loads, or of those on layers alone, in a space; the caller destroys the vector. Collective.
+        """Nodal forces in V of all loads, or of loads on layers only; the caller destroys the vector. Collective.
 
         Raises:
             InputError: loads that are not finite.
@@ -191,7 +190,7 @@ class Forces:
         return b
 
     def _not_finite(self, t: float) -> list[str]:
-        """The loads that are not finite at a time. Collective."""
+        """Labels of the loads that are not finite at a time. Collective."""
         names = []
         for what, load, region, _ in self._loads:
             with self.at.clock.at(t):

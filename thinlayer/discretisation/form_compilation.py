@@ -1,4 +1,4 @@
-"""Forms with measures with and without tags of the mesh, and quadrature points: origin, parameters of laws, keys."""
+"""Compiled forms over tagged and untagged measures; quadrature points: origin, parameters of laws, keys."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from thinlayer.pointwise.quadrature import MEASURE_OF_INTEGRAL, MeshOrigin, Quad
 from thinlayer.system.compat import by_domain, compiled, without_cycles
 from thinlayer.system.ranks import errors_on_all
 
-show_warnings()  # those of users too
+show_warnings()  # users' warnings too
 
 TAGS_OF_INTEGRAL = {
     "dx": "model.domain.cell_values(name)",
@@ -43,11 +43,11 @@ TAGS_OF_INTEGRAL = {
 
 
 def whole_structure_form(form: Any, model: Any, what: str = "a form") -> ufl.Form:
-    """A form that a user writes on a model's mesh, over the whole structure: in axisymmetry with the factor 2 pi r.
+    """Check a user's form on a model's mesh, and return it with the factor 2 pi r in axisymmetry. Collective.
 
     Raises:
-        InputError: no form, or one that depends on the time; numbers that are not finite or not real; a tag that no cell
-            or facet has. Collective.
+        InputError: an object that is no form, or a form that depends on the time; numbers that are not finite or not
+            real; a tag that no cell or facet has.
     """
     require(isinstance(form, ufl.Form), what, form, "it must be a UFL form, such as f * model.dx")
     if time_constants(form):
@@ -73,7 +73,7 @@ def whole_structure_form(form: Any, model: Any, what: str = "a form") -> ufl.For
 
 
 def _tags(data: Any, kind: str, model: Any) -> set[Any]:
-    """Tags of a measure's cells or facets on this rank that it reads: ds the outer ones."""
+    """Tags on this rank of the cells or facets that a measure integrates over; for ds of outer facets only."""
     if data is None:
         return set()
     if not hasattr(data, "values"):
@@ -87,12 +87,12 @@ def _tags(data: Any, kind: str, model: Any) -> set[Any]:
 
 
 def compiled_summands(form: Expr) -> list[fem.Form]:
-    """Compiled forms whose sum is a form, one for each set of tags: equal laws of several seams have one code."""
+    """Compile a form as summands, one for each set of tags, so that equal laws of several seams share code."""
     return [compiled(ufl.Form(integrals)) for integrals in by_domain(form).values()]
 
 
 def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
-    """A matrix of zeros, with places for bilinear forms over the cells and facets that a form integrates over."""
+    """Zero matrix with the sparsity pattern of bilinear forms over the cells and facets of a form."""
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     same, across = ufl.inner(u, v), ufl.inner(u("+") + u("-"), v("+") + v("-"))
     parts = {}
@@ -106,9 +106,9 @@ def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
 
 
 def compiled_scalars(form: Expr) -> list[fem.Form]:
-    """Compiled forms whose sum is a form without arguments, each with one rule of quadrature.
+    """Compile a form without arguments as summands, each with a single quadrature rule.
 
-    In a form without arguments FFCx takes the places of one rule for those of another where both are in its integrand.
+    FFCx confuses the points of two quadrature rules where both are in the integrand of a form without arguments.
     """
     if len(form.integrals()) == 1:  # estimating a degree takes as long as a signature
         return [compiled(form)]
@@ -121,7 +121,7 @@ def compiled_scalars(form: Expr) -> list[fem.Form]:
 
 
 def per_unit(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Array:
-    """Values (k,) of a UFL form without arguments, linear in a constant (k,), for each unit value of this. Collective."""
+    """Values (k,) of a UFL form without arguments, linear in `constant` (k,), for its k unit values. Collective."""
     forms, values = compiled_scalars(form), np.zeros(len(constant.value))
     for k in range(len(values)):
         constant.value[:] = np.eye(len(values))[k]
@@ -131,17 +131,17 @@ def per_unit(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Array:
 
 @without_cycles()
 def _degree(integral: Any) -> Any:
-    """Degree of quadrature that UFL estimates; the integrand itself where it cannot."""
+    """Quadrature degree that UFL estimates; "" if the metadata have it, the integrand itself if UFL cannot."""
     if "quadrature_degree" in integral.metadata():
         return ""
     try:
         return estimate_total_polynomial_degree(apply_algebra_lowering(apply_derivatives(integral.integrand())))
-    except Exception:  # UFL's, whatever a user's form contains: then each integrand by itself
+    except Exception:  # UFL may fail on a user's form: then each integrand is compiled alone
         return integral.integrand()
 
 
 def origin_of(domain: Domain) -> MeshOrigin:
-    """The joint that a domain was made from."""
+    """Return the relation of a domain's mesh to the joint that it was made from."""
     joint, x = domain.joint, Coordinates.of(domain).x
     columns = partial(column_numbers, joint)
     if joint.parted is None:
@@ -151,12 +151,13 @@ def origin_of(domain: Domain) -> MeshOrigin:
 
 
 def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:
-    """A term whose law's parameters are functions, with these checked at its quadrature points. Collective.
+    """Return a term whose parameters that are functions have been checked at its quadrature points. Collective.
 
-    The parameters of a law in forms become a function with values there; compiled laws evaluate theirs themselves.
+    For a law in UFL forms these parameters become a function with values at the points. Compiled laws evaluate them
+    themselves.
 
     Raises:
-        InputError: a function fails, or a value is out of range, with the place; on all ranks.
+        InputError: a function fails, or a value is out of range. The message has the place. Raised on all ranks.
     """
     law = term.law
     if not law.fields:
@@ -174,14 +175,14 @@ def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:
 
 
 def law_with_expressions(law: BulkLaw, mesh: Mesh, values: Mapping[str, Expr]) -> BulkLaw:
-    """A law with UFL expressions for the parameters that are functions, and Constants for the others."""
+    """Return a law with UFL expressions for the parameters that are functions, and Constants for the others."""
     return law_with_constants(law.with_parameters(dict.fromkeys(values, 1.0)), mesh).with_parameters(values)
 
 
 def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
-    """The terms whose laws are compiled, by key: that of their layer or body, or "layer", or "body".
+    """Map keys to the terms with compiled laws; a key is that of the layer or body, or "layer" or "body".
 
-    Several of one key are numbered in their order (sublayers from below): "layer 1", "layer 2", ..., "layer BED/1", ...
+    Terms with the same key are numbered in order (sublayers from below): "layer 1", "layer 2", ..., "layer BED/1", ...
     """
     by_key: dict[str, list[Term]] = {}
     for p in terms:

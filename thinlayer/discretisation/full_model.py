@@ -1,4 +1,4 @@
-"""FullModel: its layers are meshed; LayerModel: these layers by themselves, without bodies."""
+"""FullModel, whose layers are meshed, and LayerModel, which has the meshed layers without bodies."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class FullModel(Model):
         return inflated
 
     def _check_layers(self) -> None:
-        """Check each layer by itself."""
+        """Raise InputError for bonds, for open seams of unknown width, and for layers that cannot be meshed."""
         for name in self.bonds:
             raise InputError(f"the seam {name!r} has a Bond, for interface models: make a joint without it")
         for name in (name for name, layer in self.on_seams.items() if layer is None):
@@ -94,7 +94,7 @@ class FullModel(Model):
         self._check_junctions(self._band)
 
     def _check_junctions(self, band: Any) -> None:
-        """Raise InputError if a law cannot be that of cells where layers meet, which are in no column of a layer."""
+        """Raise InputError if the law of a junction needs columns or a normal of S, which its cells do not have."""
         for region, name in band.junctions.items():
             law = self.applicability[name].law
             if law.traits.switches:
@@ -113,11 +113,11 @@ class FullModel(Model):
             sublayers = law_with_numbers(seam_layer.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 rule = self._rule(self.dx)
-                if law.traits.softens:  # it is run at points that are as dense along S as those there
+                if law.traits.softens:  # at points as dense along S as on S in an interface model
                     law = law if law.traits.compiled else law.for_points()
                     degree = quadrature_degree(self.V, ufl.dS) + self.kinematics.degree
                     rule = {"metadata": {"quadrature_degree": degree}}
-                elif not rule and needs_director(law):  # whose length is a root: UFL would take degree 100
+                elif not rule and needs_director(law):  # UFL would take degree 100 for its square root
                     rule = {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx)}}
                 law = law if law.traits.compiled else law_with_constants(law, mesh)
                 cells = self.dx(self.domain.cell_values(region, *self._shared(name)), **rule)
@@ -134,26 +134,26 @@ class FullModel(Model):
         return self.domain.joint.band
 
     def _shared(self, name: str) -> list[str]:
-        """Regions of junctions that have the law of a seam."""
+        """Regions of junctions whose cells have the law of a seam."""
         return [region for region, seam in self._band.junctions.items() if seam == name]
 
 
 class LayerModel(FullModel):
-    """The layers of an interface model by themselves: their cells in a full model, what acts on them and holds them there.
+    """The layers of an interface model, meshed as in a full model, with their loads and supports but without bodies.
 
-    Each rank has all of it. Nothing holds the layers' faces, so that nothing can be solved with it alone.
+    Each rank has the whole mesh. The faces of the layers are not constrained, so that the model alone cannot be solved.
 
     Attributes:
-        divided: their cells, divided towards free ends and junctions; None: they are those of `inflated`.
+        divided: the layers' cells, refined towards free ends and junctions; None if they are the cells of `inflated`.
 
     Args:
         model: the interface model.
         layers: name of a seam -> its layer.
         cells_through: number of cells through the thickness.
-        at_ends: how far cells at ends reach at most, over the thickness; None: as far as the facets of S there.
+        at_ends: largest length along S of cells at ends, over the thickness; None: the length of the facets of S there.
 
     Raises:
-        InputError: `at_ends` is no number > 0, or so small that nodes would be at one place.
+        InputError: `at_ends` is no number > 0, or so small that nodes would coincide.
     """
 
     name = "layer"
@@ -170,7 +170,7 @@ class LayerModel(FullModel):
         seams = {name: seam for name, seam in joint.seams.items() if name in layers}
         if replace(joint, seams=seams).tip is not None and (refused := meeting_layers(joint, seams)):
             raise refused.error()
-        # fields on S of divided cells are not those of the model's facets: with other points they are refused
+        # fields on S of refined cells do not fit the model's facets: with other points they are refused
         points = joint.points if at_ends is None else joint.points.copy()
         setup.joint = replace(joint, points=points, seams=seams)
         setup.comm, setup.parts, setup.loads, setup.body_laws, setup.eigenstrains = MPI.COMM_SELF, (), (), {}, {}
@@ -201,11 +201,11 @@ class LayerModel(FullModel):
         return layers
 
     def require_supported(self) -> None:
-        """Nothing: the bodies would hold the layers."""
+        """Check nothing, as the bodies that would support the layers are absent."""
 
 
 def meeting_layers(joint: Joint, seams: Iterable[str]) -> Violation | None:
-    """Why layers on these seams are none by themselves, if they meet other seams, which are open or have layers."""
+    """Return why layers on these seams cannot be taken alone, if they meet other seams; None if they do not."""
     vertices = {name: joint.masters[joint.table.vertices[joint.rows_of(name)]] for name in joint.seams}
     mine = np.concatenate([vertices[name].ravel() for name in seams])
     others = [name for name in joint.seams if name not in seams and np.isin(vertices[name], mine).any()]

@@ -1,4 +1,4 @@
-"""InterfaceModel: its layers are replaced by their interface laws on S."""
+"""InterfaceModel, whose layers are replaced by their interface laws on S."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from thinlayer.errors import Violation
 from thinlayer.pointwise.quadrature import quadrature_degree
 from thinlayer.system.ranks import errors_on_all
 
-END_DEGREE_INCREASE = 2  # how much higher the degree of quadrature is where weights of free ends are linear along S
+END_DEGREE_INCREASE = 2  # increase of the quadrature degree where weights of free ends are linear along S
 
 
 class InterfaceModel(Model):
@@ -67,7 +67,7 @@ class InterfaceModel(Model):
         return joint
 
     def _forces(self, structure: Setup) -> Forces:
-        forces = super()._forces(structure)  # raises errors of bad data
+        forces = super()._forces(structure)  # first, as it raises errors about bad data
         for layer in self.layers.values():
             if layer.thin_layer and layer.thin_layer.order == 1:
                 add_side_loads(forces, self, layer, self.sides_of(layer.name))
@@ -79,7 +79,7 @@ class InterfaceModel(Model):
 
     @cached_property
     def split_mesh(self) -> Splitting:
-        """As in `Model`: cut along the seams without a bond."""
+        """The joint's mesh, cut along the seams without a bond."""
         joint = self.domain.joint
         cut = [joint.rows_of(name) for name in joint.seams if name not in self.bonds]
         return joint.split_along(np.concatenate([np.empty(0, np.int64), *cut])) if self.bonds else joint.split_mesh
@@ -94,7 +94,7 @@ class InterfaceModel(Model):
 
     @cached_property
     def _middle(self) -> MidSurface | None:
-        """S between bodies that stand apart; None: they meet there."""
+        """S midway between the faces of extended bodies; None if bodies meet on S."""
         return None if self.domain.joint.parted is None else MidSurface(self.domain)
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
@@ -110,16 +110,16 @@ class InterfaceModel(Model):
 
     @cached_property
     def dS(self) -> ufl.Measure:
-        """The measure of the seams between bodies; dS(k + 1) is the k-th of `joint.seams`, "+" its upper side."""
+        """Measure of the seams between bodies; dS(k + 1) is seam k of `joint.seams`, from 0, and "+" its upper side."""
         between = [(k, name) for k, name in enumerate(self.joint.seams, 1) if name not in self.joint.base_seams]
         entities = [(k, seam_entities(self.domain, name).ravel()) for k, name in between]
         return ufl.Measure("dS", domain=self.domain.mesh, subdomain_data=entities)
 
     def sides_of(self, name: str = S) -> Interface:
-        """The two sides of a seam, or of all ("S"): n, jumps, values from either side, and the measure.
+        """Return the two sides of a seam, or of all seams ("S"): n, jumps, values on either side, and the measure.
 
         Raises:
-            InputError: no such seam; S lies between bodies and on a rigid base.
+            InputError: an unknown seam; "S" if some seams lie between bodies and others on a rigid base.
         """
         joint, to_s = self.joint, self._middle.offset if self._middle else None
         joint.rows_of(name)
@@ -148,7 +148,7 @@ class InterfaceModel(Model):
 
     @property
     def remarks(self) -> list[str]:
-        """What was chosen at the free ends of layers of order 1."""
+        """Sentences for the log: whether free ends of layers of order 1 are corrected."""
         ordered = [
             reduction
             for reduction in self.applicability.values()
@@ -157,7 +157,7 @@ class InterfaceModel(Model):
         return [f"free ends of {reduction.seam_layer}: {reduction.free_end_text}" for reduction in ordered]
 
     def shifts(self) -> FloatArray | None:
-        """As in `Model`: by layers of order 1, whose law knows that faces stand apart, between bodies that meet on S."""
+        """Shifts as in `Model`, by layers of order 1 between bodies that meet on S; other laws ignore the thickness."""
         eps = np.zeros(len(self.joint.surface_rows))
         for layer in self.layers.values():
             if layer.thin_layer and layer.thin_layer.order:
@@ -166,23 +166,23 @@ class InterfaceModel(Model):
             return None
         try:
             return kept_motion(self.joint, eps)[self.joint.split_mesh.pieces]
-        except InputError:  # bodies that do not part in one piece
+        except InputError:  # bodies cannot move apart in one piece
             return None
 
     def free_ends(self, name: str) -> Violation | None:
-        """Why the interface law of a seam knows nothing of its free ends; None: it does, or there are none.
+        """Return why the interface law of a seam does not correct its free ends; None if it does, or there are none.
 
         Raises:
-            InputError: no layer of this name.
+            InputError: the seam is unknown or has no layer.
         """
         require_known("layer", name, self.applicability)
         return self.applicability[name].why_not("ends")
 
     def terms_of(self, layer: SeamLayer) -> list[forms.Term]:
-        """The terms of a layer without contact on its seam."""
+        """Return the terms on S of a layer without a contact law."""
         mesh, law, sides = self.domain.mesh, law_with_numbers(layer.layer, self.kinematics), self.sides_of(layer.name)
         measure = sides.measure.reconstruct(**self._rule(sides.measure))
-        if self._middle:  # whose slopes and lengths UFL takes for functions of a high degree
+        if self._middle:  # UFL would estimate a high degree for its slopes and lengths
             degree = quadrature_degree(self.V, measure) + self.kinematics.degree
             measure = measure(metadata={"quadrature_degree": degree})
         sides = replace(
@@ -216,10 +216,10 @@ class InterfaceModel(Model):
         return super()._data() | ({"free ends": names} if names else {})
 
     def _place_of(self, layer: SeamLayer) -> LoadRegion:
-        """S, where both sides have half of the layer's weight; on a rigid base the other half goes to the base."""
+        """Region of a layer on S, where each side carries half of its load; a rigid base carries the lower half."""
         sides = self.sides_of(layer.name)
 
-        def on_base(v: Expr) -> Expr:  # which moves as at the facets of the body above it, and as these turn
+        def on_base(v: Expr) -> Expr:  # the base moves and rotates as the facets of the body above it do
             return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.offset) if self._middle else v) / 2
 
         based = on_base if layer.name in self.joint.base_seams else None
@@ -228,10 +228,10 @@ class InterfaceModel(Model):
 
 
 def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:
-    """The law with parameters that are functions as expressions on S, linear between vertices; others as Constants."""
+    """The law with function parameters as expressions on S, linear between vertices, and others as Constants."""
     on_s, vertices = {}, np.unique(joint.table.vertices[joint.rows_of(name)])
     for key, vertex_values in law.fields_at(joint.points[vertices].T).items():
-        values = np.full(len(joint.points), vertex_values[0])  # elsewhere without meaning
+        values = np.full(len(joint.points), vertex_values[0])  # values elsewhere have no meaning
         values[vertices] = vertex_values
         on_s[key] = upper(cellwise_function(domain, ("Lagrange", 1), values[joint.corners][..., None]))
     return law_with_expressions(law, domain.mesh, on_s)

@@ -1,4 +1,4 @@
-"""Layers: laws with a thickness, or on S alone; what is known of one on its seam before anything is discretised."""
+"""Layers: laws with a thickness, or on S alone, and the data of a layer on its seam before discretisation."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from thinlayer.errors import Violation
 from thinlayer.system.compat import exterior_facet_entities, interior_facet_entities
 from thinlayer.system.fingerprint import describe
 
-# keys of what laws remember and store, in states and in files
+# keys of memory and stored energies of laws, in states and in files
 LAYER_KIND, CONTACT_KIND, BODY_KIND, PRESSURE_KIND = "layer", "contact", "body", "pressure"
-BODIES = "bodies"  # name of all bodies together, beside the names of seams
+BODIES = "bodies"  # name of all bodies together, among the names of seams
 EDGE_CHOICES = (None, "free", "plain")
-SurfaceLaw = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or of nodes
+SurfaceLaw = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or at nodes
 
 
 @dataclass(frozen=True)
@@ -44,27 +44,29 @@ class ThinLayer:
         law: the law of the layer's material. Sublayers in series: `Stack((fraction, law), ...)` from the lower to the
             upper face.
         eps: thickness, a length > 0; multiplied by the profile if it varies along S.
-        at: thickness at which the law's parameters hold, a length > 0; None: eps. A family of layers for eps -> 0 has one
-            `at` and one interface law: its parameters are those of `law` times (eps/at)**power, see `BulkLaw.powers`.
-        order: of the interface law. 0: the limit, error O(eps). 1: the next term too, error O(eps^2) where the sides
-            of the layer are on rollers, and away from its free ends where these are corrected, see `edges`; needs elements
-            of degree 2, and bodies="extended" where S is curved or the thickness varies; a Stack of `LinearElastic`
-            sublayers alone; other laws than `LinearElastic` and `Rubber` with lmbda/mu <= 12 at rest.
-        profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n numbers
-            > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's parameters do not vary
-            with it.
-        eigenstrain: strain that the layer would have without stress, as for bodies, see `Structure`; uniform through the
-            thickness. On S the strain is [u] (x) n/eps less it, so that it enters the tractions of a soft layer at order
-            eps: it changes the limit only if it is itself of the size of [u]/eps.
-        edges: at free ends of S, straight ones, the interface law of order 1 is corrected by what a layer lacks there, so
-            that its error is O(eps^2) away from them, too (`forms.ends.weights`): for `LinearElastic` with nu from 0 to
-            0.45, `Rubber` and `Incompressible` between much stiffer bodies. None: where that holds
-            (`InterfaceModel.free_ends` has the reason if not). "free": always; a model where it does not hold is refused.
-            "plain": never.
+        at: thickness at which the parameters of `law` are valid, a length > 0; None: eps. At the thickness eps they are
+            multiplied by (eps/at)**power, see `BulkLaw.powers`. A family of layers for eps -> 0 has one `at` and one
+            interface law.
+        order: order of the interface law. 0: the limit, with error O(eps). 1: with the next term. The error is O(eps^2)
+            where the sides of the layer are on rollers, and away from free ends that are corrected, see `edges`. Order
+            1 needs elements of degree 2, and bodies="extended" where S is curved or the thickness varies. All sublayers
+            of a Stack must be `LinearElastic`. Other laws than `LinearElastic` and `Rubber` need lmbda/mu <= 12 at
+            rest.
+        profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n
+            numbers > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's parameters
+            do not vary with it.
+        eigenstrain: strain that the layer would have without stress, as for bodies, see `Structure`; uniform through
+            the thickness. On S it is subtracted from the strain [u] (x) n/eps, so it enters the tractions of a soft
+            layer at order eps. It changes the limit only if it has the size of [u]/eps.
+        edges: correction of the interface law of order 1 for the lower stiffness near straight free ends of S
+            (`forms.ends.weights`). With it the error is O(eps^2) away from these ends too. It exists for
+            `LinearElastic` with nu from 0 to 0.45, `Rubber` and `Incompressible`, between much stiffer bodies. None:
+            applied where it exists (`InterfaceModel.free_ends` has the reason if not). "free": always applied; an error
+            where it does not exist. "plain": never applied.
 
     Raises:
-        InputError: a law of jumps or of nodes, which is a layer by itself; eps, order or edges out of range; a law without
-            one of order 1.
+        InputError: a law of jumps or of nodes, which needs no `ThinLayer`; eps, at, order, profile or edges out of
+            range; order 1 of a law that has no interface law of order 1.
     """
 
     law: BulkLaw
@@ -88,14 +90,14 @@ class ThinLayer:
         require(is_valid, "the order of the interface law", self.order, "allowed: 0, 1")
         object.__setattr__(self, "order", int(self.order))
         if self.order == 1:
-            self.law.stations()  # raises errors of laws without one of order 1
+            self.law.stations()  # raises errors of laws without order 1
         callable_ = self.profile is None or callable(self.profile)
         require(callable_, "the profile", self.profile, "it must be a function of x")
         require(self.edges in EDGE_CHOICES, "edges", self.edges, f"allowed: {', '.join(map(repr, EDGE_CHOICES))}")
 
     @property
     def material(self) -> BulkLaw:
-        """The law with the parameters of the layer's thickness."""
+        """The law with its parameters at the layer's thickness."""
         return self.law.scaled(1.0 if self.at is None else float(self.eps) / float(self.at))
 
     @property
@@ -106,9 +108,9 @@ class ThinLayer:
 
 @dataclass(frozen=True)
 class Gap:
-    """An open joint of some width: nothing acts between its sides, and nothing keeps them from overlapping.
+    """An open joint of some width: no forces act between its sides, and nothing prevents their overlap.
 
-    A meshed model leaves the gap empty, an interface model knows no width: `Gap(eps)` is the same as None there.
+    A meshed model leaves the gap empty. An interface model ignores the width: `Gap(eps)` is the same as None there.
 
     Attributes:
         eps: width, a length > 0.
@@ -125,9 +127,9 @@ class Gap:
 
 @dataclass(frozen=True)
 class Bond:
-    """A perfect bond in place of a layer: both sides of its seam move as one, and a rigid base holds its side.
+    """A perfect bond in place of a layer: both sides of its seam move as one; on a rigid base the side is fixed.
 
-    Interface models alone take it; in a meshed one leave the seam out of the joint.
+    Only interface models accept it. For a meshed model leave the seam out of the joint.
     """
 
 
@@ -141,25 +143,25 @@ def _check_thickness(what: str, eps: Any) -> None:
 
 
 def law_with_numbers(layer: Layer, kinematics: Kinematics) -> BulkLaw:
-    """A layer's law for these kinematics; a law of jumps as one of strains."""
+    """Return a layer's law for these kinematics; a law of jumps becomes a law of strains."""
     return kinematics.law(layer.material) if isinstance(layer, ThinLayer) else layer.as_bulk_law()
 
 
 def law_with_constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
-    """A law whose parameters are Constants, so that forms are compiled once for all their values.
+    """Return a law whose parameters are Constants, so that forms are compiled once for all their values.
 
-    A law with parameters that are functions is given back as it is: `placed` makes what forms need.
+    A law with parameters that are functions is returned unchanged: `checked_term` evaluates them.
     """
     return law if law.fields else law.mapped(lambda value, _: fem.Constant(mesh, np.asarray(value, float)))
 
 
 def law_of_terms(law: BulkLaw, mesh: Mesh) -> BulkLaw:
-    """A law as the terms on S have it: compiled, with its numbers, or with Constants in UFL forms."""
+    """Return a law as terms on S use it: a compiled law with numbers, or in UFL forms a law with Constants."""
     return law.for_points() if law.fields else law if law.traits.compiled else law_with_constants(law, mesh)
 
 
 class InitialTangents:
-    """The law of a layer, or those of its sublayers, under small strains from rest.
+    """Tangents of a layer's law, or of the laws of its sublayers, under small strains from rest.
 
     Args:
         law: law of the layer, with real parameters.
@@ -177,7 +179,7 @@ class InitialTangents:
         ]
 
     def over(self, dt: float) -> list[Array | None]:
-        """Tangents of the sublayers under loads that have lasted dt > 0; None: it is not known, or that at rest."""
+        """Tangents of the sublayers under loads that have lasted dt > 0; None if unknown, or the tangent at rest."""
         if dt not in self._over:
             laws = [law for _, law, _ in self.sublayers]
             self._over[dt] = [tangent_over(law, self.n, dt) if law.traits.compiled else None for law in laws]
@@ -190,7 +192,7 @@ class InitialTangents:
                 require_stable(law, C, self.n)
 
     def locks(self) -> Violation | None:
-        """Why the law of order 1 locks, as displacements are linear through the layer; None: it does not."""
+        """Return why the law of order 1 locks, as displacements are linear through the layer; None if it does not."""
         largest = min(station.largest_ratio for station in self.law.stations())
         for _, law, C in self.sublayers:
             lmbda, mu = (0.0, 1.0) if C is None else average_lame(C)
@@ -208,9 +210,9 @@ class SeamLayer:
     """A layer, or a law of jumps or of nodes, on a seam.
 
     Attributes:
-        name: of the seam.
-        layer: as given.
-        structure: the data of the bodies, a `Structure`, which imports this module.
+        name: name of the seam.
+        layer: the layer as the user wrote it.
+        structure: the data of the bodies, a `Structure`; its module imports this one.
     """
 
     def __init__(self, name: str, layer: Layer, structure: Any) -> None:
@@ -221,7 +223,7 @@ class SeamLayer:
 
     @property
     def key(self) -> str:
-        """Key of what the law remembers and stores; it has the seam's name if the joint has several seams.
+        """Key of the law's memory and stored energy; it contains the seam's name if the joint has several seams.
 
         Several terms of one layer have the keys "layer NAME/1", "layer NAME/2", ...; names of seams have no slash.
         """
@@ -234,12 +236,12 @@ class SeamLayer:
         return PRESSURE_KIND + self.key.removeprefix(LAYER_KIND)
 
     def owns_key(self, key: str) -> bool:
-        """Whether a key of a layer is that of one of its terms, or of its pressure."""
+        """Whether a key belongs to a term of this layer, or to its pressure."""
         return len(self.structure.joint.seams) == 1 or key.split("/")[0] in (self.key, self.pressure_key)
 
     @property
     def has_pressure_flow(self) -> bool:
-        """Whether the interface law is that of order 1 of a law with a pressure, which flows along S."""
+        """Whether the interface law is of order 1 and has a pressure, which causes a flow along S."""
         return self.thin_layer is not None and self.thin_layer.order == 1 and self.thin_layer.law.traits.constrained
 
     @property
@@ -249,12 +251,12 @@ class SeamLayer:
 
     @property
     def contact(self) -> ContactLaw | None:
-        """The law, if it is one of contact."""
+        """The law if it is a contact law; else None."""
         return self.layer if isinstance(self.layer, ContactLaw) else None
 
     @property
     def law(self) -> Law:
-        """The law, as given."""
+        """The law as the user wrote it."""
         return self.layer if isinstance(self.layer, SurfaceLaw) else self.layer.law
 
     @property
@@ -274,7 +276,7 @@ class SeamLayer:
 
     @property
     def samples(self) -> list[SeamLayer]:
-        """The layer itself; where parameters are functions, with numbers where one is smallest or largest along S."""
+        """The layer itself; if parameters are functions, with their numbers where one is least or largest along S."""
         return self._samples if self.thin_layer and self.thin_layer.law.fields else [self]
 
     @cached_property
@@ -285,11 +287,11 @@ class SeamLayer:
 
     @cached_property
     def initial_tangents(self) -> InitialTangents:
-        """The law at rest, of a layer without contact; its parameters are numbers (`samples`)."""
+        """Tangents at rest of a layer without a contact law, whose parameters must be numbers, see `samples`."""
         return InitialTangents(law_with_numbers(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
     def prescribed_strain(self, at: Coordinates) -> Expr | None:
-        """The strain (3, 3) that is added to that of the displacements: less the eigenstrain; None: there is none."""
+        """Return the strain (3, 3) to add to that of the displacements: minus the eigenstrain; None without one."""
         if self.thin_layer is None:
             return None
         kinematics = self.structure.kinematics
@@ -306,7 +308,7 @@ class SeamLayer:
 
     @property
     def shape(self) -> tuple[Any, ...]:
-        """Thickness, profile and fractions of sublayers, which the mesh of the layer depends on; (): a law on S."""
+        """Thickness, profile and fractions of sublayers, on which the layer's mesh depends; () for a law on S."""
         return (self.thin_layer.eps, self.profile, self.thin_layer.fractions) if self.thin_layer else ()
 
     def identity(self) -> dict[str, Any]:
@@ -321,10 +323,10 @@ class SeamLayer:
 
 
 def loads_of_layers(force: Any, joint: Joint, layers: Mapping[str, SeamLayer], bonds: Sequence[str]) -> dict[str, Load]:
-    """Name of a seam -> force per volume of its layer, among the body forces as given; a bond leaves it out.
+    """Map names of seams to forces per volume of their layers, from the user's body forces; bonds are left out.
 
     Raises:
-        InputError: a load of a seam without a layer that has a thickness.
+        InputError: a load on a seam whose layer has no thickness, or that has no layer.
     """
     named = force if isinstance(force, Mapping) else {}
     loads = [(seam, named[name]) for name in named for seam in joint.seams if name in (S, seam) and seam not in bonds]
@@ -335,9 +337,9 @@ def loads_of_layers(force: Any, joint: Joint, layers: Mapping[str, SeamLayer], b
 
 
 def seam_entities(domain: Domain, name: str) -> Indices:
-    """(upper cell, local facet, lower cell, local facet) of this rank's facets of a seam between bodies, (n, 4).
+    """Rows (n, 4) of owned facets of a seam between bodies: upper cell, local facet, lower cell, local facet.
 
-    They are in the order of the local facets. Collective.
+    Rows are in the order of the local facets. Collective.
     """
     joint, mesh = domain.joint, domain.mesh
     create_connectivity(mesh, joint.dim - 1)
@@ -353,7 +355,7 @@ def seam_entities(domain: Domain, name: str) -> Indices:
 def nodes_of_sides(model: Any, V: fem.FunctionSpace, name: str) -> tuple[IntArray, IntArray]:
     """Local nodes (n, k) of a space at this rank's facets of a seam, on the upper and on the lower side. Collective.
 
-    On a rigid base there are none below. In a space of degree 1 the nodes of a facet face each other, column by column.
+    On a rigid base the lower array is empty. In a space of degree 1 nodes in the same column face each other.
     """
     domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
     based, layout = name in model.joint.base_seams, V.dofmap.dof_layout

@@ -1,4 +1,4 @@
-"""Spaces of functions that jump or repeat, and functions on a model's mesh: by cells of the joint, or from other meshes."""
+"""Spaces with jumps or periodicity, and functions on a model's mesh from cells of the joint or from other meshes."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from thinlayer.system.compat import interpolation_points, space_with_dofmap
 from thinlayer.system.ranks import ask, communicator
 
 EntityKeys = Sequence[IntArray | Indices]
-INWARD_SHARE = 1e-6  # way of a place towards the middle of its cell, so that it is on one side of S, over the distance
+INWARD_SHARE = 1e-6  # shift of a place towards the middle of its cell, to one side of S, over its distance from there
 
 
 def cellwise_function(domain: Domain, element: tuple[Any, ...], values: Array) -> fem.Function:
-    """A function given by its degrees of freedom on each cell of the joint, (n_cells, dofs per cell, components)."""
+    """Make a function from its dofs on each cell of the joint, (n_cells, dofs per cell, components)."""
     f = fem.Function(fem.functionspace(domain.mesh, element))
     dofs = f.function_space.dofmap.list
     f.x.array.reshape(-1, values.shape[2])[dofs.ravel()] = domain.on_cells(values).reshape(-1, values.shape[2])
@@ -38,13 +38,13 @@ def cellwise_function(domain: Domain, element: tuple[Any, ...], values: Array) -
 
 
 def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.Function:
-    """The thickness profile on a seam, or on S, of degree 1 between vertices; its values elsewhere have no meaning."""
+    """Thickness profile on a seam, or on S, as a function of degree 1; its values elsewhere have no meaning."""
     joint = domain.joint
     return cellwise_function(domain, ("Lagrange", 1), joint.relative_thickness(profile, name)[joint.corners][..., None])
 
 
 def director(domain: Domain) -> Expr:
-    """Unit normal of S in the cells of the meshed layer, (d,), from the lower to the upper body; zero in bodies."""
+    """Unit normal (d,) of S in the cells of the meshed layer, from the lower to the upper body; undefined in bodies."""
     joint: Any = domain.joint
     values = np.zeros((*joint.corners.shape, joint.dim))
     values[-len(joint.band.director) :] = joint.band.director
@@ -61,13 +61,13 @@ def inflation_shift(domain: Domain) -> fem.Function:
 
 
 class MidSurface:
-    """S midway between bodies that stand apart.
+    """S as the mid-surface between the faces of extended bodies.
 
     Args:
         domain: the mesh.
 
     Attributes:
-        offset: (d,) how far S is from the places of its facets, on either side.
+        offset: (d,) vector to S from the facets of the mesh on either side.
     """
 
     def __init__(self, domain: Domain) -> None:
@@ -75,7 +75,7 @@ class MidSurface:
         self.offset = cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
 
     def thickness(self, sides: Interface) -> Expr:
-        """Distance of the bodies along n; S is half of it away from either."""
+        """Distance of the bodies along n, with S in the middle."""
         return -2 * ufl.dot(sides.upper(self.offset), sides.n)
 
     def slope(self, sides: Interface) -> Expr:
@@ -85,12 +85,12 @@ class MidSurface:
 
 
 def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
-    """A function on another mesh as one on this mesh, with the other's values at places x (d,) of UFL. Collective.
+    """Interpolate on this mesh a function on another mesh, from its values at UFL places x (d,). Collective.
 
-    It is right to 1e-6 of its changes in a cell.
+    Values are accurate to 1e-6 of the function's change in a cell.
 
     Raises:
-        InputError: it is not known at a place; `what` are the first words.
+        InputError: a place lies outside the other mesh; the message begins with `what`.
     """
     degree = min(2, f.function_space.element.basix_element.degree)
     interpolant = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
@@ -106,7 +106,7 @@ def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Fun
 
 
 def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
-    """(cells, n, d) what places x (d,) of UFL are at the points of a space in the cells of this rank."""
+    """Values (cells, n, d) of UFL places x (d,) at the interpolation points of a space in the cells of this rank."""
     mesh, d = V.mesh, V.mesh.geometry.dim
     cells = np.arange(len(V.dofmap.list), dtype=np.int32)
     points = fem.Expression(x + fem.Constant(mesh, np.zeros(d)), interpolation_points(V))
@@ -114,9 +114,9 @@ def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
 
 
 def _values(f: fem.Function, x: Array) -> Array:
-    """Values (n, m) of a function of m components at places (n, d) of this rank, on any rank; NaN outside its mesh.
+    """Values (n, m) of a function of m components at places (n, d), from all ranks of its mesh; NaN outside it.
 
-    Every rank gets the places and values of all ranks: its memory grows with all cells.
+    Every rank gets the places and values of all ranks, so its memory grows with the total number of cells.
     """
     mesh = f.function_space.mesh
     comm = communicator(mesh)
@@ -134,13 +134,13 @@ def _values(f: fem.Function, x: Array) -> Array:
 
 @dataclass(frozen=True)
 class SharedDofs:
-    """Which degrees of freedom of the local cells, ghosts included, are the same: those with the same key.
+    """Identification of dofs of the local cells, ghosts included: dofs with the same key are one dof.
 
     Attributes:
-        whole: the ordinary space.
-        keys: (n,) numbers of these degrees of freedom, the same on all ranks, in the order of their places in `whole`.
-        meeting: (n,) rank that is told who uses the key, the same on all ranks.
-        of_cells: (cells, unknowns of a cell) positions in `keys`.
+        whole: the ordinary continuous space.
+        keys: (n,) keys of the dofs, the same on all ranks, in the order of the dofs of `whole`.
+        meeting: (n,) rank that collects which ranks use the key, the same on all ranks.
+        of_cells: (cells, dofs per cell) positions in `keys`.
     """
 
     whole: fem.FunctionSpace
@@ -150,14 +150,14 @@ class SharedDofs:
 
     @classmethod
     def of_components(cls, comm: MPI.Intracomm, mesh: Mesh, element: Any, components: EntityKeys) -> SharedDofs:
-        """Keys by place and component; users of a key meet at the owner of the place. Collective.
+        """Make keys from dofs of the continuous space and components; the dof's owner is the meeting rank. Collective.
 
         Args:
             comm: the domain's communicator.
             mesh: the mesh, with ghost cells across shared facets.
             element: a basix.ufl element.
-            components: for each dimension below the mesh's, (local cells, entities of a cell) number >= 0 of the component
-                of each local cell, ghosts included, around its entities; the same on all ranks.
+            components: for each dimension below that of the mesh, (local cells, entities of a cell), ghosts included:
+                number >= 0 of the cell's component around each of its entities, the same on all ranks.
         """
         whole = fem.functionspace(mesh, element)
         base_map, component = whole.dofmap.index_map, _of_unknowns(whole, components, 0)
@@ -173,11 +173,11 @@ class SharedDofs:
 
     @classmethod
     def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Any, keys: EntityKeys) -> SharedDofs:
-        """Keys of the entities of each local cell, for elements with one unknown per entity at most. Collective.
+        """Make keys from numbers of entities of local cells, for elements with at most one dof per entity. Collective.
 
         Args:
             comm, mesh, element: as in `of_components`.
-            keys: for each dimension, (local cells, entities of a cell) numbers >= 0, other ones in each dimension.
+            keys: for each dimension, (local cells, entities of a cell) numbers >= 0, different in each dimension.
         """
         whole = fem.functionspace(mesh, element)
         distinct, positions = np.unique(_of_unknowns(whole, keys, -1), return_inverse=True)
@@ -190,7 +190,7 @@ class SharedDofs:
 
 
 def _of_unknowns(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: int) -> IntArray:
-    """(cells, unknowns of a cell) values of the entities that the unknowns of each local cell belong to."""
+    """Values (cells, dofs per cell) of the entities to which the dofs of each local cell belong."""
     out = np.full(np.shape(whole.dofmap.list), otherwise, np.int64)
     for dim, values in enumerate(of_entities):
         for entity in range(values.shape[1]):
@@ -199,7 +199,7 @@ def _of_unknowns(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: i
 
 
 def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace:
-    """Space of functions whose degrees of freedom are one for each key. Collective."""
+    """Make a function space with one dof for each key. Collective."""
     rank, whole, keys, meeting = comm.rank, unknowns.whole, unknowns.keys, unknowns.meeting
     n_cells = whole.mesh.topology.index_map(whole.mesh.topology.dim).size_local
     used = np.zeros(len(keys), np.int64)
@@ -221,9 +221,9 @@ def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace
 
 
 def _elect_owners(questions: IntArray, source: IntArray, rank: int) -> IntArray:
-    """Owner of each key: this rank, where its users meet, if a cell that it sees has it, else the lowest rank that uses it.
+    """Owner of each key that meets here: this rank if a local or ghost cell has it, else the lowest rank that uses it.
 
-    Thus both sides of S belong to one rank at nearly all places, which solvers of contact need.
+    Both sides of S then belong to one rank at nearly all places, as contact solvers need.
     """
     key, used = questions[:, 0], (questions[:, 1] == 1) | (source == rank)
     candidate, votes = key[used], np.where(source[used] == rank, -1, source[used])
@@ -235,7 +235,7 @@ def _elect_owners(questions: IntArray, source: IntArray, rank: int) -> IntArray:
 
 
 def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fem.FunctionSpace:
-    """Vector functions (d,) on a domain. Collective.
+    """Make a space of vector functions (d,) on a domain. Collective.
 
     Args:
         domain: the domain.

@@ -1,4 +1,4 @@
-"""Model: a discretised structure; base of the models with meshed layers, and with interface laws."""
+"""Model: a discretised structure, the base of models with meshed layers and of models with interface laws."""
 
 from __future__ import annotations
 
@@ -72,11 +72,11 @@ from thinlayer.system.ranks import collect, errors_on_all, require_same
 
 @dataclass
 class ModelFamily:
-    """What models have in common, beside mesh and space, that differ in the laws of their layers or in their loads.
+    """Data that models share, like mesh and space, if they differ in the laws of their layers or in their loads.
 
     Attributes:
-        several: whether there are models that were derived from others: nothing is kept for one.
-        kept: matrices for later solves; it goes with the last model. None: nothing, or a solver has it.
+        several: whether models were derived from others; without them no matrices are kept.
+        kept: matrices for later solves, freed with the last model; None if there are none, or a solver has them.
     """
 
     several: bool = False
@@ -89,38 +89,38 @@ class Model(ABC):
     Attributes:
         structure: the structure, shared with other models.
         joint: the joint before inflating.
-        plane, element, body_laws: the structure's.
-        on_seams: name of a seam -> what was given for it: a layer, a `Bond`, a `Gap` or None.
+        plane, element, body_laws: as in the structure.
+        on_seams: name of a seam -> its content: a layer, a `Bond`, a `Gap` or None.
         layers: name of a seam -> its layer, in the joint's order.
         contacts: name of a seam -> its contact law.
-        reductions: name of a seam -> which interface law stands for its layer, and why not.
+        applicability: name of a seam -> whether an interface law can replace its layer, or why not.
         domain: the distributed mesh.
         comm: the domain's communicator.
         V: displacement space; broken across S in the interface model.
-        dx, ds: measures of the mesh with its tags, for your own terms beside the model's: the residual at u is
-            `work(model.terms_at(t), u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal laws.
-            Compile it with `model.form`: by itself DOLFINx 0.9 loses integrals over overlapping tags whose quadratures
-            differ, as of a body and of its weight on quadrilaterals.
+        dx, ds: measures of the mesh with its tags, for user-defined terms. With such a term the residual at u is
+            `work(model.terms_at(t), u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal
+            laws. Compile it with `model.form`: DOLFINx 0.9 itself loses integrals over overlapping tags whose
+            quadratures differ, as for a body and its weight on quadrilaterals.
             Regions and facets: `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`.
-            Plain `ufl.dx` beside them is taken by `model.form` alone, not by `dolfinx.fem.form`.
-        bodies, layer_terms: terms of the laws of the bodies and of the layer, with given strains that may depend on the
-            time; `State.bodies` and `State.layers` are those at the time of a state.
-        body_strains, layer_strains: name of a body, and of a seam -> the strain (3, 3) that is added there to that of the
-            displacements, minus the eigenstrain; None: there is none.
+            Only `model.form` accepts plain `ufl.dx` in the same form, `dolfinx.fem.form` does not.
+        bodies, layer_terms: terms of the laws of the bodies and of the layers, with prescribed strains that may depend
+            on the time; `State.bodies` and `State.layers` are these terms at the time of a state.
+        body_strains, layer_strains: name of a body, or of a seam -> the strain (3, 3) that is added there to that of
+            the displacements, minus the eigenstrain; None: there is none.
         supports: prescribed displacements.
-        prescribed: the same as conditions at the nodes of V.
-        forces: tractions and body forces.
-        strain, stress: prescribed mean strain and mean stress of a periodic cell; None: it is not.
-        parts: additions to the balance of forces beside bodies, layer and loads.
-        origin: numbers, places and columns in the joint, for compiled laws.
+        constraints: the supports as conditions at the nodes of V, and the multi-point constraints.
+        forces: tractions, body forces, and loads at points and along lines.
+        strain, stress: prescribed mean strain and mean stress of a periodic cell; None: not prescribed.
+        parts: definitions of further parts of the balance of forces.
+        origin: relation of the mesh to the joint, for compiled laws: numbers, places and columns.
         kinematics: strains of displacements on the mesh, and the factor of all measures.
-        coordinates: place and time as arguments of what is given, and the clock.
-        centre: (d,) mean place of the mesh's points; of bodies of revolution on the axis.
+        coordinates: place and time as arguments of users' functions, and the clock.
+        centre: (d,) mean of the mesh's points; for bodies of revolution its place on the axis.
         broken: whether displacements jump across S.
-        mark: hash of the data, equal on all ranks.
-        said: keys of the warnings that were issued, each with what it is of, such as a seam.
-        family: what the model has in common with those that were made from it by `with_layer` and `with_loads`.
-        made_from: description, as JSON, of the data at the time the model was built.
+        data_hash: hash of the data, equal on all ranks.
+        issued_warnings: keys of the warnings issued so far, each with its subject, such as a seam.
+        family: data shared with the models made from this one by `with_layer` and `with_loads`.
+        description: description, as JSON, of the data at the time the model was built.
     """
 
     name: ClassVar[str]
@@ -165,13 +165,13 @@ class Model(ABC):
         self.description = self._data()
 
     def warn(self, key: str, message: str, *of: Hashable) -> None:
-        """Issue a RangeWarning, once for what it is of, such as a seam and a time. Collective."""
+        """Issue a RangeWarning, once for each subject `of`, such as a seam and a time. Collective."""
         if (key, *of) not in self.issued_warnings:
             warn(key, message, self.comm)
             self.issued_warnings.add((key, *of))
 
     def require_supported(self) -> None:
-        """Raise InputError if the bodies can move as one."""
+        """Raise InputError if the structure can move as a rigid body; first anchor translations of periodic joints."""
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
             resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
             names = [*scaled_motions(self.domain.joint, self.kinematics)]
@@ -181,7 +181,7 @@ class Model(ABC):
             require_support(names, resistance_matrices(self, resistances))
 
     def _lay(self, layer: Layers, check: Callable[[], Any]) -> Any:
-        """Take the layers of the seams and return the result of a check of them. Collective."""
+        """Set the layers of the seams and return the result of a check of them. Collective."""
         structure = self.structure
         with errors_on_all(structure.comm):
             self.on_seams: dict[str, SeamContent] = value_by_seam(self.joint, layer, "layer")
@@ -198,24 +198,24 @@ class Model(ABC):
         return checked
 
     def _given(self, name: str) -> Expr | None:
-        """The strain that is added to that of the displacements in a body: less its eigenstrain; None: there is none."""
+        """Return the strain to add to that of the displacements in a body: minus its eigenstrain; None without one."""
         law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
         body = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
         return prescribed_strain(self.structure.eigenstrains.get(name), body)
 
     def _layer_strain(self, layer: SeamLayer) -> Expr | None:
-        """The strain that is added to that of the displacements in a layer."""
+        """Return the strain to add to that of the displacements in a layer; None without an eigenstrain."""
         return layer.prescribed_strain(self.coordinates)
 
     def _body_groups(self) -> list[list[str]]:
-        """Names of the bodies, those of one law and one eigenstrain together."""
+        """Names of the bodies, grouped by law and eigenstrain."""
         groups: dict[tuple[int, int], list[str]] = {}
         for name, law in self.body_laws.items():
             groups.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
         return [*groups.values()]
 
     def _body_terms(self, names: Sequence[str]) -> list[forms.Term]:
-        """Terms of bodies with one law and one eigenstrain: one if they are parts of forms, else one a body, with a key."""
+        """Terms of bodies with one law and one eigenstrain: one term in UFL forms, one per body for compiled laws."""
         law, strain = self.kinematics.law(self.body_laws[names[0]]), self.body_strains[names[0]]
         if not law.traits.compiled:
             law, some = law_with_constants(law, self.domain.mesh), {"": names}
@@ -246,20 +246,20 @@ class Model(ABC):
         return forces
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
-        """Coordinates of the places of layers."""
+        """Coordinates at the places of the layers."""
         return at
 
     @abstractmethod
     def _place_of(self, layer: SeamLayer) -> LoadRegion:
-        """Where a layer's volume is."""
+        """Region of a layer's volume, for its loads."""
 
     @property
     def _clamped(self) -> tuple[str, ...]:
-        """Names of the facets that a rigid base holds."""
+        """Names of the facets that are fixed to a rigid base."""
         return ()
 
     def require(self, question: str, what: str = "") -> None:
-        """Raise InputError, after some words, if a layer fails a condition of a question (`Applicability.why_not`)."""
+        """Raise InputError, with the prefix `what`, if a layer violates a condition of a question (`Applicability`)."""
         for reduction in self.applicability.values():
             reduction.require(question, what)
 
@@ -270,7 +270,7 @@ class Model(ABC):
 
     @property
     def gaps(self) -> dict[str, Gap]:
-        """Name of a seam -> its gap, of those that have some width."""
+        """Name of a seam -> its `Gap`; open seams without a width are left out."""
         return {name: content for name, content in self.on_seams.items() if isinstance(content, Gap)}
 
     @abstractmethod
@@ -279,29 +279,29 @@ class Model(ABC):
 
     @abstractmethod
     def _layer_terms(self) -> list[forms.Term]:
-        """The terms of the layer's law."""
+        """Return the terms of the layers' laws."""
 
     # ---------------------------------------------------------------- other models of the family
     def with_layer(self, layer: Layers) -> Self:
-        """The same model with other layers; it shares mesh, space, supports, loads and the bodies' matrix. Collective.
+        """Return this model with other layers, sharing mesh, space, supports, loads and bodies' matrix. Collective.
 
         Args:
-            layer: as in `Structure.full` or `Structure.interface`, with bonds on the same seams; of a full model layers
-                and gaps of the same thickness, profile and fractions, which are those of the mesh.
+            layer: as in `Structure.full` or `Structure.interface`, with bonds on the same seams. In a full model layers
+                and gaps must have the thickness, profile and fractions of the mesh.
 
         Raises:
-            InputError: as there; another shape of a meshed layer.
+            InputError: as in these methods; a meshed layer of another shape.
         """
         new = self._shared_copy()
         new.issued_warnings = set()
         return new._copy_with_layers(self, layer)
 
     def improved(self, layers: Mapping[str, ThinLayer]) -> Self:
-        """This model with better laws of some layers, as by `with_layer`: what was said of it is not said again."""
+        """Return this model with better laws of some layers, as `with_layer` does; issued warnings are not repeated."""
         return self._shared_copy()._copy_with_layers(self, {**self.on_seams, **layers})
 
     def _copy_with_layers(self, other: Self, layer: Layers) -> Self:
-        """This copy of another model, with its layers. Collective."""
+        """Set the layers of this copy of another model, and return it. Collective."""
         self._lay(layer, partial(self._check_compatible, other))
         with errors_on_all(self.comm):
             self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
@@ -312,18 +312,18 @@ class Model(ABC):
                 self.require("mean strain")
             if self.stress and not self.broken:
                 raise InputError("with_layer: under a mean stress a meshed layer is a part of the cell; build a model")
-        if self.constraints.mpcs:  # the thickness is an arm of plates
+        if self.constraints.mpcs:  # the thickness is a lever arm of plates
             self.constraints = self._constrained()
         self.description = self._data()
         return self
 
     @abstractmethod
     def _check_compatible(self, other: Self) -> None:
-        """Raise an error unless the layers suit the mesh of another model."""
+        """Raise InputError unless the layers suit the mesh of another model."""
 
     def _require_shapes(self, other: Self) -> None:
-        """Raise InputError unless layers and gaps need the room that bodies have made for those of another model."""
-        count = 2 if self.broken else 3  # sublayers have cells in meshed layers alone
+        """Raise InputError unless layers and gaps have the shapes for which another model's bodies have made room."""
+        count = 2 if self.broken else 3  # sublayers have cells in meshed layers only
         needed, made = (
             {name: ("a gap", gap.eps) for name, gap in model.gaps.items()}
             | {name: layer.shape[:count] for name, layer in model.layers.items()}
@@ -341,11 +341,11 @@ class Model(ABC):
         loads: Sequence[ConcentratedLoad] | None = None,
         supports: ByPlace | None = None,
     ) -> Self:
-        """The same model under other loads; it shares mesh, space, matrices and their factor. Collective.
+        """Return this model under other loads; it shares mesh, space, matrices and their factorisation. Collective.
 
         Args:
-            tractions, body_force, loads: as in `Structure`; None: those of this model stay.
-            supports: other values at the same places and components; None: those of this model stay.
+            tractions, body_force, loads: as in `Structure`; None: unchanged.
+            supports: other values at the same places and components; None: unchanged.
 
         Raises:
             InputError: as in `Structure`; supports of other places or components.
@@ -377,7 +377,7 @@ class Model(ABC):
         return Constraints(Prescribed(self.supports, self.V), ties)
 
     def _shared_copy(self) -> Self:
-        """A copy that shares all that this model has."""
+        """Return a copy that shares all data except cached properties that depend on the layers."""
         new = copy.copy(self)
         for name in ("linear", "symmetric", "quadratures", "surfaces"):
             vars(new).pop(name, None)
@@ -386,11 +386,11 @@ class Model(ABC):
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences for the log: what was chosen that the user left open."""
+        """Sentences for the log on choices that the user left open."""
         return []
 
     def shifts(self) -> FloatArray | None:
-        """(n_cells, d) how far layers that have no cells part the bodies, by cell of the joint; None: not, or not known."""
+        """Shifts (n_cells, d) of the joint's cells by layers that have no cells; None if zero or unknown."""
         return None
 
     # ---------------------------------------------------------------- spaces
@@ -401,7 +401,7 @@ class Model(ABC):
 
     @cached_property
     def places(self) -> FloatArray:
-        """(n, d) x as a function of `V`: at each node of this rank, those of ghosts last. Collective."""
+        """Coordinates (n, d) interpolated in `V`, at each node of this rank, ghosts last. Collective."""
         f, d = fem.Function(self.V), self.joint.dim
         interpolate(f, lambda x: x[:d])
         f.x.scatter_forward()
@@ -426,16 +426,17 @@ class Model(ABC):
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
     def volume_degree(self, law: BulkLaw) -> int | None:
-        """Degree of the volume strain in each cell of a body that flows without a change of volume (`Term.volume`).
+        """Degree to which the volume strain is projected in each cell of a body with isochoric flow (`Term.volume`).
 
-        It is one below that of the displacements, as on straight triangles and tetrahedra in any case. Other elements have
-        more volume strains than that, which the flow would have to keep at zero: they lock (Sloan and Randolph 1982).
+        It is one below the degree of the displacements. Straight triangles and tetrahedra have this degree anyway, and
+        need no projection (None). Other elements have more modes of volume strain, which the flow would have to keep at
+        zero: they lock (Sloan and Randolph 1982).
         """
         straight = not (is_tensor(self.joint.cell_type) or self.kinematics.degree)
         return self.structure.degree - 1 if law.traits.isochoric and not straight else None
 
     def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
-        """The terms with the mean strain of a periodic cell."""
+        """Return the terms with the prescribed mean strain of a periodic cell added."""
         return forms.with_added_strain(terms, self.strain.expression) if self.strain else terms
 
     @property
@@ -445,7 +446,7 @@ class Model(ABC):
 
     @cached_property
     def volume(self) -> float:
-        """Volume of bodies and meshed layers; of a periodic cell also what layers on S have taken of it. Collective."""
+        """Volume of bodies and meshed layers; in a periodic cell it includes that of layers on S. Collective."""
         if self.joint.periods is not None and self.domain.joint.parted is not None:
             return volume_of(self.joint, np.ones(len(self.joint.cells), bool))
         size = sum(fem.Constant(self.domain.mesh, 1.0) * p.weight * p.measure for p in self.solids)
@@ -457,7 +458,7 @@ class Model(ABC):
         return self.bodies + self.layer_terms
 
     def terms_at(self, t: float) -> list[forms.Term]:
-        """All terms of the model, with the strains that are given at a time, such as minus the eigenstrain."""
+        """All terms of the model, with prescribed strains, such as minus the eigenstrain, at a fixed time."""
         return TimeLevel(t).terms(self.terms)
 
     @cached_property
@@ -471,46 +472,46 @@ class Model(ABC):
         return next(iter(self.contacts.values()), None)
 
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Sums of values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
+        """Sum values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
         return {
             name: sum(value for key, value in values.items() if layer.owns_key(key)) for name, layer in several.items()
         }
 
     def bc_dofs_in(self, V: fem.FunctionSpace) -> Indices:
-        """Degrees of freedom of a space (local, unrolled, ghosts included) on which supports and plates act. Collective.
+        """Degrees of freedom of a space (local, unrolled, with ghosts) on which supports and plates act. Collective.
 
-        Without those that a rigid base holds.
+        Dofs that are only fixed to a rigid base are left out.
         """
         part_dofs = [part.bc_dofs_in(self, V) for part in self.parts]
         return np.unique(np.concatenate([self.supports.bc_dofs_in(V, clamped=False), *part_dofs]))
 
     def holder_rows(self, place: Place) -> list[int]:
-        """Numbers of the rows of `holders` that are a place, or parts of it."""
+        """Positions in `holders` of a place and of its parts."""
         return [k for k, name in enumerate(self.holders) if is_part(name, place)]
 
     @property
     def holders(self) -> list[Place]:
-        """What holds it, as rows of `Configuration.reactions`: supports, clamped facets, plates, bases below layers."""
+        """Places of the rows of `Configuration.reactions`: supports, clamped facets, plates, bases below layers."""
         based = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
         plates = [part.place for part in self.parts if part.ties_nodes]
         return [*(place for place, _ in self.supports.entries), *plates, *based]
 
     def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
-        """`value_by_seam`, and under "bodies" the sum of the values of bodies, by their keys, if they remember."""
+        """Sum values as `by_seam` does, and under "bodies" those of bodies if their laws have memory or rate."""
         of_bodies = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
         remember = any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
         return self.by_seam(values) | ({BODIES: of_bodies} if remember else {})
 
     @cached_property
     def linear(self) -> bool:
-        """Whether all laws and all additions are linear."""
+        """Whether all laws and all `parts` are linear."""
         of_laws = not self.contact and all(p.law.traits.linear for p in self.terms)
         return of_laws and all(part.is_linear(self) for part in self.parts)
 
     @cached_property
     def symmetric(self) -> bool:
-        """Whether all laws and all additions have symmetric tangents."""
+        """Whether all laws and all `parts` have symmetric tangents."""
         laws = [p.law for p in self.terms] + list(self.contacts.values())
         return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
 
@@ -532,15 +533,15 @@ class Model(ABC):
 
     @staticmethod
     def form(form: Expr) -> fem.Form:
-        """Compile a form, in which plain dx, ds and dS may stand beside the model's measures, and tags overlap."""
+        """Compile a form that may mix plain dx, ds and dS with the model's measures, and whose tags may overlap."""
         return compiled(form)
 
     def added_work(self, u: Expr, v: Expr) -> Expr:
-        """Virtual work of the additions to the model at displacements u, a UFL form linear in v."""
+        """Virtual work of `parts` at displacements u, a UFL form linear in v."""
         return sum((part.work(self, u, v) for part in self.parts), ufl.Form([]))
 
     def added_work_in(self, state: Any, v: Expr) -> Expr:
-        """Virtual work of the additions to the model in a state, a UFL form linear in v."""
+        """Virtual work of `parts` in a state, a UFL form linear in v."""
         return sum((part.work_in(self, state, v) for part in self.parts), ufl.Form([]))
 
     # ---------------------------------------------------------------- identity
@@ -565,7 +566,7 @@ class Model(ABC):
 
     @property
     def unknowns(self) -> int:
-        """The number of displacements, those at supports included."""
+        """Number of displacement dofs, those at supports included."""
         return int(self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs)
 
     def __repr__(self) -> str:

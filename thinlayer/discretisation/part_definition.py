@@ -1,4 +1,4 @@
-"""Additions to a model beside bodies, layer, supports and loads: springs, or your own UFL form."""
+"""Definitions of further parts of a model besides bodies, layers, supports and loads: springs, users' UFL forms."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from thinlayer.system.ranks import destroy
 RESERVED_KEYS = ("forms", LAYER_KIND, "pressure", CONTACT_KIND, BODIES, "loads")  # keys that every model may have
 
 
-HostModel = Any  # a `Model`, which imports this module
+HostModel = Any  # a `Model`; its module imports this one
 
 
 class PartDefinition:
-    """A description of a part of the balance of forces, given to a model as one of `parts`: a frozen dataclass.
+    """Definition of a part of the balance of forces, for the `parts` of a structure: a frozen dataclass.
 
-    Its fields and code are a part of the model's identity.
+    Its fields and code belong to the model's identity.
 
     Attributes:
-        key: name of the part's memory and energy in states and in files; each addition of a model needs its own.
-        place: name of the facet set, of a part that ties nodes.
-        components: displacements that it ties there, such as "y"; None: all.
+        key: name of the part's memory and energy in states and in files, unique among the parts of a model.
+        place: name of the facet set with the slaves, for a part with a multi-point constraint.
+        components: components of the slave displacements there, such as "y"; None: all.
     """
 
     key: str
@@ -49,18 +49,18 @@ class PartDefinition:
 
     @property
     def ties_nodes(self) -> bool:
-        """Whether displacements follow motions of the part: it has a method `multi_point_constraint`."""
+        """Whether displacements follow motions of the part: it defines a method `multi_point_constraint`."""
         return type(self).multi_point_constraint is not PartDefinition.multi_point_constraint
 
     @property
     def has_work(self) -> bool:
-        """Whether `work` gives its forces, at displacements alone, or it has none and ties nodes."""
+        """Whether the part defines `work`, its forces from displacements alone, or has a multi-point constraint."""
         return self.ties_nodes or type(self).work is not PartDefinition.work
 
     def check(self, model: HostModel) -> None:
-        """Raise InputError unless the description fits the model; by default it does. Collective.
+        """Raise InputError unless the definition fits the model; by default it does. Collective.
 
-        What varies in time is given to `model.coordinates` here: marches have steps that end at its break times.
+        Pass values that vary in time to `model.coordinates` here, so that steps of marches end at their break times.
         """
 
     def is_linear(self, model: HostModel) -> bool:
@@ -76,10 +76,10 @@ class PartDefinition:
         return ufl.Form([])
 
     def work_in(self, model: HostModel, state: Any, v: Expr) -> Expr:
-        """Virtual work of the part's forces in a state, with which tractions on S are found; by default that of `work`.
+        """Virtual work of the part's forces in a state, for computing tractions on S; by default as in `work`.
 
         Raises:
-            InputError: the part has neither method, so that its forces would be missing in tractions.
+            InputError: the part defines neither method, so that its forces would be missing in tractions.
         """
         if not self.has_work:
             remedy = "write work_in(model, state, v), a UFL form, ufl.Form([]) if it has no forces"
@@ -89,8 +89,8 @@ class PartDefinition:
     def resistance(self, model: HostModel, motions: Sequence[fem.Function]) -> Array:
         """Stiffness (m, m) of the part against m rigid motions of the structure. Collective.
 
-        Entry (i, j) is the work that the part's forces do on motion j if motion i has taken place. Supports and parts
-        together must resist every rigid motion.
+        Entry (i, j) is the work in motion j of the part's forces under motion i. Supports and parts together must
+        resist every rigid motion.
         """
         rest, stiffness = fem.Function(model.V), np.zeros((len(motions), len(motions)))
         form = self.work(model, rest, ufl.TestFunction(model.V))
@@ -106,16 +106,16 @@ class PartDefinition:
         return stiffness
 
     def reaction(self, model: HostModel, u: fem.Function) -> list[tuple[Place, Array]]:
-        """Places that the part holds, each with its force and moment (k,) about `model.centre` at displacements u.
+        """Return places that the part supports, with force and moment (k,) about `model.centre` at displacements u.
 
-        Collective. By default none: forces of a part of your own are no reactions.
+        Collective. By default there are none: forces of user-defined parts are no reactions.
         """
         return []
 
     def bc_dofs_in(self, model: HostModel, V: fem.FunctionSpace) -> Indices:
         """Degrees of freedom of a space (local, unrolled, ghosts included) on which the part acts as supports do.
 
-        Collective. By default those of the components that it ties.
+        Collective. By default the dofs of its slaves.
         """
         if not self.ties_nodes:
             return np.empty(0, np.int32)
@@ -125,13 +125,13 @@ class PartDefinition:
         return np.unique(blocks[:, None] * d + np.array(axes, int)).astype(np.int32)
 
     def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
-        """Displacements that follow motions of the part. Collective."""
+        """Return the multi-point constraint of displacements that follow motions of the part. Collective."""
         raise NotImplementedError
 
     def load_work(self, model: HostModel, state: Any) -> float:
-        """Work of given forces of the part, as of loads, in the displacements of a configuration. Collective.
+        """Work of prescribed forces of the part, as of loads, in the displacements of a configuration. Collective.
 
-        By default that of the resultants of what it ties.
+        By default the work of the resultants of its multi-point constraint.
         """
         work, constraints = 0.0, model.constraints
         for tie in constraints.mpcs:
@@ -140,18 +140,22 @@ class PartDefinition:
         return work
 
     def part(self, model: HostModel) -> Any:
-        """The part, a `thinlayer.parts.part.Part` with this key; None: it has no forces. Collective."""
+        """Return the part, a `thinlayer.parts.part.Part` with this key; None if it has no forces. Collective."""
         return None
 
 
 def check_part_definitions(parts: Sequence[Any], model: HostModel) -> None:
-    """Raise InputError unless a model's parts are additions that fit it, with keys of their own. Collective."""
+    """Raise InputError unless `parts` are part definitions that fit the model and have distinct keys. Collective."""
     of_seams = {f"{kind} {name}" for kind in (LAYER_KIND, CONTACT_KIND, "pressure") for name in model.joint.seams}
     keys = {*RESERVED_KEYS, *of_seams, *(f"{BODY_KIND} {name}" for name in model.joint.bodies)}
     for part in parts:
-        require(isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, or an Addition")
+        require(
+            isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, or a PartDefinition"
+        )
         if not part.ties_nodes and type(part).part is PartDefinition.part:
-            raise InputError(f"the addition {part.key!r} does nothing: it has neither part(model) nor tied(model)")
+            raise InputError(
+                f"the part {part.key!r} does nothing: it has no part(model), no multi_point_constraint(model)"
+            )
         sublayer = re.fullmatch(rf"{LAYER_KIND} \d+", part.key) or part.key.split("/")[0] in {LAYER_KIND, *of_seams}
         if sublayer or part.key in keys:
             raise InputError(f"two parts are called {part.key!r}; give one of them another name")

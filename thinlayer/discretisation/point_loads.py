@@ -1,4 +1,4 @@
-"""Loads at vertices and along edges: in which cells and where they act, and their virtual work as forms."""
+"""Loads at vertices and along edges: cells and places where they act, and their virtual work as forms."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class LoadNodes:
     Attributes:
         cells: (n,) numbers of cells of the joint.
         points: (n, k, d) places in the reference cell.
-        along: (n, k, d) factors of the load as a vector of the reference cell, whose length in space is the weight; None:
-            all weights are 1.
+        along: (n, k, d) vectors in the reference cell, whose length in space is the weight of the load; None: all
+            weights are 1.
     """
 
     cells: IntArray
@@ -41,7 +41,7 @@ class LoadNodes:
     along: Array | None = None
 
     def in_space(self, joint: Joint, cell_points: Array) -> tuple[Array, Array]:
-        """Places (n, k, d), and `along` as vectors in space, zero if there is none; nodes of cells have these places."""
+        """Map places (n, k, d) and `along`, zero if None, to space; `cell_points` are places of the cells' nodes."""
         kind = basix.CellType[joint.cell_type]
         element = basix.create_element(basix.ElementFamily.P, kind, joint.degree, basix.LagrangeVariant.equispaced)
         places, along = np.zeros_like(self.points), np.zeros_like(self.points)
@@ -59,9 +59,9 @@ class PointLoad:
 
     Attributes:
         place: (d,) coordinates of the vertex, before inflating.
-        force: (d,) force, in 2D per unit thickness, constant or a function (x, t). On a body of revolution its sum around
-            the ring that the vertex makes: along the axis the whole force, x all that pulls outwards.
-        body: region whose node it is; needed where S parts bodies, because each has a node there.
+        force: (d,) force, in 2D per unit thickness, constant or a function (x, t). In axisymmetry it is the sum over
+            the ring of the vertex: y is the total force along the axis, x the total of the radial forces.
+        body: region whose node is loaded; needed where S separates bodies, because each has a node there.
     """
 
     place: Sequence[float]
@@ -70,11 +70,11 @@ class PointLoad:
 
     @property
     def what(self) -> str:
-        """Words for errors."""
+        """Label in errors."""
         return f"point load at {self.place!r}"
 
     def nodes(self, joint: Joint) -> LoadNodes:
-        """Where it acts. Raises InputError: no such place, or several nodes are there."""
+        """Return where the load acts; raises InputError if there is no such place, or it has several nodes."""
         vertex = joint.nearest_point(self.place)
         same = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
         cells, corners = np.nonzero(same[joint.corners])
@@ -85,7 +85,7 @@ class PointLoad:
 
 @dataclass(frozen=True)
 class LineLoad:
-    """A force per length along the edges that two facet sets of a solid share.
+    """A force per length along the edges that two facet sets of a three-dimensional joint share.
 
     Attributes:
         first, second: names of facet sets of the outer boundary.
@@ -100,11 +100,11 @@ class LineLoad:
 
     @property
     def what(self) -> str:
-        """Words for errors."""
+        """Label in errors."""
         return f"line load between {self.first!r} and {self.second!r}"
 
     def nodes(self, joint: Joint) -> LoadNodes:
-        """Where it acts. Raises InputError: no such place, or several nodes are there."""
+        """Return where the load acts; raises InputError if there is no such place, or it has several nodes."""
         if joint.dim != 3:
             raise InputError(f"{self.what}: lines are edges of solids; in two dimensions give a PointLoad")
         names = joint.facets
@@ -137,7 +137,7 @@ class LineLoad:
 
 
 def _in_one_body(joint: Joint, cells: IntArray, components: Indices, body: str | None, what: str) -> int:
-    """The first of the cells around a place that are of one body; raises InputError if the place has several nodes."""
+    """Position of the first cell of one body around a place; raises InputError if the place has several nodes."""
     regions = joint.region[cells]
     kept: IntArray = np.arange(len(cells))
     if body is not None:
@@ -158,7 +158,7 @@ ConcentratedLoad = PointLoad | LineLoad
 
 
 def check_loads(loads: Any) -> tuple[ConcentratedLoad, ...]:
-    """Loads as a tuple; raises InputError if one of them is none."""
+    """Return loads as a tuple; raises InputError unless each is a `PointLoad` or a `LineLoad`."""
     require(isinstance(loads, Iterable) and not isinstance(loads, str), "loads", loads, "it must be a list of loads")
     checked = tuple(loads)
     for load in checked:
@@ -167,14 +167,14 @@ def check_loads(loads: Any) -> tuple[ConcentratedLoad, ...]:
 
 
 class ConcentratedForms:
-    """Virtual work of loads at points, a UFL form: sum over cells of int F . v g dX = F . v at the load's place.
+    """Virtual work of loads at points as UFL forms: sum over cells of int F . v g dX = F . v at the load's place.
 
-    g is the element's polynomial on the reference cell for which that holds for all displacements v of the cell.
+    On the reference cell g is the polynomial of the element for which this holds for all displacements v of the cell.
 
     Args:
         domain: the domain.
-        joint: the joint before inflating, whose cells are the first of the domain's.
-        degree: of the displacements.
+        joint: the joint before inflating, whose cells are the first cells of the domain's joint.
+        degree: degree of the displacements.
         at: coordinates and time.
     """
 
@@ -190,16 +190,15 @@ class ConcentratedForms:
         self._jacobian = abs(ufl.JacobianDeterminant(domain.mesh))
 
     def terms(self, load: ConcentratedLoad) -> list[tuple[Expr, ufl.Measure]]:
-        """Pairs of a load per volume (d,) and a measure. Collective."""
+        """Return pairs of a load per volume (d,) and its measure. Collective."""
         nodes, d, joint, terms = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
         lengths = np.ones(nodes.points.shape[:2])
         if nodes.along is not None:
             lengths = np.linalg.norm(nodes.in_space(self.joint, joint.cell_points)[1], axis=2)
         kept = joint.band is not None and joint.band.bodies == "kept"
         x = nodes.in_space(joint, joint.reference[joint.cells] if kept else joint.cell_points)[0]
-        split = self.at.coefficient(
-            load.force, load.what, (d,)
-        ).varies  # nodes in one cell are parted: each has its place
+        # if the load varies each node has its own place, so that nodes in one cell are in different terms
+        split = self.at.coefficient(load.force, load.what, (d,)).varies
         bodies = self._dx(self.domain.cell_values(*self.joint.bodies))
         parts = [(r, slice(j, j + 1)) for r in _disjoint_groups(nodes.cells) for j in range(lengths.shape[1])]
         for some, column in parts if split else [(np.arange(len(nodes.cells)), slice(None))]:
@@ -212,14 +211,14 @@ class ConcentratedForms:
         return terms
 
     def _densities(self, nodes: LoadNodes, weights: Array) -> Array:
-        """(n_cells, m, 1) degrees of freedom of g times weights (n, k), summed over the nodes of each cell."""
+        """Dofs (n_cells, m, 1) of g times weights (n, k), summed over the nodes of each cell."""
         phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
         g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
         return sum_by_number(nodes.cells, np.einsum("nk,nkm->nm", weights, g), len(self.domain.joint.cells))[..., None]
 
 
 def _disjoint_groups(cells: IntArray) -> Iterable[IntArray]:
-    """Rows of nodes in groups in which each cell is at most once."""
+    """Group rows of nodes so that each cell occurs at most once in a group."""
     order = np.argsort(cells, kind="stable")
     turn = np.arange(len(cells)) - np.searchsorted(cells[order], cells[order])
     return [order[turn == k] for k in range(int(turn.max(initial=-1)) + 1)]

@@ -1,4 +1,4 @@
-"""Strains beside those of displacements: the mean strain of a periodic cell, eigenstrains of bodies and layers."""
+"""Strains added to those of displacements: the mean strain of a periodic cell, eigenstrains of bodies and layers."""
 
 from __future__ import annotations
 
@@ -29,14 +29,13 @@ Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Sequence[Sequ
 VOIGT_PAIRS_OF_DIM = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
 Rows = list[list[Any]]  # numbers, or UFL scalars of place and time
 Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Any]
-SYMMETRY_TOLERANCE = 1e-12  # difference of a table from its transpose, at most, over its size
-SINGULARITY_TOLERANCE = (
-    1e-12  # smallest singular value of a stiffness, over its largest, below which no strain causes some stresses
-)
+SYMMETRY_TOLERANCE = 1e-12  # largest difference of a table from its transpose, over its largest entry
+# smallest singular value of a stiffness, over its largest, up to which it is singular: no strain causes some stresses
+SINGULARITY_TOLERANCE = 1e-12
 
 
 class MeanStrain:
-    """A mean strain as a function of time.
+    """A prescribed mean strain as a function of time.
 
     Args:
         value: (d, d) symmetric numbers, or a function (x, t) that returns them and does not depend on x.
@@ -47,7 +46,8 @@ class MeanStrain:
         size: largest extent of the cell along an axis.
 
     Raises:
-        InputError: the joint is not periodic; not (d, d) finite numbers, not symmetric, or depending on the place.
+        InputError: the joint is not periodic; the value is not (d, d) finite numbers, not symmetric, or depends on the
+            place.
     """
 
     what: ClassVar[str] = "the mean strain"
@@ -73,10 +73,10 @@ class MeanStrain:
 
 
 class MeanStress(MeanStrain):
-    """A mean stress as a function of time; the mean strain is then unknown. Arguments and errors as in `MeanStrain`.
+    """A mean stress as a function of time; the mean strain is unknown. Arguments and errors as in `MeanStrain`.
 
     Raises:
-        InputError: sides of the cell are free, or bodies are not linear.
+        InputError: sides of the cell are free, or bodies are not linear or have a stress at rest.
     """
 
     what = "the mean stress"
@@ -96,12 +96,12 @@ class MeanStress(MeanStrain):
         return self._dim * (self._dim + 1) // 2
 
     def components(self, t: float) -> Array:
-        """The stress at a time, (k,) in the order of `voigt_strain`."""
+        """Components (k,) of the stress at a time, in the order of `voigt_strain`."""
         return self.at(t)[tuple(np.array(VOIGT_PAIRS_OF_DIM[self._dim]).T)]
 
 
 def voigt_strain(e: Expr) -> Expr:
-    """The strain (d, d) of a UFL vector in Voigt's order, shears twice."""
+    """Return the strain (d, d) of a UFL vector in Voigt's order, whose shears are twice the tensor's components."""
     d = {3: 2, 6: 3}[e.ufl_shape[0]]
     place = {pair: k for k, pair in enumerate(VOIGT_PAIRS_OF_DIM[d])}
     return ufl.as_tensor([[e[place[min(i, j), max(i, j)]] / (1 if i == j else 2) for j in range(d)] for i in range(d)])
@@ -109,10 +109,10 @@ def voigt_strain(e: Expr) -> Expr:
 
 @dataclass(frozen=True)
 class EigenstrainContext:
-    """A body or a layer, as far as its eigenstrain depends on it.
+    """Data of a body or a layer on which its eigenstrain depends.
 
     Attributes:
-        name: for messages.
+        name: name in messages.
         law: its law, with real parameters, for these kinematics.
         n: the mean normal of S, (d,).
         kinematics: strains of displacements.
@@ -126,7 +126,7 @@ class EigenstrainContext:
     at: Coordinates
 
     def rows(self, value: Any, what: str) -> Rows:
-        """The components of a tensor, (d, d) or (3, 3); of a number times the identity, (3, 3).
+        """Return the components of a tensor, (d, d) or (3, 3); a number becomes a multiple of the identity (3, 3).
 
         Raises:
             InputError: another shape, components that are no finite numbers, or a table that is not symmetric.
@@ -140,12 +140,12 @@ class EigenstrainContext:
         return rows
 
     def scalar(self, value: Any, what: str) -> Any:
-        """A number, or a UFL scalar; raises InputError if the value is none."""
+        """Return a value as a number or a UFL scalar; raises InputError if it is neither."""
         return self.at.coefficient(value, f"{what} of {self.name}", ()).components[()]
 
 
 def require_symmetric(rows: Rows, what: str) -> None:
-    """Raise InputError if a table is not symmetric; UFL expressions are compared as they are written."""
+    """Raise InputError if a table is not symmetric; UFL expressions must be equal as they are written."""
     numbers = [abs(c) for row in rows for c in row if isinstance(c, float)]
     for i, j in combinations(range(len(rows)), 2):
         a, b = rows[j][i], rows[i][j]
@@ -155,16 +155,16 @@ def require_symmetric(rows: Rows, what: str) -> None:
 
 
 class Eigenstrain(ABC):
-    """A strain that matter would have without stress: the stress is that of the strain less it."""
+    """A strain that a material would have without stress: the strain minus the eigenstrain causes the stress."""
 
     @abstractmethod
     def components(self, matter: EigenstrainContext) -> Rows:
-        """The strain, (3, 3) numbers or UFL scalars. InputError: it cannot be that of this body or layer."""
+        """Return the strain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the body or layer."""
 
 
 @dataclass(frozen=True)
 class PrescribedEigenstrain(Eigenstrain):
-    """An eigenstrain given by itself: a number times the identity, a table (d, d) or (3, 3), or a function (x, t)."""
+    """An eigenstrain given directly: a number times the identity, a table (d, d) or (3, 3), or a function (x, t)."""
 
     value: Tensor
 
@@ -179,12 +179,14 @@ class ThermalExpansion(Eigenstrain):
     """Thermal expansion by a change of temperature: the eigenstrain alpha T.
 
     Attributes:
-        alpha: coefficient of expansion, per degree: a number, three of them along the axes x, y, z, or a symmetric (3, 3).
+        alpha: coefficient of expansion, per degree: a number, three of them along the axes x, y, z, or a symmetric
+            table (3, 3).
         T: change of temperature, degrees: a number, a function (x, t) of UFL coordinates, `piecewise`, or a scalar
             dolfinx Function on a mesh that covers the bodies. A layer on S takes the mean of its values on both sides.
-        factor: of T, a number or a function (x, t): how a Function grows, which comes suddenly otherwise.
+        factor: factor of T, a number or a function (x, t): lets a Function grow in time, which otherwise acts
+            suddenly.
 
-    With a Function this is collective, and no other process takes it for the same.
+    With a Function this is collective, and other processes do not recognise it as the same data.
 
     Raises:
         InputError: alpha of another shape, not finite or not symmetric; T or factor that is no number or function.
@@ -212,16 +214,16 @@ class ThermalExpansion(Eigenstrain):
 
 @dataclass(frozen=True)
 class Prestress(Eigenstrain):
-    """A stress that matter has before anything moves, such as the in-situ stress of rock: an eigenstrain -C^-1 sigma.
+    """A stress before any displacement, such as the in-situ stress of rock: an eigenstrain -C^-1 sigma.
 
-    C is the tangent of the law at rest (that of a sudden strain for laws that creep or relax), so that laws which yield see
-    the whole stress. Displacements are then those from this state on.
+    C is the tangent of the law at rest, under a sudden strain for laws that creep or relax. Laws that yield therefore
+    see the whole stress. Displacements are measured from this state.
 
     Attributes:
-        sigma: stress, tension > 0: a number (that times the identity), a symmetric table (3, 3), or a function (x, t).
-            In two dimensions also (2, 2): sigma_33 is then the one of plane strain, lmbda/(2 (lmbda + mu)) (s_11 + s_22)
-            for isotropic laws, or zero in plane stress, where nothing else is allowed; bodies of revolution need (3, 3),
-            with the stress of hoops.
+        sigma: stress, tension > 0: a number (times the identity), a symmetric table (3, 3), or a function (x, t). In
+            two dimensions also (2, 2): sigma_33 follows from plane strain, as lmbda/(2 (lmbda + mu)) (s_11 + s_22) for
+            isotropic laws. In plane stress it is zero, and only this is allowed. Bodies of revolution need (3, 3), with
+            the hoop stress.
     """
 
     sigma: Tensor
@@ -245,7 +247,7 @@ class Prestress(Eigenstrain):
         return strain
 
     def _compliance(self, matter: EigenstrainContext, slots: Sequence[int]) -> Array:
-        """Strains per stress in some Mandel components, the others of the strain being zero."""
+        """Compliance (strain per stress) in the Mandel components `slots`, with zero strain in the other components."""
         law = matter.law
 
         def refused(why: str) -> InputError:
@@ -267,7 +269,7 @@ class Prestress(Eigenstrain):
             raise refused(f"no strain of {type(law).__name__} causes some stresses")
         compliance = np.asarray(np.linalg.inv(C))
         if law.traits.constrained and not law.volume_compliance:
-            volume = np.array(slots) < 3  # the pressure bears what would change it
+            volume = np.array(slots) < 3  # the pressure carries volumetric stresses
             shear = np.eye(len(slots)) - np.outer(volume, volume) / volume.sum()
             compliance = shear @ compliance @ shear
         return compliance
@@ -277,7 +279,7 @@ EigenstrainInput = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
 
 
 def eigenstrains(eigenstrain: Any) -> list[Eigenstrain]:
-    """What a user gives as eigenstrain, one or a list of several that add up; a table of numbers is one."""
+    """Return the eigenstrains, which add up, of a user's value: a single one, such as a table, or a list of several."""
     if isinstance(eigenstrain, Eigenstrain):
         return [eigenstrain]
     if isinstance(eigenstrain, (list, tuple)) and not _is_table(eigenstrain):
@@ -288,15 +290,15 @@ def eigenstrains(eigenstrain: Any) -> list[Eigenstrain]:
 
 
 def _is_table(rows: Sequence[Any]) -> bool:
-    """Whether a list is one of rows of numbers."""
+    """Whether a list is a table: a list of rows of scalars."""
     return bool(rows) and all(isinstance(row, (list, tuple, np.ndarray)) and np.ndim(row[0]) == 0 for row in rows)
 
 
 def prescribed_strain(eigenstrain: Any, matter: EigenstrainContext) -> Expr | None:
-    """Minus the eigenstrain, (3, 3) UFL, which is added to the strain of the displacements; None: it is zero.
+    """Return minus the eigenstrain, (3, 3) UFL, to be added to the strain of the displacements; None if it is zero.
 
     Raises:
-        InputError: an eigenstrain that is none, or not of this body or layer.
+        InputError: a value that is no eigenstrain, or that does not suit this body or layer.
     """
     if eigenstrain is None:
         return None
@@ -306,7 +308,7 @@ def prescribed_strain(eigenstrain: Any, matter: EigenstrainContext) -> Expr | No
 
 
 class VaryingStrainIntegrals:
-    """The given strains of terms that vary in time or in place, as integrals over cells or facets. Collective.
+    """Integrals over cells or facets of the terms' prescribed strains that vary in time or in place. Collective.
 
     Args:
         terms: the terms of bodies and layers.
@@ -339,7 +341,7 @@ class VaryingStrainIntegrals:
 
 
 def _negative_tensor(rows: Rows, matter: EigenstrainContext) -> Expr:
-    """Minus a table as UFL. Numbers are constants, so that forms are compiled once for all of them; zeros are known."""
+    """Return minus a table as UFL. Numbers become Constants, so that forms are compiled once; zeros stay zeros."""
     numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
     constant = fem.Constant(matter.at.mesh, numbers)
 

@@ -1,4 +1,4 @@
-"""Rigid motions, which supports must prevent, and the forces and moments that work in them: reactions, applied loads."""
+"""Rigid motions, which supports must prevent, and resultants of reactions and loads from the work in these motions."""
 
 from __future__ import annotations
 
@@ -29,16 +29,15 @@ Resistance = Callable[[Sequence[fem.Function]], Array]
 ROTATION_PLANES = {
     2: ((0, 1, 1.0),),
     3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0)),
-}  # planes (i, j) that rotations turn, and sense
-# (k, d, d) velocities of unit rotations over the place: W x, as e_k x x
+}  # plane (i, j) and sense of each rotation
+# (k, d, d) matrices W of unit rotations: displacements W x, in 3D e_k x x
 ROTATION_GENERATORS = {
     2: np.array([[[0.0, -1.0], [1.0, 0.0]]]),
     3: np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2),
 }
 MIN_RELATIVE_EIGENVALUE = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
-COMPONENT_TOLERANCE = (
-    1e-12  # coordinates over the size of the structure, components over a force, that are told as zero
-)
+# coordinates over the size of the structure, or force components over the largest one, that are shown as zero
+COMPONENT_TOLERANCE = 1e-12
 
 
 def motion_count(dim: int) -> int:
@@ -47,14 +46,14 @@ def motion_count(dim: int) -> int:
 
 
 def motion_fields(x: npt.NDArray[Any], about: Array) -> Array:
-    """Unit translations and rotations about a point, at places x (n, d): (n, d, k)."""
+    """Displacements (n, d, k) at places x (n, d) of unit translations and rotations about a point."""
     n, d = x.shape
     shifts, turns = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", ROTATION_GENERATORS[d], x - about)
     return np.concatenate([shifts, turns], axis=2)
 
 
 def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
-    """(k,) 1 for the motions of `motion_fields` in which forces have a resultant, 0 for those that revolution cancels."""
+    """Mask (k,): 1 for motions of `motion_fields` with a resultant, 0 if the resultant vanishes in axisymmetry."""
     mask = np.zeros(motion_count(dim))
     mask[[*kinematics.translations(dim)]] = 1.0
     mask[dim:] = float(kinematics.rotations)
@@ -62,7 +61,7 @@ def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
 
 
 def moment_centre(kinematics: Kinematics, x: Array) -> Array:
-    """A place (d,), or of bodies of revolution its place on the axis."""
+    """Return a place (d,), for bodies of revolution projected onto the axis."""
     moved = np.zeros(len(x))
     free = [*kinematics.translations(len(x))]
     moved[free] = x[free]
@@ -70,7 +69,7 @@ def moment_centre(kinematics: Kinematics, x: Array) -> Array:
 
 
 def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
-    """A constant (k,), and the sum of the motions of `motion_fields` with these factors as a UFL vector (d,)."""
+    """Return a constant (k,), and the sum of the motions of `motion_fields` with these factors as a UFL vector (d,)."""
     x, d = ufl.SpatialCoordinate(mesh), len(about)
     motion = fem.Constant(mesh, np.zeros(motion_count(d)))
     arm, turns = x - ufl.as_vector(about.tolist()), enumerate(ROTATION_GENERATORS[d].tolist())
@@ -79,15 +78,15 @@ def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
 
 
 def motion_values(x: Array, about: Array, rows: npt.NDArray[Any]) -> Array:
-    """The motions of `motion_fields` (m, k) in some of the displacements at places x (n, d), given by number."""
+    """Values (m, k) of the motions of `motion_fields` at dofs `rows` (m,) of the displacements at places x (n, d)."""
     return motion_fields(x[rows // x.shape[1]], about)[np.arange(len(rows)), rows % x.shape[1]]
 
 
 def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
-    """Rigid motions of the whole structure by name: sums of those of `motion_fields` about its centre, over its size.
+    """Map names of rigid motions of the structure to their coefficients (k,) in `motion_fields` about its centre.
 
-    Translations, then rotations. In periodic joints a rotation is one only if it does not move one side against the other:
-    about the one period in 3D.
+    Translations come first. Rotations are divided by the size of the structure. In periodic joints the only rotation is
+    about the direction of a single period in 3D. Others would move one side against the other.
     """
     d, size, basis = joint.dim, joint.size, np.eye(motion_count(joint.dim))
     shares = {f"translation {AXIS_NAMES[i]}": basis[i] for i in kinematics.translations(d)}
@@ -103,14 +102,14 @@ def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
 
 
 def model_motion_values(model: Any, rows: npt.NDArray[Any], kinematics: Kinematics | None = None) -> Array:
-    """The motions of `scaled_motions` (m, k) in some displacements of a model on this rank, given by number."""
+    """Values (m, k) of the motions of `scaled_motions` at local displacement dofs `rows` (m,) of a model."""
     joint = model.domain.joint
     shares = [*scaled_motions(joint, kinematics or model.kinematics).values()]
     return motion_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(shares)
 
 
 def model_motions(model: Any, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
-    """The motions of `scaled_motions` as displacements of a model, by name. Collective."""
+    """Return the motions of `scaled_motions` as displacements of a model, by name. Collective."""
     values = model_motion_values(model, np.arange(model.places.size), kinematics)
     motions = {
         name: fem.Function(model.V) for name in scaled_motions(model.domain.joint, kinematics or model.kinematics)
@@ -121,11 +120,11 @@ def model_motions(model: Any, kinematics: Kinematics | None = None) -> dict[str,
 
 
 def resistance_matrices(model: Any, resistances: Sequence[Resistance]) -> Array:
-    """How far conditions prevent a model's m rigid motions (m, m), and the work of parts against them, scaled. Collective.
+    """Gram matrix (m, m) of the constraint violations of rigid motions, plus scaled stiffnesses of parts. Collective.
 
     Args:
         model: the model.
-        resistances: functions of the m motions, see `Addition.resistance`.
+        resistances: functions of the m motions, see `PartDefinition.resistance`.
     """
     matrix = model.constraints.resistance(partial(model_motion_values, model))
     motions = [*model_motions(model).values()] if resistances else []
@@ -138,13 +137,13 @@ def resistance_matrices(model: Any, resistances: Sequence[Resistance]) -> Array:
 
 
 def free_translations(names: Sequence[str], resistance: Array) -> tuple[str, ...]:
-    """The axes along which nothing prevents a translation; arguments as in `require_support`."""
+    """Return the axes along which nothing prevents a translation; arguments as in `require_support`."""
     much = {name.split()[1]: r for name, r in zip(names, np.diag(resistance), strict=True) if "translation" in name}
     return tuple(axis for axis, r in much.items() if r <= MIN_RELATIVE_EIGENVALUE * max(*much.values(), 1.0))
 
 
 def require_support(names: Sequence[str], resistance: Array) -> None:
-    """Raise InputError if nothing resists a motion of `scaled_motions`; resistance (m, m) of `resistance_matrices`."""
+    """Raise InputError if nothing resists a motion of `scaled_motions`; `resistance` as of `resistance_matrices`."""
     values, vectors = np.linalg.eigh(resistance)
     if values[0] <= MIN_RELATIVE_EIGENVALUE * max(values[-1], 1.0):
         free = names[int(np.argmax(np.abs(vectors[:, 0])))]
@@ -166,7 +165,7 @@ class Resultant:
     about: Array
 
     def at(self, about: Sequence[float] | Array) -> Resultant:
-        """The same forces, with their moment about another point (d,)."""
+        """Return the same resultant with the moment about another point (d,)."""
         point = require_point(about, len(self.force))
         moment = self.force @ ROTATION_GENERATORS[len(point)] @ (self.about - point)
         return Resultant(self.force, self.moment + (moment if len(moment) > 1 else moment[0]), point)
@@ -180,7 +179,7 @@ class Resultant:
 
     @classmethod
     def of(cls, values: Array, about: Array) -> Resultant:
-        """From the work (k,) in the motions of `motion_fields`: translations, then rotations about the point."""
+        """Make a resultant from the work (k,) in the motions of `motion_fields` about a point."""
         d = len(about)
         moment = values[d:]
         return cls(values[:d].copy(), moment[0] if d == 2 else moment.copy(), about)
@@ -192,14 +191,14 @@ class Resultant:
 
 
 def require_point(about: Sequence[float] | Array, dim: int) -> Array:
-    """A point (d,) as an array; raises InputError if it is none."""
+    """Return a point (d,) as an array; raises InputError unless it has `dim` finite coordinates."""
     if (point := finite_values(about, (dim,))) is None:
         raise InputError(f"about is {about!r}; it must be a point of {dim} finite coordinates")
     return point
 
 
 def centroid(domain: Domain, name: str) -> Array:
-    """Centroid (d,) of the facets of a name, the sides of the layer that continue it included. Collective."""
+    """Centroid (d,) of a named facet set, the sides of the layer that continue it included. Collective."""
     mesh = domain.mesh
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)(domain.values(name, layer_sides=True))
     chosen = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
@@ -209,19 +208,19 @@ def centroid(domain: Domain, name: str) -> Array:
 
 
 def resultants_of_loads(model: Any, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
-    """Resultants, about the centre, of loads by name at a time, from their work in motions v. Collective."""
+    """Resultants about the centre, by name, of loads at a time, from their work in motions v. Collective."""
     hand = TimeLevel(t)
     motion, v = motion_expression(model.domain.mesh, model.centre)
     return {name: resultant(model, per_unit(model.comm, hand.of(form), motion)) for name, form in work(v).items()}
 
 
 def resultant(model: Any, values: Array) -> Resultant:
-    """From the work (k,) in the motions about the centre, without what revolution cancels."""
+    """Make a resultant from the work (k,) in motions about the centre; zero where it vanishes in axisymmetry."""
     return Resultant.of(np.asarray(values) * balanced_motions(model.kinematics, model.joint.dim), model.centre)
 
 
 def default_moment_point(model: Any, place: Place, chosen: Sequence[Place]) -> Array:
-    """The default point of moments: the centroid of a facet set, the vertex itself."""
+    """Return the default point of moments: the centroid of a facet set, or the vertex itself."""
     domain = model.domain
     if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):
         return centroid(domain, place)

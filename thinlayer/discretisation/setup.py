@@ -42,13 +42,13 @@ class Setup:
         element: the finite element of displacements.
         degree: its polynomial degree.
         body_laws: law of each body.
-        supports, tractions, body_force, loads, parts, strain, stress: as given.
-        eigenstrains: eigenstrain of each body that has one, as given.
-        comm: MPI communicator; None stands for the world.
-        mark: hash of the data, equal on all ranks.
+        supports, tractions, body_force, loads, parts, strain, stress: the arguments of `Structure`.
+        eigenstrains: eigenstrain of each body that has one, as the user wrote it.
+        comm: MPI communicator; None: the world.
+        data_hash: hash of the data, equal on all ranks.
 
     Raises:
-        InputError: says what cannot be built, where, and what is allowed.
+        InputError: the message says what cannot be built, where, and what is allowed.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Setup:
         )  # fmt: skip
 
     def with_loads(self, loads: Mapping[str, Any]) -> Self:
-        """The same data with other loads, unchecked: argument -> value. Collective."""
+        """Return the same data with other loads, given as argument -> value and not checked. Collective."""
         new = copy.copy(self)
         for name, value in loads.items():
             setattr(new, name, value)
@@ -115,13 +115,13 @@ class Setup:
 
     @cached_property
     def bodies_at_rest(self) -> list[Array | None]:
-        """Tangents of the bodies' laws at rest; None: not known."""
+        """Tangents at rest of `bodies_with_numbers`; None where not known."""
         n = self.sheet.mean_normal
         return [declared_or_computed_tangent(self.kinematics.law(law), n) for law in self.bodies_with_numbers]
 
     @cached_property
     def bodies_with_numbers(self) -> list[BulkLaw]:
-        """The laws of the bodies; where parameters are functions, those at the cells where one is smallest or largest."""
+        """Laws of the bodies; those with functions as parameters are sampled where one is smallest or largest."""
         joint, laws = self.joint, []
         for name, law in self.body_laws.items():
             cells = joint.corners[joint.region == joint.regions.index(name)] if law.fields else joint.corners[:1]
@@ -154,7 +154,7 @@ class Setup:
 
 
 def require_body_law(name: str, law: Law) -> None:
-    """Raise InputError if a law is for layers alone, with the reason."""
+    """Raise InputError, with the reason, if a law is for layers only."""
     traits, kind = law.traits, type(law).__name__
     reason = ""
     if not isinstance(law, BulkLaw):
@@ -165,7 +165,7 @@ def require_body_law(name: str, law: Law) -> None:
         reason = "its pressure is a field of its own; take LinearElastic with nu = 0.4999, say, in elements of degree 2"
     elif traits.phases:
         reason = "its phases are those of a layer's columns"
-    elif traits.compiled:  # others have none in a body, and say so
+    elif traits.compiled:  # others raise errors themselves, as n is None in a body
         with explained_errors(law, law.methods[0]):
             if needs_director(law):
                 reason = "its stress depends on the normal of S, which a body has not"
@@ -178,5 +178,5 @@ def require_body_law(name: str, law: Law) -> None:
 
 
 def _ordered(data: Any) -> Any:
-    """Data as pairs in their order, because later supports override earlier ones."""
+    """Return a mapping as pairs in its order, because supports are numbered in this order."""
     return [list(entry) for entry in data.items()] if isinstance(data, Mapping) else data

@@ -1,15 +1,18 @@
-"""Tractions on a layer's own side, of height eps, where the layer has no cells: forces of order eps on its two faces.
+"""Tractions on the side of a layer without cells, of height eps: forces of order eps on the layer's two faces.
 
-A traction t on the side does the work eps t . v per length of the rim of S, v the mean displacement of the side. Between
-faces of displacements <u> -+ [u]/2 the ansatz of order 1 has v = <u>: each face gets half of the force. At a free end
-(`forms.ends`) the side moves besides by -(c_N M/lmbda) [u_N] along the outward normal m in S and by -c_T [u_m] along n
-(reciprocity: the energy that the end takes away), which is of the same size, and the force reaches the faces
-over lengths of the thickness, at the mean distances rho_N eps (along m), c_T eps (along n) and 7 zeta(3)/pi^3 eps
-(along the end). With the weights a of `forms.ends.weights` the work is then
+Per length of the rim of S, a traction t on the side does the work eps t . v, with the mean displacement v of the side.
+Between faces with displacements <u> -+ [u]/2 the ansatz of order 1 has v = <u>: each face gets half of the force.
 
-    int_S { eps [t_m v_m f_N' + t_n v_n f_T' + t_tau v_tau f'] - a_N M/lmbda t_m [v_N] - a_T t_n [v_m] },  v = <u>,
+At a free end (`forms.ends`) the side has further displacements of the same size. They are -(c_N M/lmbda) [u_N] along
+the outward normal m in S, and -c_T [u_m] along n. By reciprocity they follow from the energy that the end takes away.
+The force reaches the faces over lengths of the order of the thickness. Its mean distances from the end are rho_N eps
+(along m), c_T eps (along n) and 7 zeta(3)/pi^3 eps (along the end). With the weights a of `forms.ends.weights` it does
+the work
 
-f' = 1/r within r of the end. Without it loads on sides leave errors as large as what they do.
+    int_S { eps [t_m v_m f_N' + t_n v_n f_T' + t_tau v_tau f'] - a_N M/lmbda t_m [v_N] - a_T t_n [v_m] }
+
+with v = <u>, and f' = 1/r within r of the end. Without these terms the errors would be as large as the effects of loads
+on sides.
 """
 
 from __future__ import annotations
@@ -39,9 +42,9 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.sides import mean_on_facets, shares_within
 from thinlayer.errors import Violation
 
-# 7 zeta(3)/pi^3: mean distance over the thickness of the tractions that balance a load along the end
+# 7 zeta(3)/pi^3: mean distance from the end, over the thickness, of the tractions that balance a load along the end
 ANTIPLANE_MOMENT = 0.2713773
-LoadPiece = tuple[Expr, LoadRegion]  # of a load, and where it acts
+LoadPiece = tuple[Expr, LoadRegion]  # force, and the region where it acts
 
 
 @dataclass(frozen=True)
@@ -49,9 +52,9 @@ class SideLoad:
     """A traction on the side of a layer of order 1.
 
     Attributes:
-        what: words for errors.
-        load: as given.
-        rim: the ridges of S that have this side.
+        what: label in errors.
+        load: the load as the user wrote it.
+        rim: the ridges of S at this side.
     """
 
     what: str
@@ -60,7 +63,7 @@ class SideLoad:
 
     @classmethod
     def of(cls, model: Model, layer: SeamLayer) -> Iterator[SideLoad]:
-        """Those of a layer, but for zeros."""
+        """Yield the side loads of a layer that are not zero."""
         rim = layer.sheet.rim
         for name, load in sorted((model.structure.tractions or {}).items()):
             whole, value = name.removesuffix(f"/{LAYER}"), load.p if isinstance(load, Pressure) else load
@@ -73,7 +76,7 @@ def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interf
     """Add the tractions on the side of a layer of order 1 to the forces of an interface model.
 
     Raises:
-        InputError: it is not known how the force reaches the faces there.
+        InputError: it is not known how the force is distributed over the faces there.
     """
     reduction = model.applicability[layer.name]
     loose = ridge_keys(reduction.loose.vertices)
@@ -93,7 +96,7 @@ def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interf
 
 
 def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, sides: Interface) -> Iterator[LoadPiece]:
-    """The load at straight free ends, handed to the faces along strips."""
+    """Yield a load at straight free ends as forces on the faces, distributed over strips along the ends."""
     mesh, based = model.domain.mesh, layer.name in model.joint.base_seams
     for end in straight_ends(load.rim, layer.sheet):
         shares = np.zeros((len(model.joint.cells), 1, 5))
@@ -109,9 +112,9 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, s
 def _shares(
     end: StraightEnd, rim: Rim, sheet: Sheet, kinematics: Kinematics, eps: float, constants: FreeEnd
 ) -> FloatArray:
-    """(n, 5) densities on facets: of eps times the load along m, n and the end; of what works in the opening and in shear.
+    """Densities (n, 5) on facets: of eps times the load along m, n and the end, and of its work in opening and shear.
 
-    The first three make the whole force of the side, on any mesh.
+    The first three integrate to the total force on the side, on any mesh.
     """
     strips, points, within = EndStrips.of(constants), sheet.joint.points, partial(shares_within, end, sheet)
     area = mean_on_facets(sheet, kinematics.factor_at(points[sheet.vertices].mean(axis=1)))
@@ -126,7 +129,7 @@ def _shares(
 
 
 def _transferred_load(shares: Expr, m: Expr, sides: Interface, based: bool) -> LoadRegion:
-    """The place of a load, from its shares on S."""
+    """Region of a side load, from its densities `shares` on S."""
     n = sides.n
     along_m, along_n, along_end, opening, shear = (shares[k] for k in range(5))
 

@@ -1,4 +1,4 @@
-"""Sides of a layer: what holds them at the rim of its seam, and weights of free ends on S."""
+"""Sides of a layer: their constraints at the rim of its seam, and weights of free ends on S."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.part_definition import PartDefinition
 
-COSINE_TOLERANCE = 1e-6  # of squares of cosines between directions
-FLAT_DIRECTION_SHARE = 1e-3  # share of a direction, cos^2, that counts as none: 2 degrees
-CURVED_DIRECTION_SHARE = 0.03  # the same where S is curved: straight facets are 10 degrees off it
-NO_END = 1e3  # distance, over the size of the joint, of ends that there are not
+COSINE_TOLERANCE = 1e-6  # tolerance of squared cosines between directions
+FLAT_DIRECTION_SHARE = 1e-3  # squared cosine up to which directions count as orthogonal: within 2 degrees
+CURVED_DIRECTION_SHARE = 0.03  # the same for curved S, from which straight facets deviate by 10 degrees
+NO_END = 1e3  # distance of the nearest end, over the size of the joint, where there is no end
 
 
 def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
-    """(n,) what the layer's side is at each ridge of the rim of its seam.
+    """Kinds (n,) of the layer's side at each ridge of the rim of its seam, by its constrained displacements.
 
-    Its displacements have a component m, outward along S, and one n, across S. Supports, plates and an axis of revolution
-    hold both ("held"), m alone ("symmetric": as in a plane of symmetry), n alone ("antisymmetric"), neither ("free"), or
-    a direction between them ("oblique"). What is held along the end does not matter.
+    Displacements have a component along m, outward along S, and one along n, across S. Supports, plates and an axis of
+    revolution may constrain them. A side is "held" if both components are constrained, "symmetric" if only that along m
+    is, as in a plane of symmetry. It is "antisymmetric" if only that along n is constrained, "free" if neither is, and
+    "oblique" if a direction between them is. Constraints along the end do not matter.
     """
     sheet, projectors = layer.sheet, constrained_directions(layer)
     normals = sheet.joint.interface_normals[sheet.parts[0][sheet.rim.simplex]]
@@ -45,7 +46,7 @@ def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
 
 
 def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArray:
-    """(n, d, d) projections onto what holds the layer's side at the rim; `of_layer`: places NAME/LAYER as well."""
+    """Projections (n, d, d) onto constrained directions of the layer's side at the rim; `of_layer`: also NAME/LAYER."""
     setup, rim, joint = layer.structure, layer.sheet.rim, layer.sheet.joint
     d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]
     dyads = np.zeros((len(keys), d, d))
@@ -62,25 +63,23 @@ def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArra
         for axis in components:
             way = np.eye(d)[axes.index(axis)] if axis in axes else _normals(joint, rim, name)
             dyads += np.where(on[:, None], way, 0.0)[:, :, None] * way[..., None, :]
-    return np.asarray(
-        dyads @ np.linalg.pinv(dyads, rcond=COSINE_TOLERANCE, hermitian=True)
-    )  # onto all directions that are held
+    return np.asarray(dyads @ np.linalg.pinv(dyads, rcond=COSINE_TOLERANCE, hermitian=True))
 
 
 def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
-    """(n, d) mean unit normal of the facets of a name at each ridge: that of a layer's side if S ends at right angles."""
+    """Mean unit normals (n, d) of a named facet set at ridges; without facets as if S ended at right angles."""
     normals = side_normals(joint, name, rim.vertices)
     return np.where(np.isnan(normals), rim.outward, normals)
 
 
 def mean_on_facets(sheet: Sheet, values: FloatArray) -> FloatArray:
-    """(n,) means on the facets of S of values on its simplices."""
+    """Means (n,) on the facets of S of values on its simplices."""
     facet, count = np.searchsorted(sheet.facets, sheet.parts[0]), len(sheet.facets)
     return np.asarray(np.bincount(facet, sheet.areas * values, count) / np.bincount(facet, sheet.areas, count))
 
 
 def shares_within(end: StraightEnd, sheet: Sheet, reach: float) -> FloatArray:
-    """(n,) share of each facet of S that an end faces, nearer than a length."""
+    """Share (n,) of each facet of S that an end faces and that lies within a distance `reach` of it."""
     x = sheet.joint.points[sheet.vertices]
     return mean_on_facets(sheet, share_within(end.distance(x), reach) * end.faces(x.mean(axis=1)))
 
@@ -90,11 +89,11 @@ class FacetWeights:
     """Weights of the free ends on the facets of a seam.
 
     Attributes:
-        a_N, a_T: mean weight of each facet, (n,).
-        resistance: mean further resistance to the flow of a pressure, over that of an infinite layer, (n,).
+        a_N, a_T: mean weights of each facet in openings and in shear, (n,).
+        resistance: mean additional resistance to the flow of a pressure, over that of an infinite layer, (n,).
         m: (n, d) normal of the nearest end; zero where there is none.
-        offset: (n,) m . x of its points.
-        sheet, eps, strips: that they are made from.
+        offset: (n,) m . x of points of the nearest end.
+        sheet, eps, strips: the data from which the weights are made.
     """
 
     a_N: FloatArray
@@ -108,7 +107,7 @@ class FacetWeights:
 
     @classmethod
     def of(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, strips: EndStrips) -> FacetWeights:
-        """The weights of these ends, for a layer of this thickness."""
+        """Make the weights of free ends for a layer of thickness eps."""
         joint, count = sheet.joint, len(sheet.facets)
         weights = np.zeros((3, count))
         nearest, m, offset = np.full(count, np.inf), np.zeros((count, joint.dim)), np.full(count, NO_END * joint.size)
@@ -122,7 +121,7 @@ class FacetWeights:
 
     @property
     def overlap(self) -> bool:
-        """Whether strips of several ends lie on one another, and leave the layer no stiffness."""
+        """Whether strips of several ends overlap, so that a weight reaches 1 and the layer has no stiffness."""
         return bool(max(self.a_N.max(initial=0.0), self.a_T.max(initial=0.0)) >= 1)
 
     def expressions(self, domain: Domain, sides: Interface) -> EndWeights:

@@ -43,8 +43,8 @@ class Report:
         iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation; of all attempts.
         residual: norm of the residual over the size of the forces.
         seconds: wall time of assembling and solving.
-        homotopy_steps: number of solves by continuation, from easier laws to the layer's own; 0 where Newton's method
-            had not failed.
+        homotopy_steps: number of continuation solves, from laws that are easier to solve to the layer's law; 0 unless
+            Newton's method failed.
     """
 
     method: str
@@ -58,14 +58,15 @@ class Report:
 class Audit:
     """Energy balance of a step: supplied = stored + dissipated + remainder, to the solver's tolerance.
 
-    Energies per unit thickness in 2D; all but `total` are increments. All but `supplied` are NaN for laws without energy.
+    Energies are per unit thickness in 2D. All except `total` are increments. All except `supplied` are NaN for laws
+    without energy.
 
     Attributes:
         supplied: work of the loads and of moving supports.
-        stored: in bodies, layer and additions.
-        dissipated: in the layer and in additions.
-        remainder: error of the time scheme (backward Euler: the energy of the increments; midpoint: zero for laws with a
-            quadratic energy), and the effect of parameters that vary in time, at fixed strains.
+        stored: increment of the energy stored in bodies, layers and further parts.
+        dissipated: energy dissipated in bodies, layers and further parts.
+        remainder: error of the time scheme (backward Euler: the energy of the increments; midpoint: zero for laws with
+            a quadratic energy), and the effect of parameters that vary in time, at fixed strains.
         total: energy stored in all parts at the end of the step.
     """
 
@@ -85,20 +86,19 @@ class Audit:
 
 @dataclass(frozen=True, repr=False)
 class Configuration:
-    """Displacements at a time, and what the parts of a balance remember: all that a step starts from.
+    """Displacements at a time and the memory of the parts of the balance: the initial data of a step.
 
     Attributes:
-        u: displacement; in a periodic cell beside the motion by its mean strain.
+        u: displacement; in a periodic cell without the motion of the mean strain.
         t: time.
-        memory: internal values of parts of the balance that remember, by key: of a compiled law "layer", (points, values)
-            (of sublayers "layer 1", "layer 2", ...), in a body "body NAME", of a contact law "contact", its slip at this
-            rank's nodes of S, (nodes, d - 1); of a part of one's own perhaps functions by name. If there are several seams
-            keys have their names: "layer BED", "layer BED/1", "contact BED".
-        fields: unknowns beside the displacements, by the key of their part.
-        stored: energy at the end of the step in the parts that are not forms of laws, by key.
-        at_rest: whether nothing has happened yet: no strain, also none of those that are given beside displacements.
-        reactions: (n, k) forces and moments about `Model.centre` by what holds the structure, in the order of
-            `Model.holders`; None: not known.
+        memory: memory of the parts of the balance, by key. A compiled law has internal variables (points, values),
+            under "layer", for sublayers "layer 1", "layer 2", ..., and in a body "body NAME". A contact law has
+            "contact": its slip at this rank's nodes of S, (nodes, d - 1). A user-defined part may have functions by
+            name. With several seams keys contain their names: "layer BED", "layer BED/1", "contact BED".
+        fields: unknowns other than displacements, by the key of their part.
+        stored: energy at the end of the step, by key, of the parts that are not laws in UFL forms.
+        at_rest: whether this is the state before the first step: all strains are zero, prescribed strains included.
+        reactions: (n, k) forces and moments about `Model.centre` of the places `Model.holders`; None: not known.
         stresses: stresses of compiled laws at the time t, by the same keys as the memory, (points, 6) in
             Mandel's order.
     """
@@ -121,11 +121,11 @@ class State(Configuration):
         model: the model; u is in model.V.
         report: method, iterations and residual of the solve.
         audit: energy balance of the step that led here.
-        sudden: whether it answers to loads that are sudden, from rest.
+        sudden: whether it is the response to sudden loads from rest.
         prescribed_work: work of the reactions at the end of the step in the displacements and motions that supports and
             plates prescribe; nan: not known.
-        dissipated: name of a seam -> energy that its layer dissipated in this step, without what is lost in a snap, if
-            there are several seams; "bodies" -> energy that bodies dissipated, if their laws have memory or rate.
+        dissipated: with several seams, name of a seam -> energy that its layer dissipated in this step, without losses
+            in a snap; "bodies" -> energy that bodies dissipated, if their laws have memory or rate.
     """
 
     model: Model
@@ -139,8 +139,8 @@ class State(Configuration):
     def p(self) -> fem.Function | None:
         """Pressure in an incompressible layer, on the cells of the meshed layers or on S; None if there is none.
 
-        In a joint with several seams its name is "pressure NAME", by the seam's. If several of them have one, take
-        `fields["pressure NAME"]`; asking for `p` is a InputError.
+        In a joint with several seams its key in `fields` is "pressure NAME", with the name of the seam. If several
+        layers have a pressure, use `fields["pressure NAME"]`: `p` raises InputError.
         """
         keys = [key for key in self.fields if key.split(" ")[0] == PRESSURE_KIND]
         if len(keys) > 1:
@@ -151,15 +151,15 @@ class State(Configuration):
         return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
 
     def identity(self) -> dict[str, Any]:
-        """Identity of the state: its model's and its time."""
+        """Identity of the state: identity of its model, and its time."""
         return {"state of": self.model.identity(), "t": self.t}
 
     def integral(self, form: Any) -> float:
-        """Value of a UFL form without arguments, in axisymmetry with the factor 2 pi r of the whole revolution. Collective.
+        """Value of a UFL form without arguments, with the factor 2 pi r in axisymmetry. Collective.
 
         Raises:
-            InputError: it is no form; a number in it is not finite; a tag that the mesh has nowhere; measures of one kind
-                with two sets of tags.
+            InputError: it is no form, or depends on the time; a number in it is not finite or not real; no cell or
+                facet has one of its tags.
         """
         return self._sum(whole_structure_form(form, self.model))
 
@@ -167,13 +167,13 @@ class State(Configuration):
         return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(form)))))
 
     def energies(self) -> dict[str, float]:
-        """Stored energy of the bodies, of the layer, and of what was added to the model by its key; the work of the loads.
+        """Return stored energies of "bodies", "layer" and other parts by key, and the work of the "loads". Collective.
 
-        If there are several seams, "layer" is all layers together, and "layer NAME" is that of a seam, with the junctions
-        that its law fills.
+        With several seams "layer" is the sum of all layers, and "layer NAME" is the energy of a seam, including
+        junctions filled with its law.
 
-        Per unit thickness in 2D. For linear laws and supports that do not move, the stored energies are half the work of
-        the loads (Clapeyron). NaN where a law declares no energy. Collective.
+        Energies are per unit thickness in 2D. For linear laws and supports that do not move, the stored energies are
+        half the work of the loads (Clapeyron). NaN where a law declares no energy.
         """
         model = self.model
         added = {part.key: self.stored.get(part.key, 0.0) for part in model.parts if not part.ties_nodes}
@@ -192,25 +192,25 @@ class State(Configuration):
         }
 
     def load_work(self) -> float:
-        """The loads' work in the displacements. Collective."""
+        """Work of the loads in the displacements. Collective."""
         part_work = sum(part.load_work(self.model, self) for part in self.model.parts)
         return self._sum(self.model.external_work(self.u, self.t)) + part_work
 
     def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:
-        """What a place gives to the structure: its supports and springs, or the rigid base below a layer. Collective.
+        """Return the reaction of a place: of its supports and springs, or of the rigid base below a layer. Collective.
 
-        The layer's share is included where the layer ends at the place: a support continues over its side. A displacement
-        that several supports prescribe has its force shared equally among them. The reactions of all places and the loads
-        (`applied`) add up to zero.
+        The force on the layer's side is included where the layer ends at the place, because a support continues over
+        it. If several supports prescribe a displacement, its force is divided equally among them. The reactions of all
+        places and the loads (`applied`) add up to zero.
 
         Args:
-            place: as in `supports`: NAME, which includes supports of its parts NAME/REGION and NAME/LAYER, one of these, or
-                a vertex; the name of a seam on a rigid base, or "S" for all of them.
+            place: as in `supports`: NAME, which includes supports of its parts NAME/REGION and NAME/LAYER, one of
+                these, or a vertex; the name of a seam on a rigid base, or "S" for all of them.
             about: the point (d,) of the moment, in the coordinates of the model's mesh; by default the centroid of the
                 place.
 
         Raises:
-            InputError: nothing holds this place: it is free.
+            InputError: the place is free: it has no supports, springs or rigid base.
         """
         model, every = self.model, self.reactions_by_place()
         bases = {BASE, *model.joint.base_seams}
@@ -226,7 +226,7 @@ class State(Configuration):
         )
 
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
-        """Reaction of each place that holds the structure, their moments about one point (default: `Model.centre`)."""
+        """Reactions of all places that support the structure, moments about one point (default: `Model.centre`)."""
         model = self.model
         if self.reactions is None:
             raise InputError("this state has no reactions: it is no equilibrium that was solved for")
@@ -249,7 +249,7 @@ class State(Configuration):
         return self.model.applied(self.t).at(self.model.centre if about is None else about)
 
     def mean_strain(self) -> Array:
-        """Mean strain (d, d) of a periodic cell, prescribed or found under a mean stress; else zero. Collective."""
+        """Mean strain (d, d) of a periodic cell, prescribed or computed under a mean stress; else zero. Collective."""
         model, d = self.model, self.model.joint.dim
         if model.strain:
             return model.strain.at(self.t)
@@ -263,20 +263,20 @@ class State(Configuration):
 
     @cached_property
     def bodies(self) -> list[Term]:
-        """The terms of the bodies' laws, with the strains that are given or found beside those of u. Collective."""
+        """Terms of the bodies' laws, with prescribed strains and the mean strain at this time. Collective."""
         return self._strained(self.model.bodies)
 
     @cached_property
     def layers(self) -> list[Term]:
-        """The terms of the layers' laws, with the strains that are given beside those of u."""
+        """Terms of the layers' laws, with prescribed strains and, if meshed, the mean strain at this time."""
         return self._strained(self.model.layer_terms, on_s=self.model.broken)
 
     @cached_property
     def elastic_share(self) -> float:
         """Share of the load that springs parallel to yielding laws carry (`elastic_fraction`). Collective.
 
-        It is the share of their stresses in the work of all stresses of these laws in the strains, of layers or of bodies,
-        whichever is larger; 0 of other laws. If no law yields it is their fraction.
+        It is the work of the springs' stresses in the strains, over that of all stresses of these laws. The larger
+        share of layers and of bodies counts; 0 without such laws. If no law yields it is the `elastic_fraction`.
         """
         work, terms = np.zeros((2, 2)), self.bodies + self.layers
         for key, points in self.model.quadratures.items():
@@ -293,27 +293,27 @@ class State(Configuration):
         return float((work[:, 0] / np.maximum(work.sum(axis=1), np.finfo(float).tiny)).max())
 
     def _strained(self, terms: list[Term], *, on_s: bool = False) -> list[Term]:
-        """The terms at the time of the state, but for those on S with the mean strain under a mean stress."""
+        """Return terms at the time of the state; except on S the mean strain under a mean stress is added."""
         terms = TimeLevel(self.t).terms(terms)
         if on_s or not self.model.stress:
             return terms
         return with_added_strain(terms, three_dimensional(fem.Constant(self.model.domain.mesh, self.mean_strain())))
 
     def stress(self, term: Term) -> Expr:
-        """The stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
+        """Stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
 
-        That of a compiled law is known at the quadrature points of the term; integrate it as `work` does. On S see
+        For a compiled law it is known only at the quadrature points of the term: integrate it as `work` does. On S see
         `Surface.traction`.
         """
         ((_, sigma, _),) = self._stressed([term])
         return sigma
 
     def work(self, terms: Iterable[Term], v: Expr) -> Expr:
-        """Virtual work of the stresses of terms of bodies or meshed layers in the strains of v, a UFL form. Collective."""
+        """Virtual work of stresses of bodies' or meshed layers' terms in the strains of v, a UFL form. Collective."""
         return sum(ufl.inner(s, p.strain(v)) * p.weight * measure for p, s, measure in self._stressed(terms))
 
     def _stressed(self, terms: Iterable[Term]) -> Iterator[tuple[Term, Expr, ufl.Measure]]:
-        """Terms, their stresses (3, 3), and the measures to integrate these with; a compiled law on S has none."""
+        """Yield terms with their stresses (3, 3) and measures of integration; InputError for compiled laws on S."""
         for p in terms:
             if not p.law.traits.compiled:
                 yield p, stress(p, self.u), p.measure
@@ -349,9 +349,9 @@ class State(Configuration):
 
 
 def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
-    """(..., a, m) values at the nodes of cells (...), by their numbers in a model's joint, of any rank. Collective.
+    """Values (..., a, m) at the nodes of cells (...) of any rank, given by numbers in a model's joint. Collective.
 
-    A body's cell has one number in the joint, and one order of its degrees of freedom, in all models.
+    A cell of a body has the same number and the same order of its degrees of freedom in all models of a joint.
     """
     dofmap, n_owned = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
     nodes, values = dofmap.list[:n_owned], f.x.array.reshape(-1, dofmap.bs)
@@ -365,7 +365,7 @@ def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
 
 
 def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model) -> fem.Function:
-    """A function of one model's bodies on the same cells of another model's mesh of the same joint. Collective."""
+    """Copy a function on the bodies of one model to the same cells of another model of the same joint. Collective."""
     there = target.domain.original_cells
     wanted = np.flatnonzero(there < len(source.joint.cells))
     out = fem.Function(V)
@@ -375,5 +375,5 @@ def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model
 
 
 def displacements_of(state: State, model: Model) -> fem.Function:
-    """The displacements of a state on a model of the same joint, with the same element. Collective."""
+    """Return the displacements of a state on a model of the same joint with the same element. Collective."""
     return state.u if state.model is model else transfer(state.u, state.model, model.V, model)

@@ -9,89 +9,92 @@ from thinlayer.discretisation.setup import Setup
 
 
 class Structure(Setup):
-    """A structure with a thin soft layer: bodies, supports and loads, given once for all of its models. Collective.
+    """A structure with a thin soft layer: bodies, supports and loads, shared by all of its models. Collective.
 
     Args:
-        joint: the joint; S is where the layer is.
-        body: law of the bodies (moduli: stress), or region name -> law. Any law of strains but those for layers alone
-            (`Stack`, `Incompressible`, laws with phases, or of the normal of S) and those that soften. Its parameters may
-            be numpy functions of places (d, n) in the joint that give n values.
-        supports: place -> prescribed displacements, see `Supports`; they continue over the side of the layer. Where places
-            overlap their values must agree.
+        joint: the joint; the layer is on S.
+        body: law of the bodies (moduli: stress), or region name -> law. Allowed are laws of strains that do not
+            soften, except laws only for layers: `Stack`, `Incompressible`, laws with phases, and laws that depend on
+            the normal of S. Parameters may be numpy functions of places (d, n) in the joint that return n values.
+        supports: place -> prescribed displacements, see `Supports`; they continue over the side of the layer. Where
+            places overlap their values must agree.
         tractions: facet name -> (d,) traction (stress), constant or a function (x, t) of UFL coordinates that returns d
-            components. On the bodies, and with bodies="extended" on the part of the layer's side that was theirs, so that
-            the loads of all models are the same; name "NAME/LAYER" to load that side by itself: a force of order eps, which
-            interface laws of order 1 have and those of order 0 have not. `Pressure(p)` acts along the inner normal.
-        body_force: (d,) force per volume in the bodies, likewise, or name -> force, of regions and of seams (a single one
-            is called "S"): the weight of a layer, which acts on its cells or, in the interface model, times the thickness
-            and in halves on both sides of S; half of it goes to a rigid base directly. It is of order eps.
+            components. It acts on the bodies. With bodies="extended" it also acts on the part of the layer's side that
+            was theirs, so that all models have the same loads. The name "NAME/LAYER" loads the layer's side alone: this
+            force of order eps is in interface laws of order 1, but not in those of order 0. `Pressure(p)` acts along
+            the inner normal.
+        body_force: (d,) force per volume in the bodies, constant or a function (x, t). Or name -> force, for regions
+            and seams; a single seam is called "S". On a seam it is the weight of the layer, of order eps. It acts on
+            the layer's cells or, in the interface model, times the thickness and in halves on both sides of S. On a
+            rigid base one half acts directly on the base.
         loads: `PointLoad`, `LineLoad`.
-        plane: "strain", "stress" or "axisymmetric", of a joint in 2D. In plane stress laws find the strains out of the
-            plane themselves (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of revolution,
-            y the place along it, there is no twist; u_x = 0 holds on the axis by itself, and all integrals (energies,
-            loads, forces, over S) are over the whole revolution.
+        plane: "strain", "stress" or "axisymmetric", for a joint in 2D. In plane stress laws compute the strains out of
+            the plane themselves (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of
+            revolution, y the place along it, and there is no twist. On the axis u_x = 0 is prescribed automatically.
+            All integrals (energies, loads, forces, over S) are over the whole revolution.
         element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
-        parts: additions to the balance of forces: `Springs`, `UflPart`, or your own `Addition`.
+        parts: further parts of the balance of forces: `Springs`, `UflPart`, or a user-defined `PartDefinition`.
         strain: mean strain of a periodic joint, (d, d) symmetric numbers, or a function (x, t) of the time alone that
-            returns them. Displacements u are then those beside the mean motion: bodies have the strain E + strain(u), S
-            has the jump [u]. Translations that nothing prevents are held at one vertex: `supports={}` will do.
-        stress: mean stress instead, likewise: the mean strain is then unknown, see `State.mean_strain`. The joint is
-            periodic in all directions, and bodies are linear.
-        eigenstrain: strain that the bodies would have without stress, or region name -> strain: a number (times the
-            identity in three dimensions, so that in plane strain it also stresses across the plane), a symmetric table
-            (d, d) or (3, 3), a function (x, t) of UFL coordinates that returns one of these, `ThermalExpansion`,
-            `Prestress`, or a list of several that add up. Layers have their own, `ThinLayer(..., eigenstrain=...)`.
+            returns them. Displacements u then exclude the mean motion: bodies have the strain E + strain(u), S has the
+            jump [u]. Translations that nothing prevents are fixed at one vertex, so `supports={}` is allowed.
+        stress: mean stress instead, likewise: the mean strain is then unknown, see `State.mean_strain`. The joint must
+            be periodic in all directions, and the bodies linear.
+        eigenstrain: strain that the bodies would have without stress, or region name -> strain. Allowed are a number, a
+            symmetric table (d, d) or (3, 3), and a function (x, t) of UFL coordinates that returns one of these;
+            `ThermalExpansion`, `Prestress`, or a list of several that add up. A number multiplies the identity in three
+            dimensions, so that in plane strain it also causes stress across the plane. Layers have their own
+            eigenstrain, `ThinLayer(..., eigenstrain=...)`.
         comm: MPI communicator (default: the world).
 
-    Attributes are those of `Setup`.
+    The attributes are described in `Setup`.
 
     Raises:
-        InputError: says what cannot be built, where, and what is allowed. Names of facets and
-            loads are checked when a model is made.
+        InputError: the message says what cannot be built, where, and what is allowed. Names of facets and loads are
+            checked when a model is made.
     """
 
     def full(
         self, layer: Layers, *, bodies: str = "kept", cells_through: int = 4, junctions: str | None = None
     ) -> FullModel:
-        """The model whose layer is meshed. Collective.
+        """Make the model whose layer is meshed. Collective.
 
         Args:
-            layer: law and thickness of the layer; S is inflated by the thickness. Of a joint with several seams {name of a
-                seam: its layer, or a `Gap` for an open joint}, or one layer for all. Layers that pass the end of a gap go
-                on there. Where bodies are extended, tractions do not act on what they gave up to gaps.
+            layer: law and thickness of the layer; S is inflated by the thickness. For a joint with several seams {name
+                of a seam: its layer, or a `Gap` for an open joint}, or one layer for all. A layer continues past the
+                end of a gap. With extended bodies, tractions do not act on the parts that bodies gave up to gaps.
             bodies: "kept" or "extended", see `geometry.inflate`.
-            cells_through: number of cells through the layer's thickness; even, where layers meet. Of a law that softens it
-                changes little: means of strains through the thickness drive the law, as on S, what differs from them is
-                elastic. One cell will do, and takes the least time.
-            junctions: name of the seam whose law holds in the cells where it meets others; elsewhere, and by default
-                everywhere, it is the first of the joint's seams that end there. These cells need the law of a layer: with
-                moduli that do not fall with the thickness they would tie the corners of the bodies together, and the
-                model would not converge to the interface model.
+            cells_through: number of cells through the layer's thickness; even where layers meet. For a law that softens
+                it has little effect, and a single cell is sufficient and fastest: means of strains through the
+                thickness drive the law, as on S, and deviations from them are elastic.
+            junctions: name of a seam whose law also fills the cells where it meets other seams. At other junctions, and
+                by default, this is the law of the first of the joint's seams that end there. These cells need the law
+                of a layer, with moduli that decrease with the thickness. Other laws would tie the corners of the bodies
+                together, and the model would not converge to the interface model.
 
         Raises:
-            InputError: says what cannot be built, where, and what is allowed.
+            InputError: the message says what cannot be built, where, and what is allowed.
         """
         return FullModel(self, layer, bodies=bodies, cells_through=cells_through, junctions=junctions)
 
     def interface(self, layer: Layers, *, bodies: str = "kept") -> InterfaceModel:
-        """The model whose layer is replaced by its interface law on S. Collective.
+        """Make the model whose layer is replaced by its interface law on S. Collective.
 
         Args:
-            layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law; or a `Bond`. Of a joint with several
-                seams, {name of a seam: its layer or bond; None or a `Gap` for an open joint}, or one for all.
-            bodies: "kept": bodies meet on S. "extended": they stand where `full(layer, bodies="extended")` has them, each
-                half of the thickness away from S (on a rigid base all of it): order 1 on a curved S, or with a thickness
-                that varies, needs this. All layers then have a thickness, and seams do not meet.
+            layer: a thin layer, or a law on S alone: a `TractionLaw` or a contact law; or a `Bond`. For a joint with
+                several seams {name of a seam: its layer or bond; None or a `Gap` for an open joint}, or one for all.
+            bodies: "kept": bodies meet on S. "extended": bodies are where `full(layer, bodies="extended")` has them,
+                each half of the thickness away from S (on a rigid base all of it). Order 1 needs this on a curved S, or
+                with a thickness that varies. All layers must then have a thickness, and seams must not meet.
 
         Raises:
-            InputError: says what cannot be built, where, and what is allowed.
+            InputError: the message says what cannot be built, where, and what is allowed.
         """
         return InterfaceModel(self, layer, bodies=bodies)
 
     def bonded(self) -> InterfaceModel:
-        """The model without layers: bodies are bonded on all of S (on a rigid base S does not move). Collective.
+        """Make the model without layers: bodies are bonded on all of S (on a rigid base S is fixed). Collective.
 
         Raises:
-            InputError: says what cannot be built, where, and what is allowed.
+            InputError: the message says what cannot be built, where, and what is allowed.
         """
         return self.interface(Bond())

@@ -1,4 +1,4 @@
-"""Supports: displacements that are prescribed at places of the boundary, and their conditions at the nodes of a space."""
+"""Supports: prescribed displacements at places of the boundary, and their conditions at the nodes of a space."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_values, node_
 from thinlayer.discretisation.coefficient import Coefficient, Coordinates, Value
 from thinlayer.system.compat import interpolate, interpolation_points
 
-LOAD_SUM_TOLERANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that still counts as rounding
+LOAD_SUM_TOLERANCE = 1e-10  # sum of the loads along an axis, over the sum of their sizes, that counts as rounding
 LENGTH_TOLERANCE = 1e-13  # a difference that counts as rounding, over the size of the structure
 NORMAL_COMPONENT = "n"  # the component along the normal of the boundary
 Place = str | tuple[float, ...]
@@ -31,7 +31,7 @@ Components = dict[str, Value]
 
 
 def is_part(place: Place, of: Place) -> bool:
-    """Whether a place is another one, or a part of it, as NAME/REGION is of NAME."""
+    """Whether a place is the place `of` or a part of it, as NAME/REGION is a part of NAME."""
     return place == of or str(place).split("/")[0] == of
 
 
@@ -40,22 +40,22 @@ class Supports:
 
     Args:
         domain: the domain.
-        supports: place -> prescribed components. A place is a facet name (its continuation over the layer's side included;
-            NAME/REGION and NAME/LAYER narrow it) or the coordinates of a mesh vertex before inflating (on S: both
-            sides). Components are {"x": value, ...}, or one number for all of them; a value is a number or a function
-            (x, t) of UFL coordinates. {"n": value} prescribes the displacement along the outer normal alone, on any
-            inclined or curved facets: see `Prescribed`. Where places overlap, their values must agree.
+        supports: place -> prescribed components. A place is a facet name (its continuation over the layer's side
+            included; NAME/REGION and NAME/LAYER narrow it) or the coordinates of a mesh vertex before inflating (on S:
+            both sides). Components are {"x": value, ...}, or one number for all of them; a value is a number or a
+            function (x, t) of UFL coordinates. {"n": value} prescribes the displacement along the outer normal alone,
+            on any inclined or curved facets: see `Prescribed`. Where places overlap, their values must agree.
         at: coordinates for these functions.
-        clamped: facet names where nothing moves, whatever supports say that end there.
-        kinematics: on an axis of revolution the component x is zero.
+        clamped: names of facets that are fixed, whatever supports prescribe that end there.
+        kinematics: kinematics of the mesh; on an axis of revolution the component x is fixed.
 
     Attributes:
-        values: (number of the entry, component) -> what is given; a clamped facet has none.
+        values: (number of the entry, component) -> its `Coefficient`; clamped facets have none.
         moving: places where a component is a function, or a number that is not 0.
-        supports: (place, components) as given; `entries` has the clamped ones too.
-        anchored: components that one vertex of a periodic joint does not move along, because nothing else would prevent
-            that translation; no force acts there.
-        on_axis: (n,) which points of the joint lie on an axis of revolution.
+        user_entries: (place, components) as the user wrote them; `entries` also has clamped facets.
+        anchored: components that are fixed at one vertex of a periodic joint, because nothing else prevents the
+            translation; the reactions there are zero.
+        on_axis: mask (n,) of the points of the joint that lie on an axis of revolution.
 
     Raises:
         InputError: unknown facet name, no vertex at a point; unknown component, a value that is no number.
@@ -85,7 +85,7 @@ class Supports:
 
     @property
     def entries(self) -> tuple[tuple[Place, Components], ...]:
-        """(place, components) of all supports, those of clamped facets last."""
+        """(place, components) of all supports, clamped facets last."""
         nothing: Components = dict.fromkeys(self.axes, 0.0)
         return (*self.user_entries, *((place, nothing) for place in self.clamped))
 
@@ -101,7 +101,7 @@ class Supports:
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> Indices:
         """Local degrees of freedom (unrolled, ghosts included) of one component on one place. Collective.
 
-        Of the normal component all that it may hold: all components.
+        For the normal component these are the dofs of all components.
         """
         if axis == NORMAL_COMPONENT:
             return np.concatenate([self.dofs(V, place, component) for component in self.axes])
@@ -115,14 +115,14 @@ class Supports:
 
         Args:
             V: the space.
-            clamped: whether those of clamped facets count, and of an anchored vertex.
+            clamped: whether to include the dofs of clamped facets and of an anchored vertex.
         """
         entries, anchors = (self.entries, [self.anchors(V)]) if clamped else (self.user_entries, [])
         dofs = [self.dofs(V, place, axis) for place, components in entries for axis in components]
         return np.unique(np.concatenate([*dofs, *anchors, self.axis(V)]))
 
     def anchors(self, V: fem.FunctionSpace) -> Indices:
-        """Local degrees of freedom (unrolled, ghosts included) of the anchored components, at one corner. Collective."""
+        """Local degrees of freedom (unrolled, with ghosts) of the anchored components, at one corner. Collective."""
         if not self.anchored:
             return np.empty(0, np.int32)
         owned = self.domain.mesh.topology.index_map(self.domain.joint.dim).size_local
@@ -131,12 +131,12 @@ class Supports:
         mark = fem.Function(V)
         for axis in self.anchored:
             mark.x.array[corner * V.dofmap.bs + self.axes.index(axis)] = 1.0
-        mark.x.scatter_reverse(la.InsertMode.add)  # this rank may have the cell, and another one own its corner
+        mark.x.scatter_reverse(la.InsertMode.add)  # another rank may own the corner of this rank's cell
         mark.x.scatter_forward()
         return np.flatnonzero(mark.x.array).astype(np.int32)
 
     def require_balance(self, b: PETSc.Vec, t: float) -> None:
-        """Raise InputError if nodal forces move a periodic joint that only an anchored vertex holds. Collective."""
+        """Raise InputError if nodal forces have a resultant along an anchored component. Collective."""
         size = float(b.norm(PETSc.NormType.NORM_1)) if self.anchored else 0.0
         if not size:
             return
@@ -147,7 +147,7 @@ class Supports:
                 raise InputError(f"{what}, and nothing balances them; add supports, or loads whose sum is zero")
 
     def axis(self, V: fem.FunctionSpace) -> Indices:
-        """Local degrees of freedom (unrolled, ghosts included) of the component x on an axis of revolution. Collective."""
+        """Local degrees of freedom (unrolled, with ghosts) of the component x on an axis of revolution. Collective."""
         if not self.on_axis.any():
             return np.empty(0, np.int32)
         domain, topology = self.domain, self.domain.mesh.topology
@@ -172,7 +172,7 @@ def vertex_dofs(V: fem.FunctionSpace, vertices: Indices, component: int) -> Indi
 
 @dataclass(frozen=True)
 class _Source:
-    """The values of one component of one entry: a function that is a number, or an expression to interpolate."""
+    """Values of one component of one support: a constant function, or an expression to interpolate into it."""
 
     entry: int
     place: Place
@@ -184,17 +184,17 @@ class _Source:
 class Prescribed:
     """Conditions of supports on a space, direction . u = value at a node.
 
-    At nodes between facets of places with a normal component, facets whose normals differ by less than 30 degrees are one
-    smooth surface with their mean normal; others are planes that meet in a corner, and the displacements along both normals
-    are prescribed: in 2D the corner is held, in 3D it moves along the edge. Straight facets of a curved side in 3D have
-    normals of their own: where they should slide freely, use curved cells (degree 2).
+    Supports along the normal: facets whose normals at a node differ by less than 30 degrees are one smooth surface with
+    their mean normal. Other facets meet in a corner, where displacements along the normals of both are prescribed. In
+    2D the corner is then fixed, in 3D it moves along the edge. Straight facets of a curved side in 3D have different
+    normals: use curved cells (degree 2) where such a side should slide freely.
 
     Args:
         supports: the supports.
-        V: the space, of nodal displacements if a component is normal.
+        V: the space, with nodal displacements if a component is normal.
 
     Attributes:
-        d, size: components of a node, and displacements of this rank.
+        d, size: number of components of a node, and of displacements of this rank.
         extent: largest extent of the structure.
         entry: (k,) for each condition the number of its support in `supports.entries`; -1: an anchor, or the axis.
         blocks: (k,) local number of its node.
@@ -217,7 +217,7 @@ class Prescribed:
     def _source(self, entry: int, place: Place, axis: str) -> _Source:
         value, coefficient = fem.Function(self.V), self.supports.values.get((entry, axis))
         if coefficient is not None and coefficient.varies:
-            on_mesh = fem.Constant(self.V.mesh, np.zeros(self.d))  # a function may give plain numbers
+            on_mesh = fem.Constant(self.V.mesh, np.zeros(self.d))  # as functions may return plain numbers
             expression = ufl.as_vector([coefficient.expression] * self.d) + on_mesh
             return _Source(entry, place, axis, value, fem.Expression(expression, interpolation_points(self.V)))
         if coefficient is not None and coefficient.value:
@@ -225,7 +225,7 @@ class Prescribed:
         return _Source(entry, place, axis, value)
 
     def _find_conditions(self) -> None:
-        """Find the conditions on this rank: source, the degree of freedom that has the value, and direction."""
+        """Set the conditions on this rank: source, the degree of freedom that has the value, and direction."""
         supports, V, d = self.supports, self.V, self.d
         along_axes = [(k, component) for k, component in enumerate(self._sources) if component.axis != NORMAL_COMPONENT]
         source_dofs = [(k, supports.dofs(V, component.place, component.axis)) for k, component in along_axes]
@@ -236,7 +236,7 @@ class Prescribed:
         conditions.append(self._normal_conditions())
         source, dof, directions = (np.concatenate(column) for column in zip(*conditions, strict=True))
         entry = np.array([*(component.entry for component in self._sources), -1])[source]
-        clamped = entry >= len(supports.user_entries)  # all others do not count at a base
+        clamped = entry >= len(supports.user_entries)  # other conditions are dropped at a base
         fast = np.zeros(self.size, bool)
         fast[dof[clamped]] = True
         kept = clamped | ~((np.abs(directions) > 0) & fast.reshape(-1, d)[dof // d]).any(axis=1)
@@ -249,7 +249,7 @@ class Prescribed:
         self.conditions.eliminate_zeros()
 
     def _normal_conditions(self) -> tuple[np.ndarray, np.ndarray, Array]:
-        """Conditions along normals: source, degree of freedom, direction."""
+        """Return the conditions along normals: source, first degree of freedom of the node, direction."""
         d, domain = self.d, self.supports.domain
         columns: list[Array] = [np.empty((0, d + 2))]  # source, block, normal
         for number, component in enumerate(self._sources):
@@ -268,7 +268,7 @@ class Prescribed:
     # ---------------------------------------------------------------- values
     @property
     def varies(self) -> BoolArray:
-        """(k,) whether the value of a condition is a function."""
+        """Mask (k,) of the conditions whose value is a function."""
         return np.array([*(source.expression is not None for source in self._sources), False])[self._source_of]
 
     def values(self, t: float) -> Array:
@@ -283,14 +283,14 @@ class Prescribed:
         return values
 
     def condition_text(self, row: int, value: float) -> str:
-        """Words for a condition and its value."""
+        """Text for errors on a condition and its value."""
         if self._source_of[row] < 0:
             return "on the axis of revolution x = 0"
         source = self._sources[self._source_of[row]]
         return f"{source.place!r} prescribes {source.axis} = {value:.6g}"
 
     def place_of(self, row: int) -> Array | None:
-        """Place (d,) of the node of a condition; None: displacements are not nodal."""
+        """Place (d,) of the node of a condition; None if displacements are not nodal."""
         if not self._nodal:
             return None
         x = self.V.tabulate_dof_coordinates()[self.blocks[row], : self.d]

@@ -1,4 +1,4 @@
-"""The clock of a model: the time as a constant that compiled forms read, further hands of it, and tables over it."""
+"""Clock of a model: the time as a constant that compiled forms read, further time levels, and tables over time."""
 
 from __future__ import annotations
 
@@ -27,18 +27,17 @@ from forms.tensors import Expr
 from forms.work import Term
 from thinlayer.system.compat import ufl_replace
 
-TIME_TOLERANCE = (
-    1e-12  # relative tolerance for equal times (a sum of steps against the end of a table) and equal slopes
-)
+# relative tolerance of equal times, such as a sum of steps and the end of a table, and of equal slopes
+TIME_TOLERANCE = 1e-12
 RATIONAL_OPERATORS = (Sum, Product, Division)
-SAMPLE_TIMES = (-2.5, 0.0, 1.0, 7.0)  # where a rational argument of a table is tested for being linear in the time
+SAMPLE_TIMES = (-2.5, 0.0, 1.0, 7.0)  # times at which a table's rational argument is tested for linearity
 
 
 class Clock:
     """The time of a model.
 
-    Forms may read it while it shows a time, see `at`; else it is NaN, so that no form reads a time of the past unnoticed.
-    What needs several times at once has hands of its own, see `TimeLevel`.
+    Forms may read it inside the context `at`, which sets a time. Otherwise it is NaN, so that no form reads an old time
+    unnoticed. Forms at several times at once use `TimeLevel`.
 
     Attributes:
         symbol: the time, a UFL constant.
@@ -49,7 +48,7 @@ class Clock:
 
     @contextmanager
     def at(self, t: float) -> Iterator[None]:
-        """Show a time while forms are assembled."""
+        """Set the time while forms are assembled."""
         before = float(self.symbol)
         self._show(t)
         try:
@@ -63,11 +62,11 @@ class Clock:
 
 
 class TimeConstant(fem.Constant):
-    """What forms read of a clock: the time, or the values (columns,) of a table at an argument of the time alone.
+    """A clock's constant in forms: the time, or the values (columns,) of a table whose argument depends on time alone.
 
     Attributes:
         mesh: the mesh.
-        time_constants: all that is read of the clock.
+        time_constants: all constants of the clock.
     """
 
     def __init__(self, mesh: Mesh, time: TimeConstant | None = None, argument: Any = None, table: Any = None) -> None:
@@ -78,14 +77,14 @@ class TimeConstant(fem.Constant):
         self.time_constants.add(self)
 
     def __eq__(self, other: object) -> bool:
-        if is_number(other):  # UFL's answer is False, and a load that asks would never see its time
+        if is_number(other):  # UFL would return False, and the load would never see its time
             raise TypeError(f"t == {other!r} asks a symbol for its value")
         return bool(super().__eq__(other))
 
     __hash__ = fem.Constant.__hash__
 
     def at(self, t: float) -> Any:
-        """Its value at a time: a number, or (columns,)."""
+        """Value at a time: a number, or (columns,)."""
         return t if self._table is None else self._table.at(self._argument_at(t))
 
     def _argument_at(self, t: float) -> float:
@@ -113,27 +112,27 @@ class TimeConstant(fem.Constant):
 
 
 def time_constants(expression: Expr) -> list[TimeConstant]:
-    """What an expression or a form reads of a clock; empty: it does not depend on the time."""
+    """Return the clock's constants in an expression or a form; empty if it does not depend on the time."""
     return [c for c in extract_constants(expression) if isinstance(c, TimeConstant)]
 
 
 class TimeLevel:
-    """A further hand of a clock: a time at which expressions have values, as constants of their own.
+    """A time level: expressions at its time read constants that are separate from those of the clock.
 
-    Forms at several hands are compiled once. To use one compiled form at several times, `set` its hand.
+    Forms at several time levels are compiled once. To use one compiled form at several times, call `set`.
     """
 
     def __init__(self, t: float = 0.0) -> None:
         self._t, self._own = t, dict[TimeConstant, fem.Constant]()
 
     def set(self, t: float) -> None:
-        """Move on to another time."""
+        """Set the time of the level."""
         self._t = t
         for reading, constant in self._own.items():
             constant.value = reading.at(t)
 
     def of(self, expression: Expr) -> Expr:
-        """An expression or a form that reads this hand instead of the clock."""
+        """Return an expression or a form that reads this time level instead of the clock."""
         shown = time_constants(expression)
         for reading in shown:
             if reading not in self._own:
@@ -141,7 +140,7 @@ class TimeLevel:
         return ufl_replace(expression, {reading: self._own[reading] for reading in shown}) if shown else expression
 
     def terms(self, terms: Iterable[Term]) -> list[Term]:
-        """The terms, their given strains at this hand."""
+        """Return the terms with prescribed strains at this time level."""
         return [
             p if p.prescribed_strain is None else replace(p, prescribed_strain=self.of(p.prescribed_strain))
             for p in terms
@@ -149,16 +148,16 @@ class TimeLevel:
 
 
 class StepStrains:
-    """Given strains over a step: at its ends, and where forces balance, as constants that compiled forms read.
+    """Prescribed strains over a time step, at its ends and where forces balance, as constants that compiled forms read.
 
-    At rest there are none: in the first step they come suddenly, as loads do.
+    At rest they are zero: in the first step they act suddenly, as loads do.
 
     Args:
         mesh: the mesh.
-        terms: the terms with given strains.
+        terms: the terms with prescribed strains.
 
     Attributes:
-        grows: whether any of them changes over the step.
+        grows: whether a prescribed strain changes over the step.
     """
 
     def __init__(self, mesh: Mesh, terms: Iterable[Term]) -> None:
@@ -168,28 +167,28 @@ class StepStrains:
         self.grows = True
 
     def begin(self, old: float, new: float, theta: float, *, at_rest: bool) -> None:
-        """Begin a step from one time, or from rest, to another, in which forces balance at theta of it."""
+        """Begin a step from time `old`, or from rest, to `new`; forces balance at the fraction theta of it."""
         self._before.value, self._theta.value = 0.0 if at_rest else 1.0, theta
         self.grows = at_rest or self._varies
         self._old.set(old)
         self._new.set(new)
 
     def balanced(self, f: Expr) -> Expr:
-        """theta f(new) + (1 - theta) f(old), as displacements have it where forces balance."""
+        """Value of f where forces balance, theta f(new) + (1 - theta) f(old), as for displacements."""
         if not time_constants(f):
             return f
         return self._theta * self._new.of(f) + (1 - self._theta) * self._before * self._old.of(f)
 
     def growth(self, f: Expr) -> Expr:
-        """f(new) - f(old)."""
+        """Increment f(new) - f(old) over the step."""
         return self._new.of(f) - self._before * self._old.of(f)
 
     def now(self, f: Expr) -> Expr:
-        """f where `look_at` looks."""
+        """Value of f at the time set by `look_at`."""
         return self._present * self._now.of(f)
 
     def look_at(self, t: float, *, at_rest: bool = False) -> None:
-        """Look at a time, or at rest."""
+        """Set the time of `now`, or rest."""
         self._present.value = 0.0 if at_rest else 1.0
         self._now.set(t)
 
@@ -211,7 +210,7 @@ class PiecewiseLinear:
         self.breaks = tuple(map(float, times[[True, *changes.any(axis=1), True]]))
 
     def __call__(self, t: Any) -> Any:
-        """The value at t, a number or a UFL expression; a list of components unless the table is of numbers."""
+        """Return the value at t, a number or a UFL expression; a list of components unless the table is scalar."""
         if is_number(t) or isinstance(t, ufl.constantvalue.RealValue | ufl.constantvalue.Zero):
             columns = [*map(float, self.at(float(t)))]
         else:
@@ -231,7 +230,7 @@ class PiecewiseLinear:
         return np.array([np.interp(t, self.times, column) for column in self.columns.T])
 
     def _lines(self, column: Array, t: Expr) -> Expr:
-        """One column at an expression that depends on the place too, UFL."""
+        """UFL expression of one column at an argument that also depends on the place."""
         times, steps = [*map(float, self.times)], map(float, np.diff(column) / np.diff(self.times))
         inside = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))
         within = (ufl.max_value(0, ufl.min_value(t, b) - a) for a, b in pairwise(times))
@@ -240,11 +239,11 @@ class PiecewiseLinear:
 
 
 def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
-    """A load or prescribed displacement that is linear in time between given values, and undefined before and after.
+    """Return a load or prescribed displacement that is linear in time between given values, and undefined outside.
 
     Tables of thousands of values are fine, `piecewise(dict(zip(times, forces)))`. The table may be used in a function,
-    `lambda x, t: (0, x[0] * table(x, t))`, at another time than t, `table(x, t / 3600)`, and as a law's temperature. Steps
-    of a layer with memory end at its break times.
+    `lambda x, t: (0, x[0] * table(x, t))`, at another time than t, `table(x, t / 3600)`, and as a law's temperature.
+    Steps of a layer with memory end at its break times.
 
     Args:
         values: time -> the value then: components of a load, or the number of a prescribed displacement; at least two.
@@ -253,7 +252,7 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
         A function (x, t) for the data of a model; it returns numbers if t is a number.
 
     Raises:
-        InputError: less than two times, values that are no numbers or of different lengths.
+        InputError: fewer than two times, values that are no numbers or of different lengths.
     """
     try:
         times = real_values(sorted(values))
@@ -272,7 +271,7 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
 
 
 def _time(expression: Expr) -> TimeConstant | None:
-    """The time, of an expression that depends on it alone; else None."""
+    """Return the time constant in an expression that depends on the time alone; else None."""
     terminals = [node for node in unique_pre_traversal(expression) if isinstance(node, Terminal)]
     others = {node for node in terminals if not isinstance(node, (ConstantValue, MultiIndex))}
     only = others.pop() if len(others) == 1 else None

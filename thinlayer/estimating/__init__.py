@@ -1,1 +1,1 @@
-"""What dropping a layer's mesh costs: errors of the interface law of order 0, from a better law on the same mesh."""
+"""Estimated errors of interface laws: how results change if a layer's mesh is dropped."""

@@ -1,4 +1,4 @@
-"""`estimate`: by how much the answer changes as the mesh of a layer is dropped."""
+"""`estimate`: by how much results change if the mesh of a layer is dropped."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ from thinlayer.system.progress import report
 from thinlayer.system.ranks import errors_on_all
 from thinlayer.time.marching import march
 
-GOAL_TOLERANCE = 3e-8  # of goals, relative: found between steel and rubber 1e6 times as soft; bounds are as much wider
+# relative rounding of goals, measured for rubber between steel that is 1e6 times as stiff; it widens their bounds
+GOAL_TOLERANCE = 3e-8
 
 
 @report("estimate")
@@ -49,24 +50,25 @@ def estimate(
     width: float = DEFAULT_WIDTH,
     options: Options | None = None,
 ) -> Estimate:
-    """By how much the answer changes if a layer's mesh is dropped, without meshing it between its bodies. Collective.
+    """Estimate how much results change if a layer's mesh is dropped, without meshing it between its bodies. Collective.
 
-    The layer is meshed by itself. A few steps lead from the given state to the structure with it (`global_local`); in a
-    history they do so at each of its times. For linear laws goals have bounds that hold for these cells of the bodies and
-    of the layer; for others, in one step from rest, the energy has.
+    The layer is meshed without the bodies. A few steps lead from the state to the structure with the meshed layer
+    (`global_local`); in a history they do so at each of its times. For linear laws goals have bounds, which hold for
+    these cells of the bodies and of the layer. For other laws, in one step from rest, the energy has bounds.
 
     Args:
-        state: a state of an interface model, or of one with bonds ("may the layer be ignored altogether?"); or a history,
-            marched with theta = 1.
-        layer: what was left out at the bonds: one layer for all of them, or {name of a seam: its layer}.
-        goals: numbers whose change is wanted.
+        state: a state of an interface model, or of a model with bonds ("may the layer be ignored altogether?"); or a
+            history, marched with theta = 1.
+        layer: the layer that bonds leave out: one layer for all of them, or {name of a seam: its layer}.
+        goals: quantities of interest, whose change is estimated.
         seam: name of the seam whose layer is dropped; the others stay as they are in the state. "S": all of them.
-        width: of bounds, over the change of their goal, > 0: steps lead on until they are as narrow, at most five times.
+        width: width of bounds over the change of their goal, > 0: steps continue until all bounds are as narrow, at
+            most five times.
         options: PETSc options, as in `solve`.
 
     Raises:
-        InputError: a state or law of which nothing can be estimated, with the reason.
-        SolveError: as in `solve`; or the structure with its layers is not found.
+        InputError: a state or law that cannot be estimated, with the reason.
+        SolveError: as in `solve`; or no convergence to the structure with its layers.
     """
     start = time.perf_counter()
     solution = state.last if isinstance(state, History) else state
@@ -102,7 +104,7 @@ def estimate(
     failed: list[SolveError] = []
     bounded = model.linear and model.symmetric and isinstance(state, State)
     narrow = width if bounded else None
-    for order, laws in enumerate(_models(model, better)):  # whose tangents lead to the layer
+    for order, laws in enumerate(_models(model, better)):  # their tangents are preconditioners of the iteration
         try:
             *earlier, first = _states_of_path(state, laws, order > 0, options)
             before = earlier[-1] if earlier else None
@@ -118,7 +120,7 @@ def estimate(
         except SolveError as error:
             if bounded:
                 raise
-            failed = [error.with_traceback(None)]  # as in `Solver`
+            failed = [error.with_traceback(None)]  # as in `Solver._try_in_turn`
     if failed:
         raise failed.pop()
     total, errors = np.zeros(4), {}
@@ -148,16 +150,16 @@ def estimate(
 
 
 def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
-    """The model, and the same with other laws where they are known."""
+    """The model, and the same model with better laws if they exist."""
     yield model
     try:
         yield model.improved(better)
-    except InputError:  # as of order 1 at junctions
+    except InputError:  # as for laws of order 1 at junctions
         return
 
 
 def _states_of_path(state: State | History, model: InterfaceModel, anew: bool, options: Options | None) -> list[State]:
-    """The states that lead to the given one; or, anew or in place of bonds, those of a model's laws. Collective."""
+    """States up to the last state; solved again with the model's laws if `anew`, or in place of bonds. Collective."""
     anew = anew or bool(state.model.bonds)
     if isinstance(state, State):
         return [solve(model, state.t, options=options) if anew else state]
@@ -172,7 +174,7 @@ def _states_of_path(state: State | History, model: InterfaceModel, anew: bool, o
 
 
 def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubproblem, options: Options | None) -> None:
-    """Lead the layers through earlier states of the interface laws, and begin their step to the last one. Collective."""
+    """March the layers through earlier states of the interface model, and begin their last step. Collective."""
     path, before = [*earlier, last], None
     inside = layers.rest(path[0].t)
     layers.begin(inside, path[0].t)
@@ -186,10 +188,10 @@ def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubprobl
 
 
 def _require_subproblem(model: InterfaceModel, state: State | History, dropped: Sequence[SeamLayer]) -> None:
-    """Raise InputError unless layers can be meshed by themselves between the bodies of a model. Collective.
+    """Raise InputError unless layers can be meshed without the bodies of a model. Collective.
 
-    Nodes on S follow neither plates nor inclined supports. What remembers, law or part, must have been at rest before, or
-    be among the dropped layers, and its history known.
+    Nodes on S must follow neither plates nor inclined supports. Laws or parts with memory must have been at rest
+    before, or be among the dropped layers with a known history.
     """
     for name in model.layers:
         model.applicability[name].require("estimate", "estimate: ")
@@ -226,7 +228,7 @@ def _checked_goals(goals: Any) -> dict[str, Goal]:
 
 
 def _has_multi_point_constraints(model: InterfaceModel) -> bool:
-    """Whether displacements on S follow others, or are turned. Collective."""
+    """Whether displacements on S have multi-point constraints or turned axes. Collective."""
     constraints, d = model.constraints, model.joint.dim
     if constraints.T is None:
         return False
@@ -238,7 +240,7 @@ def _has_multi_point_constraints(model: InterfaceModel) -> bool:
 
 
 def _of_order_1(reduction: Applicability) -> ThinLayer:
-    """The layer with its plain law of order 1; as it is where none is known, as of sublayers that are anisotropic."""
+    """The layer with its plain law of order 1; unchanged if there is none, as for anisotropic sublayers."""
     try:
         return replace(reduction.next_order(), edges="plain")
     except InputError:
@@ -246,7 +248,7 @@ def _of_order_1(reduction: Applicability) -> ThinLayer:
 
 
 def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:
-    """The interface model with the layers whose mesh is dropped. Collective."""
+    """The interface model with all layers whose mesh may be dropped, also in place of bonds. Collective."""
     model = state.model
     if not isinstance(model, InterfaceModel):
         raise InputError(f"estimate: a {model.name} model has nothing dropped; give a state of an interface model")

@@ -1,22 +1,23 @@
-"""The structure with its layers meshed, from an interface model and the layers by themselves: global-local iteration.
+"""Global-local iteration from an interface model, and a subproblem of its layers, to the structure with meshed layers.
 
-An iterate is a displacement u whose bodies are in equilibrium but for S: forces F on the layers' faces balance them. What
-the meshed layer lacks is r = F - (E u - l), on the layers alone. The interface model's matrix K_1 is a preconditioner of
-(K_b + E) d = r; directions are conjugate (Gosselet, Blanchard, Allix and Guguin 2018). By the theorem of Prager and Synge
-(1947) a goal Q with weights z has, with the layer meshed,
+An iterate is a displacement u whose bodies are in equilibrium except on S: forces F on the layers' faces balance them.
+The residual of the meshed layer is r = F - (E u - l), on its faces alone. The interface model's matrix K_1 is a
+preconditioner of (K_b + E) d = r; directions are conjugate (Gosselet, Blanchard, Allix and Guguin 2018). By the theorem
+of Prager and Synge (1947) a goal Q with weights z is bounded, with the layer meshed, by
 
     Q in Q(u) + z . r + r . E^+ r_z/2 -+ (r . E^+ r)^(1/2) (r_z . E^+ r_z)^(1/2)/2, r_z = F_z - E z.
 
-If the layers' laws are not linear, E is their tangent where the bodies have moved them, and follows the iterate. There are
-no bounds of goals then. If energies are convex there are some of the energy J(u_0) of the state with the layer in place of
-its law: with E(v) the least energy of the layers and E* its conjugate,
+If the layers' laws are not linear, E is their tangent at the face displacements of the iterate, and follows the
+iterate. Goals then have no bounds. If energies are convex, the energy J(u_0) of the state, with the layer in place of
+its law, has bounds. With E(v) the least energy of the layers and E* its conjugate,
 
     gap = E(u) + E*(F) - F . u >= J(u) - min J, D - gap <= J(u_0) - min J <= D,
 
-where D is |u_0 - u|^2/2 in the bodies and, in the layers, the energy of u_0 above the tangent plane where F move them.
+where D has two parts. In the bodies it is |u_0 - u|^2/2. In the layers it is the energy of u_0 above the tangent plane
+at the displacements under F.
 
-E^+ needs forces without resultants. Laws that resist rotations of the layer, as those of order 0 do, leave some: loads on
-the faces that are rigid motions there ("couples") balance them.
+E^+ needs forces without resultants. Laws that resist rotations of the layer, as laws of order 0 do, leave resultants.
+Loads on the faces that are proportional to rigid motions there ("couples") balance them.
 """
 
 from __future__ import annotations
@@ -41,31 +42,31 @@ from thinlayer.solving.layer_subproblem import MESH_REMEDY, LayerSubproblem, lin
 from thinlayer.solving.part_sum import ROUNDING_SHARE, PartSum
 
 MAX_STEPS = 5
-ITERATE_TOLERANCE = 1e-10  # difference of two iterates, relative, that counts as rounding
-RESULTANT_TOLERANCE = 1e-9  # resultant of the forces on a layer, over their sum, that counts as rounding
-COUPLE_REDUCTION = 0.01  # part of that which couples leave
-NEW_AXIS_SHARE = 0.1  # part of a resultant that is along no axis yet, over all of it
-MAX_NEWTON_STEPS, MAX_CONJUGATE_STEPS = 20, 30  # at most; the latter in each of the former
+ITERATE_TOLERANCE = 1e-10  # relative difference of two iterates that counts as rounding
+RESULTANT_TOLERANCE = 1e-9  # resultant of the forces on a layer, over the sum of their sizes, that counts as rounding
+COUPLE_REDUCTION = 0.01  # largest resultant that couples leave, over the resultant that counts as rounding
+NEW_AXIS_SHARE = 0.1  # share of a resultant along no earlier axis above which a couple is added
+MAX_NEWTON_STEPS, MAX_CONJUGATE_STEPS = 20, 30  # largest numbers of Newton steps, and of conjugate steps in each
 GAIN_TOLERANCE = 1e-20  # gain of a step, over the work of the forces on the layers, that counts as rounding
-RELATIVE_RESIDUAL = 1e-3  # residual that may be left, over that of the interface law
-MISSING_FORCE_SHARE = 1e-4  # forces on the faces, relative to all, that may be missing
-MAX_WIDTH_OVER_ROUNDING = 1e3  # width of bounds, over their rounding, at which a goal does not change
-MIN_CONJUGATE_GAIN = 1e-3  # part of what a step of Newton's has gained, at which conjugate ones end
-ENERGY_TOLERANCE = 1e-6  # part of what steps have lowered the energy by that may be left
-DEFAULT_WIDTH = 0.05  # width of bounds over the change, at which steps end if no other is asked for
+RELATIVE_RESIDUAL = 1e-3  # largest final residual, over the residual of the interface law
+MISSING_FORCE_SHARE = 1e-4  # part of the largest final residual, over the forces on the faces
+MAX_WIDTH_OVER_ROUNDING = 1e3  # width of bounds over their rounding below which they are narrow in any case
+MIN_CONJUGATE_GAIN = 1e-3  # gain of a conjugate step over the gain of its Newton step at which conjugate steps end
+ENERGY_TOLERANCE = 1e-6  # gain of a Newton step over the gain of all steps at which Newton's method ends
+DEFAULT_WIDTH = 0.05  # default width of bounds over the change at which steps end
 
 
 @dataclass(frozen=True)
 class BodyEquilibrium:
-    """A displacement whose bodies are in equilibrium but for S, or weights z of a goal.
+    """An iterate whose bodies are in equilibrium except on S: displacements, or the weights z of a goal.
 
     Attributes:
         u: (m,) displacements of this rank.
-        v: those of the layers' faces.
+        v: displacements of the layers' faces.
         F: forces of the bodies on the faces.
         load, values: forces on the layers, and prescribed displacements of their sides; of a goal its weights there.
-        directions: of the steps that led to it: d, v, F of each, and (K_b + E) d at the faces.
-        gained: by which these steps lowered twice the energy.
+        directions: directions of the steps that led to it: d, v, F of each, and (K_b + E) d at the faces.
+        gained: decrease of twice the energy by these steps.
     """
 
     u: Array
@@ -77,19 +78,19 @@ class BodyEquilibrium:
     gained: float = 0.0
 
     def is_near(self, other: BodyEquilibrium) -> bool:
-        """Whether two are the same, but for rounding, and so are their steps: faces are whole on all ranks."""
+        """Whether two iterates agree to rounding on the faces; then so do their steps. Every rank has all faces."""
         pairs = ((self.v, other.v), (self.F, other.F), (self.load, other.load), (self.values, other.values))
         return all(np.abs(a - b).max(initial=0.0) <= ITERATE_TOLERANCE * np.abs(a).max(initial=0.0) for a, b in pairs)
 
 
 @dataclass(frozen=True)
 class GoalBounds:
-    """Where a goal of the meshed layer lies.
+    """Estimate and bounds of a goal with the layer meshed.
 
     Attributes:
-        estimate: its value, with the residual at S weighed.
+        estimate: its value, corrected by the residual on S times the weights.
         lower, upper: its bounds.
-        rounding: by which rounding of forces may move them, as where bodies move far.
+        rounding: change of the bounds by rounding of forces, as where bodies move far.
     """
 
     estimate: float = math.nan
@@ -98,23 +99,23 @@ class GoalBounds:
     rounding: float = 0.0
 
     def within(self, other: GoalBounds) -> GoalBounds:
-        """The intersection with earlier bounds, which may be so much better that the value moves into them."""
+        """Intersection with earlier bounds; the estimate moves into it, as earlier bounds may be much better."""
         lower, upper = max(self.lower, other.lower), min(self.upper, other.upper)
         return replace(self, estimate=min(max(self.estimate, lower), upper), lower=lower, upper=upper)
 
     def is_narrow(self, value: float, share: float) -> bool:
-        """Whether they are apart by less than a share of the change from a value, or by little more than rounding."""
+        """Whether the width is at most a share of the change from `value`, or little more than rounding."""
         return self.upper - self.lower <= max(
             share * abs(self.estimate - value), MAX_WIDTH_OVER_ROUNDING * self.rounding
         )
 
 
 class GlobalLocal:
-    """Global-local iteration of an interface model and its layers by themselves.
+    """Global-local iteration between an interface model and a subproblem of its layers.
 
     Args:
-        adjoint: at a state of the interface model, with its factor; of goals of the meshed layer.
-        layers: the layers.
+        adjoint: adjoint at a state of the interface model, with its factor; for goals of the meshed layer.
+        layers: the subproblem of the layers.
     """
 
     def __init__(self, adjoint: Adjoint, layers: LayerSubproblem) -> None:
@@ -136,7 +137,7 @@ class GlobalLocal:
         self._reset()
 
     def _reset(self) -> None:
-        self._axes = np.empty((self._R.shape[1], 0))  # of the motions that have couples
+        self._axes = np.empty((self._R.shape[1], 0))  # axes of the motions that have couples
         self._couples: list[tuple[Array, Array]] = []
 
     # ---------------------------------------------------------------- the interface model
@@ -144,16 +145,16 @@ class GlobalLocal:
         return set_owned_values(fem.Function(self.model.V), u)
 
     def _missing_forces(self, u: Array) -> Array:
-        """Loads (m,) less the forces of all but the layers' laws, at displacements (m,)."""
+        """Loads (m,) minus the forces of all parts except the layers' laws, at displacements (m,)."""
         others = self.adjoint.forces(self._others, self.state, self._function(u), self.adjoint.interval)
         return np.asarray(self._loads - others)
 
     def _face_forces(self, forces: Array) -> Array:
-        """Forces on the faces, from nodal ones (m,)."""
+        """Forces on the faces, from nodal forces (m,)."""
         return self.layers.on_free(self.layers.at_faces(forces))
 
     def _linear_resistance(self, d: Array) -> Array:
-        """Forces of all but the layers' laws, linearised, at small displacements (m,)."""
+        """Linearised forces (m,) of all parts except the layers' laws, at small displacements (m,)."""
         self._x.array[:] = d
         out = self._x.duplicate()
         (self._K_b.multTranspose if self.adjoint.transposed else self._K_b.mult)(self._x, out)
@@ -162,19 +163,19 @@ class GlobalLocal:
         return forces
 
     def _displacements_under(self, r: Array) -> tuple[Array, Array]:
-        """Displacements under forces on the faces, and forces that the bodies then hand on to the layers."""
+        """Displacements of the interface model under face forces r, and the forces of its bodies on the layers."""
         d = self.adjoint.displacements(*self.layers.of_faces(r))
         return d, r - self._face_forces(self._linear_resistance(d))
 
     def _with_couples(self, u: Array, F: Array, load: Array, values: Array) -> BodyEquilibrium:
-        """With couples on the faces so that forces F and those on the layers have no resultants.
+        """Iterate with couples on the faces, so that its forces F and the loads on the layers have no resultants.
 
-        A couple is a solve with K_1; only motions that laws resist, or that loads on the layers drive, need one.
+        A couple is a solve with K_1. Only motions that laws resist, or that loads on the layers drive, need a couple.
         """
         iterate = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
         for _ in range(len(self._axes) + 1):  # a couple may leave a resultant along other axes
             left, least = self._resultant(iterate)
-            if left <= COUPLE_REDUCTION * least:  # steps add their resultants up
+            if left <= COUPLE_REDUCTION * least:  # well below rounding, as the resultants of steps add up
                 break
             along = self._R.T @ (iterate.F + load)
             self._add_couple(along)
@@ -185,9 +186,9 @@ class GlobalLocal:
         return iterate
 
     def _add_couple(self, along: Array) -> None:
-        """Solve for the couple along a new axis of motions, if a resultant has one."""
+        """Solve for the couple along a new axis of motions, if the resultant has a component along a new axis."""
         new = along - self._axes @ (self._axes.T @ along)
-        if norm(new) > NEW_AXIS_SHARE * norm(along):  # less is left to the next turn, or rounding
+        if norm(new) > NEW_AXIS_SHARE * norm(along):  # a smaller part is left to the next pass, or is rounding
             axis = new / norm(new)
             couple = self._shares[:, 0] * (self._R @ axis)
             d, pulled = self._displacements_under(couple)
@@ -195,7 +196,7 @@ class GlobalLocal:
             self._axes = np.column_stack([self._axes, axis])
 
     def _resultant(self, iterate: BodyEquilibrium) -> tuple[float, float]:
-        """The largest resultant of the forces on the layers, and what counts as rounding."""
+        """Largest resultant of the forces on the layers, and the resultant that counts as rounding."""
         forces, layers = iterate.F + iterate.load, self.layers
         rounding = ROUNDING_SHARE * float(np.abs(layers.K.diagonal()).sum() * np.abs(iterate.v).max())
         return np.abs(layers.R.T @ forces).max(initial=0.0), RESULTANT_TOLERANCE * float(
@@ -204,7 +205,7 @@ class GlobalLocal:
 
     # ---------------------------------------------------------------- iterates
     def first(self) -> BodyEquilibrium:
-        """The state."""
+        """First iterate: the state."""
         u = self.state.u.x.array[: self.n].copy()
         iterate = self._with_couples(
             u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.values
@@ -213,7 +214,7 @@ class GlobalLocal:
         return self._linearised(iterate)
 
     def weights(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
-        """Weights q (m,) of a goal at the displacements of this rank, and z."""
+        """Nodal weights q (m,) of a goal at the displacements of this rank, and its adjoint solution z."""
         q, g = goal.dual(self.adjoint)
         if self.model.linear and goal.is_linear(self.model):
             self.adjoint.require_dual(goal, q, g, layers=bool(goal.in_layers(self.layers)[0].any()))
@@ -226,7 +227,7 @@ class GlobalLocal:
 
     @contextmanager
     def _transposed(self) -> Iterator[None]:
-        """In a `with` block stiffness and couples are those of weights."""
+        """Within a `with` block, use transposed stiffness and its couples, for adjoint solutions."""
         if self.model.symmetric:
             yield
             return
@@ -239,15 +240,15 @@ class GlobalLocal:
             self._reset()
 
     def inside(self, iterate: BodyEquilibrium) -> Array:
-        """What is in the layers."""
+        """Unknowns of the layers at an iterate."""
         return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.values)
 
     def residual(self, iterate: BodyEquilibrium) -> Array:
-        """r = F - (E u - l)."""
+        """Residual r = F - (E u - l) on the faces."""
         return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.values)
 
     def step(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """Toward the meshed layer."""
+        """Iterate after a conjugate-gradient step towards the structure with meshed layers."""
         layers, r, no = self.layers, self.residual(iterate), np.zeros_like(iterate.v)
         d, F = self._displacements_under(r)
         new = self._with_couples(d, F, no, no)
@@ -256,7 +257,7 @@ class GlobalLocal:
         for p, v_p, F_p, Kp in iterate.directions:
             c = (v_p @ Kd) / (v_p @ Kp)
             d, v, F, Kd = d - c * p, v - c * v_p, F - c * F_p, Kd - c * Kp
-        if not (size := v @ Kd) > 0:  # nothing is missing
+        if not (size := v @ Kd) > 0:  # the residual is zero
             return iterate
         a = (r @ v) / size
         directions, gained = (*iterate.directions, (d, v, F, Kd)), iterate.gained + float(a * (r @ v))
@@ -265,12 +266,12 @@ class GlobalLocal:
         )
 
     def _linearised(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """The iterate, with the layers' tangent at it."""
+        """The iterate, after the layers have been linearised there."""
         self.layers.equilibrate_dirichlet(iterate.v)
         return replace(iterate, load=self.layers.load, directions=())
 
     def _equilibrate_bodies(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """The iterate, with bodies in equilibrium but for S, to first order, where they are not linear."""
+        """The iterate with bodies that are not linear in equilibrium except on S, to first order."""
         if not self._nonlinear:
             return iterate
         missing = self._missing_forces(iterate.u)
@@ -280,14 +281,14 @@ class GlobalLocal:
         return replace(iterate, u=iterate.u + d, v=v, F=F, gained=iterate.gained + self._work(missing, d))
 
     def _work(self, forces: Array, d: Array) -> float:
-        """Of nodal forces (m,) in small displacements (m,); reactions have none, though rounding moves supports."""
+        """Work of nodal forces (m,) in small displacements (m,); none of reactions, though rounding moves supports."""
         constraints = self.equations.constraints
         forces = constraints.forces(forces).copy()
         forces[constraints.bc_dofs] = 0.0
         return self._product(forces, constraints.unknowns(d))
 
     def newton_step(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """Toward meshed layers whose laws are not linear: conjugate steps with their tangent, while the energy falls."""
+        """Newton step for layers with non-linear laws: conjugate steps with their tangent, then a line search."""
         aim = self._equilibrate_bodies(iterate)
         for _ in range(MAX_CONJUGATE_STEPS):
             before, aim = aim.gained, self.step(aim)
@@ -312,15 +313,15 @@ class GlobalLocal:
         return new
 
     def newton(self) -> BodyEquilibrium:
-        """The structure with its layers meshed, from the state on.
+        """Solve for the structure with meshed layers by Newton's method, starting from the state.
 
         Raises:
-            SolveError: it is not found.
+            SolveError: no convergence.
         """
         iterate, u = self.first(), self.state.u.x.array
         moved = self.model.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
         rounding = ROUNDING_SHARE * self.equations.scale.stiffness[0] * moved
-        if norm(iterate.F) <= rounding:  # supports have moved what bears nothing
+        if norm(iterate.F) <= rounding:  # supports have moved a structure without forces on the layers
             return iterate
         least = RELATIVE_RESIDUAL * norm(self.residual(iterate)) + RESULTANT_TOLERANCE * norm(iterate.F)
         for _ in range(MAX_NEWTON_STEPS):
@@ -332,23 +333,24 @@ class GlobalLocal:
         raise SolveError(f"{not_found}, at t = {self.state.t:g}", advice=MESH_REMEDY)
 
     def _product(self, a: Array, b: Array) -> float:
-        """Of vectors (m,), over all ranks."""
+        """Scalar product of vectors (m,), over all ranks."""
         return float(self.model.comm.allreduce(float(a @ b)))
 
     def _require_balance(self, iterate: BodyEquilibrium) -> None:
-        """Raise SolveError unless forces on the layers have no resultant, but for rounding."""
+        """Raise SolveError if forces on the layers have a resultant that is more than rounding."""
         left, least = self._resultant(iterate)
         if left > 2 * least:
             raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g}; allowed: {least:.2g}")
 
     def gap(self, iterate: BodyEquilibrium) -> float:
-        """r . E^+ r, at least twice the square of the energy norm of what is missing (Prager and Synge)."""
+        """Upper bound r . E^+ r of twice the excess energy of the iterate over the solution (Prager and Synge)."""
         return self.layers.compliance(self.residual(iterate))[1]
 
     def energy(self, state: State, iterate: BodyEquilibrium) -> GoalBounds | None:
-        """Of J(u_0) - min J, from a last iterate. Collective.
+        """Bounds of J(u_0) - min J, from a last iterate. Collective.
 
-        None: the layers cannot bear the forces on their faces, or an energy is not convex.
+        None if bodies are not linear, tangents are not symmetric, the layers cannot bear the forces on their faces, or
+        an energy is not convex.
         """
         if self._nonlinear or not self.model.symmetric:
             return None
@@ -373,7 +375,7 @@ class GlobalLocal:
         goal_bounds: Mapping[str, GoalBounds],
         width: float | None,
     ) -> bool:
-        """Whether bounds are narrow, and energies and forces that are missing little beside those of steps; as of `run`."""
+        """Whether bounds are narrow, and energy and forces of the residual small relative to the steps; see `run`."""
         if width is None:
             return True
         narrow, share = (
@@ -382,14 +384,14 @@ class GlobalLocal:
         )
         if not narrow or self.gap(iterate) > share**2 * iterate.gained:
             return False
-        # an energy may hide forces, as in incompressible layers
+        # a small energy may hide large forces, as in incompressible layers
         return norm(self.residual(iterate)) <= share * norm(iterate.F - self._start) + MISSING_FORCE_SHARE * norm(
             iterate.F
         )
 
     # ---------------------------------------------------------------- goals
     def bounds(self, at_rest: float, q: Array, iterate: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
-        """Of a goal with a value at rest, weights q (m,) on this rank, and z.load in the layers. Collective.
+        """Bounds of a goal with a value at rest, weights q (m,) on this rank, and z.load in the layers. Collective.
 
         Raises:
             SolveError: forces on the layers are not in equilibrium.
@@ -405,7 +407,7 @@ class GlobalLocal:
         return GoalBounds(estimate, middle - half, middle + half, rounding)
 
     def goal_estimate(self, at_rest: float, q: Array, iterate: BodyEquilibrium, z: BodyEquilibrium) -> float:
-        """A goal, as of `bounds`, with the residual at S weighed. Collective."""
+        """Value of a goal, corrected by the residual on S times the weights; arguments as in `bounds`. Collective."""
         layers, w, w_z = self.layers, self.inside(iterate), self.inside(z)
         of_bodies = self._product(q, self.equations.constraints.unknowns(iterate.u)) + self._product(
             z.u, self._missing_forces(iterate.u)
@@ -413,9 +415,9 @@ class GlobalLocal:
         return float(at_rest + of_bodies + z.load @ w - w_z @ (layers.K @ w - iterate.load))
 
     def work_of_laws(self, u: fem.Function, z: BodyEquilibrium, *, bonded: bool = False) -> Array:
-        """Work (m,) of the laws in weights at displacements u, less that of loads on the layers, spread over displacements.
+        """Work (m,) of the laws at u in weights z, minus the loads' work on them, distributed over displacements.
 
-        Bonded bodies have none: in their place are the forces that the bodies need.
+        Bonded bodies have no laws: the forces that the bodies need replace them.
         """
         adjoint = self.adjoint
         if bonded:
@@ -426,7 +428,7 @@ class GlobalLocal:
         return adjoint.work(self._laws, Configuration(self._function(z.u), self.state.t)) - z.u * adjoint.layer_loads
 
     def states(self, iterate: BodyEquilibrium) -> tuple[State, State]:
-        """The interface model, and its layers by themselves, at an iterate."""
+        """States of the interface model and of its layers at an iterate."""
         return replace(self.state, u=self._function(iterate.u)), self.layers.state(
             self.layers.equilibrate_dirichlet(iterate.v)
         )
@@ -434,17 +436,19 @@ class GlobalLocal:
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None
     ) -> tuple[BodyEquilibrium, dict[str, BodyEquilibrium]]:
-        """The state and the weights of goals, after steps until bounds are narrow, or `MAX_STEPS`. Collective.
+        """Iterate until bounds are narrow, or `MAX_STEPS` times; return the iterate and the goals' weights. Collective.
 
         Args:
             goals: by name.
-            values: those from which changes count.
-            bounds: bounds that are known before, of goals that are linear; it gets these.
-            width: of bounds that are narrow, over the change; None: there are none, and Newton's steps lead to the end.
+            values: values of the goals from which changes count.
+            bounds: earlier bounds of goals that are linear; the new bounds replace them.
+            width: width of narrow bounds, over the change; None: there are no bounds, and Newton's method iterates to
+                convergence.
         """
         iterate = self.newton() if width is None else self.first()
         weights = {name: self.weights(goal) for name, goal in goals.items()}
-        same = [name for name, (_, z) in weights.items() if iterate.is_near(z)]  # the compliance is its own weight
+        # goals whose adjoint solution is the state itself, such as the compliance
+        same = [name for name, (_, z) in weights.items() if iterate.is_near(z)]
         linear = {name: goal for name, goal in goals.items() if goal.is_linear(self.model)}
         at_rest = {name: goal.at_rest(self.state, self.model) for name, goal in linear.items()}
         for step in range(MAX_STEPS + 1):

@@ -1,4 +1,4 @@
-"""Goals: numbers that a user wants of a structure, whose change with the layer's law is estimated; their base `Goal`."""
+"""Goals: quantities of interest of a structure, whose change with the layer's law is estimated; their base `Goal`."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ from thinlayer.system.compat import expand_derivatives
 
 
 class Goal(ABC):
-    """A number Q of the displacements of a structure, the same for all of its models.
+    """Quantity of interest Q: a number that depends on a structure's displacements, defined alike for all its models.
 
     Attributes:
-        name: of the goal, in tables and sentences.
+        name: name of the goal, in tables and sentences.
     """
 
     name: str
@@ -54,18 +54,18 @@ class Goal(ABC):
 
     @abstractmethod
     def value(self, state: State, model: InterfaceModel) -> float:
-        """Q in a state; of another model its displacements are taken to the interface model. Collective."""
+        """Q in a state; displacements of another model are transferred to the interface model. Collective."""
 
     @abstractmethod
     def scale(self, state: State, model: InterfaceModel) -> float:
-        """What Q is zero beside where it is only rounding, >= 0. Collective."""
+        """Reference magnitude of Q, >= 0, relative to which rounding errors of Q are judged. Collective."""
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
-        """Q without displacements, where it is linear: what given strains and loads do. Collective."""
+        """Q at zero displacements, if Q is linear: the contribution of prescribed strains and loads. Collective."""
         return self.value(replace(state, u=fem.Function(model.V)), model)
 
     def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
-        """The same of the meshed layers: weights at their unknowns, and motions of their sides; by default none."""
+        """Weights q at the unknowns of the meshed layers, and motions g of their sides; by default zero."""
         return np.zeros_like(layers.load), np.zeros_like(layers.load)
 
     @abstractmethod
@@ -73,12 +73,12 @@ class Goal(ABC):
         """Nodal weights q and motions g of supports for which Q = q . u - g . r + `at_rest`, see `Adjoint`. Collective.
 
         Raises:
-            InputError: there are none.
+            InputError: Q has no such weights.
         """
 
 
 class DirectedGoal(Goal):
-    """A goal along a direction (d,), not zero."""
+    """Goal along a direction (d,), which is not zero."""
 
     direction: Sequence[float]
 
@@ -86,7 +86,7 @@ class DirectedGoal(Goal):
         self.unit(model)
 
     def unit(self, model: Model) -> Array:
-        """The direction of unit length; raises InputError if it is none."""
+        """Unit direction; raises InputError unless the direction has d finite components, not all zero."""
         d = model.joint.dim
         direction: Any = finite_values(self.direction, (d,))
         good = direction is not None and direction.any()
@@ -95,7 +95,7 @@ class DirectedGoal(Goal):
 
 
 def vector_text(vector: Any) -> str:
-    """A vector in the name of a goal; as it is if it is none, which `check` refuses."""
+    """Text of a vector in the name of a goal; `repr` if it is not a vector, which `check` refuses."""
     try:
         return f"({', '.join(f'{c:.4g}' for c in vector)})"
     except (TypeError, ValueError, OverflowError):
@@ -104,7 +104,7 @@ def vector_text(vector: Any) -> str:
 
 @dataclass(frozen=True)
 class Compliance(Goal):
-    """The work of the loads in the displacements, less that of the supports in their prescribed ones; an energy.
+    """Work of the loads in the displacements, minus the work of supports in prescribed displacements; an energy.
 
     For linear models it is -2 times the potential energy.
     """
@@ -126,7 +126,7 @@ class Compliance(Goal):
         return adjoint.load_weights(), adjoint.prescribed_motions()
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
-        return 0.0  # reactions have it
+        return 0.0  # the reactions contain it
 
     def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
         return layers.forces, layers.values
@@ -139,7 +139,7 @@ def _rms_traction(surface: Surface, state: State) -> float:
 
 @dataclass(frozen=True)
 class Reaction(DirectedGoal):
-    """The force that a place gives to the structure along a direction, see `State.reaction`.
+    """Force of a place's supports on the structure along a direction, see `State.reaction`.
 
     Attributes:
         place: as in `State.reaction`.
@@ -151,11 +151,11 @@ class Reaction(DirectedGoal):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Of the goal."""
+        """Name of the goal."""
         return f"reaction {self.place} along {vector_text(self.direction)}"
 
     def unit(self, model: Model) -> Array:
-        """As of `DirectedGoal`; in a body of revolution without the radial part, along which forces add up to zero."""
+        """Unit direction; in axisymmetry its axial part, because forces along radii add up to zero."""
         axial = super().unit(model) * balanced_motions(model.kinematics, model.joint.dim)[: model.joint.dim]
         allowed = "give one with a part along the axis: forces along radii add up to zero"
         require(axial.any(), f"{self.name}: the direction", self.direction, allowed)
@@ -167,7 +167,7 @@ class Reaction(DirectedGoal):
     def scale(self, state: State, model: InterfaceModel) -> float:
         forces = [reaction.force for reaction in state.reactions_by_place().values()]
         force_sum = float(sum(np.linalg.norm(force) for force in [*forces, state.applied().force]))
-        surfaces = [Surface(model, name) for name in model.layers]  # of moments all resultants are zero
+        surfaces = [Surface(model, name) for name in model.layers]  # under pure moments all resultants are zero
         return max(force_sum, sum(_rms_traction(surface, state) * surface.integral(1.0) for surface in surfaces))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
@@ -190,13 +190,13 @@ class Reaction(DirectedGoal):
 
 @dataclass(frozen=True)
 class MeanTraction(DirectedGoal):
-    """The mean over a seam of the traction along a direction: the bodies' reactions on S over its area.
+    """Mean over a seam of the traction along a direction: the bodies' reactions on S over its area.
 
-    Reactions at nodes that supports or plates hold, which contain theirs, are left out.
+    Reactions at nodes that supports or plates constrain are left out, as they contain the forces of these.
 
     Attributes:
         direction: (d,) not zero.
-        seam: name of the seam; "S" where there is one.
+        seam: name of the seam; "S": all seams together.
     """
 
     direction: Sequence[float]
@@ -204,7 +204,7 @@ class MeanTraction(DirectedGoal):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Of the goal."""
+        """Name of the goal."""
         of = "" if self.seam == S else f" {self.seam}"
         return f"mean traction{of} along {vector_text(self.direction)}"
 
@@ -216,7 +216,7 @@ class MeanTraction(DirectedGoal):
         if any(term.law.traits.compiled for term in model.bodies) and state.model is not model:
             raise InputError(f"{self.name} of bonded bodies: their laws are not linear")
         v, u = self._test(model), displacements_of(state, model)
-        bodies = replace(state, model=model, u=u).bodies  # with what strains are given at its time
+        bodies = replace(state, model=model, u=u).bodies  # with the strains that are prescribed at its time
         works = [state.work(bodies, v)] if state.model.V is model.V else [forms.work(bodies, u, v)]
         works += [-model.external_work(v, state.t), model.added_work(u, v)]
         return sum(state.model.comm.allreduce(fem.assemble_scalar(compiled(W))) for W in works if W.integrals())
@@ -237,10 +237,11 @@ class MeanTraction(DirectedGoal):
         return adjoint.form_weights(works), adjoint.zero_vector()
 
     def _test(self, model: InterfaceModel) -> fem.Function:
-        """Displacements in which the reactions of the bodies on the seam do the mean traction's work.
+        """Displacements in which the work of the bodies' reactions on the seam is the mean traction.
 
-        Those of both sides are halves of it. Where a node of one side is held, or lies on another seam too, its reaction
-        contains more, and the other side's is taken; where both do, reactions of the same facet stand for it.
+        Each side contributes half of it. If a node of one side is constrained, or lies on another seam too, its
+        reaction contains other forces. Then the other side's node contributes all. If both nodes are such, reactions at
+        other nodes of the same facet replace theirs.
         """
         e, W, v = self.unit(model), model.space(1), fem.Function(model.V)
         names = [self.seam] if self.seam in model.layers else [*model.layers]
@@ -265,18 +266,18 @@ class MeanTraction(DirectedGoal):
 
 
 def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
-    """(nodes, d) shares in the traction on a seam of the reactions at its nodes, negative above; zero at `mixed` nodes."""
+    """(nodes, d) shares of nodal reactions in the traction on a seam, negative above; zero at `mixed` nodes."""
 
     def facing(values: Any) -> Array:
-        """Sums at the nodes of the values of those that face them."""
+        """Sums at each node of the values at the nodes that face it."""
         return nodal_sums(W, both, [values[lower], values[upper]][: len(both)])
 
-    both = [upper, lower] if len(upper) == len(lower) else []  # on a rigid base nothing faces them
+    both = [upper, lower] if len(upper) == len(lower) else []  # on a rigid base no nodes face each other
     above, below = (nodal_sums(W, [nodes], [np.ones((*nodes.shape, mixed.shape[1]))]) > 0 for nodes in (upper, lower))
     usable = (above != below) & ~mixed  # where a seam meets itself nodes may be on both sides
     whole = usable & (facing(usable) < facing(np.ones_like(usable)))
     shares = np.where(whole, 1.0, 0.5 * (usable & (facing(whole) == 0)))
-    # the others at a facet stand for its corners where no reaction is usable
+    # other corners of a facet replace its corners where no reaction is usable
     sides = both or [upper]
     has_share = np.sum([shares[nodes] for nodes in sides], axis=0) > 0
     more = np.broadcast_to(has_share.shape[1] / np.maximum(has_share.sum(axis=1, keepdims=True), 1), has_share.shape)
@@ -286,7 +287,7 @@ def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mix
 
 
 def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Array]) -> Array:
-    """(nodes, d) sums of values (..., d) that all ranks have at local nodes (...) of a vector space. Collective."""
+    """(nodes, d) sums over all ranks of values (..., d) at local nodes (...) of a vector space. Collective."""
     f, d = fem.Function(W), W.dofmap.bs
     for places, some in zip(nodes, values, strict=True):
         np.add.at(f.x.array.reshape(-1, d), places, some)
@@ -297,13 +298,13 @@ def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence
 
 @dataclass(frozen=True)
 class Displacement(DirectedGoal):
-    """The displacement of a place along a direction.
+    """Displacement of a place along a direction.
 
     Attributes:
         x: (d,) the place, in the interface model.
         direction: (d,) not zero.
-        side: of S, "lower" or "upper", for a place on S.
-        seam: the seam whose side is meant, as in `Probe`.
+        side: side of S, "lower" or "upper", for a place on S.
+        seam: the seam that has this side, as in `Probe`.
     """
 
     x: Sequence[float]
@@ -313,7 +314,7 @@ class Displacement(DirectedGoal):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Of the goal."""
+        """Name of the goal."""
         side = f" {self.side}" if self.side else ""
         return f"displacement at {vector_text(self.x)}{side} along {vector_text(self.direction)}"
 
@@ -322,7 +323,8 @@ class Displacement(DirectedGoal):
         cells_at(model, [self.x], self.side, self.seam)
 
     def value(self, state: State, model: InterfaceModel) -> float:
-        shown = replace(state, model=model, u=displacements_of(state, model))  # full models have their bodies elsewhere
+        # on the interface model, as bodies of full models are at other places
+        shown = replace(state, model=model, u=displacements_of(state, model))
         return float(Probe(shown).displacement(self.x, side=self.side, seam=self.seam) @ self.unit(model))
 
     def scale(self, state: State, model: InterfaceModel) -> float:
@@ -343,13 +345,13 @@ class Displacement(DirectedGoal):
 
 @dataclass(frozen=True)
 class Functional(Goal):
-    """A UFL functional of one's own.
+    """User-defined UFL functional.
 
     Attributes:
-        name: of the goal.
-        of: function (u, model) of the displacements and the interface model that returns a form without arguments, on the
-            model's measures `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`, ... In
-            axisymmetry the goal is that of the whole revolution, with the factor 2 pi r.
+        name: name of the goal.
+        of: function (u, model) of the displacements and the interface model that returns a form without arguments, on
+            the model's measures `model.dx(model.domain.cell_values(name))`, `model.ds(model.domain.values(name))`, ...
+            In axisymmetry the goal is the integral over the whole revolution, with the factor 2 pi r.
     """
 
     name: str

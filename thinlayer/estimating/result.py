@@ -1,4 +1,4 @@
-"""Estimate: what an estimate of the error of interface laws says, in numbers, bounds, places and words."""
+"""Estimate: result of `estimate`, in numbers, bounds, densities on S and sentences."""
 
 from __future__ import annotations
 
@@ -26,11 +26,9 @@ from thinlayer.solving.petsc import Options
 from thinlayer.system.table import Table
 
 ESTIMATED_FIELDS = ("traction", "jump")  # quantities that every estimate has, besides goals
-ZERO_GOAL_SHARE = 1e-6  # of a goal that is zero but for rounding, over its scale
-DENSITY_ERROR = (
-    0.2  # difference of the integral of a density from its change, relative, from which on there is a warning
-)
-FIXED_GOAL_SHARE = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium gives the goal
+ZERO_GOAL_SHARE = 1e-6  # goal over its scale that counts as zero
+DENSITY_ERROR = 0.2  # relative error of the integral of a density above which there is a warning
+FIXED_GOAL_SHARE = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium determines the goal
 
 
 @dataclass(frozen=True)
@@ -38,9 +36,9 @@ class GoalError:
     """The estimated error of a goal.
 
     Attributes:
-        value: Q(u_0), of the given state.
-        better: Q(u_1), with the layer meshed by itself.
-        scale: what both are compared with to see whether they are only rounding.
+        value: Q(u_0), in the state that is estimated.
+        better: Q(u_1), with the layer meshed.
+        scale: reference magnitude for rounding errors of both, see `Goal.scale`.
         lower, upper: bounds of Q with the layer meshed; nan: there are none.
     """
 
@@ -57,7 +55,7 @@ class GoalError:
 
     @property
     def between(self) -> tuple[float, float]:
-        """The least and the largest error that bounds allow, |Q - Q(u_0)|/|Q|."""
+        """Least and largest error |Q - Q(u_0)|/|Q| that the bounds allow."""
         errors = [abs(q - self.value) / abs(q) if q else math.inf for q in (self.lower, self.upper)]
         least = 0.0 if self.lower <= self.value <= self.upper else min(errors)
         return least, math.inf if self.lower < 0 < self.upper else max(errors)
@@ -76,17 +74,17 @@ class GoalError:
 
     @property
     def zero(self) -> bool:
-        """Whether the goal is zero, but for rounding."""
+        """Whether the goal is zero to rounding."""
         return max(abs(self.value), abs(self.better)) <= ZERO_GOAL_SHARE * self.scale
 
     @property
     def at_most(self) -> float:
-        """What the true error is at most, relative: the bound, or the estimate where there is none."""
+        """Upper bound of the relative error; the estimate if there are no bounds."""
         return self.between[1] if self.bounded and not self.fixed else self.relative
 
     @property
     def fixed(self) -> bool:
-        """Whether the goal does not change, as equilibrium gives it."""
+        """Whether the goal does not change, because equilibrium alone determines it."""
         return abs(self.change) <= FIXED_GOAL_SHARE * self.scale
 
 
@@ -95,9 +93,9 @@ class LayerError:
     """The estimated errors of a layer.
 
     Attributes:
-        layer: as it was meshed by itself.
-        traction: |t(u_1) - t(u_0)|/|t(u_0)| in L2 on S; nan: it bears nothing.
-        jump: likewise; nan beside bonded bodies.
+        layer: the layer as it was meshed.
+        traction: |t(u_1) - t(u_0)|/|t(u_0)| in L2 on S; nan: it bears no traction.
+        jump: likewise; nan for bonded bodies.
     """
 
     layer: ThinLayer
@@ -107,19 +105,19 @@ class LayerError:
 
 @dataclass(frozen=True, repr=False)
 class Estimate:
-    """What dropping the mesh of a layer costs, see `estimate`.
+    """Estimated error of dropping the mesh of a layer, see `estimate`.
 
     Attributes:
-        state: u_0, as given.
-        better: u_1, of the same interface model, whose bodies have yielded to the layers meshed by themselves.
+        state: u_0, the state that is estimated.
+        better: u_1, a state of the same interface model, whose bodies are in equilibrium with the meshed layers.
         layers: name of a seam -> its errors.
         goals: name of a goal -> its error.
-        traction, jump: as of `LayerError`, over all layers.
+        traction, jump: as in `LayerError`, over all layers.
         seconds: wall time of the estimate.
-        inside: the layers by themselves, meshed, as they are between bodies: for `Probe`, pictures, files.
-        energy: bounds of the potential energy of the given displacements, with the layers meshed, above the least one.
-            Half of what the bodies' part of the error has in the energy norm, squared, is at most that. None: of linear
-            laws goals have bounds; or it is not known.
+        inside: state of the meshed layers as they are between the bodies: for `Probe`, pictures, files.
+        energy: bounds of the potential energy of u_0, with the layers meshed, above its minimum. The upper bound also
+            holds for half the squared energy norm of the error in the bodies. None for linear laws, whose goals have
+            bounds, or if not known.
     """
 
     state: State
@@ -132,20 +130,20 @@ class Estimate:
     inside: State
     energy: GoalBounds | None
     _layers: LayerSubproblem
-    _first: State  # from which steps led to it
-    _old: State | None  # before that of the laws, given or in place of bonds; None: rest
-    _weights: Mapping[str, BodyEquilibrium]  # of goals
+    _first: State  # state from which steps led to `better`
+    _old: State | None  # previous state of `state`, or of the state solved in place of bonds; None: rest
+    _weights: Mapping[str, BodyEquilibrium]  # adjoint solutions of the goals
     _goals: Mapping[str, Goal]
     _options: Options | None
 
     @property
     def cost(self) -> float:
-        """Time of the estimate over that of the given state."""
+        """Time of the estimate over the time of solving for the estimated state."""
         return self.seconds / self.state.report.seconds
 
     @property
     def dropped(self) -> str:
-        """What the given state has in place of the layers, in words."""
+        """Text that says which laws or bonds replace the layers in the estimated state."""
         bonds, layers = self.state.model.bonds, self.state.model.layers
         orders = sorted({layer.thin_layer.order for layer in layers.values() if layer.thin_layer})
         order_text = [f"order {' and '.join(map(str, orders))}"] if layers else []
@@ -154,13 +152,12 @@ class Estimate:
 
     # ---------------------------------------------------------------- where
     def density(self, goal: str = "compliance") -> npt.NDArray[np.float64]:
-        """Where on S the change of a goal comes from: a density whose integral is Q(u_1) - Q(u_0). Collective.
+        """Density on S of the change of a goal, whose integral is Q(u_1) - Q(u_0). Collective.
 
         It is (m,) at the nodes of `Surface(estimate.better.model)`, a field for its `integral` and `along`.
 
-        For linear models and goals the integral is exact, otherwise it is so to first order in the change; a warning says
-        where it is off by a fifth. It is large
-        where a mesh of the layer is needed.
+        For linear models and goals the integral is exact, otherwise to first order in the change. A warning is issued
+        if it is off by more than a fifth. The density is large where a mesh of the layer is needed.
 
         Raises:
             InputError: no such goal.
@@ -180,7 +177,7 @@ class Estimate:
         return density
 
     def by_seam(self, goal: str = "compliance") -> dict[str, float]:
-        """Name of a seam -> the part of the change of a goal that its layer causes; errors as of `density`. Collective."""
+        """Name of a seam -> the change of a goal that its layer contributes; errors as in `density`. Collective."""
         surface = Surface(self.better.model)
         changes = surface.at_points(self.density(goal)) * surface.weights
         return {name: float(changes[surface.seams == name].sum()) for name in self.layers}
@@ -188,15 +185,15 @@ class Estimate:
     def with_finer_ends(self, goal: str = "compliance", at_ends: float = 1 / 16) -> float:
         """A goal's better value if the layer's cells are divided towards its free ends and junctions. Collective.
 
-        Its difference from the better value is what the layer's own cells leave there, to second order. The bodies' cells
-        stay.
+        Its difference from `GoalError.better` is the error of the layer's own cells there, to second order. The bodies'
+        cells stay the same.
 
         Args:
             goal: its name.
-            at_ends: how far cells there reach at most, over the thickness, > 0, as of `Zoom`.
+            at_ends: largest extent of the cells there, over the thickness, > 0, as in `Zoom`.
 
         Raises:
-            InputError: no such goal, or one that has no bounds; `at_ends` is no number > 0, or too small.
+            InputError: no such goal, or a goal without bounds; `at_ends` is no number > 0, or too small.
         """
         bounded = [name for name, error in self.goals.items() if error.bounded]
         require_known("goal with bounds", goal, bounded, "estimate, of linear laws")
@@ -219,7 +216,7 @@ class Estimate:
     # ---------------------------------------------------------------- words
     @property
     def table(self) -> Table:
-        """A row for each quantity: values in the given state and with the layer meshed, relative error, bounds."""
+        """A row for each quantity: values in the estimated state and with the layer meshed, relative error, bounds."""
         nan, rows = math.nan, []
         for name, err in self.layers.items():
             of = f" {name}" if len(self.layers) > 1 else ""
@@ -233,7 +230,7 @@ class Estimate:
 
     @property
     def caveats(self) -> list[str]:
-        """What the estimate leaves out, in words."""
+        """Limits of the estimate, in words."""
         caveats = []
         laws = [term.law for term in self.better.model.terms]
         if self.state.sudden and any(law.traits.remembers and not law.traits.bounded for law in laws):
@@ -247,7 +244,7 @@ class Estimate:
 
     @cached_property
     def sentences(self) -> list[str]:
-        """What the estimate says."""
+        """The estimate in sentences."""
         errors = _fields_sentence(self.traction, self.jump) + [
             _goal_sentence(name, goal) for name, goal in self.goals.items()
         ]

@@ -1,4 +1,4 @@
-"""On S: norms of what a layer bears and how far it opens, and where changes of goals come from."""
+"""Errors on S: norms of a layer's tractions and jumps, and densities of changes of goals."""
 
 from __future__ import annotations
 
@@ -18,16 +18,14 @@ from thinlayer.output.surface import Surface
 from thinlayer.surface.pressure_excess import jump_stiffness
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
-ROUNDING_SHARES = (
-    1e-11,
-    1e-9,
-)  # traction over the layer's stiffness times displacements, jump over these: rounding up to here
+# largest rounding of the traction, over stiffness times displacements, and of the jump, over displacements
+ROUNDING_SHARES = (1e-11, 1e-9)
 
 
 def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: State) -> Array:
-    """(4,) squares of norms on a seam: t(u_1) - t(u_0), t(u_0), and so of [u]. Collective.
+    """(4,) squares of norms on a seam: t(u_1) - t(u_0), t(u_0), and likewise for the jumps [u]. Collective.
 
-    They are zero where they are rounding. The tractions t(u_1) are those of the meshed `layers`.
+    Norms of t(u_0) and [u_0] that are only rounding are zero. The tractions t(u_1) are taken from the meshed `layers`.
     """
     surface = Surface(better.model, seam_layer.name)
     has_law = seam_layer.name in before.model.layers
@@ -36,22 +34,23 @@ def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: S
     squares = np.array([surface.norm(f) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
     moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(1.0)
     least = np.square(ROUNDING_SHARES) * moved * (max(jump_stiffness(seam_layer.samples[0])) ** 2, 1.0)
-    squares[1::2] *= squares[1::2] > least  # rounding of bodies that bear nothing there
+    squares[1::2] *= squares[1::2] > least  # rounding of bodies without forces there
     return np.asarray(squares)
 
 
 def relative_errors(squares: Array) -> tuple[float, float]:
-    """Relative errors of traction and jump, from `squared_norms`; nan: not known."""
+    """Relative errors of traction and jump, from `squared_norms`; nan if not known."""
     of_t, t, of_w, w = (float(root) for root in np.sqrt(squares))
     errors = of_t / t if t else math.nan, of_w / w if w else math.nan
     return errors[0] * (errors[0] > ROUNDING_SHARES[1]), errors[1] * (errors[1] > ROUNDING_SHARES[1])
 
 
 def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyEquilibrium) -> Array:
-    """(m,) density, at the nodes of S, of the change of a goal from a state to a better one. Collective.
+    """(m,) density, at the nodes of S, of the change of a goal from a state to a better state. Collective.
 
-    It is the work of the interface laws in weights z, less that of the layers by themselves whose faces move as in the
-    state; what z lack, in the change of the faces; and, of the compliance, the change of the loads on the layers.
+    It has three terms. The first is the work of the interface laws in the weights z, minus the work of the meshed
+    layers with the state's face displacements. The second is the work of the residual of z in the change of the face
+    displacements. The third, for the compliance, is the change of the work of loads on the layers.
     """
     model, layers = iteration.model, iteration.layers
     u, surface = displacements_of(state, model), SurfaceMesh(model)
@@ -79,7 +78,7 @@ def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyE
 
 
 def _add_nodal(sums: Array, model: Model, values: Array) -> None:
-    """Add values (m,) at the displacements of this rank to the vertices of the edge, face or cell that each belongs to."""
+    """Add values (m,) at displacements of this rank to `sums`, at the vertices of the entity of each node."""
     V, joint = model.V, model.domain.joint
     of_nodes = values.reshape(-1, V.dofmap.bs).sum(axis=1)
     dofs = np.asarray(V.dofmap.list)

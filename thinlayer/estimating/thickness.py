@@ -1,4 +1,4 @@
-"""`thin_enough`: how thin a layer must be for its mesh to be dropped."""
+"""`thin_enough`: the thickness below which a layer's mesh may be dropped."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from thinlayer.system.ranks import errors_on_all
 from thinlayer.system.table import Table
 from thinlayer.time.marching import march
 
-THICKNESS_TOLERANCE = 0.01  # of the thickness, relative
-THICKNESS_RATIO = math.sqrt(2)  # ratio of thicknesses that are tried in turn, from the largest one
-ALLOWED_IN_TURN = 5  # of them in turn at which the error is allowed
-FALLING_STEPS = 16  # steps over which an error should fall: nearly incompressible layers keep theirs over seven of them
-STALLED_ERROR_RATIO = 0.92  # error over that before so many steps from which on it hardly falls
-MAX_STEPS = 40  # at most, in search of a thickness that is thin enough
+THICKNESS_TOLERANCE = 0.01  # relative tolerance of the thickness
+THICKNESS_RATIO = math.sqrt(2)  # ratio of successive thicknesses, from the largest
+ALLOWED_IN_TURN = 5  # number of successive thicknesses at which the error must be allowed
+FALLING_STEPS = 16  # steps over which an error should fall; it stays over seven of them in nearly incompressible layers
+STALLED_ERROR_RATIO = 0.92  # error over the largest error of the last FALLING_STEPS steps above which it hardly falls
+MAX_STEPS = 40  # largest number of steps in search of a thickness that is thin enough
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ class ThinEnough:
     """The thickness below which a layer's mesh may be dropped.
 
     Attributes:
-        eps: the thickness; where the error stays below the tolerance, the largest that was tried.
+        eps: the thickness; where the error stays below the tolerance, the largest thickness that was tried.
         tolerance: the relative error that is allowed.
         quantity: "traction", "jump", or the name of a goal.
-        table: a row for each thickness that was tried: eps, error (at most, where there are bounds).
+        table: a row for each thickness that was tried: eps, error (its upper bound, where there are bounds).
         at_tolerance: whether the error is equal to the tolerance at `eps`, to one percent of the thickness.
         lacks: the caveats of the estimate.
         bonded: whether the layer is ignored altogether.
@@ -82,27 +82,27 @@ def thin_enough(
     bodies: str = "kept",
     options: Options | None = None,
 ) -> ThinEnough:
-    """The thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
+    """Search the thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
 
-    The layer's material stays the same. Where goals have bounds, the largest error that they allow is taken. It takes ten
-    to twenty thicknesses on one mesh, from the largest one for which estimates hold down to five in turn with a smaller
-    error.
+    The layer's material stays the same. Where goals have bounds, the largest error that they allow is taken. The search
+    takes ten to twenty thicknesses on one mesh. It begins with the largest thickness for which estimates hold, and ends
+    after five successive thicknesses with a smaller error.
 
     Args:
         structure: bodies, supports and loads.
         layer: the layer, one for all seams, or {name of a seam: its layer, bond or gap}.
         tolerance: relative error that is allowed, between 0 and 1.
         goal: "traction" or "jump", on S; or a goal.
-        seam: name of the seam whose layer becomes thinner; the others stay as they are, and their errors are not counted.
-            "S": all of them, where one layer is given for all.
+        seam: name of the seam whose layer becomes thinner; the others stay as they are, and their errors are not
+            counted. "S": all seams, if they have the same layer.
         t: time of the loads and supports, as in `solve`.
         times: ends of time steps, as in `march`, for layers with a rate or a memory; t is then not used.
         bonded: whether the layer is ignored altogether, instead of replaced by its law of order 0.
-        bodies: "kept" or "extended", as of `Structure.interface`.
+        bodies: "kept" or "extended", as in `Structure.interface`.
         options: PETSc options, as in `solve`.
 
     Raises:
-        InputError: arguments out of range; a layer of which nothing can be estimated; no thickness is thin enough.
+        InputError: arguments out of range; a layer that cannot be estimated; no thickness is thin enough.
         SolveError: as in `solve`.
     """
     on_seams = _checked(structure, layer, tolerance, goal, seam, bonded)
@@ -125,7 +125,7 @@ def thin_enough(
     caveats: dict[float, list[str]] = {}
 
     def error(eps: float) -> float:
-        with warnings.catch_warnings(record=True) as heard[eps]:  # those of the answer are passed on
+        with warnings.catch_warnings(record=True) as heard[eps]:  # warnings at the final thickness are passed on
             warnings.simplefilter("always", RangeWarning)
             layers = dict.fromkeys(chosen, replace(thin, eps=eps, law=thin.material, at=None))
             state = alone or solved(made({**on_seams, **layers}))
@@ -144,7 +144,7 @@ def thin_enough(
 def _checked(
     structure: Structure, layer: Layers, tolerance: float, goal: str | Goal, seam: str, bonded: bool
 ) -> dict[str, Any]:
-    """What is on each seam; raises InputError for arguments out of range."""
+    """Layer, bond or gap of each seam; raises InputError for arguments out of range."""
     require(isinstance(structure, Structure), "thin_enough: the structure", structure, "it takes a Structure")
     with errors_on_all(structure.comm):
         on_seams = value_by_seam(structure.joint, layer, "layer")
@@ -163,7 +163,7 @@ def _checked(
 
 
 def _error(error_estimate: Estimate, quantity: str) -> float:
-    """The largest error of a quantity that the estimate allows; infinite where the layer bears nothing."""
+    """The largest error of a quantity that the estimate allows; infinite where the layer has no traction or jump."""
     if quantity in ESTIMATED_FIELDS:
         error = error_estimate.traction if quantity == "traction" else error_estimate.jump
         return error if math.isfinite(error) else math.inf
@@ -176,10 +176,10 @@ def _error(error_estimate: Estimate, quantity: str) -> float:
 def _search(
     error: Callable[[float], float], thickest: float, tolerance: float, rows: dict[float, float]
 ) -> tuple[float, bool]:
-    """The thickness below which errors are at most `tolerance`, and whether there is one above; fills rows.
+    """Thickness below which errors are at most `tolerance`, and whether they exceed it above; fills `rows`.
 
-    Errors may change their sign, and so be small at a thickness and large at smaller ones: the search goes down from the
-    thickest until they are allowed at `ALLOWED_IN_TURN` of them in turn.
+    Errors may change their sign, and so be small at a thickness and large at smaller thicknesses. Therefore the search
+    goes down from the thickest until errors are allowed at `ALLOWED_IN_TURN` successive thicknesses.
     """
 
     def excess(eps: float) -> float:
@@ -207,7 +207,7 @@ def _search(
 
 
 def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
-    """Raise InputError if errors do not fall with the thickness any more, and are not allowed."""
+    """Raise InputError if errors are not allowed, and no longer fall with the thickness."""
     if passed or len(errors) <= FALLING_STEPS:
         return
     at = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there"

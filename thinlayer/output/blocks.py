@@ -1,4 +1,4 @@
-"""Blocks of a state for ParaView, on rank 0: bodies, meshed layers and S, with all that is known there."""
+"""ParaView blocks of a state, on rank 0: bodies, meshed layers and S, with all their fields."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from thinlayer.output.surface import STATUSES, Surface
 from thinlayer.output.tractions import LawPoints, law_points
 
 BODIES_BLOCK, LAYER_BLOCK, SURFACE_BLOCK = "bodies", "layer", "S"
-VTK_TENSOR_ORDER = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # XX, YY, ZZ, XY, YZ, XZ: the order in which VTK names six
+VTK_TENSOR_ORDER = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # VTK's order of symmetric tensors: XX, YY, ZZ, XY, YZ, XZ
 STRESS, VON_MISES = "stress", "von Mises"
-VTK_POLY_LINE = 4  # of VTK: straight between its nodes; ParaView does not integrate over curved lines
+VTK_POLY_LINE = 4  # VTK cell type, straight between nodes, as ParaView does not integrate over curved lines
 CONTACT_CODES = {NO_CONTACT_STATUS: -1} | {name: code for code, name in enumerate(CONTACT_STATUSES)}
 STATUS_CODES = {name: code for code, name in enumerate(STATUSES)}
+# names of fields; internal variables with these names get the prefix "internal"
 RESERVED_FIELDS = (
     "u",
     STRESS,
@@ -35,15 +36,15 @@ RESERVED_FIELDS = (
     "status",
     "traction",
     "jump",
-)  # no names of internal variables
+)
 
 
 def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | None:
-    """The blocks "bodies", "layer" (a full model) and "S" (if a model is given); None on other ranks. Collective.
+    """The blocks "bodies", "layer" (of a full model) and "S" (with `model`); None on other ranks. Collective.
 
     Args:
         state: the state.
-        model: the interface model, of the same joint, to whose S tractions and jumps are brought.
+        model: interface model of the same joint, whose S gets the tractions and jumps; None: no block "S".
     """
     of_cells, of_facets = _cell_data(state)
     grid = gather_grid(state)
@@ -61,13 +62,13 @@ def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | N
 
 
 def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Stresses and internal variables (means) of the cells, internal variables of the facets of S; on rank 0. Collective.
+    """Means of stresses and internal variables over cells, and of internal variables over facets of S. Collective.
 
-    A cell or facet whose law has no variable of a name has NaN there.
+    They are gathered on rank 0. Where the law of a cell or facet has no variable of a name, the value is NaN.
     """
     model, joint = state.model, state.model.domain.joint
     of_cells, of_facets = _Means(model.comm, np.arange(len(joint.cells))), _Means(model.comm, model.joint.surface_rows)
-    through: dict[str, int] = {}  # number of terms so far, on S, of a layer: of order 1 it has two
+    through: dict[str, int] = {}  # number of terms of each layer on S so far; a layer of order 1 has two
     for points in law_points(state):
         if points.quadrature.region.dim == joint.dim:
             of_cells.add(points, STRESS, points.stress())
@@ -83,7 +84,7 @@ def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
 
 
 def _named_variables(sublayers: list[dict[str, Array]], before: int, *, several: bool) -> Iterator[tuple[str, Array]]:
-    """Names and values of internal variables; where a facet has several points of one name they are numbered from below."""
+    """Yield names and values of internal variables; names are numbered from below if a facet has several points."""
     for number, variables in enumerate(sublayers, before + 1):
         for name, values in variables.items():
             field_name = f"internal {name}" if name in RESERVED_FIELDS else name
@@ -91,7 +92,7 @@ def _named_variables(sublayers: list[dict[str, Array]], before: int, *, several:
 
 
 class _Means:
-    """Means over entities of a joint, gathered on rank 0.
+    """Means over cells or facets of a joint, gathered on rank 0.
 
     Args:
         comm: communicator.
@@ -106,7 +107,7 @@ class _Means:
         self.arrays: dict[str, Array] = {}
 
     def add(self, points: LawPoints, name: str, values: Array) -> None:
-        """Add values (points, ...) to what is known of this name. Collective."""
+        """Add the means of values (points, ...) to the array of this name. Collective."""
         means = points.quadrature.means(values[:, *VTK_TENSOR_ORDER] if values.ndim == 3 else values)
         pieces = self._comm.gather((points.entities, means), root=0)
         if pieces is None:
@@ -118,14 +119,14 @@ class _Means:
 
 
 def von_mises(stress: Array) -> Array:
-    """(n,) equivalent stress of stresses (n, 6) in VTK's order."""
+    """Von Mises equivalent stress (n,) of stresses (n, 6) in VTK's order."""
     normal, shear = stress[:, :3], stress[:, 3:]
     deviator = normal - normal.mean(axis=1, keepdims=True)
     return np.asarray(np.sqrt(1.5 * ((deviator**2).sum(axis=1) + 2 * (shear**2).sum(axis=1))))
 
 
 def _volume(joint: Joint, grid: VtkGrid, of_cells: Mapping[str, Array]) -> pyvista.UnstructuredGrid:
-    """All cells with their data."""
+    """Grid of all cells with their data."""
     mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points)
     mesh.point_data["u"] = grid.u
     mesh.cell_data.update(of_cells)
@@ -143,7 +144,7 @@ def _volume(joint: Joint, grid: VtkGrid, of_cells: Mapping[str, Array]) -> pyvis
 
 
 def _part(mesh: pyvista.UnstructuredGrid, chosen: BoolArray) -> pyvista.UnstructuredGrid:
-    """Some cells with their points and data; data that are NaN in all of them, which VTK cannot read, are left out."""
+    """The chosen cells with their points and data, except data that are NaN in all of them, which VTK cannot read."""
     part = mesh.extract_cells(np.flatnonzero(chosen))
     for name in ("vtkOriginalCellIds", "vtkOriginalPointIds"):
         part.point_data.pop(name, None)
@@ -160,13 +161,14 @@ def _surface_block(
 ) -> pyvista.UnstructuredGrid | None:
     """The facets of S, in the joint's order; None on other ranks. Collective.
 
-    Each facet has nodes of its own. Point data are "traction", "jump", "normal", "u_upper", "u_lower", their mean "u" (to
-    warp S by), "t_N", "w_N", and "t_T", "w_T": in 2D the component along (n_2, -n_1), in 3D the vector in S; with contact
-    laws "contact" (`CONTACT_CODES`, -1 where there is none) and the vector "slip". Facet data are "seam" (its
-    position in the field "seams"), "status" (`STATUS_CODES`), and means of internal variables.
+    Each facet has its own nodes. Point data are "traction", "jump", "normal", "u_upper", "u_lower", their mean "u" (to
+    warp S by), "t_N", "w_N", "t_T" and "w_T". The last two are in 2D the component along (n_2, -n_1), in 3D the vector
+    in S. With contact laws there are also "contact" (`CONTACT_CODES`, -1 where no contact law acts) and the vector
+    "slip". Facet data are "seam" (its position in the field "seams"), "status" (`STATUS_CODES`), and means of internal
+    variables.
 
     Args:
-        state: a state of the model, or of another one of the same joint, of whose laws nothing is told.
+        state: a state of the model, or of another model of the same joint; then there are no statuses and contact data.
         model: an interface model.
         of_facets: name -> means (n_S, components), on rank 0.
     """
@@ -178,7 +180,7 @@ def _surface_block(
     if model.comm.rank:
         return None
     degree = max(joint.degree, model.structure.degree)
-    # from values at the points of quadrature to those at the nodes: exact for polynomials of this degree
+    # extrapolation from quadrature points to nodes, exact for polynomials of this degree
     to_nodes = np.linalg.pinv(lagrange(surface.kind, degree).tabulate(0, surface.points)[0, :, :, 0])
     at = {name: np.einsum("nq,dfq->fnd", to_nodes, f) for name, f in fields.items()}
     n, k = at["x"].shape[:2]
@@ -197,7 +199,7 @@ def _surface_block(
         slip = np.einsum("mk,mkj->mj", contact["slip"], contact["frames"][:, :-1])
         codes = np.array([CONTACT_CODES[name] for name in contact["status"]])
         at_corners = lagrange(surface.kind, 1).tabulate(0, lagrange(surface.kind, degree).points)[0, :, :, 0]
-        codes = codes[surface.nodes][:, at_corners.argmax(axis=1)]  # of nodes between corners, that of one of these
+        codes = codes[surface.nodes][:, at_corners.argmax(axis=1)]  # a node between corners has the code of one corner
         slip = at_corners @ slip[surface.nodes]
         slip[codes < 0] = np.nan
         block.point_data.update({"contact": codes.ravel(), "slip": _three_components(slip)})
@@ -207,7 +209,7 @@ def _surface_block(
 
 
 def _add_texts(mesh: pyvista.UnstructuredGrid, name: str, texts: Iterable[str]) -> None:
-    """Give the mesh a field of texts in any language; pyvista itself takes ASCII alone."""
+    """Add a field of texts in any language to a mesh; pyvista's own method accepts only ASCII."""
     array = vtkStringArray()
     array.SetName(name)
     for text in texts:
@@ -220,7 +222,7 @@ def _legend(codes: Mapping[str, int]) -> list[str]:
 
 
 def _three_components(values: Array) -> Array:
-    """Vectors (n, k, d) as (n k, 3)."""
+    """Vectors (n, k, d) as (n k, 3), padded with zeros."""
     flat = values.reshape(-1, values.shape[-1])
     return np.pad(flat, ((0, 0), (0, 3 - flat.shape[1])))
 

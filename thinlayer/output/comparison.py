@@ -1,4 +1,4 @@
-"""Full layer against interface law: differences on S."""
+"""Comparison of a meshed layer with its interface law: differences on S."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from thinlayer.system.fingerprint import differences, differences_text
 from thinlayer.system.ranks import errors_on_all, require_same
 
 Where = Callable[[Array], Any]
-JUMP_ROUNDING_SHARE = 1e-12  # a jump up to this share of the displacements is their rounding
+JUMP_ROUNDING_SHARE = 1e-12  # jump, over the displacements, up to which it is their rounding error
 PROFILE_TOLERANCE = 1e-9  # relative difference of equal thickness profiles
 
 
 def compare(
     full: Solution, interface: Solution, *, seam: str = S, where: Where | None = None, at: float | None = None
 ) -> dict[str, float]:
-    """Difference between the interface law and the meshed layer. Collective.
+    """Measure the difference between an interface law and a meshed layer. Collective.
 
-    Tractions are the law's own, and the mean of stress n through the thickness of the meshed layer. Jumps are differences
-    at matched points of both faces (`Surface`).
+    The interface law's traction is compared with the mean of stress n through the thickness of the meshed layer. Jumps
+    are differences between matched points of both faces (`Surface`).
 
     Args:
         full: state of a full model, or its history.
@@ -39,19 +39,21 @@ def compare(
         seam: name of the seam to measure on; default all of S.
         where: part of S to measure on, a numpy function of the coordinates, such as `lambda x: x[0] > 1` or
             `lambda x: (x[0] > 1) & (x[0] < 9)`; default all of S.
-        at: time of the states to take from histories; default the last. A state must be of this time.
+        at: time of the states to take from histories; default the last time. A state must have this time.
 
     Returns:
-        eps, the largest thickness of the layers; error_traction and error_jump: L2(S) norms of the differences over
-        those of the interface model's fields, nan where these are zero to rounding;
-        traction and jump: these norms (stress and length, times length^(1/2) in 2D);
-        too_stiff ("too_stiff NAME" for each of several seams), for isotropic elastic layers whose law has no pressure on S:
-        the layer's law alone is that many times too stiff against the openings found (`Surface.table`).
+        A row with eps, the largest thickness of the layers;
+        error_traction and error_jump, L2(S) norms of the differences over the norms of the interface model's fields,
+        nan where these are zero to rounding;
+        traction and jump, these norms (stress and length, times length^(1/2) in 2D);
+        too_stiff ("too_stiff NAME" for each of several seams), the factor by which the law alone is too stiff against
+        the openings of the state (`Surface.table`). It exists for isotropic elastic layers whose law has no pressure on
+        S.
 
     Raises:
-        InputError: the states are not a full and an interface model of the same structure (joint, bodies, supports, loads,
-            plane, element, thickness), or are of two times; `where` is no function of places, or holds nowhere on S;
-            unknown seam.
+        InputError: the states do not belong to a full and an interface model of the same structure. Joint, bodies,
+            supports, loads, plane, element and thickness must be the same. Also: states of different times; `where` is
+            no function of the coordinates, or is true nowhere on S; an unknown seam.
     """
     for result in (full, interface):
         require(isinstance(result, (State, History)), "compare: a state", result, "give what solve or march returns")
@@ -89,7 +91,7 @@ def compare(
 
 
 def _too_stiff(state: State, seam: str) -> dict[str, float]:
-    """Column "too_stiff" of each layer that has one, "too_stiff NAME" if the joint has several seams. Collective."""
+    """Values "too_stiff" of the layers to which it applies, "too_stiff NAME" if there are several seams. Collective."""
     several = len(state.model.joint.seams) > 1
     layers = {
         name: layer for name, layer in state.model.layers.items() if seam in (S, name) and not layer.has_pressure_flow
@@ -111,7 +113,7 @@ def _state_at(result: Solution, at: float | None) -> State:
 
 
 def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
-    """Raise InputError where a law of order 1 has its bodies at other places than the full model."""
+    """Raise InputError if bodies have other positions under a law of order 1 than in the full model."""
     band = full.domain.joint.band
     here = "kept" if interface.domain.joint.parted is None else "extended"
     assert band is not None
@@ -122,7 +124,7 @@ def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
 
 
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
-    """Raise InputError unless both models have the same data but for the layer's law."""
+    """Raise InputError unless both models have the same data, except the layer's law."""
     there, here = (
         {name: model.description[name] for name in ("plane", "bodies", "loads")}
         | {"supports": model.description["supports"][: len(model.supports.user_entries)]}
@@ -139,7 +141,7 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
 
 
 def _part(surface: Surface, where: Where | None) -> Array:
-    """(n, q) 1 on a part of S, 0 elsewhere."""
+    """Weights (n, q) of a part of S: 1 where `where` is true, 0 elsewhere."""
     with errors_on_all(surface.model.comm):
         part = surface.where(1.0 if where is None else where)
         if not np.isin(part, (0.0, 1.0)).all():

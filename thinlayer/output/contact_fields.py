@@ -1,4 +1,4 @@
-"""Contact on S in a state, at the nodes of a surface: status, zones, tractions, resultants and checks of the balance."""
+"""Contact on S in a state, at the nodes of a surface: status, zones, tractions, resultants and balance checks."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ SLIDING_TOLERANCE = 1e-9  # relative distance from the threshold at which a node
 
 @dataclass(frozen=True)
 class Zone:
-    """Neighbouring nodes of S with one status.
+    """Connected nodes of S with the same status.
 
     Attributes:
         status: "separated", "sliding", "stick" or "pinned".
-        size: area of S around them (2D: length).
+        size: area of S around the nodes (2D: length).
         start, end: lowest and highest coordinates of the nodes.
-        nodes: their number.
+        nodes: number of the nodes.
     """
 
     status: str
@@ -48,26 +48,26 @@ class Zone:
 
 @dataclass(frozen=True, repr=False)
 class Contact:
-    """Contact in a state, at the m nodes of a surface, in their order: along S in 2D. The same on all ranks.
+    """Contact in a state, at the m nodes of a surface in their order (along S in 2D); the same on all ranks.
 
-    What is (m,) is a field for `Surface.integral`, `along` and pictures. Nodes without a law, as at tips and on seams with
-    layers, have zeros.
+    Arrays (m,) are fields for `Surface.integral`, `along` and pictures. Nodes without a contact law, as at tips and on
+    seams with layers, have zeros.
 
     Attributes:
-        surface: the surface; its `numbers`, `places` and `nodes` are those of the fields.
-        status: (m,) "separated", "sliding", "stick"; "pinned" where supports prescribe the whole jump; "no contact law".
+        surface: the surface; the arrays refer to its nodes (`numbers`, `places`, `nodes`).
+        status: (m,) "separated", "sliding", "stick"; "pinned" if supports prescribe the whole jump; "no contact law".
         u_T: (m, d - 1) tangential jump in the frame of S (`Surface.frame`).
-        u_N: (m,) penetration, the upper side into the lower one, less the initial gap; negative where S is open.
+        u_N: (m,) penetration of the upper side into the lower side, less the initial gap; negative where S is open.
         p: (m,) pressure >= 0 of the law; without meaning at pinned nodes, where the support exerts the force.
-        t_T: (m, d - 1) tangential traction on the lower side; that on the upper side is opposite.
-        threshold: (m,) largest |t_T| at this pressure. With elements of degree 2, p, t_T and this are means over the nodes
-            from the middles on one side to those on the other, whose forces count half there.
-        slip: (m, d - 1) slip that the law remembers; zero for laws without memory.
-        areas: (m,) area of S around each node, as the law has it.
+        t_T: (m, d - 1) tangential traction on the lower side; the traction on the upper side is opposite.
+        threshold: (m,) largest |t_T| at this pressure. With elements of degree 2, nodes between vertices share their
+            forces equally among these vertices: p, t_T and threshold are then means.
+        slip: (m, d - 1) slip in the law's memory; zero for laws without memory.
+        areas: (m,) area of S around each node, as in the contact law.
         frames: (m, d, d), rows are the tangential axes and the normal of S.
         equilibrium: sum of the forces on the free nodes, over the sum of the absolute values of all nodal forces.
-        clapeyron: work of the loads and supports in the displacements less that of the stresses and of the tractions on S,
-            over the largest of the four: zero in equilibrium.
+        clapeyron: work of the loads and supports, less the work of the stresses and of the tractions on S, in the
+            displacements. It is relative to the largest of the four, and zero in equilibrium.
     """
 
     surface: SurfaceMesh
@@ -85,7 +85,7 @@ class Contact:
 
     @property
     def x(self) -> Array:
-        """(m, d) places of the nodes."""
+        """(m, d) coordinates of the nodes."""
         return self.surface.places
 
     @property
@@ -110,7 +110,7 @@ class Contact:
 
     @cached_property
     def zones(self) -> list[Zone]:
-        """Connected parts of S with one status, in the order of their first nodes; nodes at one place are connected."""
+        """Connected parts of S with the same status, ordered by their first nodes; coincident nodes are connected."""
         nodes, m = self.surface.nodes, len(self.status)
         a, b = nodes[:, np.triu_indices(nodes.shape[1], 1)].swapaxes(0, 1).reshape(2, -1)
         _, kind = np.unique(self.status, return_inverse=True)
@@ -128,7 +128,7 @@ class Contact:
 
     @property
     def table(self) -> Table:
-        """A row for each node: place, u_T, u_N, p, t_T and status."""
+        """A row for each node: coordinates, u_T, u_N, p, t_T and status."""
         suffixes = [""] if self.x.shape[1] == 2 else ["_1", "_2"]
         columns: dict[str, Any] = dict(zip("xyz", self.x.T, strict=False))
         columns |= {f"u_T{s}": self.u_T[:, k] for k, s in enumerate(suffixes)} | {"u_N": self.u_N, "p": self.p}
@@ -150,7 +150,7 @@ class Contact:
 
 
 def contact_result(surface: SurfaceMesh, state: State) -> Contact:
-    """Contact of a state on a surface. Collective; raises InputError."""
+    """Contact of a state on a surface; raise InputError if no contact law acts there. Collective."""
     values = contact_values(surface, state)
     if not values:
         seams = ", ".join(state.model.contacts)
@@ -171,17 +171,20 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, Any]:
     around = sum_by_number(at, areas, m)
     values: dict[str, Any] = {"areas": around}
     for name, array in nodal.items():
-        if name in ("p", "t_T", "threshold"):  # vertices have the forces of nodes between them
+        if name in ("p", "t_T", "threshold"):  # vertices share the forces of nodes between them
             values[name] = (sum_by_number(at, (array.T * areas).T, m).T / np.where(around > 0, around, 1.0)).T
             continue
         values[name] = np.zeros((m, *array.shape[1:])) if name != "status" else np.full(m, NO_CONTACT_STATUS)
-        values[name][at] = array  # of a neighbour, where a vertex has no area: on the axis of a solid of revolution
+        values[name][at] = array  # a vertex without area, on the axis of revolution, has the value of a neighbour
         values[name][at[vertex]] = array[vertex]
     return values
 
 
 def _rank_values(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
-    """What a contact law finds at its nodes of this rank, once for each vertex beside a node, and the vertices' numbers."""
+    """Values of a contact law at this rank's nodes, with a row for each vertex adjacent to a node.
+
+    The entry "number" has the numbers of the pairs of bodies at these vertices (`Joint.pairs`).
+    """
     model, law = state.model, state.model.contacts[seam]
     nodes = ContactNodes(ContactSurface.of(model, seam), model.constraints.bc_dofs, gap=law.gaps)
     w, slip = nodes.separation(state.u.x.petsc_vec), state.memory[model.layers[seam].key]
@@ -205,7 +208,10 @@ def _rank_values(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
 
 
 def _balance(state: State) -> tuple[float, float]:
-    """Sum of the forces on free nodes and the work balance, relative; NaN beside compiled laws on S. Collective."""
+    """Relative sum of the forces on free nodes, and relative error of the work balance. Collective.
+
+    They are NaN for models with compiled laws of layers.
+    """
     model, comm, d = state.model, state.model.comm, state.model.joint.dim
     if any(p.law.traits.compiled for p in model.layer_terms):
         return math.nan, math.nan

@@ -1,4 +1,4 @@
-"""Many runs of one model: spread over groups of ranks and over jobs, with one table."""
+"""Many runs of one model, distributed to groups of ranks and to jobs, with one table."""
 
 from __future__ import annotations
 
@@ -34,35 +34,38 @@ def ensemble(
     part: tuple[int, int] = (0, 1),
     keep_failures: bool = False,
 ) -> Table:
-    """A table with a row for each of many cases, such as random layers. Collective.
+    """Compute a table with a row for each of many cases, such as random layers. Collective.
 
-    The ranks form groups, each of which works on its own cases: run number k goes to group k modulo the number of groups.
-    In `make` and in the runs a group is all there is: calls without a communicator use that of the group.
+    The ranks form groups, each of which works on its own cases: run number k goes to group k modulo the number of
+    groups. Inside `make` and the runs, calls without a communicator use the communicator of the group.
 
     Args:
-        make: called once in each group; it builds what the runs share, such as a joint and a model, and returns the
-            function case -> row, a mapping of names to numbers or texts.
-        cases: the inputs of each run, name -> number or text, the same names in all.
-        out: csv file, written at the end, also after an error, with all rows that are there. Each row is on the disk, in
-            the folder out.parts, before the next one is computed. What rows were made from (`make`, and what it refers
-            to) is kept beside them.
-        resume: True: keep the rows that are there, and compute the others, on any number of ranks, groups and parts. Rows
-            drawn from a generator or iterator that goes on from run to run are refused: make one in each run, from a seed
-            in the case. Those that `random` and `numpy.random` share with all are, unless code of the runs seeds them.
-            "anyway": keep them even so, and those of another `make`; their cases must be the same.
+        make: called once in each group. It builds what the runs share, such as a joint and a model. It returns the
+            function case -> row, a mapping from names to numbers or texts.
+        cases: the inputs of each run, name -> number or text, with the same names in all cases.
+        out: csv file, written at the end, also after an error, with all existing rows. Each row is on the disk, in the
+            folder out.parts, before the next row is computed. A description of `make`, and of the objects it refers to,
+            is stored with the rows.
+        resume: True: keep existing rows, and compute the others, on any number of ranks, groups and parts. Rows are
+            refused if they were drawn from a random generator or iterator that several runs share. Make one in each
+            run, from a seed in the case. The global generators of `random` and `numpy.random` count as shared, unless
+            code of the runs seeds them. "anyway": keep such rows too, and rows of another `make`; the cases must be the
+            same.
         ranks: number of ranks of a group (default: all ranks are one group); it divides the number of ranks.
-        part: (k, n), this process does the k-th of n parts of the cases, k = 0, ..., n - 1: for n jobs that run at the same
-            time or one after the other, with the same `out` and `resume=True`.
+        part: (k, n): this process computes the k-th of n parts of the cases, k = 0, ..., n - 1. This is for n jobs that
+            run at the same time or in turn, with the same `out` and `resume=True`.
         keep_failures: True: a run that fails with a SolveError has a row with the error in the column "failure", and
-            empty entries; the others go on. False: the error is raised, once the other groups have done their runs.
+            empty entries; the other runs continue. False: the error is raised when the other groups have finished their
+            runs.
 
     Returns:
-        The table: "run", the case's columns, the row's, and with `keep_failures` "failure"; with all rows on the disk.
+        The table, with all rows on the disk. Its columns are "run", the columns of the cases, the columns of the rows
+        and, with `keep_failures`, "failure".
 
     Raises:
-        InputError: cases or rows without numbers or texts, or with unlike names; ranks or part out of range; `out` is of
-            another ensemble; several groups or parts draw from a generator that goes on from run to run. OSError: a file
-            could not be written. Errors of runs.
+        InputError: cases or rows without numbers or texts, or with different names; ranks or part out of range; `out`
+            belongs to another ensemble; several groups or parts draw from a random generator that several runs share.
+        OSError: a file could not be written. Errors of runs.
     """
     with errors_on_all(None):
         comm = default_comm()
@@ -93,7 +96,7 @@ def ensemble(
                         file.read(resume)
                     with use_comm(subcomm):
                         _compute(subcomm, make, inputs, left, rows, file, alone=step == 1, keep_failures=keep_failures)
-            except Exception as problem:  # the other groups go on
+            except Exception as problem:  # raised below, so that the other groups continue
                 error = problem
             done = there | {k: row for some in comm.allgather(rows) for k, row in some.items()}
             if path is not None:
@@ -108,7 +111,7 @@ def _compute(
     comm: MPI.Intracomm, make: Callable[[], RunFunction], cases: list[Row], left: Sequence[int], rows: dict[int, Row],
     file: RowFile | None, *, alone: bool, keep_failures: bool,
 ) -> None:  # fmt: skip
-    """Compute the rows of the runs that are left, into `rows` and into a file. Collective over the group."""
+    """Compute the rows of the runs `left`, into `rows` and into a file. Collective over the group."""
     with errors_on_all(comm):
         run = make()
         if not callable(run):
@@ -145,7 +148,7 @@ def _file(path: Path, name: str, make: Callable[[], RunFunction]) -> RowFile:
 
 
 def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
-    """The rows of all files; those of an earlier ensemble are moved away first unless it is resumed."""
+    """The rows of all files; files of an earlier ensemble that is not resumed are first moved away."""
     make_room(path, _parts(path), resume)
     files = [_file(path, part_path.stem, make) for part_path in sorted(_parts(path).glob("*-of-*.json"))]
     rows = _by_run([row for file in files for row in file.read(resume)])
@@ -160,7 +163,7 @@ def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row]
 
 
 def _merged(path: Path, cases: list[Row]) -> dict[int, Row]:
-    """Write all rows of all files into one table, one job after the other; returns them."""
+    """Write the rows of all files into one table, only one job at a time, and return them."""
     with lock_folder(_parts(path), f".merge{LOCK_FILE}", wait=True):
         rows = _by_run([row for file in _parts(path).glob("*-of-*.json") for row in read_sealed(file)["rows"]])
         if rows:
@@ -184,7 +187,7 @@ def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
 
 
 def _checked_cases(cases: Any) -> list[Row]:
-    """The cases as rows; raises InputError."""
+    """The cases as rows; raise InputError if they are invalid."""
     if not isinstance(cases, Iterable) or not (entries := [*cases]):
         raise InputError(f"cases is {cases!r:.80}; an ensemble needs one case or more")
     rows = [checked_row(case, f"case {k}", (RUN_COLUMN, FAILURE_COLUMN)) for k, case in enumerate(entries)]
@@ -195,7 +198,7 @@ def _checked_cases(cases: Any) -> list[Row]:
 
 
 def _raise_together(comm: MPI.Intracomm, group: int, error: Exception | None) -> None:
-    """Raise an error that one group has on all ranks. Collective."""
+    """Raise on all ranks an error that one group has. Collective."""
     errors = comm.allgather(None if error is None else (group, f"{type(error).__name__}: {error}"))
     if error is not None:
         raise error

@@ -1,4 +1,4 @@
-"""Files for ParaView: all that a state has, gathered on rank 0."""
+"""Files for ParaView with all fields of a state, gathered on rank 0."""
 
 from __future__ import annotations
 
@@ -28,32 +28,33 @@ COLLECTION_SUFFIX = ".pvd"
 def write(solution: Solution, path: str | Path, *, surface: Surface | None = None) -> None:
     """Write a state, or all states that a history keeps with their times, for ParaView. Collective.
 
-    Rank 0 gathers all that is known and writes "run.pvd" and the folder "run_pvd". Blocks:
+    Rank 0 gathers all fields and writes "run.pvd" and the folder "run_pvd". Blocks:
 
-    - "bodies": "u" at the nodes (those on S are double, so that jumps are kept); means over each cell: "stress",
-      "von Mises", the internal variables of laws by their names; "region", its position in the field "regions".
+    - "bodies": "u" at the nodes; nodes on S are double, so that jumps are kept. On cells: the means of "stress",
+      "von Mises" and the internal variables of laws by their names; "region", its position in the field "regions".
     - "layer", of a full model: the same, and "seam", its position in the field "seams".
-    - "S", of an interface model, or if a surface is given, facets whose nodes are their own. At the nodes: "traction",
-      "jump", "normal", "u_upper", "u_lower", "u" (their mean, to warp S by), "t_N", "w_N", "t_T", "w_T" (in 2D the
-      component along (n_2, -n_1), in 3D the vector in S); under contact laws "contact" (the field "contact codes" says
-      what is what) and "slip". On facets: "seam", "status" (see `Surface.status` and the field "status codes"), means of
-      the layer's internal variables, such as "phase".
+    - "S", of an interface model, or with `surface`: facets, each with its own nodes. At the nodes: "traction", "jump",
+      "normal", "u_upper", "u_lower", their mean "u" (to warp S by), "t_N", "w_N", "t_T" and "w_T". The last two are in
+      2D the component along (n_2, -n_1), in 3D the vector in S. Under contact laws also "contact" (explained by the
+      field "contact codes") and "slip". On facets: "seam", "status" (see `Surface.status` and the field
+      "status codes"), and means of the layer's internal variables, such as "phase".
 
-    Vectors have three components, stresses and other tensors six: XX, YY, ZZ, XY, YZ, XZ. "von Mises" is that of the mean
-    stress of a cell. Internal variables that a cell's law does not have are NaN there; where there are several points
-    through the thickness on S (sublayers, order 1) they are numbered from below: "plastic 1", "plastic 2". In a periodic
-    cell u is beside the motion by the mean strain (`State.mean_strain`); stresses are whole.
+    Vectors have three components, stresses and other tensors six: XX, YY, ZZ, XY, YZ, XZ. "von Mises" is computed from
+    the mean stress of a cell. Internal variables that a cell's law does not have are NaN there. If there are several
+    points through the thickness on S (sublayers, order 1), the variables are numbered from below: "plastic 1",
+    "plastic 2". In a periodic cell u is without the motion by the mean strain (`State.mean_strain`); stresses are
+    complete.
 
-    Displacements alone, of meshes that rank 0 cannot hold: `dolfinx.io.VTXWriter(comm, "run.bp", [state.u])`.
+    For meshes that do not fit on rank 0, `dolfinx.io.VTXWriter(comm, "run.bp", [state.u])` writes only displacements.
 
     Args:
-        solution: what to write.
+        solution: a state or a history.
         path: file, which ends in .pvd.
-        surface: S of an interface model of the same joint, to which a full model's traction and jump are brought, where
-            S was before it was inflated; its layer's status and internal variables are in the block "layer".
+        surface: S of an interface model of the same joint, for a full model: the block "S" has the traction and the
+            jump of the meshed layer, on S before inflation. Internal variables of the layer are in the block "layer".
 
     Raises:
-        InputError: no state, no name of a file, or another ending; a surface of another joint.
+        InputError: not a state or a history; a path that does not end in .pvd; a surface of another joint.
         OSError: the files could not be written; on all ranks.
     """
     comm = solution.model.comm if isinstance(solution, (State, History)) else default_comm()
@@ -90,7 +91,7 @@ def _states(solution: Solution) -> list[State]:
 
 
 def _make_room(path: Path, folder: Path) -> None:
-    """Make the folder, without the files of an earlier writing; OSError: the file cannot be written."""
+    """Make the folder, and delete the files of an earlier `write`; OSError: the file cannot be written."""
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.iterdir():
         if re.fullmatch(r"\d+", old.name) and old.is_dir():
@@ -100,8 +101,10 @@ def _make_room(path: Path, folder: Path) -> None:
 
 
 def _save(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
-    """Write a file .vtm, and those of its blocks in a folder beside it. VTK composes them in memory, as it can end the
-    process where a disk is full."""
+    """Write a file .vtm, and the files of its blocks in a folder next to it.
+
+    VTK composes the files in memory, as on a full disk it can end the process.
+    """
     assert multiblock is not None, "rank 0"
     rows = []
     for number, block in enumerate(multiblock.keys()):
@@ -118,7 +121,7 @@ def _save(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
 
 
 def _list(path: Path, kind: str, rows: Iterable[str]) -> None:
-    """Write a file that names others, a row of attributes for each."""
+    """Write a file that lists other files, with a row of attributes for each."""
     named = "".join(f"    <DataSet {row}/>\n" for row in rows)
     text = f'<VTKFile type="{kind}" version="1.0">\n  <{kind}>\n{named}  </{kind}>\n</VTKFile>\n'
     with replace_file(path) as file:

@@ -1,4 +1,4 @@
-"""VTK's cells, and displacements on them, gathered on rank 0, in an order that does not depend on the ranks."""
+"""VTK cells and their displacements, gathered on rank 0, in an order that does not depend on the ranks."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from geometry.topology import FACET_TYPES, IntArray, geometry_degree
 from thinlayer.discretisation.state import State
 from thinlayer.system.compat import interpolate
 
+# nodes of a mirrored tetrahedron of degree 2, in VTK's order; the first four: degree 1
 TET_ORDER = (
     1,
     0,
@@ -27,8 +28,9 @@ TET_ORDER = (
     8,
     7,
     9,
-)  # nodes of a tetrahedron of degree 2 in VTK's order; the first four: degree 1
+)
 
+# VTK's numbers of cells of degree 1, and of any degree
 LINEAR_TYPES = {"interval": 3, "triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
 LAGRANGE_TYPES = {
     "interval": 68,
@@ -36,16 +38,16 @@ LAGRANGE_TYPES = {
     "quadrilateral": 70,
     "tetrahedron": 71,
     "hexahedron": 72,
-}  # of any degree
+}
 
 
 def vtk_type(cell_type: str, n_nodes: int) -> int:
-    """VTK's number of a type of cells with that many nodes."""
+    """VTK's number of a cell type with `n_nodes` nodes."""
     return (LINEAR_TYPES if geometry_degree(cell_type, n_nodes) == 1 else LAGRANGE_TYPES)[cell_type]
 
 
 def vtk_order(cell_type: str, n_nodes: int) -> IntArray:
-    """(n_nodes,) the nodes of a cell, numbered as DOLFINx does, in the order that VTK wants."""
+    """DOLFINx numbers (n_nodes,) of the nodes of a cell, in VTK's order."""
     return np.argsort(np.asarray(dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(cell_type), n_nodes), np.int64))
 
 
@@ -55,11 +57,11 @@ class VtkGrid:
 
     Attributes:
         dim: space dimension, 2 or 3; in 2D all third components are zero.
-        points: (n, 3) places of the nodes.
+        points: (n, 3) coordinates of the nodes.
         u: (n, 3) displacements.
         cells, types: VTK cells.
         region: (n_cells,) region number from 0; sublayers of the meshed layer are -1, -2, ...
-        base: (n, k, 3) nodes of the facets of the rigid base, which do not move, in VTK's order; none between two bodies.
+        base: (n, k, 3) fixed nodes of the facets of the rigid base, in VTK's order; empty between two bodies.
         base_type: VTK type of these facets.
     """
 
@@ -73,7 +75,7 @@ class VtkGrid:
     base_type: int
 
     def component(self, name: str) -> Array:
-        """(n,) component of the displacement, "x", "y" or "z", or its "size"; raises InputError for another name."""
+        """Component (n,) of the displacement, "x", "y" or "z", or its "size"; raise InputError for another name."""
         if name == "size":
             return np.linalg.norm(self.u, axis=1)
         if name not in tuple("xyz"[: self.dim]):
@@ -82,7 +84,7 @@ class VtkGrid:
 
 
 def nodal_displacement(state: State) -> fem.Function:
-    """The displacement by nodal values, a copy, or its interpolant where the element's unknowns are no nodal values."""
+    """Copy of the displacement with nodal values, interpolated if the element's dofs are no nodal values."""
     V = state.model.space(2) if state.model.element.startswith("S") else state.u.function_space
     u = fem.Function(V, name="u")
     interpolate(u, state.u)
@@ -91,10 +93,10 @@ def nodal_displacement(state: State) -> fem.Function:
 
 
 def gather_grid(state: State) -> VtkGrid | None:
-    """The field of a state, on rank 0; None on other ranks. Collective.
+    """The displacement field of a state, on rank 0; None on other ranks. Collective.
 
-    Cells are in the order of the joint that the mesh was made from, nodes in the order in which cells come to them: any
-    number of ranks gives the same. The two nodes at one place of S are two, and so are those of periodic sides.
+    Cells have the order of the mesh's joint, and nodes the order in which they first occur in these cells. The result
+    is therefore the same on any number of ranks. Nodes on both sides of S stay distinct, as do nodes of periodic sides.
     """
     model, joint = state.model, state.model.domain.joint
     u = nodal_displacement(state)
@@ -105,7 +107,7 @@ def gather_grid(state: State) -> VtkGrid | None:
     here, there = (np.asarray(space.dofmap.list)[:n, order] for space in (V, W))
     maps = ((V.dofmap.index_map, here), (W.dofmap.index_map, there))
     numbers = [imap.local_to_global(np.ravel(nodes)).reshape(nodes.shape) for imap, nodes in maps]
-    # each cell's own places: nodes of periodic sides have two
+    # coordinates of each cell, as a node on periodic sides has two positions
     x_space = fem.functionspace(V.mesh, ("DG", V.ufl_element().degree)) if joint.periods else V
     x, values = x_space.tabulate_dof_coordinates()[x_space.dofmap.list[:n]][:, order], u.x.array.reshape(-1, d)[here]
     pieces = model.comm.gather((model.domain.original_cells[:n], *numbers, x, values), root=0)
@@ -120,7 +122,7 @@ def gather_grid(state: State) -> VtkGrid | None:
     at = first[by_cells]
     points, moved = x.reshape(-1, 3)[at], np.zeros((len(at), 3))
     moved[:, :d] = values.reshape(-1, d)[at]
-    if joint.cell_type == "tetrahedron":  # right-handed: VTK takes inner faces of others for outer ones
+    if joint.cell_type == "tetrahedron":  # VTK mistakes inner faces of left-handed cells for outer faces
         corners = points[rows[:, :4]]
         left = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
         rows[left] = rows[left][:, TET_ORDER[: rows.shape[1]]]
@@ -132,7 +134,7 @@ def gather_grid(state: State) -> VtkGrid | None:
 
 
 def _base(joint: Joint) -> tuple[Array, int]:
-    """Facets of the rigid base, (n, k, 3) in VTK's order of nodes, and their VTK type."""
+    """Nodes (n, k, 3) of the facets of the rigid base, in VTK's order, and the VTK type of these facets."""
     kind = FACET_TYPES[joint.cell_type]
     names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
     if not names:

@@ -1,4 +1,4 @@
-"""The stiffness of a periodic cell as a whole."""
+"""Homogenised stiffness of a periodic cell."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.solve import Solver
 from thinlayer.system.ranks import errors_on_all
 
-ASYMMETRY_TOLERANCE = (
-    1e-8  # difference of the stiffness from its transpose, over its size, that shows a wrong law or solve
-)
-BODY_STIFFNESS_TOLERANCE = 1e-12  # the same over the stiffness of the bodies, whose strains are differences
+# difference of the stiffness from its transpose, over its size, above which a law or a solve must be wrong
+ASYMMETRY_TOLERANCE = 1e-8
+BODY_STIFFNESS_TOLERANCE = 1e-12  # the same over the stiffness of the bodies, whose strains have rounding errors
 
 
 def homogenised_stiffness(model: Model) -> Array:
-    """Mean stresses of a periodic cell over mean strains, by one factor and a solve for each mean strain. Collective.
+    """Compute the stiffness of a periodic cell, mean stress over mean strain. Collective.
+
+    It needs one factorisation, and a solve for each mean strain.
 
     Args:
-        model: a model of a periodic joint, with linear laws and supports that do not move. Its loads,
-            eigenstrains and its own mean strain play no part.
+        model: a model of a periodic joint, with linear laws and supports that do not move. Its loads, its eigenstrains
+            and its prescribed mean strain are ignored.
 
     Returns:
         (k, k) stress, in the order of `Anisotropic`: 11, 22, 12 in 2D (k = 3), 11, 22, 33, 23, 13, 12 in 3D (k = 6). A
@@ -39,14 +40,14 @@ def homogenised_stiffness(model: Model) -> Array:
         sides are free, rows and columns of directions without a period vanish.
 
     Raises:
-        InputError: the joint is not periodic; a law is not linear or has stresses without strains; a layer is of order 1;
-            supports that move.
+        InputError: the joint is not periodic; a law is not linear or has stresses without strains; a layer is of order
+            1; supports move.
         SolveError: no unique solution; the stiffness of symmetric laws is not symmetric.
     """
     with errors_on_all(model.comm if isinstance(model, Model) else default_comm()):
         _check(model)
     strained = copy(model)
-    strained.family = ModelFamily()  # what the model's family keeps has its strains
+    strained.family = ModelFamily()  # the matrices that the model's family keeps contain its strains
     strained.coordinates = at = Coordinates.of(model.domain)
     strained.strain, strained.stress = MeanStrain(_unit_strains(model.joint.dim), at, model.joint), None
     some = model.bodies, model.layer_terms
@@ -85,7 +86,7 @@ def _check(model: Model) -> None:
 
 
 def _unit_strains(d: int) -> Strain:
-    """The mean strain number t of those that are a basis of all, at t = 0, 1, 2, ..."""
+    """Mean strain as a function (x, t), whose values at t = 0, 1, 2, ... are a basis of all strains (d, d)."""
     basis = np.zeros((len(VOIGT_PAIRS_OF_DIM[d]), d, d))
     for strain, (i, j) in zip(basis, VOIGT_PAIRS_OF_DIM[d], strict=True):
         strain[i, j] = strain[j, i] = 1.0 if i == j else 0.5

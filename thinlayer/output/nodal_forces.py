@@ -1,4 +1,4 @@
-"""Nodal forces: of forms, of the layer on the bodies, and of contact laws."""
+"""Nodal forces of forms, of the layer on the bodies, and of contact laws."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from thinlayer.system.ranks import destroy
 
 
 def layer_forces(state: State, joined: bool = False) -> fem.Function:
-    """Nodal forces that the layer (or the other body) exerts on the bodies, on the nodes of the faces of S. Collective.
+    """Nodal forces that the layer (or the other body) exerts on the bodies, at the nodes of the faces of S. Collective.
 
-    r_i = int_body stress(u) : e(phi_i) - L(phi_i), with the work of additions to the model (springs at the end of S, say)
-    on the left. The functions phi_i have degree 1 and jump at the faces of S; where `joined`, not at bonds.
+    r_i = int_body stress(u) : e(phi_i) - L(phi_i). The integral includes the work of the model's further parts, such as
+    springs at the end of S. The functions phi_i have degree 1 and jump at the faces of S; with `joined` not at bonds.
     """
     model = state.model
     W = model.space(1, broken_at_faces=not joined)
     v = ufl.TestFunction(W)
-    # Each form by itself: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with unlike quadrature.
+    # Separate forms: in a sum DOLFINx 0.9 loses integrals over overlapping sets of regions with different quadratures.
     r = nodal_forces(W, state.work(state.bodies, v))
     if (added := model.added_work_in(state, v)).integrals():
         r.x.array[:] += nodal_forces(W, added).x.array
@@ -41,7 +41,7 @@ def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
 
 
 def contact_forces(state: State) -> fem.Function:
-    """Nodal forces that a contact law passes to the bodies, in the state's space. Collective."""
+    """Nodal forces of contact laws on the bodies, in the state's space. Collective."""
     model, forces = state.model, fem.Function(state.model.V)
     for name, law in model.contacts.items():
         nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)

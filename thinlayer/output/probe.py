@@ -1,4 +1,4 @@
-"""Probe: displacements, stresses and internal variables of a state at given places, and at all points where laws act."""
+"""Probe: displacements, stresses and internal variables of a state at arbitrary points and at quadrature points."""
 
 from __future__ import annotations
 
@@ -23,9 +23,8 @@ from thinlayer.surface.locating import LocatedPoints
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.ranks import errors_on_all, require_same
 
-DISPLACEMENT_TOLERANCE = (
-    1e-9  # difference of displacements at one place, over the largest displacement, that counts as none
-)
+# difference of displacements at one point, over the largest displacement, that counts as zero
+DISPLACEMENT_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -33,11 +32,11 @@ class PointValues:
     """Values of one internal variable at the quadrature points of one law, the same on all ranks.
 
     Attributes:
-        key: of the law, see `Probe.names`.
-        x: (n, d) places, ordered by cell or facet, then by place.
-        values: (n, *shape).
+        key: key of the law, see `Probe.names`.
+        x: (n, d) coordinates, ordered by cell or facet, then by position.
+        values: (n, *shape) values at these points.
         weights: (n,) volumes (on S: areas times thickness) of the points: sums of weights times values are integrals.
-        entity: (n,) number in the joint of the cell, or row of its facet, of each point.
+        entity: (n,) number in the joint of each point's cell, or row of its facet in the joint's table.
     """
 
     key: str
@@ -50,13 +49,13 @@ class PointValues:
 class Probe:
     """Displacements, stresses and internal variables of a state. Methods are collective; all ranks get the same.
 
-    Places are those of the model's mesh before it deforms: in a full model that with room for the layer.
+    Points x refer to the model's undeformed mesh; in a full model this mesh contains the layer.
 
     Args:
         state: as `solve` returns it, or `history.at(t)`.
 
     Raises:
-        InputError: no state.
+        InputError: not a state.
     """
 
     def __init__(self, state: State) -> None:
@@ -64,17 +63,17 @@ class Probe:
             raise InputError(f"a probe takes a state, as solve returns it or history.at(t) is, not {state!r:.80}")
         self.state, self._joint, self._comm = state, state.model.domain.joint, state.model.comm
 
-    # ---------------------------------------------------------------- at places in bodies and meshed layers
+    # ---------------------------------------------------------------- at points in bodies and meshed layers
     def displacement(self, x: Any, *, side: str | None = None, seam: str = S) -> Array:
-        """Displacements (n, d) at places (n, d), or (d,) at one.
+        """Displacements (n, d) at points x (n, d), or (d,) at one point.
 
         Args:
-            x: places.
-            side: of S, "lower" or "upper", for places on S, where displacements jump.
-            seam: name of the seam whose side is meant, for places where several meet; "S": all of them.
+            x: the points.
+            side: side of S, "lower" or "upper", for points on S, where displacements jump.
+            seam: name of the seam to which `side` refers, for points where several seams meet; "S": all seams.
 
         Raises:
-            InputError: places outside the bodies and meshed layers; a place where displacements jump, without a side.
+            InputError: points outside the bodies and meshed layers; a point where displacements jump, without a side.
         """
         located = self._located(x, side, seam)
         basis = self.state.u.function_space.ufl_element().basix_element.tabulate(0, located.X)[0, :, :, 0]
@@ -87,11 +86,11 @@ class Probe:
         return u[first] if np.ndim(x) > 1 else u[first][0]
 
     def stress(self, x: Any, *, side: str | None = None, seam: str = S) -> Array:
-        """Stresses (n, 3, 3) at places (n, d), or (3, 3) at one; arguments and errors as in `displacement`.
+        """Stresses (n, 3, 3) at points (n, d), or (3, 3) at one point; arguments and errors as in `displacement`.
 
-        In each cell they are the polynomial nearest to the stresses at the points of quadrature, of a degree below that of
-        the displacements (on quadrilaterals and hexahedra of the same total degree). At a place in several cells they
-        are the mean of the stresses there.
+        In each cell a polynomial is fitted to the stresses at the quadrature points by least squares. Its degree is one
+        less than the degree of the displacements. On quadrilaterals and hexahedra its total degree equals their degree.
+        At a point in several cells the stress is the mean over these cells.
         """
         located = self._located(x, side, seam)
         total = np.zeros((len(located.entity), 9))
@@ -109,7 +108,7 @@ class Probe:
         return located
 
     def _fitted(self, points: LawPoints, values: Array, located: LocatedPoints) -> Array:
-        """Values (m, k) at located places of the polynomials nearest to values (points, k) in their cells; else zero."""
+        """Values (m, k) at located points of polynomials fitted to values (points, k) in their cells; else zero."""
         out = np.zeros((len(located.entity), values.shape[1]))
         rows = {int(entity): row for row, entity in enumerate(points.entities)}
         degree = self.state.model.structure.degree - (not is_tensor(self._joint.cell_type))
@@ -140,22 +139,23 @@ class Probe:
 
     @property
     def names(self) -> dict[str, list[str]]:
-        """Key of each law with internal variables -> their names.
+        """Key of each law with internal variables -> names of the variables.
 
-        Keys are those of `State.memory`: "layer", "layer BED", "body STONE"; sublayers are numbered from the lower to the
-        upper face: "layer 1", "layer BED/1". So are, on S, the two points through the thickness of a law of order 1.
+        Keys are as in `State.memory`: "layer", "layer BED", "body STONE". Sublayers are numbered from the lower to the
+        upper face: "layer 1", "layer BED/1". On S the two points through the thickness of a law of order 1 are numbered
+        likewise.
         """
         return {key: list(variables) for key, variables in self._variables.items()}
 
     def points(self, name: str, key: str | None = None) -> PointValues:
-        """An internal variable at all points of quadrature of one law, in a body, a meshed layer or on S.
+        """Values of an internal variable at all quadrature points of one law, in a body, a meshed layer or on S.
 
         Args:
-            name: of the variable, as in the law's `internal`; tensors come as (n, 3, 3).
-            key: of the law, see `names`; None: the only one with such a variable.
+            name: name of the variable, as in the law's `internal`; tensors are (n, 3, 3).
+            key: key of the law, see `names`; None: the only law with such a variable.
 
         Raises:
-            InputError: no such variable; several laws have it, and no key is given.
+            InputError: no such variable; several laws have it, and `key` is None.
         """
         key = self._key(name, key)
         points, values = self._variables[key][name]
@@ -168,17 +168,17 @@ class Probe:
         return PointValues(key, x[order], values[order], weights[order], entity[order])
 
     def internal(self, name: str, x: Any, key: str | None = None) -> Array:
-        """An internal variable at places: its values (n, *shape), or (*shape) at one place.
+        """Values (n, *shape) of an internal variable at points x, or (*shape) at one point.
 
-        They are known at points of quadrature alone. Of those in the cells (on S: in the facets) that contain the place the
-        nearest one's is taken; nothing is interpolated.
+        There is no interpolation: it is the value at the nearest quadrature point. Only quadrature points in the cells
+        (on S: in the facets) that contain x are candidates.
 
         Args:
             name, key: as in `points`.
-            x: places (n, d), or (d,); for the law of a layer on S places on its seam.
+            x: points (n, d), or (d,); for the law of a layer on S, points on its seam.
 
         Raises:
-            InputError: as in `points`; places where this law does not act.
+            InputError: as in `points`; points where this law does not act.
         """
         points = self.points(name, key)
         if self._variables[points.key][name][0].quadrature.region.dim == self._joint.dim:
@@ -198,7 +198,7 @@ class Probe:
         return out if np.ndim(x) > 1 else out[0]
 
     def _key(self, name: str, key: str | None) -> str:
-        """The key of the law with an internal variable."""
+        """The key of the law with this internal variable; raise InputError if there is not exactly one such law."""
         having = [law_key for law_key, variables in self._variables.items() if name in variables]
         listed = "; ".join(f"{law_key}: {', '.join(names)}" for law_key, names in self.names.items())
         available = listed or "no law remembers anything"
@@ -211,10 +211,10 @@ class Probe:
 
 
 def cells_at(model: Model, x: Any, side: str | None = None, seam: str = S) -> LocatedPoints:
-    """The cells of a model that contain places (n, d), or one (d,); with a side of S those on it alone.
+    """The cells of a model that contain points (n, d), or one point (d,); with a side of S only cells on this side.
 
     Raises:
-        InputError: no places, or outside the cells; no side, or one that is only a rigid base; an unknown seam.
+        InputError: no points, or points outside the cells; an unknown side, or a rigid base; an unknown seam.
     """
     located = LocatedPoints.in_cells(model.domain.joint, x)
     if side is None:
@@ -225,7 +225,7 @@ def cells_at(model: Model, x: Any, side: str | None = None, seam: str = S) -> Lo
 
 
 def _monomials(x: Array, degree: int) -> Array:
-    """All monomials (n, k) of places (n, d) up to a total degree."""
+    """Values (n, k) at points x (n, d) of all monomials up to a total degree."""
     axes = range(x.shape[1])
     factors = [some for count in range(degree + 1) for some in combinations_with_replacement(axes, count)]
     return np.column_stack([x[:, some].prod(axis=1) for some in factors])

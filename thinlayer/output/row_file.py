@@ -1,4 +1,4 @@
-"""Rows that a user's function gives, kept in a file with what they were made from, beside the csv file that has them."""
+"""Rows returned by a user's function, stored in a file with a description of their origin, next to their csv file."""
 
 from __future__ import annotations
 
@@ -27,38 +27,39 @@ GENERATOR_MESSAGE = (
     "an iterator or generator of random numbers that goes on from row to row; make one in each run, from a number of the "
     "case, np.random.default_rng(int(case['seed']))"
 )
-FILE_FORMAT = 1  # of the file
+FILE_FORMAT = 1  # version of the file's format
 RESUME_ADVICE = "give another name, remove it, or resume='anyway'"
 
 
 class RowFile:
-    """A file of rows that a user's function gives, and of what they were made from; on one rank.
+    """A file of rows returned by a user's function, and of a description of this function; on one rank.
 
-    What they were made from leaves out data that the function itself changes, such as a list of its results. Where rows are
-    drawn from a generator of random numbers, or an iterator, that goes on from row to row, they cannot be resumed.
+    The description includes the objects that the function refers to, except data that it changes itself, such as a list
+    of its results. Rows cannot be resumed if they are drawn from a random generator, or an iterator, that several rows
+    share.
 
     Args:
         path: the file, JSON.
         run: the function.
-        kind: what the table is, for messages: "sweep", "ensemble".
+        kind: kind of the table, for messages: "sweep", "ensemble".
     """
 
     def __init__(self, path: Path, run: Callable[..., Any], kind: str) -> None:
         self.path, self._run, self._kind = path, run, kind
         self._made_from, self._rows = describe(run), list[Row]()
         self._changing: set[tuple[str, ...]] = set()
-        self._drawn = False  # whether rows have moved a generator of random numbers
+        self._drawn = False  # whether making rows has advanced a random generator
         self.watch(run)
 
     def watch(self, run: Any) -> None:
-        """Look at the generators of this function from now on, or of several."""
+        """Watch the random generators and iterators of a function, or of several functions, from now on."""
         self._watched, self._states = run, random_states(run, shared=True)
 
     def read(self, resume: Resume) -> list[Row]:
-        """The rows in the file, to which others are added; with "anyway" those of any function.
+        """The rows in the file, to which `add` appends rows; with "anyway" also rows of another function.
 
         Raises:
-            InputError: the file is damaged; or its rows are not those of this function.
+            InputError: the file is damaged; its rows are of another function, or cannot be resumed.
         """
         if not self.path.exists():
             return []
@@ -78,7 +79,7 @@ class RowFile:
         return [*self._rows]
 
     def add(self, row: Row) -> None:
-        """Add a row, on the disk before this returns."""
+        """Append a row; it is on the disk when this method returns."""
         self._rows.append(row)
         changed = (_changed_path(*change) for change in differences(self._made_from, describe(self._run)))
         self._changing |= {path for path in changed if path}
@@ -88,7 +89,7 @@ class RowFile:
 
 
 def require_csv(out: Any, resume: Any) -> None:
-    """Raise InputError unless `out` may be the name of a csv file, or None, and `resume` a choice."""
+    """Raise InputError unless `out` is None or may be the name of a csv file, and `resume` is a valid choice."""
     require_resume(resume)
     require(out is None or isinstance(out, (str, Path)), "out", out, "it must be the name of a csv file, or None")
     if out is not None and Path(out).is_dir():
@@ -96,7 +97,7 @@ def require_csv(out: Any, resume: Any) -> None:
 
 
 def make_room(table: Path, record: Path, resume: Resume) -> None:
-    """Move a table that is not resumed away, with what is kept beside it. InputError: it cannot be resumed."""
+    """Move a table that is not resumed away, with its record; raise InputError if it cannot be resumed."""
     if not resume:
         move_away(table.parent, [table.name, record.name])
     elif table.exists() and not record.exists():
@@ -105,10 +106,11 @@ def make_room(table: Path, record: Path, resume: Resume) -> None:
 
 
 def checked_row(row: Any, what: str, taken: Collection[str]) -> Row:
-    """A row that a user gives, with floats, texts and None.
+    """Return a user's row with its entries as floats, texts or None.
 
     Raises:
-        InputError: the row, which is `what`, has a column that is taken, or entries that are neither numbers nor texts.
+        InputError: the row has a column in `taken`, or entries that are neither numbers nor texts; `what` names the
+            row.
     """
     require(isinstance(row, Mapping), what, row, "it needs a mapping of names to numbers or texts")
     entries: Row = {}
@@ -124,7 +126,7 @@ def checked_row(row: Any, what: str, taken: Collection[str]) -> Row:
 
 
 def _changed_path(path: tuple[str, ...], value: Any, _: Any) -> tuple[str, ...] | None:
-    """Path of a changed value, with "*" for values that only one description has; None for code."""
+    """Path of a changed value, ending in "*" if only one description has the value; None for code."""
     if {CODE_KEY, FILE_KEY, SAME_KEY} & {*path}:
         return None
     return (*path[:-1], "*") if value is MISSING_VALUE else path

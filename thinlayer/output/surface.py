@@ -1,4 +1,4 @@
-"""Surface: the fields of states on S, as numbers, the same on all ranks."""
+"""Surface: the fields of states on S as arrays, the same on all ranks."""
 
 from __future__ import annotations
 
@@ -24,27 +24,28 @@ NO_LAYER, BONDED, ELASTIC, OPEN = "no layer", "bonded", "elastic", "open"
 SLIDING, CRUSHED, TORN = "sliding", "crushed", "torn"
 YIELD_STATUSES = (ELASTIC, SLIDING, CRUSHED, TORN, OPEN)
 STATUSES = tuple(dict.fromkeys((*YIELD_STATUSES, NO_LAYER, BONDED, *CONTACT_STATUSES)))
-ZERO_TRACTION_SHARE = (
-    1e-6  # traction or plastic strain, over the largest traction or strain of a layer, that counts as none
-)
+# traction or plastic strain, over the largest traction or strain of a layer, that counts as zero
+ZERO_TRACTION_SHARE = 1e-6
 
 
 class Surface(SurfaceMesh):
-    """S of a joint, or one of its seams, and the fields of states of all models of the joint there.
+    """S of a joint, or one of its seams, with the fields there of states of all models of this joint.
 
-    The constructor and all methods that take a state are collective; the results are those of all S on every rank.
-    Arguments, attributes and errors are those of `SurfaceMesh`.
+    The constructor and all methods that take a state are collective; results are complete on every rank. Arguments,
+    attributes and errors are as in `SurfaceMesh`.
     """
 
     def traction(self, state: State) -> Array:
         """(d, n, q) traction t = stress n on S, linear on each facet: an L2 projection.
 
-        On the surface of a model with a contact law, whose tractions are at nodes, all are lumped there.
+        On the surface of a model with a contact law, whose tractions are nodal, the mass matrix of the projection is
+        lumped.
 
-        - Of an interface law it is its own: what works in [u]. Under contact it is that at the nodes.
-        - Of a meshed layer it is the mean of stress n through the thickness, elastic sublayers weighted by compliance; zero
-          where layers meet. Where the thickness varies on a rigid base it differs from the law's by O(eps).
-        - At bonds it is the bodies' reaction (`reaction`).
+        - Interface law: the traction of the law, conjugate to [u]. Contact law: its nodal tractions.
+        - Meshed layer: the mean of stress n through the thickness, elastic sublayers weighted by compliance; zero where
+          layers meet. If the thickness varies on a rigid base, it differs from the traction of the interface law by
+          O(eps).
+        - Bond: the bodies' reaction (`reaction`).
         """
         self._require_same_joint(state)
         model = state.model
@@ -59,32 +60,33 @@ class Surface(SurfaceMesh):
         )
 
     def reaction(self, state: State) -> Array:
-        """(d, n, q) the traction whose nodal forces are the bodies' reactions on both sides, linear on each facet.
+        """(d, n, q) traction whose nodal forces are the bodies' reactions on both sides, linear on each facet.
 
-        Where a support holds one side it is that of the other side. Where supports hold both sides, and in a cycle of
-        seams around a vertex, reactions do not tell all of it: it is then the one closest to the means around.
-        At a tip of S it is zero.
+        Where a support constrains one side, the other side determines it. Where supports constrain both sides, and in a
+        cycle of seams around a vertex, reactions do not determine it completely. It is then the solution closest to the
+        mean tractions at neighbouring nodes. At a tip of S it is zero.
         """
         self._require_same_joint(state)
-        whole = SurfaceMesh(self.model)  # forces at junctions are of all seams there
+        whole = SurfaceMesh(self.model)  # forces at junctions are sums over all seams there
         tractions, bonds = reaction_tractions(whole, state), np.isin(whole.seams, state.model.bonds)
         if bonds.any() and not bonds.all() and state.model.broken:
             of_bonds = whole.sums(np.broadcast_to(bonds[:, None], whole.nodes.shape).astype(float)) > 0
             tractions = np.where(of_bonds[:, None], tractions, reaction_tractions(whole, state, joined=True))
         return self.at_points(tractions[whole.find(self.numbers)])
 
-    # ---------------------------------------------------------------- what S does
+    # ---------------------------------------------------------------- status, phases, contact
     def status(self, state: State) -> npt.NDArray[np.str_]:
-        """(n, 1) what each facet does in a state of an interface model, in words.
+        """(n, 1) status of each facet in a state of an interface model, a word.
 
         - "elastic": nothing has yielded, or the law has no plastic strain;
-        - "sliding": the largest part of the plastic strain across S is a slip along it;
-        - "crushed", "torn": it is a closing, or an opening, along n;
-        - "open": the sides are apart, and no traction across S is left;
+        - "sliding": the largest part of the plastic strain across S is a slip along S;
+        - "crushed", "torn": the largest part is a closing, or an opening, along n;
+        - "open": the sides have separated, and no traction across S is left;
         - "no layer": an open joint, on which no law acts; "bonded": a `Bond`;
-        - "separated", "sliding", "stick", "pinned" under contact laws, those of its nodes (`contact`).
+        - "separated", "sliding", "stick", "pinned": under contact laws, the status of its nodes (`contact`).
 
-        A facet has the status of the largest part of it. Plastic strains are those since the beginning, not of one step.
+        A facet has the status of its largest part. Plastic strains are accumulated since the beginning, not over one
+        step.
 
         Raises:
             InputError: a state of another kind of model.
@@ -109,9 +111,10 @@ class Surface(SurfaceMesh):
         return np.array(STATUSES)[model.comm.allreduce(np.array([*areas.values()])).argmax(axis=0)][:, None]
 
     def phase(self, state: State) -> Array:
-        """(n, 1) the mean phase of the layer of each facet, in a state of either model; nan where it has no phases.
+        """(n, 1) mean phase of the layer at each facet, in a state of either model; nan if the layer has no phases.
 
-        The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases; others are the share of phase 1 (or -1) beside 0.
+        The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Other numbers are the share of phase 1 (or minus
+        the share of phase -1) in a mixture with phase 0.
         """
         self._require_same_joint(state)
         sums = np.zeros((2, len(self.rows)))
@@ -127,7 +130,7 @@ class Surface(SurfaceMesh):
         return np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), np.nan)[:, None]
 
     def contact(self, state: State) -> Contact:
-        """What contact laws do at the nodes.
+        """Status, jumps and tractions of contact laws at the nodes.
 
         Raises:
             InputError: the state's model has no contact law here.
@@ -136,20 +139,21 @@ class Surface(SurfaceMesh):
         return contact_result(self, state)
 
     def table(self, state: State) -> Table:
-        """A row for each seam; of each law the columns that it has, None for other seams.
+        """A row for each seam; columns that do not apply to a seam's law are None.
 
         - "size": the area.
-        - "elastic", "sliding", ...: of interface models shares of the area with a status, under contact laws that of nodes.
+        - "elastic", "sliding", ...: in interface models the share of the area with this status; under contact laws, of
+          the nodes' area.
         - "normal_force": under contact laws the integral of the pressure.
-        - "plus", "minus": of layers with phases, in either model, the shares in phases 1 and -1; "boundary": the thickness
-          of phase 0, if the others lie above it.
-        - "too_stiff": how many times too stiff the laws of orders 0 and 1 of an isotropic elastic layer are against the
-          openings of the state, as they let no material flow along S (`surface/pressure_excess.py`). The layer alone is so
-          much too stiff, whatever it is sheared; the structure is off by less where its bodies are soft. Beyond 1.1, and
-          where this changes the traction by more than 10 %, a RangeWarning advises `Rubber` with order=1, or a meshed
+        - "plus", "minus": for layers with phases, in either model, the shares of phases 1 and -1; "boundary": the
+          thickness of phase 0, if the other phases lie above it.
+        - "too_stiff": factor by which laws of orders 0 and 1 of an isotropic elastic layer are too stiff against the
+          openings of the state. These laws let no material flow along S (`surface/pressure_excess.py`). The factor is
+          that of the layer alone, whatever its shear; the error of a structure with soft bodies is smaller. Above 1.1,
+          and if this changes the traction by more than 10 %, a RangeWarning advises `Rubber` with order=1, or a meshed
           layer.
-        - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). For a Fourier mode of
-          wave number k too_stiff is 1 + (k delta)^2.
+        - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). For a Fourier mode
+          of wave number k too_stiff is 1 + (k delta)^2.
         """
         self._require_same_joint(state)
         model, rows = state.model, []
@@ -181,7 +185,7 @@ class Surface(SurfaceMesh):
 
 
 def statuses(model: Model, seam: str) -> tuple[str, ...]:
-    """The statuses that facets of a seam may have."""
+    """Statuses that facets of a seam may have."""
     if seam in model.contacts:
         return CONTACT_STATUSES
     if seam not in model.layers:
@@ -194,7 +198,7 @@ def _has_plastic_strain(law: Law) -> bool:
 
 
 def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.NDArray[np.str_]:
-    """(facets, q) statuses at the points of a layer's law, on the facets `rows` that are not -1. Collective."""
+    """Statuses (facets, q) at the points of a layer's law, on the facets `rows` that are not -1. Collective."""
     model, q, sublayers = points.state.model, points.quadrature, points.term.law.sublayers
     (layer,) = (seam_layer for seam_layer in model.layers.values() if seam_layer.key == points.term.key)
     rule = surface.rule(q.degree)

@@ -26,20 +26,21 @@ THICKNESS_TOLERANCE = 1e-9  # relative difference of equal thicknesses
 def sweep(
     run: Callable[..., Mapping[str, Any]], eps: Iterable[float], out: str | Path | None = None, resume: Resume = False
 ) -> Table:
-    """A table of comparisons over decreasing thickness, with observed orders. Collective.
+    """Compute a table of comparisons over decreasing thickness, with observed orders. Collective.
 
     Args:
         run: eps -> a row with error_traction and error_jump, such as `compare` returns; the same on all ranks.
         eps: thicknesses, > 0 and different.
-        out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails. Beside it
-            stands out.json, from which a sweep is resumed: the rows, and what they were made from, the code of `run` and
-            what it refers to. Those of an earlier sweep that is not resumed are moved to previous-1, previous-2, ...
-        resume: True: keep the rows that `out` already has, and compute the others. "anyway": even those of another sweep.
+        out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails. The file
+            out.json next to it serves to resume a sweep: it has the rows, the code of `run`, and the data that `run`
+            refers to. Both files of an earlier sweep that is not resumed are moved to previous-1, previous-2, ...
+        resume: True: keep the rows that `out` already has, and compute the others. "anyway": also rows of another
+            sweep.
 
     Raises:
-        InputError: a thickness out of range or given twice; a row of another thickness, lacking columns or with
-            others than the first; `out` is a folder, cannot be written, another run writes it, or it is to be resumed and
-            is another sweep's. OSError: a row could not be written. All of them on all ranks.
+        InputError: a thickness out of range or repeated; a row of another thickness, without the required columns, or
+            with other columns than the first row; `out` is a folder, cannot be written, is written by another run, or
+            is resumed and belongs to another sweep. OSError: a row could not be written. All ranks raise these errors.
     """
     with errors_on_all(default_comm()):
         require_csv(out, resume)
@@ -60,13 +61,13 @@ def sweep(
                 rows[e] = _row(run, e, next(iter(rows.values()), None))
                 if file is not None:
                     on_root(None, partial(file.add, rows[e]))
-            if path is not None:  # also where a killed run has left the last row in the file beside it alone
+            if path is not None:  # also if the row is old: a killed run may have written it only to the json file
                 _with_orders(rows).write(path)
         return _with_orders(rows)
 
 
 def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | None) -> Row:
-    """The row of a thickness, as any rank's error is all ranks'."""
+    """The checked row of a thickness; an error on one rank is raised on all ranks."""
     what = f"the row that run({eps:g}) returns"
     with errors_on_all(default_comm()):
         row = checked_row(run(eps), what, ORDER_COLUMNS)
@@ -81,7 +82,7 @@ def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | Non
 
 
 def _with_orders(rows: Mapping[float, Row]) -> Table:
-    """The table of rows by thickness, descending, with the observed orders between each row and the one before."""
+    """Table of the rows by decreasing thickness, with the observed orders between each row and the previous row."""
     table = Table(rows[e] for e in sorted(rows, reverse=True))
     orders = {order: table.orders(error) for order, error in zip(ORDER_COLUMNS, ERROR_COLUMNS[1:], strict=True)}
     for k, row in enumerate(table.rows):

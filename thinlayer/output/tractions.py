@@ -1,4 +1,4 @@
-"""What laws have at their points in a state, and tractions on S: of laws, of meshed layers, of the bodies' reactions."""
+"""Stresses and internal variables at laws' points in a state; tractions on S of laws, meshed layers and reactions."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ _MODEL_QUADRATURES: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictiona
 
 @dataclass(frozen=True, eq=False)
 class LawPoints:
-    """The quadrature points of one term in a state, those of this rank.
+    """This rank's quadrature points of one term in a state.
 
     Attributes:
         state: the state.
-        term: the term, with the strains that are given or found beside those of u.
+        term: the term at the time of the state; its prescribed strain includes a mean strain under a mean stress.
         quadrature: its points.
-        key: of what its law remembers, in `State.memory`; "" for a law that has neither memory nor rate.
+        key: key of its compiled law in `State.memory`; "" for a law that is not compiled.
     """
 
     state: State
@@ -54,7 +54,7 @@ class LawPoints:
 
     @cached_property
     def entities(self) -> IntArray:
-        """Numbers in the joint of this rank's cells, or rows of its table of facets, of the points."""
+        """Numbers in the joint of this rank's cells with points, or rows of the facets in the joint's table."""
         return self.quadrature.original[: len(self.quadrature.cells)]
 
     def stress(self) -> Array:
@@ -67,7 +67,7 @@ class LawPoints:
         return mandel_tensors(vectors) + self._pressure()[:, None, None] * np.eye(3)
 
     def _pressure(self) -> Array:
-        """Pressure (points,) of an incompressible law, a part of its stress; else zero."""
+        """Pressure (points,) of an incompressible law, a part of its stress; zero for other laws."""
         if not self.term.law.traits.constrained:
             return np.zeros(self.quadrature.count)
         region = self.quadrature.region
@@ -77,7 +77,7 @@ class LawPoints:
         return self.quadrature.values(ufl.as_vector([region.side(here)]))[:, 0]
 
     def internal(self) -> list[dict[str, Array]]:
-        """Internal variables by name, (points, *shape), of each sublayer from the lower to the upper face of the layer."""
+        """Internal variables by name, (points, *shape), for each sublayer from the lower to the upper face."""
         sublayers = [law for _, law in self.term.law.sublayers]
         if not self.key:
             return [{} for _ in sublayers]
@@ -88,10 +88,10 @@ class LawPoints:
 
 
 def law_points(state: State) -> Iterator[LawPoints]:
-    """The points of all laws of a state, bodies first, then layers; without contact laws. Collective."""
+    """Yield the points of all laws of a state, bodies first, then layers, without contact laws. Collective."""
     model = state.model
     keys = {id(q.term): key for key, q in model.quadratures.items()}
-    if model not in _MODEL_QUADRATURES:  # made once
+    if model not in _MODEL_QUADRATURES:
         compiled = {id(q.term): q for q in model.quadratures.values()}
         _MODEL_QUADRATURES[model] = [
             compiled.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms
@@ -112,15 +112,15 @@ def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
     return variables
 
 
-LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance for the tractions whose forces are the reactions
+LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance of LSQR for tractions from reactions
 _UNIT_STRESS_TRACTIONS: WeakKeyDictionary[Quadrature, Array] = WeakKeyDictionary()
-CENTRE_DISTANCE = 1e-9  # distance of the centres of a facet and of its column, over the size of the joint
-MAX_ITERATIONS = 2000  # of this solver; it needs 29 to 45 on uniform meshes
+CENTRE_DISTANCE = 1e-9  # largest distance of the centres of a facet and of its column, over the size of the joint
+MAX_ITERATIONS = 2000  # limit of LSQR iterations; uniform meshes need 29 to 45
 
 
 # ---------------------------------------------------------------- of layers
 def layer_tractions(surface: SurfaceMesh, state: State) -> Array:
-    """(m, d) tractions of a state with layers, see `Surface.traction`: the projection to degree 1. Collective."""
+    """Nodal tractions (m, d) of a state with layers, projected to degree 1, see `Surface.traction`. Collective."""
     moments = np.zeros((*surface.corners.shape, surface.joint.dim))
     for points, rows in layer_points(surface, state):
         add = _add_law_moments if points.quadrature.region.dim < surface.joint.dim else _add_cell_moments
@@ -133,7 +133,7 @@ def layer_tractions(surface: SurfaceMesh, state: State) -> Array:
 
 
 def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints, IntArray]]:
-    """The points of the layers' laws, and the facet of the surface of each of their entities; -1: none. Collective."""
+    """Yield the points of the layers' laws, and the surface facet of each of their entities; -1: none. Collective."""
     joint = surface.joint
     place = np.full(len(joint.table.vertices), -1)
     place[joint.surface_rows[surface.rows]] = np.arange(len(surface.rows))
@@ -146,14 +146,14 @@ def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints
 
 
 def _add_law_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
-    """Add the moments of an interface law's traction, with the functions of degree 1; `rows`: facets, or -1."""
+    """Add the moments of an interface law's traction with the functions of degree 1; `rows`: facets, or -1."""
     rule, mine = surface.rule(points.quadrature.degree), rows[rows >= 0]
     t = _point_tractions(points)[points_of_rule(rule, rows, points)]
     np.add.at(moments, mine, np.einsum("fq,fqa,fqd->fad", rule.weights[mine], rule.shapes[mine], t))
 
 
 def points_of_rule(rule: FacetPoints, rows: IntArray, points: LawPoints) -> IntArray:
-    """(facets, q) the law's points at those of a rule of the same degree, on the facets `rows` that are not -1."""
+    """Numbers (facets, q) of the law's points in the order of a rule of the same degree, on facets `rows` except -1."""
     q = points.quadrature
     cells, there = q.cells[rows >= 0], np.moveaxis(rule.x[:, rows[rows >= 0]], 0, -1)
     order = np.linalg.norm(there[:, :, None] - q.joint_x.T[cells][:, None], axis=3).argmin(axis=2)
@@ -161,7 +161,7 @@ def points_of_rule(rule: FacetPoints, rows: IntArray, points: LawPoints) -> IntA
 
 
 def _point_tractions(points: LawPoints) -> Array:
-    """(points, d) what the stresses of a term on S do in [u], per area."""
+    """Tractions (points, d) of a term on S: the work of its stresses per unit of [u] and area."""
     q, stress = points.quadrature, points.stress()
     if points.term.traction is None:
         return np.asarray(np.einsum("pij,pj->pi", stress, q.n)[:, : q.dim])
@@ -171,16 +171,16 @@ def _point_tractions(points: LawPoints) -> Array:
 
 
 def _unit_stress_tractions(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:
-    """(points, 6, d) tractions of unit stresses in Mandel's order."""
+    """Tractions (points, 6, d) of unit stresses in Mandel's order."""
     units = [mandel_tensor(ufl.as_vector([float(i == k) for i in range(6)])) for k in range(6)]
     components = [t[i] for t in map(traction, units) for i in range(q.dim)]
-    if all(isinstance(t, Zero) for t in components):  # a station that bears the difference of the faces alone
+    if all(isinstance(t, Zero) for t in components):  # a station whose strain does not depend on [u]
         return np.zeros((q.count, 6, q.dim))
     return q.values(ufl.as_vector(components)).reshape(q.count, 6, q.dim)
 
 
 def _facet_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
-    """For each cell of an inflated joint the facet of the surface that it has become; -1: none, as where layers meet."""
+    """Surface facet from which each cell of an inflated joint was made; -1: none, as where layers meet."""
     joint = surface.joint
     numbers, centres = column_numbers(state.model.domain.joint)
     distance, row = cKDTree(joint.points[surface.corners].mean(axis=1)).query(centres)
@@ -208,9 +208,10 @@ def _add_cell_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, poin
 
 
 def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
-    """Weights of a sublayer's stresses in the mean through the layer: its share of the jump over that of the thickness.
+    """Weights, along S and along n, of a sublayer's stresses in the mean through the layer.
 
-    So it is what works in [u]: elastic sublayers share tangential and normal jumps by their compliances. Others have 1.
+    A weight is the sublayer's share of the jump over its share of the thickness, so that the mean is conjugate to [u].
+    Elastic sublayers share tangential and normal jumps by their compliances. In other layers the weights are 1.
     """
     if len(layer.law.sublayers) == 1:
         return 1.0, 1.0
@@ -228,9 +229,9 @@ def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float
 
 # ---------------------------------------------------------------- reactions
 def reaction_tractions(surface: SurfaceMesh, state: State, *, joined: bool = False) -> Array:
-    """(m, d) tractions whose nodal forces are the bodies' reactions, see `Surface.reaction`. Collective.
+    """Nodal tractions (m, d) whose nodal forces are the bodies' reactions, see `Surface.reaction`. Collective.
 
-    Where `joined`, those of layers alone: bonds are inside the bodies, and what they transmit is not theirs.
+    With `joined` only tractions of layers: bonds are then inside the bodies, and their forces are no reactions.
     """
     model, d = state.model, surface.joint.dim
     r = layer_forces(state, joined)
@@ -243,12 +244,12 @@ def reaction_tractions(surface: SurfaceMesh, state: State, *, joined: bool = Fal
     force, valid = np.zeros((count, d)), np.zeros((count, d), bool)
     force[sides], valid[sides] = forces, fixed < 0.5
     there, is_split = np.zeros(count, bool), sides[0] != sides[1]
-    tip = surface.sums(is_split.astype(float)) == 0  # both sides are one node there
+    tip = surface.sums(is_split.astype(float)) == 0  # both sides share one node there
     there[sides[1][is_split]] = True
-    there[sides[0][is_split & (surface.cells[:, :1] >= 0)]] = True  # what a rigid base gives is not known here
+    there[sides[0][is_split & (surface.cells[:, :1] >= 0)]] = True  # the forces of a rigid base are unknown
     valid &= there[:, None]
     both = np.stack([sides.ravel(), np.broadcast_to(surface.nodes, sides.shape).ravel()])
-    of_one = np.bincount(np.unique(both, axis=1)[0], minlength=count) == 1  # else forces of several seams add up there
+    of_one = np.bincount(np.unique(both, axis=1)[0], minlength=count) == 1  # elsewhere forces of several seams add up
     areas = surface.areas
     M = _to_sides(surface, sides, count)
     around = np.where(there, np.abs(M) @ np.ones(len(areas)), 1.0)
@@ -266,9 +267,9 @@ def reaction_tractions(surface: SurfaceMesh, state: State, *, joined: bool = Fal
 
 
 def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
-    """(2, n, k) numbers from 0 of the bodies' nodes at the corners, below and above; and how many there are.
+    """Numbers (2, n, k) of the bodies' nodes at the facets' corners, below and above, and the number of these nodes.
 
-    Where `joined`, bonded bodies have one.
+    With `joined` bonded bodies share a node.
     """
     joint = surface.joint
     cut = surface.model.split_mesh if joined else joint.split_mesh
@@ -279,7 +280,7 @@ def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
 
 
 def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse.csr_matrix:
-    """(count, m) nodal forces on the bodies of nodal tractions."""
+    """Matrix (count, m) from nodal tractions to nodal forces on the bodies."""
     M = np.einsum("fq,qa,qb->fab", surface.weights, surface.shapes, surface.shapes)
     columns = np.broadcast_to(surface.nodes[:, None], M.shape).ravel()
     rows = [np.broadcast_to(side[..., None], M.shape).ravel() for side in sides]
@@ -289,7 +290,7 @@ def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse
 
 
 def _lumped(surface: SurfaceMesh, sides: IntArray, means: Array, valid: BoolArray) -> Array:
-    """(m,) tractions from means of forces over areas at the bodies' nodes; where none is known, of the nodes around."""
+    """Nodal tractions (m,) from forces over areas, `means`, at valid nodes of bodies; else means of neighbours."""
     signs = np.array([1.0, -1.0])[:, None, None]
     counts = surface.sums(valid[sides].sum(axis=0).astype(float))
     nodal = surface.sums((signs * means[sides] * valid[sides]).sum(axis=0)) / np.maximum(counts, 1.0)

@@ -1,4 +1,4 @@
-"""Zoom: stresses inside layers that interface laws stand for, from the layers by themselves; corners of their free ends."""
+"""Zoom: stresses inside the layers of interface models, from layer subproblems, and at corners of their free ends."""
 
 from __future__ import annotations
 
@@ -26,31 +26,30 @@ from thinlayer.output.surface import Surface
 from thinlayer.solving.layer_subproblem import DirichletLayers, LayerSubproblem
 from thinlayer.surface.surface_mesh import SurfaceMesh
 
-SINGLE_END_DISTANCE = (
-    3.0  # distance of two ends, over the thickness, within which the field of one is not that of an end alone
-)
-END_CELL_SIZES = (1 / 16, 1 / 2)  # how far cells at ends reach, over the thickness, and tetrahedra
-TRACTION_WARNING_ERROR = 0.3  # difference in traction of the layer and the bodies, in L2, from which on zooms warn
-CORNER_EXCLUSION = 1 / 16  # distance from a corner, over the thickness, where stresses are not known
-CORNER_ARC_RADIUS = 0.3  # over the thickness, of the arc around a corner from which its strength is taken
+# distance of two ends, over the thickness, within which the field of one end is disturbed by the other
+SINGLE_END_DISTANCE = 3.0
+END_CELL_SIZES = (1 / 16, 1 / 2)  # largest extent of cells at ends, over the thickness; of tetrahedra
+TRACTION_WARNING_ERROR = 0.3  # relative L2 difference of the tractions of layer and bodies above which zooms warn
+CORNER_EXCLUSION = 1 / 16  # distance from a corner, over the thickness, within which stresses are unknown
+CORNER_ARC_RADIUS = 0.3  # radius, over the thickness, of the arc around a corner on which its strength is computed
 SUBLAYER_ARC_RADIUS = 0.6  # the same over the thickness of a thin sublayer
 
 
 @dataclass(frozen=True)
 class CornerStrength:
-    """The singular stresses at the corner between a face and a free end, at places along the end.
+    """The singular stresses at the corner between a face and a free end, at points along the end.
 
-    On the face at the distance r from the corner the traction across it is H r^(exponent - 1) in the limit r -> 0; the
-    traction along S, away from the end, is `shear` times that. A criterion of crack initiation compares H with what a
-    test of the same layer and exponent has found.
+    At the distance r from the corner, the normal traction on the face is H r^(exponent - 1) in the limit r -> 0. The
+    traction along S, away from the end, is `shear` times as large. A criterion of crack initiation compares H with its
+    critical value, from a test of the same layer and exponent.
 
     Attributes:
-        x: (n, d) places along the end, farther than 3 thicknesses from others; in 2D one.
+        x: (n, d) points along the end, farther than 3 thicknesses from other ends; in 2D one point.
         m: (d,) unit normal of the end, in S, outward.
-        side: "lower" or "upper", of the face.
+        side: "lower" or "upper", the side of the face.
         exponent: lambda, from 1 at nu = 0 to 0.595 at nu = 0.5.
-        shear: of the traction along S; on the upper face with the other sign.
-        H: (n,), stress times length^(1 - exponent).
+        shear: traction along S over normal traction; on the upper face with the opposite sign.
+        H: (n,) strengths, stress times length^(1 - exponent).
     """
 
     x: Array
@@ -62,26 +61,30 @@ class CornerStrength:
 
 
 class Zoom:
-    """Stresses inside a layer of an interface model: the layer meshed by itself, its faces where the bodies move them.
+    """Stresses inside a layer of an interface model, from a mesh of the layer with prescribed face displacements.
 
-    For all laws with an energy (linear ones, or plasticity in one step from rest), sublayers, curved seams, networks,
-    layers with a weight or an eigenstrain. Cells are divided towards free ends and junctions. The error is that of the
-    faces: for a layer of order 0 O(eps), of order 1 O(eps^2); with `Zoom(estimate(state).better)` the bodies have yielded
-    to the layer and its ends. Of a model whose layer is meshed the stresses are those in its own cells.
+    The faces move with the bodies of the interface model. The law must have an energy: a linear law, or plasticity in
+    one step from rest. Sublayers, curved seams, networks, and layers with a weight or an eigenstrain are possible.
+    Cells are divided towards free ends and junctions.
+
+    The error is the error of the face displacements: O(eps) for a layer of order 0, O(eps^2) for order 1. With
+    `Zoom(estimate(state).better)` the bodies are deformed by the forces of the meshed layer and its ends. For a full
+    model the stresses are those in its own layer cells.
 
     Args:
-        state: of an interface model or of a full one, as `solve` returns it, or `history.at(t)`. Collective.
-        seam: name of a seam; "S" of a joint that has one.
+        state: state of an interface model or a full model, as `solve` returns it, or `history.at(t)`. Collective.
+        seam: name of a seam; "S" if the joint has only one seam.
         cells_through: number of cells through the thickness.
-        at_ends: how far cells at free ends and junctions reach at most, over the thickness, > 0. None: 1/16; of tetrahedra,
-            of which there would be too many, 1/2.
+        at_ends: largest extent of cells at free ends and junctions, over the thickness, > 0. None: 1/16; for tetrahedra
+            1/2, as there would be too many smaller cells.
 
     Attributes:
-        layer: state of the layer by itself, for `Probe`, pictures and files, whole on every rank; of a full model this one.
+        layer: state of the layer subproblem, for `Probe`, pictures and files, whole on every rank; for a full model the
+            argument `state`.
 
     Raises:
-        InputError: no such state or seam; a layer whose law has no energy, or remembers earlier steps.
-        SolveError: the layer by itself is not found.
+        InputError: not such a state or seam; a layer whose law has no energy, or remembers earlier steps.
+        SolveError: the layer subproblem has no solution, or Newton's method does not converge.
     """
 
     def __init__(self, state: State, seam: str = S, *, cells_through: int = 8, at_ends: float | None = None) -> None:
@@ -93,7 +96,7 @@ class Zoom:
         self._probe, self._surface = Probe(self.layer), SurfaceMesh(self.layer.model, self.seam)
 
     def _by_itself(self, cells_through: int, at_ends: float) -> State:
-        """The layer, or layers that meet, meshed between the faces of the state."""
+        """Solve the subproblem of the layer, or of layers that meet, between the faces of the state."""
         state, model = self.state, self.state.model
         assert isinstance(model, InterfaceModel)
         layers = {}
@@ -112,12 +115,12 @@ class Zoom:
 
     @property
     def eps(self) -> float:
-        """The layer's thickness; where it varies the one that its profile multiplies."""
+        """The layer's thickness; if it varies, the thickness that its profile multiplies."""
         return float(self._one.thin_layer.eps)
 
     @property
     def law(self) -> BulkLaw:
-        """The layer's law with real parameters, in a plane that of its kinematics."""
+        """The layer's law with real parameters; in plane models the law of the kinematics."""
         return self._known.law
 
     @cached_property
@@ -125,7 +128,7 @@ class Zoom:
         return self.state.model.applicability[self.seam]
 
     def _require_faces(self, layers: State) -> None:
-        """Warn if the layer does not bear what the bodies do."""
+        """Warn if the tractions of the layer differ much from the tractions of the bodies."""
         surface = Surface(self.state.model, self.seam)
         bodies = surface.reaction(self.state)
         off = surface.norm(surface.traction(layers) - bodies) / (surface.norm(bodies) or 1.0)
@@ -136,14 +139,15 @@ class Zoom:
 
     # ---------------------------------------------------------------- stresses
     def stress(self, x: Any, height: Any = 0.0) -> Array:
-        """Stresses (n, 3, 3) at places x (n, d) of S and heights, or (3, 3) at one place; between cells their mean.
+        """Stresses (n, 3, 3) at points x (n, d) of S and heights, or (3, 3) at one point; between cells their mean.
 
         Args:
-            x: places on S, in the mesh's coordinates.
-            height: over the thickness, from -1/2 at the lower to 1/2 at the upper face, one or (n,).
+            x: points on S, in the mesh's coordinates.
+            height: height over the thickness, from -1/2 at the lower to 1/2 at the upper face, one number or (n,).
 
         Raises:
-            InputError: places off the seam; heights out of range; places at corners of free ends, in the last cell.
+            InputError: points off the seam; heights out of range; points within 1/16 of the thickness from a corner of
+                a free end.
         """
         located, _ = self._surface.at(x)
         y = self._heights(height, len(located.x))
@@ -159,7 +163,7 @@ class Zoom:
         return stresses if np.ndim(x) > 1 else stresses[0]
 
     def through(self, x: Any, n: int = 41) -> tuple[Array, Array]:
-        """Heights (n,), from -1/2 to 1/2, and the stresses (n, 3, 3) there, at one place x (d,) of S."""
+        """Heights (n,), from -1/2 to 1/2, and the stresses (n, 3, 3) there, at one point x (d,) of S."""
         heights = np.asarray(np.linspace(-0.5, 0.5, n), np.float64)
         return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
 
@@ -172,7 +176,7 @@ class Zoom:
     # ---------------------------------------------------------------- corners
     @cached_property
     def ends(self) -> list[tuple[StraightEnd, Array]]:
-        """Each free end, and places (n, d) on it: vertices of S farther than 3 thicknesses from others; in 2D one.
+        """Free ends, each with points (n, d): its vertices farther than 3 thicknesses from other ends; in 2D one point.
 
         Raises:
             InputError: ends are curved.
@@ -191,12 +195,13 @@ class Zoom:
 
     @cached_property
     def corners(self) -> list[CornerStrength]:
-        """The singular stresses at the corners of straight free ends, two for each: on the lower and on the upper face.
+        """The singular stresses at the two corners of each straight free end, on the lower and on the upper face.
 
-        By reciprocity with the dual field on an arc around the corner, between rigid faces in plane strain.
+        They follow from reciprocity with the dual singular field on an arc around the corner, for rigid faces in plane
+        strain.
 
         Raises:
-            InputError: corners of which exponents are not known, with the reason.
+            InputError: the exponent of a corner is unknown, with the reason.
         """
         for load in SideLoad.of(self.state.model, self._one):
             raise Violation("loaded side", f"the {load.what} acts on the layer's side").error(self._at_corners)
@@ -208,7 +213,7 @@ class Zoom:
         return f"zoom into {self._one} at its corners: "
 
     def _strength(self, end: StraightEnd, x: Array, side: int) -> CornerStrength:
-        """At the corners on the upper (1) or the lower face (-1)."""
+        """Strengths at points x of an end, at the corner on the upper (1) or the lower face (-1)."""
         sublayers = self.law.sublayers
         share, law = sublayers[0 if side < 0 else -1]
         lmbda, mu = law.elastic_moduli()
@@ -221,7 +226,7 @@ class Zoom:
         u = (self._probe.displacement(places) @ axes[:, : x.shape[1]].T).reshape(len(x), -1, 2)
         stress = self._probe.stress(places).reshape(len(x), -1, 3, 3)
         in_axes = np.einsum("ai,nqij,bj->nqab", axes, stress, axes)[:, :-2]
-        turn = (u[:, -1, 1] - u[:, -2, 1]) / r  # of the face, with its body
+        turn = (u[:, -1, 1] - u[:, -2, 1]) / r  # rotation of the face
         u -= u[:, -2:-1] + turn[:, None, None] * self.eps * np.stack([-at[:, 1], at[:, 0]], axis=1)
         components = np.stack([in_axes[..., 0, 0], in_axes[..., 1, 1], in_axes[..., 0, 1]], axis=2)
         H = [corner.strength(r, mu * u_arc, two) for u_arc, two in zip(u[:, :-2], components, strict=True)]
@@ -229,7 +234,7 @@ class Zoom:
 
 
 def _layer_of(state: State, seam: str) -> SeamLayer:
-    """The layer of a seam of a state of an interface model."""
+    """The layer on a seam in the model of a state; raise InputError if there is none."""
     if not isinstance(state, State) or not isinstance(state.model, InterfaceModel | FullModel):
         received = state.model if isinstance(state, State) else state
         allowed = "a state of an interface or a full model, as solve returns it"

@@ -1,1 +1,1 @@
-"""Parts of the balance of forces: bodies, layers, pressures, contact, springs and users' own forms."""
+"""Parts of the balance of forces: bodies, layers, pressures, contact, springs and user-defined forms."""

@@ -1,4 +1,4 @@
-"""The parts of a model's balance of forces, those on the mesh of another model of the same joint among them."""
+"""Construction of the parts of a model's balance of forces."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from thinlayer.parts.pressure_part import PressurePart, flows_along_surface
 
 
 def body_parts(model: Model) -> list[Part]:
-    """The parts of a model that depend on its mesh and bodies alone, each with another key. Collective.
+    """Parts of a model that depend only on its mesh and bodies, each with its own key. Collective.
 
-    The first has a matrix with the nonzero pattern of the bodies.
+    The first part has a matrix with the nonzero pattern of the bodies.
     """
     parts: list[Part] = [
         LawFormPart("forms", model.V, model.bodies, model.layer_terms),
@@ -38,17 +38,17 @@ def body_parts(model: Model) -> list[Part]:
 
 
 def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[Part]:
-    """The parts of a model's layers, each with another key. Collective.
+    """Parts of a model's layers, each with its own key. Collective.
 
     Args:
         model: the model.
         bc_dofs: displacements of this rank that supports prescribe (local, unrolled).
-        bodies: those of `body_parts`.
+        bodies: the result of `body_parts`.
     """
     parts: list[Part] = [*_form_parts(model, model.layer_terms, "forms"), *_compiled_parts(model, model.layer_terms)]
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
         largest = _largest_at_rest(model, bodies or parts)
-        joint = model.domain.joint  # whose vertices are those of the mesh
+        joint = model.domain.joint  # its vertices are those of the mesh; `model.joint` is the joint before inflating
         masters = joint.masters if joint.periods else None
         parts += [
             PressurePart(model.V, p, largest, model.origin, _free_vertices(model, p), masters) for p in constrained
@@ -59,16 +59,16 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
 
 
 def _largest_at_rest(model: Model, parts: Sequence[Part]) -> float:
-    """Largest diagonal entry of the tangents at rest."""
+    """Largest diagonal entry of the tangents at rest of some parts. Collective."""
     in_forms, largest = [part for part in parts if isinstance(part, LawFormPart)], 0.0
     if parts != in_forms:
-        sums = fem.Function(model.V)  # the vector lives as long as it does
+        sums = fem.Function(model.V)  # must outlive its PETSc vector
         largest = float(diagonal_at_rest(parts, sums.x.petsc_vec).max()[1])
     return largest or max(part.largest_at_rest() for part in in_forms)
 
 
 def _form_parts(model: Model, terms: Iterable[Term], end: str) -> list[LawFormPart]:
-    """A part for the laws in forms of each layer."""
+    """Parts for the terms whose laws are not compiled, one for each layer; `end` completes their keys."""
     of_layers: dict[str, list[Term]] = {}
     for p in terms:
         if not p.law.traits.compiled:
@@ -82,8 +82,8 @@ def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
 
 
 def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
-    """Diagonal of K and of the tangents at rest of bodies that are not in K, written into a vector. Collective."""
-    out.set(0.0)  # layers by themselves have no bodies
+    """Write into `out` the diagonal of K and of the tangents at rest of bodies that are not in K. Collective."""
+    out.set(0.0)  # a subproblem of layers alone has no bodies
     of_K = [part.K.getDiagonal() for part in parts if part.K is not None]
     of_parts = (part.diagonal_at_rest() for part in parts if hasattr(part, "diagonal_at_rest"))
     for diagonal in (*of_K, *(vec for vec in of_parts if vec is not None)):
@@ -93,7 +93,7 @@ def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
 
 
 def _free_vertices(model: Model, term: Term) -> Array | None:
-    """Vertices of S where the pressure of a layer of order 1 is zero; None for other terms."""
+    """Vertices (n, d) of S where the pressure of a layer of order 1 is zero; None for other terms."""
     if not flows_along_surface(term):
         return None
     layer = next(layer for layer in model.layers.values() if layer.key == term.key)

@@ -1,4 +1,4 @@
-"""A compiled law at its quadrature points, as a part of the balance of forces."""
+"""Part of the balance of forces of a compiled law at its quadrature points."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.quadrature import MeshOrigin
 from thinlayer.system.ranks import destroy
 
-ASYMMETRY_TOLERANCE = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding
-PARAMETER_TOLERANCE = 1e-12  # relative difference of parameters at several times that counts as rounding
-SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # of a step, at which it is tested what changes in time
+ASYMMETRY_TOLERANCE = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding error
+PARAMETER_TOLERANCE = 1e-12  # relative difference of parameters at several times that counts as rounding error
+SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a step at which parameters are sampled for changes in time
 
 
 def softening_law(
     points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response
 ) -> tuple[str, str] | None:
-    """Name of a law whose stress falls at strains e or since e_old, and where; None: it does not. Collective."""
+    """Name of a law whose stress falls at e or between e_old and e, and the place; None: no law softens. Collective."""
     term = points.term
     count = points.comm.allreduce(points.softening_points(e, e_old, memory, response))
     return (type(term.law.in_space).__name__, f"at {count} points of the {term.key or LAYER_KIND}") if count else None
 
 
 class PointStrains:
-    """The given strain of a compiled term at its points, at any time. Collective.
+    """Prescribed strain of a compiled term at its points, at any time. Collective.
 
     Args:
         points: the compiled term.
@@ -52,7 +52,7 @@ class PointStrains:
         self._form = None if prescribed_strain is None else points.form_of(self._hand.of(prescribed_strain))
 
     def __call__(self, t: float) -> Array:
-        """Strains (points, m) at a time."""
+        """Prescribed strains (points, m) at time t."""
         points = self._points
         if self._form is None:
             return np.zeros((points.count, len(points.slots)))
@@ -61,14 +61,14 @@ class PointStrains:
 
 
 class CompiledPart(Part):
-    """A compiled law over a time step.
+    """Part of one compiled law.
 
     Args:
         key: key of the part.
         V: space of the displacements.
         term: the term of the law.
         origin: relation of the mesh to its joint, if there is one; files need it.
-        symmetric: whether solvers take the tangent for symmetric; it is then tested.
+        symmetric: whether solvers assume that the tangent is symmetric; the part then checks it.
 
     Attributes:
         points: the compiled term, with the quadrature points.
@@ -113,7 +113,7 @@ class CompiledPart(Part):
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
-        # Laws with rate do not answer to sudden strains: what is given at the start has always been there.
+        # Laws with rate have no response to sudden strains: strains prescribed at the start were always present.
         sudden, self._given = interval.old.at_rest and not self.law.traits.rate, self._given_at(interval.t)
         old = np.zeros_like(self._given) if sudden else self._given_at(interval.old.t)
         self._growth = self._given - old
@@ -141,7 +141,10 @@ class CompiledPart(Part):
         self.points.spread(np.einsum("pm,pm->p", self._response.stress, self.points.strain(z.x.petsc_vec)), out)
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        """As in `Part`. InputError: a law declares a symmetric tangent and has another; half of it would be lost."""
+        """As in `Part`; raise InputError if the tangent is declared symmetric and is not.
+
+        Symmetric solvers read only half of the matrix.
+        """
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY_TOLERANCE:
             raise InputError(ASYMMETRY_MESSAGE.format(type(self.law.in_space).__name__, skew))
         self._tangent = self.points.stiffness(self._response.tangent, relative_residual, self._tangent)
@@ -149,7 +152,7 @@ class CompiledPart(Part):
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> StepOutcome:
-        """As in `Part`. Laws compute their remainder for constant parameters; otherwise it follows from the work."""
+        """As in `Part`. The remainder comes from the law for constant parameters, and from the work if they vary."""
         response, interval = self._response, self.interval
         before = interval.old.stored[self.key] if self.key in interval.old.stored else self._at_rest()
         after, dissipated, remainder = self.comm.allreduce(response.energies)
@@ -162,19 +165,19 @@ class CompiledPart(Part):
             remainder = worked - (after - before) - dissipated
             change.destroy()
         stress = self.points.balanced(response.whole)
-        if interval.theta < 1:  # forces balance within the step
+        if interval.theta < 1:  # extrapolate from old.t + theta dt to the end of the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
         energies = before, float(after), float(dissipated), float(remainder)
         return StepOutcome(*energies, response.memory, supplied=supplied, stress=stress)
 
     def _at_rest(self) -> float:
-        """Energy stored before the first step, by a strain that has always been given."""
+        """Energy stored before the first step by a prescribed strain that was always present."""
         if self.points.term.prescribed_strain is None:
             return 0.0
         return float(self.comm.allreduce(self.points.stored(self._e_old, self._memory, self.interval.dt)))
 
     def _stored_at(self, t: float) -> float:
-        """Energy of the last response with the parameters of time t; the law then has its old parameters again."""
+        """Stored energy of the last response with the parameters of time t; the present parameters are restored."""
         t_old = self._t
         self.at_time(t)
         stored = self.points.stored(self._e, self._response.memory, self.interval.dt)
@@ -217,7 +220,7 @@ class CompiledPart(Part):
         return None
 
     def _change(self, times: Sequence[float]) -> Array:
-        """For each sublayer, whether its parameters change in time; looked at at `times` and between them. Collective."""
+        """Whether the parameters of each sublayer change in time, sampled at `times` and between them. Collective."""
         points = self.points
         points.at_time(times[0])
         first = points.material.of_sublayers
@@ -244,7 +247,7 @@ class CompiledPart(Part):
 
     @property
     def file_order(self) -> FileOrder:
-        """By cell or facet. The points of a facet are ordered by place, as their local order depends on the side."""
+        """By cell or facet. Points of a facet are sorted by position, as their local order depends on the side."""
         points = self.points
         numbers = points.original[: len(points.cells)]
         if points.region.dim < points.dim:

@@ -1,4 +1,4 @@
-"""A contact law at the nodes of S, as a part of the balance of forces."""
+"""Part of the balance of forces of a contact law at the nodes of S."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from thinlayer.discretisation.contact_nodes import NO_NODES, ContactNodes, Conta
 from thinlayer.discretisation.layer import CONTACT_KIND
 from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, StepOutcome, TimeStep
 
-MIN_SPRING_SHARE = 1e-8  # share of the springs of an eased law as its ease tends to zero
+MIN_SPRING_SHARE = 1e-8  # limit of the springs' share in the homotopy law as its continuation parameter tends to zero
 
 
 class ContactPart(Part):
-    """A contact law over a time step; its memory is the slip at the nodes of this rank.
+    """Part of one contact law; its memory is the slip at the nodes of this rank.
 
     Args:
         law: the law.
         surface: the facets where it acts.
-        bc_dofs: displacements of this rank that supports prescribe (local, unrolled); finders with sweeps need them.
+        bc_dofs: displacements of this rank that supports prescribe (local, unrolled); Gauss-Seidel sweeps need them.
         key: key of the part.
 
     Attributes:
         law: the law.
         nodes: the nodes of S on this rank.
-        now: the law that acts: the law itself or an eased one.
+        now: the active law: the law itself or its homotopy law.
         slip: (n, d - 1) slip at the beginning of the step.
     """
 
@@ -70,18 +70,18 @@ class ContactPart(Part):
         return 0.0
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        """As in `Part`. At rest the law has no tangent; the tangent of bonded springs is used instead."""
+        """As in `Part`. While all jumps are zero the law has no tangent; bonded springs replace it."""
         C = self.now.tangent(self._w, self.slip) if self._moved else self.law.bonded(len(self._w), self.nodes.dim)
         return [Block(self.nodes.stiffness(C))]
 
     def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
-        """As in `Part`: by rounding alone a node touches or not, and sticks or slides."""
+        """As in `Part`. A node resists opening (slip) only if its pressure (friction bound) exceeds rounding error."""
         if not self._moved:
             return self.tangents(relative_residual)
         nodes, p, C = self.nodes, self.law.pressure(self._w), self.now.tangent(self._w, self.slip)
         upper = rounding.array_r[nodes.dim * nodes.upper]
         lower = np.where(nodes.pairs[:, 1] >= 0, nodes.lower_side(rounding)[:, 0], np.inf)
-        least = np.minimum(upper, lower)  # a force is known as well as on the side where it is known better
+        least = np.minimum(upper, lower)  # the force is as accurate as on the side with the smaller rounding error
         C[nodes.weights * p <= least, -1] = 0.0
         C[nodes.weights * self.law.threshold(p) <= least, :-1] = 0.0
         return [Block(nodes.stiffness(C))]
@@ -95,7 +95,7 @@ class ContactPart(Part):
         old = self.interval.old
         stored, dissipated = law.energies(w, self.slip)
         t, change = law.traction(w, self.slip), w - nodes.separation(old.u.x.petsc_vec)
-        pressed = t[:, -1] * nodes.gap * old.at_rest  # an interference comes with the first step
+        pressed = t[:, -1] * nodes.gap * old.at_rest  # an interference is applied in the first step
         worked = (t * change).sum(axis=1) + pressed
         sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, worked, pressed)]))
         after, lost, work = map(float, sums[:3] if law.traits.has_energy else np.full(3, np.nan))

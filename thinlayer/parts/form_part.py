@@ -1,4 +1,4 @@
-"""Parts that are UFL forms, by a matrix or by assembling: those of laws, springs, or a user's own form."""
+"""Parts that are UFL forms, with a constant matrix or assembled anew: laws, springs and user-defined forms."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from thinlayer.system.ranks import communicator, destroy
 
 
 class FormPart(Part):
-    """Forces K mid + F(mid) + g, a linear part, a non-linear one, and one that does not depend on the displacements.
+    """Forces K mid + F(mid) + g: linear, non-linear and constant in the displacements `mid` at which forces balance.
 
     Args:
         key: key of the part.
-        u: the displacements that F and its energy are forms of; the part writes values into them.
-        K: matrix of the linear forces, which the part destroys in the end; None: there are none.
-        F: virtual work, a UFL form of u, linear in a test function; None: there is no F.
+        u: displacement function in the forms F and `energy`; the part writes values into it.
+        K: matrix of the linear forces, which the part destroys at the end; None: no linear forces.
+        F: virtual work of the non-linear forces, a UFL form of u, linear in a test function; None: no such forces.
         energy: the stored energy of F and g, a UFL form of u; None: they have no energy.
-        kept: whether states keep the energy, under the key.
-        g: virtual work of the constant forces, a UFL form that is linear in a test function; None: there are none.
+        kept: whether states keep the energy under the key.
+        g: virtual work of the constant forces, a UFL form that is linear in a test function; None: no such forces.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class FormPart(Part):
             self._take(mid.x.petsc_vec)
 
     def _take(self, u: PETSc.Vec, into: fem.Function | None = None) -> None:
-        """From now on compute F and its energy at displacements u; or put what they are here into another function."""
+        """Copy displacements u into the function of F and its energy, or into another function, ghosts included."""
         target = into or self._u
         u.copy(target.x.petsc_vec)
         target.x.scatter_forward()
@@ -84,7 +84,7 @@ class FormPart(Part):
         return self._add(self._mid.x.petsc_vec, out)
 
     def _add(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
-        """Add the forces at displacements u, which `_take` has got; returns the larger norm of K u and F + g."""
+        """Add the forces at displacements u, after `_take(u)`; return the larger of the norms of K u and F + g."""
         size = 0.0
         if self.K is not None:
             self.K.mult(u, self._product)
@@ -100,7 +100,7 @@ class FormPart(Part):
         return blocks + [Block(J, theta, kept=True) for J in self._present_tangent()]
 
     def _present_tangent(self) -> list[PETSc.Mat]:
-        """The matrix of F at the present displacements; none without F."""
+        """List with the tangent matrix of F at the present displacements; empty without F."""
         if self._tangent is None:
             return []
         self._tangent.zeroEntries()
@@ -127,7 +127,7 @@ class FormPart(Part):
             add_assembled_forces(self._product, *self._F, *self._g)
             supplied = self._supplied()
             worked = float(self._product.dot(change)) + supplied
-            taken = self._u.x.array.copy()  # `now` may be the vector of these values
+            taken = self._u.x.array.copy()  # `now` may share these values, which `_stored` overwrites
             last, first = self._stored(now, self.interval), self._stored(old, self.interval, before=True)
             self._u.x.array[:] = taken
             before, after, remainder = before + first, after + last, remainder + worked - (last - first)
@@ -135,11 +135,11 @@ class FormPart(Part):
         return StepOutcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
 
     def _supplied(self) -> float:
-        """Work of given strains in the step, with the stresses of the last evaluation."""
+        """Work of the stresses of the last evaluation in the growth of prescribed strains over the step."""
         return 0.0
 
     def _quadratic(self, u: PETSc.Vec) -> float:
-        """u.K u / 2."""
+        """Energy u.K u/2 of the linear forces."""
         if self.K is None:
             return 0.0
         self.K.mult(u, self._product)
@@ -150,7 +150,7 @@ class FormPart(Part):
         return [] if self._energy is None else compiled_summands(self._energy)
 
     def _stored(self, u: PETSc.Vec, interval: TimeStep, *, before: bool = False) -> float:
-        """The energy of F and g at displacements u at the end of a step, or `before` it; NaN if they have none."""
+        """Energy of F and g at displacements u, at the end of a step or `before` it; NaN if they have no energy."""
         if self._energy is None:
             return float("nan")
         self._take(u)
@@ -166,16 +166,16 @@ def assemble_plain_matrix(form: Expr) -> PETSc.Mat:
 
 
 class LawFormPart(FormPart):
-    """The terms of bodies and layer whose laws are not compiled: linear laws in K, the others in F.
+    """Part of the terms of bodies and layers whose laws are not compiled: linear laws in K, the others in F.
 
-    If no law of bodies is linear, K is zero with the nonzero pattern of the tangent. Strains that are given beside those
-    of the displacements cause constant forces by linear laws, and do work as they grow.
+    If there are bodies but no linear law, K is zero with the nonzero pattern of the tangent. Prescribed strains of
+    linear laws cause constant forces g. Prescribed strains of all laws do work as they grow.
 
     Args:
         key: key of the part.
         V: space of the displacements.
-        terms: the terms; those whose laws are compiled are left out.
-        other_terms: terms of other parts, for whose matrices K has places.
+        terms: the terms; terms with compiled laws are left out.
+        other_terms: terms of other parts, whose nonzero pattern K includes.
     """
 
     def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term], other_terms: Iterable[Term] = ()) -> None:
@@ -193,7 +193,7 @@ class LawFormPart(FormPart):
         u, v = fem.Function(V), ufl.TestFunction(V)
         stored = None
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
-            # what a given strain adds to the energy of the displacements, of a linear law
+            # energy that prescribed strains of linear laws add to u.K u/2
             strained_now = _with_strains(strained, over.now)
             beyond = [
                 _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
@@ -216,10 +216,10 @@ class LawFormPart(FormPart):
             laws[name] = laws.get(name, PartTraits()) | _form_traits(p)
         return laws
 
-    # ---------------------------------------------------------------- given strains
+    # ---------------------------------------------------------------- prescribed strains
     @cached_property
     def _power(self) -> fem.Form:
-        """Work of the stresses at the last evaluation in the growth of given strains over the step."""
+        """Form of the work of the last evaluation's stresses in the growth of prescribed strains over the step."""
         over, grown = self._over, [p for p in self._terms if p.prescribed_strain is not None]
         pairs = zip([stress(p, self._u) for p in _with_strains(grown, over.balanced)], grown, strict=True)
         return compiled(sum(ufl.inner(s, over.growth(p.prescribed_strain)) * p.weight * p.measure for s, p in pairs))
@@ -236,9 +236,10 @@ class LawFormPart(FormPart):
         return max(super().add_forces(out), self._opposing_force())
 
     def _opposing_force(self) -> float:
-        """A mean stress against given strains times the area of a side of the bodies; 0 for given strains of 0.
+        """Force scale of non-linear bodies with prescribed strains: a mean stress times the area of a side.
 
-        Nodal forces of equal stresses cancel, and bodies that are not linear have no stiffness in K to judge them by.
+        The stress is the mean of the stress component along the prescribed strains; 0 if these are zero. Nodal forces
+        of uniform stresses cancel, and non-linear bodies have no stiffness in K from which a force scale would follow.
         """
         if not self._opposing:
             return 0.0
@@ -260,7 +261,7 @@ class LawFormPart(FormPart):
         return super()._stored(u, interval, before=before)
 
     def largest_at_rest(self) -> float:
-        """Largest diagonal entry of the tangent at rest of laws that are not linear; 1 if it has no number. Collective."""
+        """Largest diagonal entry of the tangent at rest of non-linear laws; 1 unless it is finite, > 0. Collective."""
         self._u.x.array[:] = 0.0
         largest = 0.0
         for A in self._present_tangent():
@@ -271,7 +272,10 @@ class LawFormPart(FormPart):
 
     @cached_property
     def _softening(self) -> list[tuple[CompiledTerm, PointStrains]]:
-        """The layers' laws that may soften, at points, but those of a meshed layer with parameters that are functions."""
+        """Compiled terms, with prescribed strains, of the layers' laws that may soften.
+
+        Laws in a meshed layer with parameters that are functions are left out.
+        """
         terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
         V = self._u.function_space
         points = [CompiledTerm(V, replace(p, law=_compiled_law(p.law))) for p in terms]
@@ -293,37 +297,37 @@ class LawFormPart(FormPart):
 
 
 def _is_uniform(law: BulkLaw) -> bool:
-    """Whether all parameters are numbers or Constants."""
+    """Whether all parameters of a law are numbers or Constants."""
     parameters = [value for _, sublayer in law.sublayers for value in sublayer.parameters().values()]
     return all(isinstance(value, fem.Constant) or not isinstance(value, ufl.core.expr.Expr) for value in parameters)
 
 
 def _compiled_law(law: BulkLaw) -> BulkLaw:
-    """The law compiled, with the present values of its Constants."""
+    """The law in compiled form, with the present values of its Constants as numbers."""
     return law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float)).for_points()
 
 
 def _form_traits(p: Term) -> PartTraits:
-    """Traits of a law in forms: Newton's method takes it as it is, and is told of what weakens in layers alone."""
+    """Traits of a law in UFL forms: no homotopy, no regularised tangent, and `weakens` only in layers."""
     traits = PartTraits.of(p.law)
     weakens, unchecked = traits.weakens and p.n is not None, not p.proportional
     return replace(traits, singular=False, has_homotopy=False, weakens=weakens, unchecked=unchecked)
 
 
 def _with_strains(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:
-    """The terms, their given strains changed."""
+    """The terms with `change` applied to their prescribed strains."""
     return [
         p if p.prescribed_strain is None else replace(p, prescribed_strain=change(p.prescribed_strain)) for p in terms
     ]
 
 
 def _strain_work(p: Term, v: Expr) -> Expr:
-    """Virtual work of the stress of a given strain alone in the strains of v."""
+    """Virtual work of the stress of a term's prescribed strain alone, in the strains of v."""
     return ufl.inner(p.law.stress(Step(p.prescribed_strain, p.n)), p.strain(v)) * p.weight * p.measure
 
 
 def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
-    """Work of stresses in their given strains, integral of the squares of these, and volume of the bodies."""
+    """Forms of the work of stresses in the prescribed strains, the integral of their squares, and the volume."""
     unity = fem.Constant(u.function_space.mesh, 1.0)
     densities = [
         (ufl.inner(stress(p, u), p.prescribed_strain), ufl.inner(p.prescribed_strain, p.prescribed_strain), unity)
@@ -336,7 +340,7 @@ def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.F
 def _linear_stiffness(
     V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term], other_terms: Iterable[Term]
 ) -> PETSc.Mat:
-    """The assembled matrix of the linear laws; if there are none, zeros in the nonzero pattern of elastic bodies.
+    """Assembled matrix of the linear laws; without linear laws, zeros in the nonzero pattern of elastic bodies.
 
     Raises:
         InputError: a law declares that it is linear and is not.

@@ -1,4 +1,4 @@
-"""The mean strain of a periodic cell whose mean stress is prescribed: unknowns of the whole cell."""
+"""Mean strain of a periodic cell under a prescribed mean stress, as unknowns of the whole cell."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from thinlayer.system.ranks import destroy
 
 
 class MeanStressPart(FieldPart):
-    """The forces of the mean strain E on linear bodies, and the condition that the mean stress is the prescribed one.
+    """Forces of the mean strain E on linear bodies, and the equation that the mean stress equals its prescribed value.
 
-    The unknowns are E times the size of the cell, with shears e_12 twice, so that they are displacements; the rows of the
-    condition are forces: stress less the prescribed one, times the volume over the size.
+    The unknowns are E times the size of the cell, with shears 2 e_12, so that they are displacements. The rows of the
+    equation are forces: mean stress less prescribed mean stress, times the volume over the size.
 
     Args:
         V: space of the displacements.
-        bodies: terms of the bodies, of linear laws; their eigenstrains are strains given beside E.
-        mean_stress: the mean stress.
-        volume: of the cell.
+        bodies: terms of the bodies, with linear laws; their prescribed strains, from eigenstrains, are added to E.
+        mean_stress: the prescribed mean stress.
+        volume: volume of the cell.
         comm: the domain's communicator.
     """
 
     key = MEAN_STRAIN
-    traits = PartTraits(inner=True)  # the mean strain is none of the motions of one body
+    traits = PartTraits(inner=True)  # the mean strain is no rigid motion of a body
 
     def __init__(
         self, V: fem.FunctionSpace, bodies: Sequence[Term], mean_stress: MeanStress, volume: float, comm: MPI.Intracomm
@@ -71,7 +71,7 @@ class MeanStressPart(FieldPart):
         self._old.array[:] = self.own_start(interval.old)
 
     def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
-        """Own forces (own unknowns,) of the strains given to the bodies, at a time or at rest."""
+        """Forces (own_size,) of the bodies' prescribed strains in the own equations, at time t or at rest."""
         self._over.look_at(t, at_rest=at_rest)
         return np.asarray(assemble_values(self._own_of_given, self.own_size))
 
@@ -102,7 +102,7 @@ class MeanStressPart(FieldPart):
         ]
 
     def commit(self) -> StepOutcome:
-        """As in `Part`; the energy is that of the bodies beyond the energy of the displacements alone."""
+        """As in `Part`; the energy is the contribution of the mean strain to the energy of the bodies."""
         now, old = self._u.x.petsc_vec, self.interval.old.u.x.petsc_vec
         difference = now - old
         self._change.array[:] = self.field.x.array[: self.own_size] - self._old.array_r
@@ -117,7 +117,7 @@ class MeanStressPart(FieldPart):
         return StepOutcome(before, after, 0.0, (2 * theta - 1) * of_change, kept=False, supplied=supplied)
 
     def _energy(self, u: PETSc.Vec, E: PETSc.Vec, forces: Array) -> float:
-        """Energy at displacements and a mean strain, with the own forces of given strains."""
+        """Energy that a mean strain E adds at displacements u, with the own forces of prescribed strains."""
         self.B.mult(E, self._forces)
         self.D.mult(E, self._more)
         return float(u.dot(self._forces)) + float(E.dot(self._more)) / 2 + self._product(forces, E)

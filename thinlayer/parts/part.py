@@ -1,4 +1,4 @@
-"""A part of the balance of forces: the common base of bodies, layers, pressures, contact and additions."""
+"""Base class of a part of the balance of forces: bodies, layers, pressures, contact and users' parts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DISPLACEMENT_KEY = "u"  # the key of the unknowns that all parts share
 
 @dataclass(frozen=True)
 class TimeStep:
-    """A time step: from a configuration to the time t = old.t + dt, with the balance of forces at old.t + theta dt."""
+    """A time step from the configuration `old` to the time t = old.t + dt; forces balance at old.t + theta dt."""
 
     old: Configuration
     t: float
@@ -31,7 +31,7 @@ class TimeStep:
 
     @property
     def balanced(self) -> float:
-        """The time old.t + theta dt; for theta = 1 the end itself, not rounded."""
+        """The time old.t + theta dt at which forces balance; for theta = 1 exactly t, without rounding."""
         return self.t - (1 - self.theta) * self.dt
 
 
@@ -40,19 +40,20 @@ class PartTraits:
     """Properties of a part. Several parts together have a flag if one of them has it.
 
     Attributes:
-        rate: the forces depend on how fast the part moves: `march` begins at rest, and `solve` refuses the part.
-        remembers: the forces depend on what has happened before the step.
+        rate: the forces depend on velocities or strain rates: `march` begins at rest, and `solve` refuses the part.
+        remembers: the forces depend on the history before the step.
         nonlinear: the forces are not proportional to the displacements.
         bounded: stresses are bounded, so that loads may have a limit.
         softens: stresses fall as jumps grow, so that loads may have several equilibria.
-        weakens: the part may resist less than its tangent does: it flows, yields or softens, or its tangent may vanish.
+        weakens: the part may resist less than its tangent predicts: it flows, yields or softens, or its tangent may
+            vanish.
         releases: the part may resist a body in one step and release it in the next, as contact does.
         singular: the tangent may be singular for some strains although there is an energy.
-        saddle: the tangent with supports may have eigenvalues of both signs.
-        has_homotopy: the part can be replaced by an eased one, by its method `set_homotopy`.
-        switches: phases stay the same while an equilibrium is found, and change after it.
+        saddle: the tangent, with supports applied, may have eigenvalues of both signs.
+        has_homotopy: the part has a homotopy law for continuation, which its method `set_homotopy` selects.
+        switches: phases are fixed while an equilibrium is computed, and change after it.
         inner: rigid motions of a whole body cause no forces.
-        unchecked: stresses are not checked point by point: NaNs are found in the summed forces only.
+        unchecked: stresses are not checked at each point; a NaN appears only in the summed forces.
     """
 
     rate: bool = False
@@ -74,7 +75,7 @@ class PartTraits:
 
     @classmethod
     def of(cls, law: Law) -> PartTraits:
-        """Traits of a part that is one law."""
+        """Traits of a part that consists of one law."""
         same = ("rate", "remembers", "bounded", "softens", "singular", "has_homotopy", "switches")
         has = {name: getattr(law.traits, name) for name in same}
         weakens = has["rate"] or has["bounded"] or has["singular"] or has["softens"]
@@ -88,7 +89,8 @@ class Block:
     Attributes:
         matrix: the matrix.
         factor: the block is `factor` times the matrix.
-        row, column: keys of the equations, and of the unknowns of the derivative: a part's key, or `DISPLACEMENT_KEY`.
+        row: key of the equations: a part's key, or `DISPLACEMENT_KEY`.
+        column: key of the unknowns by which they are differentiated, likewise.
         kept: True: the part keeps the matrix; False: the caller destroys it.
     """
 
@@ -106,12 +108,13 @@ class StepOutcome:
     Attributes:
         before, after: energy stored at the beginning and at the end of the step.
         dissipated: energy dissipated in the step.
-        remainder: work, `supplied` included, less the change of stored energy and less `dissipated`: by the time scheme or
-            varying parameters.
-        memory: as of `Part.rest`, at the end of the step; None: the part has no memory.
-        supplied: work done on the part by strains that are prescribed, beside that of loads and supports.
-        stress: (n, components) stresses at the end of the step; None: the part keeps none.
-        kept: whether the state keeps `after` under the part's key; it computes the energies of bodies and laws' forms.
+        remainder: work, `supplied` included, less the change of stored energy and less `dissipated`. It is caused by
+            the time scheme or by varying parameters.
+        memory: memory at the end of the step, as in `Part.rest`; None: the part has no memory.
+        supplied: work done on the part by prescribed strains, in addition to the work of loads and supports.
+        stress: (n, components) stresses at the end of the step; None: the part keeps no stresses.
+        kept: whether the state keeps `after` under the part's key. False for parts whose energy the state computes
+            itself, as for bodies and layers with laws in UFL forms.
     """
 
     before: float = 0.0
@@ -126,12 +129,12 @@ class StepOutcome:
 
 @dataclass(frozen=True)
 class FileOrder:
-    """The order in which values are kept in files: by the number of a cell, facet or vertex in the joint.
+    """Order of values in files: by the number of their cell, facet or vertex in the joint.
 
     Attributes:
-        numbers: (cells,) original numbers.
+        numbers: (cells,) numbers of the cells, facets or vertices in the joint.
         order: (cells, k) local indices of each cell's values, in an order that does not depend on the distribution.
-        n_owned: number of first cells whose values this rank writes; None: all.
+        n_owned: this rank writes the values of the first `n_owned` cells; None: of all cells.
     """
 
     numbers: IntArray
@@ -145,7 +148,7 @@ class FileOrder:
 
     @classmethod
     def by_place(cls, numbers: IntArray, indices: IntArray, x: Array) -> FileOrder:
-        """Order the values of each cell by the projections of their places x (n, d) on DIRECTION."""
+        """Order the values of each cell by the projections of their points x (n, d) on `SORTING_DIRECTION`."""
         along = x @ np.array(SORTING_DIRECTION[: x.shape[1]])
         return cls(numbers, np.take_along_axis(indices, np.argsort(along[indices], axis=1), axis=1))
 
@@ -154,41 +157,44 @@ class FileOrder:
         return values[self.order].reshape(len(self.numbers), self.order.shape[1] * values.shape[1])
 
     def put(self, out: Array, rows: Array) -> None:
-        """The inverse of `ordered`: fill `out` (n, v) from rows."""
+        """Fill `out` (n, v) from rows (cells, k v): the inverse of `ordered`."""
         out[self.order.ravel()] = rows.reshape(self.order.size, out.shape[1])
 
 
-# Irrational direction: the points of a facet have different projections on it, so that it orders them on all distributions.
+# An irrational direction: points of a facet have distinct projections on it, so that their order depends on no rank.
 SORTING_DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)
 
 
 class Part(ABC):
     """A part of the balance of forces. All methods are collective.
 
-    A step starts with `begin`. A solver then tries unknowns: `evaluate` gets the displacements; all else refers to the last
-    evaluation. `commit` is called once, when the step is accepted. Four methods are compulsory: `evaluate`, `add_forces`,
-    `tangents` and `commit`.
+    A step starts with `begin`. A solver then tries unknowns: it passes the displacements to `evaluate`, and all other
+    methods refer to the last evaluation. `commit` is called once, when the step is accepted. Four methods are
+    compulsory: `evaluate`, `add_forces`, `tangents` and `commit`.
 
-    A part may have further methods and attributes, which are looked up where they are needed (`PartSum.ask`):
+    A part may have further methods and attributes, which `PartSum.call_optional` looks up where they are needed:
 
-    - `add_fixed(out)`: adds the nodal forces beside those of K that the unknowns of the step do not change.
-    - `failure() -> str`: says what failed in the last evaluation and where; "" if nothing did.
-    - `at_time(t)`: uses the parameters of time t from now on; InputError: a parameter is out of range. `parameters()`:
-      list of arrays, those that vary in time, on this rank.
-    - `set_homotopy(ease)`: uses the eased law; 0 is the law itself, 1 an elastic one.
-    - `excess() -> float`: largest gain of energy if a column changed its phase. `switch() -> bool` changes columns to the
-      phases of lowest energy in the last evaluation; True if any column changes.
+    - `add_fixed(out)`: adds the nodal forces that do not depend on the unknowns of the step.
+    - `failure() -> str`: says what failed in the last evaluation and where; "" if nothing failed.
+    - `at_time(t)`: sets the parameters to their values at time t; InputError: a parameter is out of range.
+      `parameters()`: list of the arrays on this rank that vary in time.
+    - `set_homotopy(ease)`: sets the law to the homotopy law with this continuation parameter: 0 is the law itself, 1 an
+      elastic law.
+    - `excess() -> float`: largest gain of energy by a change of phase in a column. `switch() -> bool` changes columns
+      to the phases of lowest energy in the last evaluation, and returns whether any column has changed.
     - `error_measure(u)`: strains or jumps (n,) at u, for the error of a step; the sum of their squares is an integral.
-      `unit_jump_measure()`: estimate of this sum for a unit jump across the layer. `add_forces_in(state, out)`: adds the
-      nodal forces of bodies' stresses in a state.
-    - `answers_at_once(times)`: name of a law with a non-linear instantaneous response, and whether varying parameters are
-      the reason; None. `takes_time() -> str`: name of a law whose response depends on the length of the step, or "".
-      `undeclared_softening()`: name of a law whose stress falls without the trait `softens`, and the place; None.
+      `unit_jump_measure()`: estimate of this sum for a unit jump across the layer. `add_forces_in(state, out)`: adds
+      the nodal forces of bodies' stresses in a state.
+    - `answers_at_once(times)`: name of a law with a non-linear instantaneous response, and whether varying parameters
+      are the reason; None without such a law. `takes_time() -> str`: name of a law whose response depends on the length
+      of the step, or "". `undeclared_softening()`: name of a law whose stress falls without the trait `softens`, and
+      the place; None without such a law.
     - `diagonal_at_rest()`: diagonal of the tangent at rest of bodies that are not in K, a scale of forces, or None; the
-      caller destroys it. `distance`: largest given distance of bodies, such as an initial gap, whose rounding displacements
-      have. `cancelling`: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements.
-    - `add_work_in(z, out)`: adds the work of the last stresses in displacements z, spread over the nodes where it is done.
-      Without it the forces of the part act at nodes.
+      caller destroys it. `distance`: largest prescribed distance of bodies, such as an initial gap. Displacements have
+      rounding errors of its size. `cancelling`: norm of the diagonal of a stiffness that is not in K and acts on
+      differences of displacements.
+    - `add_work_in(z, out)`: adds the work of the last stresses in displacements z, distributed to nodes. Without this
+      method the work is the nodal forces times z.
     - `stress_width`: number of stress components that states keep at each point of the memory.
 
     Attributes:
@@ -206,7 +212,7 @@ class Part(ABC):
     interval: TimeStep
 
     def begin(self, interval: TimeStep) -> None:
-        """Begin a step, from `interval.old`."""
+        """Begin a step from the configuration `interval.old`."""
         self.interval = interval
 
     @abstractmethod
@@ -218,18 +224,20 @@ class Part(ABC):
 
     @abstractmethod
     def add_forces(self, out: PETSc.Vec) -> float:
-        """Add the nodal forces of the last evaluation; returns their norm if the force scale shall know it, else 0."""
+        """Add the nodal forces of the last evaluation; return their norm if it enters the force scale, else 0."""
 
     @abstractmethod
     def tangents(self, relative_residual: float) -> list[Block]:
-        """Derivatives of the forces, and of own equations, at the last evaluation, by the unknowns at the end of the step.
+        """Tangent blocks of the last evaluation: derivatives of the forces, and of the part's own equations.
+
+        They are derivatives by the unknowns at the end of the step.
 
         Args:
             relative_residual: norm of the last residual divided by the forces; 0 unless a tangent may be singular.
         """
 
     def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
-        """The tangents of what resists rigid motions; forces on a node up to `rounding` there are none."""
+        """Tangent blocks that resist rigid motions; a nodal force of at most `rounding` at its node counts as zero."""
         return self.tangents(relative_residual)
 
     @abstractmethod
@@ -239,8 +247,8 @@ class Part(ABC):
     def rest(self) -> Memory | None:
         """Memory at rest; None: the part has no memory.
 
-        It is an array (n, values) at entities such as points or vertices, which files keep in the `file_order`. Or it is a
-        mapping of names to functions on the model's mesh, such as velocities, which files keep cell by cell.
+        It is an array (n, values) at entities such as points or vertices, which files keep in the `file_order`. Or it
+        is a mapping from names to functions on the model's mesh, such as velocities, which files keep cell by cell.
         """
         return None
 
@@ -250,7 +258,7 @@ class Part(ABC):
         return None
 
     def named(self) -> dict[str, PartTraits]:
-        """The traits by the names that errors give their reason: of laws, or of the part itself."""
+        """Traits by the names that error messages use: names of laws, or of the part itself."""
         return {f"the part {self.key!r}": self.traits}
 
     def destroy(self) -> None:
@@ -258,14 +266,14 @@ class Part(ABC):
 
 
 class FieldPart(Part):
-    """A part with own unknowns beside the displacements: a pressure, a mean strain.
+    """A part with its own unknowns in addition to the displacements, such as a pressure or a mean strain.
 
     Attributes:
         field: the own unknowns, in the solver's units.
-        unit: values in states over unknowns.
-        load: given forces (own_size,) of the step in `own_residual`: that residual is what balances them, less these.
-        on_S: whether the own unknowns are on S: then block preconditioners suit them.
-        hint: a clause for errors: how this part may make a linear solve fail; "" if it does not.
+        unit: value in states divided by value of the unknown.
+        load: prescribed forces (own_size,) in the part's own equations; `own_residual` subtracts them.
+        on_S: whether the own unknowns are on S, so that block preconditioners suit them.
+        hint: clause for error messages that says how the part may make a linear solve fail; "" if it does not.
     """
 
     field: fem.Function
@@ -285,7 +293,7 @@ class FieldPart(Part):
         """Residual of the part's own equations on this rank, for the last evaluation."""
 
     def load_at(self, t: float) -> Array:
-        """Given forces (own_size,) in the own equations at a time."""
+        """Prescribed forces (own_size,) in the own equations at time t."""
         return np.zeros(self.own_size)
 
     def at_time(self, t: float) -> None:
@@ -293,7 +301,7 @@ class FieldPart(Part):
         self._t = t
 
     def parameters(self) -> list[Array]:
-        """What is given at the time of the last `at_time`."""
+        """Prescribed forces and prescribed own unknowns at the time of the last `at_time`."""
         return [self.load_at(self._t), self.own_prescribed(self._t)[1]]
 
     def own_start(self, old: Configuration) -> Array:
@@ -303,7 +311,7 @@ class FieldPart(Part):
         return np.asarray((values.x.array / self.unit)[: self.own_size])
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
-        """Own unknowns of this rank that are prescribed: their numbers, and values at time t, or 0 without a time."""
+        """Numbers of this rank's prescribed own unknowns, and their values at time t; 0 if t is None."""
         return np.empty(0, np.int64), np.empty(0)
 
     def own_result(self) -> fem.Function:
@@ -321,7 +329,7 @@ class FieldPart(Part):
     @property
     @abstractmethod
     def own_file_order(self) -> FileOrder:
-        """The order of the own unknowns in files, ghosts included."""
+        """Order of the own unknowns in files, ghosts included."""
 
 
 __getattr__ = former_names(__name__, {"Interval": TimeStep, "Outcome": StepOutcome})

@@ -1,4 +1,4 @@
-"""Rigid plates on the boundary: their motions are unknowns, the resultants of the forces on them are given."""
+"""Rigid plates on the boundary: their motions are unknowns, and the resultant forces on them are prescribed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ROTATION_NAMES = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z"
 
 
 def motion_names(d: int) -> list[str]:
-    """Names of the motions of a plate."""
+    """Names of the motions of a plate in d dimensions."""
     return [*AXIS_NAMES[:d], *ROTATION_NAMES[d]]
 
 
@@ -43,9 +43,9 @@ class PlateMotion:
     """The motion of a rigid plate.
 
     Attributes:
-        translation: (d,) displacement of the point.
+        translation: (d,) displacement of the point `about`.
         rotation: small rotation: (3,), in 2D a number, > 0 from x to y.
-        about: (d,) the point.
+        about: (d,) reference point.
     """
 
     translation: Array
@@ -57,21 +57,21 @@ class PlateMotion:
 class RigidPlate(PartDefinition):
     """A rigid plate, bonded to a facet set of the outer boundary and to the side of the layer that continues it.
 
-    Its nodes move as a rigid body, with small rotations. For each of its 3 motions (in 3D 6) either the force or moment is
-    given, by default zero, or the motion is prescribed. All values may be functions (x, t) of the time alone, or
-    `piecewise`. A support at one of its nodes holds the whole plate there.
+    Its nodes move as a rigid body, with small rotations. For each of its 3 motions (in 3D 6) either the motion is
+    prescribed, or the force or moment, by default zero. All values may be functions (x, t) of the time alone, or
+    `piecewise`. A support at one of its nodes constrains the motion of the whole plate.
 
     Attributes:
         place: name of a facet set on the outer boundary.
         force: (d,) resultant force on the plate; in 2D per unit thickness.
-        moment: its moment about the point: a number in 2D (> 0 from x to y), (3,) in 3D.
-        motion: prescribed motions of the point: "x", "y", "z" a length, "rotation" (in 3D "rotation x", ...) an angle.
-        about: the point (d,), in the coordinates of the model's mesh; by default the centroid of the place.
+        moment: resultant moment about the point `about`: a number in 2D (> 0 from x to y), (3,) in 3D.
+        motion: prescribed motions of this point: "x", "y", "z" a length, "rotation" (in 3D "rotation x", ...) an angle.
+        about: reference point (d,), in the coordinates of the model's mesh; by default the centroid of the place.
         key: name of its unknowns, "plate NAME".
 
     Raises:
-        InputError: when a model is made: an unknown or empty place, inner facets, values that are no numbers, a force along
-            a prescribed motion, nodes that another plate holds too.
+        InputError: when a model is made: an unknown or empty place, inner facets, values that are no numbers, a force
+            along a prescribed motion, nodes that belong to another plate too.
     """
 
     place: str
@@ -85,7 +85,7 @@ class RigidPlate(PartDefinition):
         object.__setattr__(self, "key", f"plate {self.place}")
 
     def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
-        """Its nodes, which follow its motions. Collective."""
+        """Multi-point constraint of the plate's nodes, whose displacements follow its motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
         scale = np.where(np.arange(motion_count(d)) < d, 1.0, size)
         keys, loads, at = self.prescribed_motions(model), self._resultants(model), self._motions(model)
@@ -98,13 +98,14 @@ class RigidPlate(PartDefinition):
         model: Any = state.model
         (tie,) = (mpc for mpc in model.constraints.mpcs if mpc.key == self.key)
         q, d = model.constraints.motion(tie, state.u.x.array[: model.constraints.n]), model.joint.dim
-        rotation = q[d:] / model.domain.joint.size  # of lengths
+        rotation = q[d:] / model.domain.joint.size  # the unknowns are lengths
         return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
 
     def _tie(self, model: HostModel, about: Array, size: float) -> Any:
-        """(n, k) sparse: displacements of this rank by the plate's motions, rotations times a length. Collective.
+        """Sparse matrix (n, k) from the plate's motions to displacements of this rank. Collective.
 
-        A plate that turns moves bodies on both sides of a layer apart along S, by the layer's thickness as an arm.
+        Rotations are multiplied by `size`. A rotation shifts the bodies on both sides of a layer along S relative to
+        each other, with the layer's thickness as lever arm.
         """
         V, d = model.V, model.joint.dim
         facets = model.domain.facets(self.place, layer_sides=True)
@@ -120,7 +121,7 @@ class RigidPlate(PartDefinition):
             by_node[V.dofmap.list] = shifts[model.domain.original_cells][:, None]
             least, most = by_node[blocks].min(axis=0, initial=np.inf), by_node[blocks].max(axis=0, initial=-np.inf)
             every = np.array(model.comm.allgather((least, most)))
-            middle = (every[:, 0].min(axis=0) + every[:, 1].max(axis=0)) / 2  # the plate's point stays
+            middle = (every[:, 0].min(axis=0) + every[:, 1].max(axis=0)) / 2  # the reference point does not shift
             x = x + by_node[blocks] - middle
         values = motion_fields(x, about)
         values[:, :, d:] /= size
@@ -129,10 +130,10 @@ class RigidPlate(PartDefinition):
         columns = np.tile(np.arange(k), len(blocks) * d)
         return scipy.sparse.csr_matrix((values.ravel(), (rows, columns)), (owned * d, k))
 
-    # ---------------------------------------------------------------- what is given
+    # ---------------------------------------------------------------- prescribed values
     @property
     def what(self) -> str:
-        """The plate in messages."""
+        """Name of the plate in messages."""
         return f"plate on {self.place!r}"
 
     def check(self, model: HostModel) -> None:
@@ -150,27 +151,27 @@ class RigidPlate(PartDefinition):
             self._at(0.0, self._resultants(model), self.prescribed_motions(model), d)
 
     def _resultants(self, model: HostModel) -> dict[str, Coefficient]:
-        """The force and the moment, those that are given."""
+        """The prescribed force and moment, by name, without values that are None."""
         d, loads = model.joint.dim, (("force", self.force), ("moment", self.moment))
         shapes: dict[str, tuple[int, ...]] = {"force": (d,), "moment": () if d == 2 else (3,)}
         return {name: self._value(model, name, value, shapes[name]) for name, value in loads if value is not None}
 
     def _motions(self, model: HostModel) -> dict[int, Coefficient]:
-        """Number of a motion that is given -> its value."""
+        """Number of each prescribed motion -> its value."""
         names = motion_names(model.joint.dim)
         return {names.index(k): self._value(model, f"motion {k!r}", value, ()) for k, value in self.motion.items()}
 
     def _value(self, model: HostModel, name: str, value: Any, shape: tuple[int, ...]) -> Coefficient:
-        """A value that is one for the whole plate."""
+        """Coefficient of a value that must be the same on the whole plate."""
         return model.coordinates.coefficient(value, f"{self.what}: {name}", shape).once("the whole plate")
 
     @staticmethod
     def _prevented(model: HostModel) -> list[int]:
-        """Numbers of the motions that kinematics do not have."""
+        """Numbers of the motions that the model's kinematics exclude."""
         return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
 
     def _at(self, t: float, loads: Mapping[str, Coefficient], prescribed: Sequence[int], d: int) -> Array:
-        """Force and moment (k,) at a time; raises InputError if one of them is along a prescribed motion."""
+        """Force and moment (k,) at time t; raise InputError if one of them acts along a prescribed motion."""
         out, places = np.zeros(motion_count(d)), {"force": slice(d), "moment": slice(d, None)}
         for name, value in loads.items():
             out[places[name]] = value.at_time(t)
@@ -183,11 +184,11 @@ class RigidPlate(PartDefinition):
         return out
 
     def point(self, model: HostModel) -> Array:
-        """The point (d,) to which motions and moments refer. Collective."""
+        """Reference point (d,) of motions and moments. Collective."""
         if self.about is not None:
             return require_point(self.about, model.joint.dim)
         return moment_centre(model.kinematics, centroid(model.domain, self.place))
 
     def prescribed_motions(self, model: HostModel) -> list[int]:
-        """Numbers of the prescribed motions; a plate of revolution moves along its axis alone."""
+        """Numbers of the prescribed motions; in axisymmetry these are all motions except translation along the axis."""
         return sorted({*self._prevented(model), *(motion_names(model.joint.dim).index(name) for name in self.motion)})

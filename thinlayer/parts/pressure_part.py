@@ -1,4 +1,4 @@
-"""The pressure of an incompressible or rubbery layer: a field on the cells of the meshed layer, or on S."""
+"""Pressure of an incompressible or rubbery layer: a field on the cells of the meshed layer, or on S."""
 
 from __future__ import annotations
 
@@ -32,30 +32,31 @@ from thinlayer.pointwise.quadrature import (
 )
 from thinlayer.system.ranks import communicator, destroy
 
-VERTEX_TOLERANCE = 1e-9  # distance, relative to the size of S, at which two vertices are one
+VERTEX_TOLERANCE = 1e-9  # distance of two vertices, relative to the size of S, at which they count as the same
 
 
 class PressurePart(FieldPart):
-    """int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all q of degree 1, beside displacements of degree 2.
+    """Pressure p of degree 1, with displacements of degree 2, from a weak equation for the change of volume.
 
-    The strain e is that of the displacements, and the one that is given beside it: a free expansion makes room. c is the
-    law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow`). On its free
-    ends p is then zero.
+    The equation is int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all q of degree 1. The strain e is the sum
+    of the strain of the displacements and the prescribed strain, so that a free expansion causes no pressure. c is the
+    law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow`). If the law has this
+    flow, p is zero at its free ends.
 
-    In the meshed layer this is the pair of Taylor and Hood. On S a pressure of degree 1 meets jumps of degree 2.
+    In the meshed layer this is the Taylor-Hood element. On S the pressure has degree 1 and the jumps have degree 2.
 
     Args:
         V: space of the displacements.
         term: term of the incompressible law.
-        stiffness: stiffness of the bodies at a node, force per displacement, > 0. It makes the rows of G forces, so that
-            residuals of both kinds have one unit.
-        origin: original numbers of the cells of the mesh, for files.
+        stiffness: stiffness of the bodies at a node, force per displacement, > 0. It scales the rows of G to forces, so
+            that the residuals of both equations have the same unit.
+        origin: relation of the mesh to its joint; on S of order 1 it gives the points of S, and files need it.
         free: (n, d) vertices of S where p is zero.
-        masters: vertices of the joint with which periodic sides identify its vertices (`Joint.masters`); None: the joint is
-            not periodic.
+        masters: vertices of the joint with which periodic sides identify its vertices (`Joint.masters`); None: the
+            joint is not periodic.
 
     Attributes:
-        key: of the pressure, among the fields of states: that of the term, with "pressure" for "layer".
+        key: key of the pressure in the fields of states: the term's key, with "pressure" in place of "layer".
         region: the cells of the meshed layer, or S.
         unit: factor of G; `field` is the pressure divided by it.
         G: matrix of int q tr e(v) times `unit`; rows: pressures, columns: displacements.
@@ -83,7 +84,7 @@ class PressurePart(FieldPart):
         self.G = assemble_matrix(region.compiled(q * ufl.tr(term.strain(v)) * term.weight * term.measure))
         self.C = self._compliance(space, term, points)
         self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
-        if self.C is not None:  # else the rounding of volumes beside stiff bodies would count as much as forces
+        if self.C is not None:  # else rounding errors of volumes next to stiff bodies would be as large as forces
             self.unit = min(self.unit, math.sqrt(stiffness / self.C.norm(PETSc.NormType.INFINITY)))
             self.C.scale(self.unit**2)
         self.G.scale(self.unit)
@@ -98,7 +99,7 @@ class PressurePart(FieldPart):
         self._filled: Array | None = None
 
     def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
-        """C, for a law whose parameters are functions with their values at `points`. Collective."""
+        """The matrix C, or None if it is zero; parameters that are functions are evaluated at `points`. Collective."""
         region, law, measure = self.region, term.law, term.measure
         p, q = ufl.TrialFunction(space), ufl.TestFunction(space)
         forms = []
@@ -108,7 +109,7 @@ class PressurePart(FieldPart):
             measure = points.measure
         if not isinstance(volume := ufl.as_ufl(law.volume_compliance), Zero):
             forms.append(volume * region.side(p) * region.side(q) * term.weight * measure)
-        if flows_along_surface(term):  # on S: gradients of functions of its mesh are along S
+        if flows_along_surface(term):  # gradients on the mesh of S are gradients along S
             flow = self._means(term.flow) * term.kinematics.on(region.mesh).factor
             forms.append(flow * ufl.inner(ufl.grad(p), ufl.grad(q)) * ufl.dx(region.mesh))
         if not forms:
@@ -120,7 +121,7 @@ class PressurePart(FieldPart):
         return C
 
     def _means(self, f: Expr) -> fem.Function:
-        """The mean of an expression on each facet or cell of the region, as which it may jump. Collective."""
+        """Means of an expression on the facets or cells of the region, as a discontinuous function. Collective."""
         space = fem.functionspace(self.region.mesh, ("DG", 0))
         q, n_owned = self.region.side(ufl.TestFunction(space)), space.dofmap.index_map.size_local
         forms = [integrand * q * self.region.measure for integrand in (f, fem.Constant(self.region.parent_mesh, 1.0))]
@@ -128,7 +129,7 @@ class PressurePart(FieldPart):
         return set_owned_values(fem.Function(space), of_f / sizes)
 
     def _end(self) -> Array:
-        """Pressures of this rank at the end of the step, in the units of `field`."""
+        """Pressures (own_size,) at the end of the step, in the units of `field`."""
         theta, p = self.interval.theta, self._p.x.array[: self.own_size]
         return np.asarray(p if theta == 1 else (p - (1 - theta) * self.own_start(self.interval.old)) / theta)
 
@@ -148,7 +149,7 @@ class PressurePart(FieldPart):
         self._growth = self._given - before
 
     def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
-        """What given strains add to `own_residual`, at a time or at rest."""
+        """Contribution (own_size,) of prescribed strains to `own_residual`, at time t or at rest."""
         self._over.look_at(t, at_rest=at_rest)
         return np.asarray(self.unit * assemble_values(self._room, self.own_size))
 
@@ -173,7 +174,7 @@ class PressurePart(FieldPart):
         return np.asarray(room if self._filled is None else room - self._filled)
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
-        """At free ends the pressure of a law with flow is zero."""
+        """As in `FieldPart`: the pressure of a law with flow along S is zero at free ends."""
         return self._zero, np.zeros(len(self._zero))
 
     def tangents(self, relative_residual: float) -> list[Block]:
@@ -186,7 +187,7 @@ class PressurePart(FieldPart):
         return blocks
 
     def commit(self) -> StepOutcome:
-        """As in `Part`; the pressure does work in given strains, which displacements follow, and stores energy in C."""
+        """As in `Part`; the pressure does work in the growth of prescribed strains, and stores the energy p.C p/2."""
         self._volume.array[:] = self._growth
         supplied = float(self._volume.dot(self._p.x.petsc_vec))
         if self.C is None:
@@ -196,7 +197,7 @@ class PressurePart(FieldPart):
         return StepOutcome(before, after, remainder=(2 * self.interval.theta - 1) * lost, supplied=supplied)
 
     def own_result(self) -> fem.Function:
-        """The pressure at the end of the step; `field` is the one at old.t + theta dt."""
+        """The pressure at the end of the step; `field` is the pressure at old.t + theta dt."""
         p, old, theta = super().own_result(), self.interval.old.fields.get(self.key), self.interval.theta
         if theta < 1 and (old is not None or self.C is not None):
             p.x.array[:] = (p.x.array - (1 - theta) * (0.0 if old is None else old.x.array)) / theta
@@ -209,7 +210,7 @@ class PressurePart(FieldPart):
         cells, x = np.asarray(whole.dofmap.list), whole.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
         ordered = FileOrder.by_place(self._origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
         number = np.empty(len(x), np.int64)
-        number[cells] = self._p.function_space.dofmap.list  # identified vertices have several places
+        number[cells] = self._p.function_space.dofmap.list  # one dof may have several vertices, on periodic sides
         return FileOrder(ordered.numbers, number[ordered.order])
 
     def destroy(self) -> None:
@@ -217,12 +218,12 @@ class PressurePart(FieldPart):
 
 
 def flows_along_surface(term: Term) -> bool:
-    """Whether the pressure of a term is that of an interface law of order 1, which flows along S."""
+    """Whether a term has a pressure with flow along S, as interface laws of order 1 have."""
     return not isinstance(ufl.as_ufl(term.flow), Zero)
 
 
 def periodic_functions(region: MeasureRegion, masters: IntArray) -> fem.FunctionSpace:
-    """Functions that are the same at vertices that periodic sides identify (`Joint.masters`). Collective."""
+    """Space of degree 1 whose functions agree at vertices that periodic sides identify, `masters`. Collective."""
     mesh = region.mesh
     element = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)
     corners = cell_nodes(mesh)[:, : element.basix_element.dim]
@@ -232,7 +233,7 @@ def periodic_functions(region: MeasureRegion, masters: IntArray) -> fem.Function
 
 
 def dofs_at_vertices(space: fem.FunctionSpace, places: Array) -> IntArray:
-    """Unknowns of this rank of a space of degree 1 at some of its vertices (n, d). Collective."""
+    """Owned dofs of a space of degree 1 at the vertices with coordinates `places` (n, d). Collective."""
     x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, : places.shape[1]]
     ends = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
     low, high = (np.array(bounds) for bounds in zip(*ends, strict=True))

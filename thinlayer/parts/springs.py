@@ -1,4 +1,4 @@
-"""Springs per area on a boundary, as a part of the balance of forces."""
+"""Distributed springs on a boundary, as a part of the balance of forces."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from thinlayer.discretisation.supports import Place
 from thinlayer.parts.form_part import FormPart, assemble_plain_matrix
 
 Stiffness = float | Callable[[Any], Any]
-NEGATIVE_STIFFNESS_TOLERANCE = 1e-9  # a negative stiffness that counts as rounding, over the largest one
+NEGATIVE_STIFFNESS_TOLERANCE = 1e-9  # size of a negative stiffness, over the largest, that counts as rounding error
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ class Springs(PartDefinition):
 
     Attributes:
         place: name of a facet set on the outer boundary.
-        normal, tangential: stiffness k_N across and k_T along the boundary, stress per length; >= 0, not both 0. A number,
-            or a function of the place, before inflating: in UFL, x -> UFL scalar, which is exact, or in numpy,
-            x (d, n) -> (n,), which is interpolated in each cell with degree 2.
+        normal, tangential: stiffness k_N across and k_T along the boundary, stress per length; >= 0, not both 0. A
+            number, or a function of the coordinates x before inflating. A function in UFL, x -> UFL scalar, is exact. A
+            function in numpy, x (d, n) -> (n,), is interpolated in each cell with degree 2.
         key: name of their energy, "springs NAME".
 
     Raises:
-        InputError: no stiffness. When a model is made: an unknown or empty facet set, or inner facets, a stiffness that is
-            no number, no function of the place, or negative.
+        InputError: no stiffness. When a model is made: an unknown or empty facet set, inner facets, or a stiffness that
+            is negative, or neither a number nor a function of the coordinates.
     """
 
     place: str
@@ -56,7 +56,7 @@ class Springs(PartDefinition):
         object.__setattr__(self, "key", f"springs {self.place}")
 
     def check(self, model: HostModel) -> None:
-        """Raise InputError unless the facets lie on the outer boundary, and the stiffnesses are finite and >= 0 there."""
+        """Raise InputError unless the facets lie on the outer boundary, and stiffnesses there are finite and >= 0."""
         boundary_values(model.domain, model.kinematics, self.place, f"springs on {self.place!r}")
         facets, V = model.domain.facets(self.place), fem.functionspace(model.domain.mesh, ("Lagrange", NUMPY_DEGREE))
         for stiffness in self._stiffnesses(model):
@@ -68,7 +68,7 @@ class Springs(PartDefinition):
                 raise InputError(f"{stiffness.what} is {values[k]:.6g} at {at_place(x[k])}; allowed: finite, >= 0")
 
     def _stiffnesses(self, model: HostModel) -> list[Coefficient]:
-        """The stiffnesses, normal and tangential. Collective."""
+        """The normal and the tangential stiffness. Collective."""
         names = ("normal", "tangential")
         what = f"springs on {self.place!r}: "
         return [model.coordinates.coefficient(getattr(self, name), what + name, (), of_place=True) for name in names]
@@ -81,7 +81,7 @@ class Springs(PartDefinition):
         return work * model.kinematics.factor * model.ds(model.domain.values(self.place))
 
     def reaction(self, model: HostModel, u: fem.Function) -> list[tuple[Place, Array]]:
-        """As in `PartDefinition`: the force and moment of the springs."""
+        """As in `PartDefinition`: the force and moment of the springs on the structure."""
         motion, v = motion_expression(model.domain.mesh, model.centre)
         return [(self.place, -per_unit(model.comm, self.work(model, u, v), motion))]
 

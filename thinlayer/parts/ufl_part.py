@@ -1,4 +1,4 @@
-"""A user's own UFL form, as a part of the balance of forces."""
+"""A user-defined UFL form as a part of the balance of forces."""
 
 from __future__ import annotations
 
@@ -20,26 +20,27 @@ from thinlayer.parts.form_part import FormPart, assemble_plain_matrix
 from thinlayer.parts.part import PartTraits, StepOutcome
 from thinlayer.system.compat import expand_derivatives, ufl_replace, without_cycles
 
-ASYMMETRY_TOLERANCE = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding
+ASYMMETRY_TOLERANCE = 1e-12  # norm of a matrix less its transpose, relative to its norm, that counts as rounding error
 
 
 @dataclass(frozen=True)
 class UflPart(PartDefinition):
-    """Forces given by a UFL form: their virtual work, or their energy.
+    """Forces defined by a UFL form of their virtual work or of their energy.
 
-    UFL finds the derivatives. The form is evaluated at the displacements at old.t + theta dt. If there is an energy, give
-    it: the tangent is then symmetric, and the audit of a step contains the energy. Otherwise the tangent counts as not
-    symmetric, and the energy is NaN unless the forces are linear with a symmetric matrix.
+    UFL computes the derivatives. The form is evaluated at the displacements at old.t + theta dt. If the forces have an
+    energy, define `energy`: the tangent is then symmetric, and the energy balance of a step contains the energy.
+    Otherwise the tangent counts as not symmetric, and the energy is NaN unless the forces are linear with a symmetric
+    matrix.
 
     Attributes:
         virtual_work: function (u, v, model) -> the virtual work at displacements u, a form linear in v; `model.dx` and
-            `model.ds` are measures, and `model.domain.values(name)` the tags of a boundary. In axisymmetry the model adds
-            the factor 2 pi r.
+            `model.ds` are measures, and `model.domain.values(name)` the tags of a boundary. In axisymmetry the model
+            adds the factor 2 pi r.
         energy: function (u, model) -> the stored energy, a form without v. Give either `virtual_work` or `energy`.
         key: name of the part in `State.energies`.
 
     Raises:
-        InputError: neither function, or both. When a model is made: a function does not return such a form.
+        InputError: neither function, or both. When a model is made: the function does not return such a form.
     """
 
     virtual_work: Callable[[Any, Any, Any], Any] | None = None
@@ -52,7 +53,7 @@ class UflPart(PartDefinition):
             raise InputError(f"{self!r}: give one function, virtual_work(u, v, model) or energy(u, model)")
 
     def check(self, model: HostModel) -> None:
-        """Raise InputError unless the function gives a form that can be assembled on the model. Collective."""
+        """Raise InputError unless the function returns a form that can be assembled on the model. Collective."""
         u, v = fem.Function(model.V), ufl.TestFunction(model.V)
         what = f"the part {self.key!r}"
         try:
@@ -120,7 +121,7 @@ class _UserFormPart(FormPart):
 @without_cycles()
 def has_arity(form: Any) -> bool:
     """Whether a form is linear in each of its arguments, and each of its terms contains all of them."""
-    try:  # inner(u, v) and inner(v, u), which a quadratic energy gives, differ by what is conjugate
+    try:  # derivatives of energies contain inner(u, v) and inner(v, u), which differ by a complex conjugate
         check_form_arity(remove_complex_nodes(apply_algebra_lowering(expand_derivatives(form))), form.arguments())
     except (ArityMismatch, ValueError):  # UFL raises ValueError for sums whose terms differ
         return False

@@ -1,4 +1,4 @@
-"""A law that softens in a meshed layer: it gets the mean strains through the thickness."""
+"""Term of a softening law in a meshed layer, evaluated at the mean strains through the thickness."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ from thinlayer.system.ranks import destroy
 
 
 class ColumnTerm(CompiledTerm):
-    """A law in the columns of a meshed layer, at the means of strains through the thickness, as on S.
+    """A law in the columns of a meshed layer, evaluated at the means of strains through the thickness, as on S.
 
-    Rows of cells that soften one by one would unload each other: the energy that breaks the layer would depend on their
-    number. What strains differ from their means by is elastic, as the law is at rest. So nodes in a broken layer are held.
+    If single rows of cells softened, they would unload the others: the fracture energy would depend on the number of
+    rows. The deviations of strains from their means are elastic, with the law's tangent at rest. Nodes in a broken
+    layer therefore keep a stiffness.
 
         energy = int [psi(mean) + (e - mean) : C (e - mean)/2]
     """
@@ -37,13 +38,13 @@ class ColumnTerm(CompiledTerm):
 
     @cached_property
     def _mean(self) -> Projection:
-        """Projection on functions of the place on S: of all its points under quadrilaterals, else polynomials."""
+        """Projection on functions of the position on S: all functions in columns of tensor cells, else polynomials."""
         tensor = is_tensor(self.region.mesh.topology.cell_name())
         most = self.degree if tensor else self._V.ufl_element().basix_element.degree
         powers = [p for p in product(range(most + 1), repeat=self.dim - 1) if sum(p) <= most]
         of, places = self.columns.of[self.cells[:, 0]], self.joint_x.T
         count, bases = np.bincount(of), []
-        for k in np.unique(count[of]):  # where layers meet there are other numbers of cells
+        for k in np.unique(count[of]):  # columns at junctions of layers have other numbers of cells
             here = np.flatnonzero(count[of] == k)
             groups = self.cells[here[np.argsort(of[here], kind="stable")]].reshape(-1, k * self.cells.shape[1])
             x = places[groups]
@@ -54,7 +55,7 @@ class ColumnTerm(CompiledTerm):
 
     @cached_property
     def _elastic(self) -> Array:
-        """(points, 6, m) tangents of the law at rest; one where neither parameters nor directors matter."""
+        """Tangents (points, 6, m) of the law at rest, computed once for each distinct director or parameter value."""
         law = self.term.law
         laws = list(law.at_places(self.joint_x)) if law.fields else repeat(law)
         n = self.n if law.fields or needs_director(law) else self.n[:1]
@@ -63,7 +64,7 @@ class ColumnTerm(CompiledTerm):
         return np.broadcast_to(C[at.ravel()][..., self.slots], (self.count, 6, len(self.slots)))
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
-        """As of a law at points; theta = 1. The stress is the one that does all of the work in the strains."""
+        """As in `CompiledTerm`, for theta = 1. The stress is conjugate to the strains e, not to their means."""
         mean, old = self._mean(e), self._mean(e_old)
         response, rest = super().respond(mean, old, memory, dt, theta), e - mean
         elastic = np.einsum("pij,pj->pi", self._elastic, rest)
@@ -72,16 +73,16 @@ class ColumnTerm(CompiledTerm):
         return replace(response, whole=stress, stress=stress[:, self.slots], energies=energies)
 
     def _energy(self, rest: Array) -> float:
-        """Energy of what strains differ from their means by, over this rank's points."""
+        """Energy of the strains' deviations `rest` from their means, over this rank's points."""
         return float(np.einsum("p,pi,pij,pj->", self.weights, rest, self._elastic[:, self.slots], rest) / 2)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
-        """As of a law at points, with the energy of what strains differ from their means by."""
+        """As in `CompiledTerm`, with the energy of the strains' deviations from their means."""
         mean = self._mean(e)
         return super().stored(mean, memory, dt) + self._energy(e - mean)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
-        """Matrix of the means, without `constant`; arguments as of a law at points."""
+        """Tangent matrix of the mean strains, without `constant`; arguments as in `CompiledTerm`."""
         return self._product(self._regular(tangent, relative_residual), self._B_of_means, into)
 
     def destroy(self) -> None:

@@ -10,14 +10,14 @@ from mpi4py import MPI
 from forms.base import Array
 from geometry.topology import IntArray
 
-EXCESS_TOLERANCE = 1e-11  # largest excess that counts as rounding: the phase stays
+EXCESS_TOLERANCE = 1e-11  # largest excess (an energy over C) that counts as rounding error: the phase does not change
 
 
 class Columns:
-    """Means over columns. Collective, as all methods are.
+    """Sums and means over columns. Collective, as all methods are.
 
     Attributes:
-        count: number of columns, of all ranks.
+        count: number of columns on all ranks.
         of: (points,) column of each point of this rank.
     """
 
@@ -38,7 +38,7 @@ class Columns:
 
 
 class Switching:
-    """Reads and changes the phases of columns in the internal values of a law that switches."""
+    """Phases of columns in the internal variables of a law that switches: their excess energies and their changes."""
 
     def __init__(self, law: Any, columns: Columns | None = None) -> None:
         self.law, self.columns = law, columns
@@ -52,15 +52,15 @@ class Switching:
         return [np.rint(phase), drive, bound]  # a mean of equal numbers has rounding errors
 
     def excess(self, memory: Array) -> float:
-        """Largest excess of all columns: energy of a column's phase less the least of the others', over C. Collective."""
+        """Largest excess of all columns: energy of the phase less the least energy of others, over C. Collective."""
         return float(self.law.excess(*self._of_columns(memory)).max(initial=-np.inf))
 
     def switched(self, memory: Array, old: Array) -> Array | None:
-        """Internal values `old` with the phases that columns change to; None if none changes. Collective.
+        """Internal variables `old` with the new phases of columns that change; None if no column changes. Collective.
 
         Args:
-            memory: internal values at the equilibrium that was found with fixed phases.
-            old: internal values at the beginning of the step, with these phases.
+            memory: internal variables at the equilibrium with fixed phases.
+            old: internal variables at the beginning of the step, with the same phases.
         """
         before = self._of_columns(memory)
         after = np.where(self.law.excess(*before) > EXCESS_TOLERANCE, self.law.switched(*before), before[0])

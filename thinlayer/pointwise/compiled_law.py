@@ -1,4 +1,4 @@
-"""Laws with real parameters, run over arrays of points."""
+"""Compiled laws with real parameters, evaluated at arrays of points."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from forms.parameter_fields import parameter_numbers
 from thinlayer.pointwise.kernels import compile_kernels
 from thinlayer.system.compilation import library, pointers
 
-TRIAL_STRAINS = tuple(10.0**k for k in range(-15, 7))  # of strains, or jumps in any unit
-TRIAL_STEPS = (1.0, 0.0, 1e12, 1e30)  # lengths of steps in any unit of time
+TRIAL_STRAINS = tuple(10.0**k for k in range(-15, 7))  # sizes of trial strains, or of trial jumps in any unit
+TRIAL_STEPS = (1.0, 0.0, 1e12, 1e30)  # lengths of trial steps in any unit of time
 C_SOURCE = Path(__file__).with_name("response.c")
 
 
 class CompiledLaw:
-    """A law with real parameters, ready to be run over points. Collective.
+    """A law with real parameters, compiled for evaluation at points. Collective.
 
     Attributes:
         memory: number of internal values at a point.
-        parameters: real parameters of the sublayers, one after the other; (points, n) where they vary along the layer.
+        parameters: (n,) real parameters of the sublayers, in turn; (points, n) if they vary along the layer.
     """
 
     def __init__(self, comm: MPI.Intracomm, law: BulkLaw) -> None:
@@ -43,9 +43,9 @@ class CompiledLaw:
             _check_kernel(comm, sublayer.in_space)
 
     def take(self, law: BulkLaw) -> None:
-        """Use the parameters of another law of the same kind from now on; nothing is compiled.
+        """Set the parameters to the values of another law of the same kind, without compiling.
 
-        Varying parameters are used from the next `take_at` on.
+        Parameters that vary are set by the next `take_at`.
 
         Raises:
             InputError: a law of another kind, or parameters of another shape.
@@ -66,14 +66,14 @@ class CompiledLaw:
 
     @property
     def of_sublayers(self) -> list[Array]:
-        """The parameters of each sublayer."""
+        """Parameters (n_k,) or (points, n_k) of each sublayer k."""
         return np.split(self.parameters, np.cumsum(self._counts)[:-1], axis=-1)
 
     def take_at(self, x: Array, t: float) -> None:
-        """Use from now on the parameters at places x (d, points), in the joint before inflating, and at a time.
+        """Set the parameters to their values at time t and points x (d, points) in the joint before inflating.
 
         Raises:
-            InputError: parameters out of range at one of them, or of the wrong shape.
+            InputError: parameters out of range at one of the points, or of the wrong shape.
         """
         columns = []
         for _, law in self._current.sublayers:
@@ -98,13 +98,12 @@ class CompiledLaw:
         """Stress (points, 6), tangent (points, m, m), internal values, energies (points, 3), number of failed points.
 
         Args:
-            slots: the m Mandel components that strains have here; the others are zero.
+            slots: the m Mandel components of the strains e; the other components are zero.
             e, e_old: (points, m) strains at the end and the beginning of the step.
             q: (points, memory) internal values at the beginning.
             n: (points, 3) director.
-            dt, theta: the step.
-            fixed: whether strains, also those of sublayers, stay what they are at the beginning: for energies, there is no
-                stress.
+            dt, theta: length of the step, and fraction of it at which forces balance.
+            fixed: whether strains, also in sublayers, keep their values at the beginning; only energies are then set.
         """
         components = np.array(list(slots), np.int32)
         points, m, varying = len(e), len(components), self.parameters.ndim == 2
@@ -121,18 +120,18 @@ class CompiledLaw:
         return s, C, q_new, energies, int(failed)
 
 
-_CHECKED_KERNELS: set[tuple[type[BulkLaw], bytes]] = set()  # checked ones, with their numbers
+_CHECKED_KERNELS: set[tuple[type[BulkLaw], bytes]] = set()  # classes and parameters of the laws already checked
 
 
 def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
-    """Raise InputError unless a KernelLaw of one's own depends on dt as its class says.
+    """Raise InputError unless a user-defined KernelLaw depends on dt as its attribute `relaxes` declares.
 
-    Its compiled function is called for strains, or jumps, of all sizes, with steps of several lengths.
+    The test calls its compiled function for strains, or jumps, of all sizes, and for steps of several lengths.
     """
     key = type(law), law.parameter_values().tobytes()
     if not isinstance(law, KernelLaw) or law_identity(law) is not None or law.traits.rate or key in _CHECKED_KERNELS:
         return
-    _CHECKED_KERNELS.add(key)  # also while it is checked, as the law is compiled again
+    _CHECKED_KERNELS.add(key)  # before the test, whose `CompiledLaw` calls this function again
     material, name = CompiledLaw(comm, law), type(law).__name__
     e = np.array(TRIAL_STRAINS)[:, None] * np.cos(np.arange(6.0 * len(TRIAL_STRAINS))).reshape(-1, 6)
     q, n = np.zeros((len(e), law.memory)), np.tile([0.6, 0.8, 0.0], (len(e), 1))
@@ -145,7 +144,7 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
 
 
 def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
-    """The parameters of a law that vary, at places x (d, n) and a time: name -> (n,)."""
+    """Varying parameters of a law at points x (d, n) and time t: name -> (n,)."""
     asked = f"{type(law).__name__}.at(x, t), for x of shape {x.shape}"
     scalars = [name for name, value in law.parameters().items() if np.ndim(value) == 0]
     varying = {name: np.asarray(value, float) for name, value in law.at(x.copy(), t).items()}
@@ -164,5 +163,5 @@ def _code_identities(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
 
 
 def _parameter_numbers(law: BulkLaw) -> list[Array]:
-    """Parameters of each sublayer, one after the other."""
+    """Parameters (n_k,) of each sublayer k."""
     return [sublayer.parameter_values() for _, sublayer in law.sublayers]

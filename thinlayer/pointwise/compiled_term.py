@@ -20,13 +20,12 @@ from thinlayer.pointwise.compiled_law import CompiledLaw
 from thinlayer.pointwise.quadrature import TRACE_COMPONENTS, MeshOrigin, Quadrature, add_distributed, assemble_matrix
 from thinlayer.system.ranks import destroy, errors_on_all
 
-# Size of a tangent below which underflow may have cost digits.
+# size of a tangent below which underflow may have lost digits
 UNDERFLOW_LIMIT = np.finfo(float).tiny / np.finfo(float).eps ** 2
-SOFTENING_TOLERANCE = (
-    1e-3  # stresses fall if an eigenvalue, or the work of changes, is below minus this share of its size
-)
-REST_STEP_FRACTION = np.finfo(float).eps  # fraction of a step that is too short for any change
-INDEPENDENCE_TOLERANCE = 1e-8  # least size of a function that is independent of others, over the largest
+# stresses fall if an eigenvalue of the tangent, or the work of stress changes, is below minus this share of its size
+SOFTENING_TOLERANCE = 1e-3
+REST_STEP_FRACTION = np.finfo(float).eps  # fraction of a step that is too short for any change of internal variables
+INDEPENDENCE_TOLERANCE = 1e-8  # least singular value, over the largest, of linearly independent functions
 MIN_REST_SHARE, MAX_REST_SHARE = 1e-6, 1e-3  # bounds of the share of the tangent at rest added to a singular one
 
 
@@ -36,8 +35,8 @@ class Response:
 
     Attributes:
         whole: (points, 6) stress at t + theta dt, all Mandel components.
-        stress: (points, m), its components that do work in the strains here.
-        tangent: (points, m, m).
+        stress: (points, m) its components conjugate to the strains of the term.
+        tangent: (points, m, m) derivative of `stress` by the strains at the end of the step.
         memory: (points, values) internal values at the end of the step.
         energies: stored, dissipated, remainder, integrated over this rank's points; NaN if the law declares no energy.
         failed: number of points of this rank where the law failed.
@@ -60,17 +59,18 @@ class Response:
 
 
 class CompiledTerm(Quadrature):
-    """A term whose compiled law is run at quadrature points. Collective.
+    """A term whose compiled law is evaluated at quadrature points. Collective.
 
     Args:
-        V: space of the displacements of the term's mesh.
+        V: space of the displacements on the term's mesh.
         term: the term.
-        origin: as of `Quadrature`.
+        origin: as in `Quadrature`.
 
     Attributes:
+        B: matrix from displacements to strains at the points, m rows for each point.
         material: the compiled law.
-        switching: for a law whose phases are fixed in a solve and switch after it; else None.
-        constant: matrices that `stiffness` leaves out, as they do not change.
+        switching: phases of a law that are fixed in a solve and switch after it; None for other laws.
+        constant: constant matrices of the tangent, which `stiffness` leaves out.
     """
 
     constant: tuple[PETSc.Mat, ...] = ()
@@ -78,7 +78,7 @@ class CompiledTerm(Quadrature):
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
         super().__init__(V, term, origin)
         self._V = V
-        # displacements -> strains at the points (m rows each); assembled once, as strains are linear
+        # assembled once, as strains are linear in the displacements
         self.B = B = assemble_matrix(self.form_of(self.term.strain(ufl.TrialFunction(V))))
         B.diagonalScale(L=self._vector(np.repeat(1 / self._integrals, len(self.slots))))
         self._volume = None if term.volume is None else MeanVolume(self, term.volume)
@@ -98,13 +98,13 @@ class CompiledTerm(Quadrature):
         return self.region.compiled(ufl.inner(mandel_vector(strain, self.slots), q) * self.measure)
 
     def values_of(self, form: fem.Form) -> Array:
-        """Strains (points, m) of a form, with the present values of its constants, as the law gets them."""
+        """Strains (points, m) of a form of `form_of`, at the present values of its constants, projected for the law."""
         values = np.asarray(fem.assemble_vector(form).array).reshape(-1, len(self.slots))[: self.count]
         strains = np.asarray(values / self._integrals[:, None])
         return self._volume(strains) if self._volume else strains
 
     def balanced(self, stress: Array) -> Array:
-        """The stresses (points, 6) that do the same work in the strains of displacements, unprojected, as `stress` here."""
+        """Stresses (points, 6) whose work in unprojected strains is the work of `stress` in projected strains."""
         return self._volume(stress) if self._volume else stress
 
     def _vector(self, values: Array) -> PETSc.Vec:
@@ -119,19 +119,19 @@ class CompiledTerm(Quadrature):
         return self._strain.array_r.reshape(self.count, len(self.slots)).copy()
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
-        """Response of the law to strains e after strains e_old and internal values `memory`."""
+        """Response of the law to strains e, from strains e_old and internal values `memory` at the beginning."""
         s, C, new, energies, failed = self.material.update(self.slots, e, e_old, memory, self.n, dt, theta)
         s[:, self._none] = 0.0
         total = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
         return Response(s, s[:, self.slots], C, new, total, failed)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
-        """Energy of strains e and internal values after a step of length dt, over this rank's points; NaN if undeclared."""
+        """Stored energy at strains e and internal values after a step dt, on this rank's points; NaN if undeclared."""
         energies = self.material.update(self.slots, e, e, memory, self.n, REST_STEP_FRACTION * dt, 1.0, fixed=True)[3]
         return float(self.weights @ energies[:, 0]) if self.term.law.traits.has_energy else np.nan
 
     def failure(self, response: Response) -> str:
-        """Message on the first point of this rank where the law failed; "" if there is none."""
+        """Message about the first point of this rank where the law failed; "" if it failed nowhere."""
         at = np.flatnonzero(np.isnan(response.whole[:, 0]))[:1]
         if not len(at):
             return ""
@@ -144,10 +144,10 @@ class CompiledTerm(Quadrature):
         return f"the {what} of {name} is not finite at x = ({', '.join(f'{c:g}' for c in self.x[k])}){why}"
 
     def softening_points(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
-        """Number of this rank's points where stresses fall as the layer opens or slips, at strains e or since e_old.
+        """Number of this rank's points where stresses fall as the layer opens or slips, at e or between e_old and e.
 
-        Stresses fall where the tangent is negative for a strain sym(v (x) n) of some jump v, or, for a law without memory,
-        where the change of stress does negative work on the change of strain.
+        Stresses fall where the tangent is negative for the strain sym(v (x) n) of some jump v. For a law without memory
+        they also fall where the change of stress does negative work on the change of strain.
         """
         law = self.term.law
         N = np.einsum("kij,pj->pik", MANDEL_BASIS[self.slots], self.n)[:, : self.dim]  # strains of unit jumps
@@ -164,14 +164,14 @@ class CompiledTerm(Quadrature):
         return int(np.count_nonzero(down))
 
     def set_homotopy(self, ease: float) -> None:
-        """Use the law with this ease from now on, see `BulkLaw.homotopy`; 0: the law itself."""
+        """Set the law to `BulkLaw.homotopy` with continuation parameter `ease`; 0: the law itself."""
         self.material.take(self.term.law.homotopy(ease) if ease else self.term.law)
 
     def at_time(self, t: float) -> None:
-        """Use the law's parameters at this time from now on. Collective.
+        """Set the law's parameters to their values at time t. Collective.
 
         Raises:
-            InputError: parameters out of range; on ranks without them InputError.
+            InputError: parameters out of range on some rank; all ranks raise it.
         """
         if self.material.varies:
             places = self.joint_x
@@ -179,7 +179,7 @@ class CompiledTerm(Quadrature):
                 self.material.take_at(places, t)
 
     def tangent_at_rest(self) -> Array:
-        """Tangents (points, m, m) at rest, where rates are zero; collective where parameters vary."""
+        """Tangents (points, m, m) at rest, with zero strain rates; collective if parameters vary."""
         none = np.zeros((self.count, len(self.slots)))
         self.at_time(0.0)
         return self.respond(none, none, self.rest(), LONG_TIME_STEP if self.term.law.traits.rate else 0.0, 1.0).tangent
@@ -193,7 +193,7 @@ class CompiledTerm(Quadrature):
         return tangent + share * self._at_rest * (change > 1e-9 * size)[:, None, None]
 
     def rest(self) -> Array:
-        """Internal values at rest."""
+        """Internal values (points, values) at rest."""
         return np.zeros((self.count, self.material.memory))
 
     def forces(self, stress: Array) -> PETSc.Vec:
@@ -204,21 +204,21 @@ class CompiledTerm(Quadrature):
         return self._forces
 
     def spread(self, density: Array, out: PETSc.Vec) -> None:
-        """Add the integral of a density at the points (points,) to displacements, see `add_distributed`. Collective."""
+        """Add the integral of a density (points,) to displacement dofs of `out`, see `add_distributed`. Collective."""
         weighted = self.region.side(self.at_points(density)) * self.term.weight
         add_distributed(weighted, self._V, self.measure, out, self.region.maps)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
-        """Matrix of int e(v) : tangent : e(du), for Newton's method. Collective.
+        """Tangent matrix int e(v) : tangent : e(du) for Newton's method. Collective.
 
-        If the tangent may be singular (`Traits.singular`), a small share of the tangent at rest is added, which grows with
-        the residual (Levenberg-Marquardt). Without it the matrix is singular where cells through the meshed layer can
-        share a strain in several ways. The equilibrium that is found does not change.
+        If the tangent may be singular (`Traits.singular`), a small share of the tangent at rest is added, which grows
+        with the residual (Levenberg-Marquardt). Without it the matrix is singular where cells through the meshed layer
+        can share a strain in several ways. The equilibrium does not change.
 
         Args:
             tangent: (points, m, m).
             relative_residual: residual of the balance of forces over the force scale.
-            into: an earlier result, which is overwritten: its nonzero pattern need not be found again.
+            into: an earlier result, which is overwritten and whose nonzero pattern is used again.
         """
         return self._product(self._regular(tangent, relative_residual), self.B, into)
 
@@ -242,15 +242,17 @@ class CompiledTerm(Quadrature):
 
 
 class Projection:
-    """The projection, in L2 with a term's weights, of strains at groups of points on functions in each group. Collective.
+    """L2 projection of strains at groups of quadrature points on functions in each group. Collective.
 
-    It is orthogonal: a stress does the same work in projected strains as the projected stress does in the others.
+    It is orthogonal in the product with a term's weights: the work of a stress in projected strains is the work of the
+    projected stress in the strains themselves.
 
     Args:
         points: the quadrature points of a term.
-        bases: numbers (groups, q) of the points of groups, and values (groups, q, k) of the functions there, which need not
-            be independent.
-        part: (c, c) idempotent symmetric matrix: what is projected of the first c components; the rest stays.
+        bases: numbers (groups, q) of the points of groups, and values (groups, q, k) of the functions there, which need
+            not be independent.
+        part: (c, c) idempotent symmetric matrix that selects the projected part of the first c components. The
+            remaining part is unchanged.
     """
 
     def __init__(self, points: Quadrature, bases: Iterable[tuple[Array, Array]], part: Array) -> None:
@@ -261,17 +263,17 @@ class Projection:
             U, sizes, _ = np.linalg.svd(basis * root[..., None], full_matrices=False)
             U *= (sizes > INDEPENDENCE_TOLERANCE * sizes[:, :1])[:, None]
             change = (U @ U.swapaxes(1, 2)) * root[:, None, :] / root[:, :, None] - np.eye(root.shape[1])
-            kept = np.abs(change) > INDEPENDENCE_TOLERANCE  # under quadrilaterals groups fall apart
+            kept = np.abs(change) > INDEPENDENCE_TOLERANCE  # in tensor cells positions on S decouple
             at = [np.broadcast_to(indices, change.shape)[kept] for indices in (groups[:, :, None], groups[:, None])]
             self._change += scipy.sparse.csr_matrix((change[kept], at), self._change.shape)
 
     def __call__(self, values: Array) -> Array:
-        """Strains or stresses (points, m), projected."""
+        """Projection of strains or stresses (points, m)."""
         m = values.shape[1]
         return np.asarray(values + self._change @ values @ self._part[:m, :m])
 
     def matrix(self, B: PETSc.Mat) -> PETSc.Mat:
-        """The matrix of projected strains (m rows a point) for that of strains, B. Collective."""
+        """Matrix from displacements to projected strains (m rows a point), for the matrix B to strains. Collective."""
         part, n_rows, first = self._part[: self._width, : self._width], B.getLocalSize()[0], B.getOwnershipRange()[0]
         M = scipy.sparse.kron(self._change, part, format="csr") + scipy.sparse.eye(n_rows, format="csr")
         csr = M.indptr.astype(PETSc.IntType), (first + M.indices).astype(PETSc.IntType), M.data
@@ -284,12 +286,12 @@ class Projection:
 class MeanVolume(Projection):
     """Mean volume strains (B-bar): the projection of the traces of strains on polynomials in each cell.
 
-    Elements whose volume strains are more than their displacements can keep at zero resist flow that keeps volumes. With
-    these strains projected they do not, and stiffnesses stay symmetric (Hughes 1980; Simo, Taylor and Pister 1985).
+    It avoids volumetric locking: elements with too many independent volume strains resist isochoric deformation.
+    Stiffnesses stay symmetric (Hughes 1980; Simo, Taylor and Pister 1985).
 
     Args:
         points: the quadrature points of a term over cells; its slots start with 11, 22 and 33.
-        degree: of the polynomials of the coordinates: 0, means over cells, or 1.
+        degree: degree of the polynomials of the coordinates: 0, which gives means over cells, or 1.
 
     Raises:
         InputError: another degree, or a term that is not over cells.

@@ -21,17 +21,17 @@ from thinlayer.system.table import Table
 
 @dataclass(frozen=True, eq=False)
 class PointHistory:
-    """Response of a law at a point, one row for each step; components in the frame of S, tangential ones first.
+    """Response of a law at a point, one row for each step; components in the frame of S, tangential components first.
 
     Attributes:
         n: (d,) unit normal.
         t: (steps,) time at the end of the step.
-        jumps: (steps, d) at the end of the step; over the thickness for laws of strains.
-        tractions: (steps, d) at t + theta dt, where balance holds.
-        stress: (steps, 3, 3) likewise, in the axes of n; with the in-plane components, which do not act on S.
+        jumps: (steps, d) at the end of the step; divided by the thickness for laws of strains.
+        tractions: (steps, d) at t + theta dt, where forces balance.
+        stress: (steps, 3, 3) at t + theta dt, in the axes of n; with the in-plane components, which do not act on S.
         memory: (steps, values) internal values at the end of the step, in the law's order (tensors in Mandel's).
-        energies: (steps, 3) per area of S, for laws of strains per volume of the layer: stored at the end, dissipated in
-            the step, error of the time scheme in the balance of the step; NaN if the law declares no energy.
+        energies: (steps, 3) per area of S, for laws of strains per volume of the layer: stored at the end, dissipated
+            in the step, error of the time scheme in the balance of the step; NaN if the law declares no energy.
         parts: (steps,) number of parts that the step was divided into.
     """
 
@@ -71,7 +71,7 @@ def drive(
     converge is halved repeatedly.
 
     Args:
-        law: any law of a layer, a Stack too. Jumps of a law of strains are over the layer's thickness, [u]/eps.
+        law: any law of a layer, also a Stack. Jumps of a law of strains are divided by the layer's thickness, [u]/eps.
         steps: the path.
         n: normal of S from the lower to the upper body, (2,) or (3,); its length does not matter.
         dt: length of the steps in time, one for all or one for each; 0 at a sudden load, which is taken with theta = 1.
@@ -80,9 +80,9 @@ def drive(
             balance within the steps, and jumps at their ends oscillate about the path; `march` refuses that.
 
     Raises:
-        InputError: a path that prescribes nothing or both values for a component; no dt where the law depends on it; other
-            input out of range.
-        SolveError: tractions beyond the strength of the law; `history` has the steps before.
+        InputError: a path that prescribes nothing or both values for a component; no dt where the law depends on it;
+            other input out of range.
+        SolveError: tractions beyond the strength of the law; its attribute `history` has the previous steps.
     """
     if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
         raise InputError(f"a point's law is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw")
@@ -110,7 +110,7 @@ def drive(
     parts: list[int] = []
 
     def history() -> PointHistory:
-        """The steps so far; `states` begin with the one at rest."""
+        """History of the steps so far; `states[0]` is the state at rest."""
         rows: Any = states[1:]
 
         def column(name: str, *shape: int) -> Array:
@@ -137,7 +137,7 @@ def drive(
 
 
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
-    """Unit normal (d,) and axes (3, d) of S, as `forms.tensors.layer_frame`."""
+    """Unit normal (d,) and axes (3, d) of S, as in `forms.tensors.layer_frame`."""
     if (normal := finite_values(n, (2,), (3,))) is None or not normal.any():
         raise InputError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
     normal = normal / np.linalg.norm(normal)
@@ -145,7 +145,7 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     if len(normal) == 2:
         return normal, frame[:, :2]
     along = frame[:, [0, 2]]
-    along -= np.outer(normal, normal @ along)  # what a half turn leaves near n = -e_2
+    along -= np.outer(normal, normal @ along)  # near n = -e_2 the frame is a half turn, not exactly tangential
     return normal, np.column_stack([along, normal])
 
 

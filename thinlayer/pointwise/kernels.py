@@ -1,13 +1,13 @@
 """Laws as compiled functions of one point.
 
-A law written in UFL is differentiated by UFL and compiled by FFCx; a `KernelLaw` is C. Each is
-then a C function of two arrays of numbers,
+A law written in UFL is differentiated by UFL and compiled by FFCx; a `KernelLaw` is written in C. Each becomes a C
+function of two arrays of numbers,
 
     in:  e (6), e_old (6), q, n (3), dt, theta, parameters
     out: stress (6), q_new, tangent (36), energies (3)
 
-in Mandel's order. `response.c` calls them point by point, and solves the local problem of a `Stack`. Numbers stay
-out of the compiled code: a law is compiled once, whatever its parameters and its thickness.
+in Mandel's order. `response.c` calls it at each point, and solves the local problem of a `Stack`. Parameters are no
+part of the compiled code: a law is compiled once for all parameters and thicknesses.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Kernel:
         memory: number of internal values of the function.
         parameters: real parameters, one after the other.
         fraction: share of the thickness.
-        plane: whether the strains out of the plane are found at each point, where the stresses there are zero.
+        plane: whether the out-of-plane strains are solved for at each point, from zero out-of-plane stresses.
         keep: objects that must live as long as the addresses are used.
     """
 
@@ -55,7 +55,7 @@ class Kernel:
 
     @property
     def values(self) -> int:
-        """Number of internal values of the law: those of the function, and three strains out of the plane."""
+        """Number of internal values of the law: `memory`, plus three out-of-plane strains if `plane`."""
         return self.memory + 3 * self.plane
 
 
@@ -63,7 +63,7 @@ def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
     """The compiled functions of a law with real parameters, one for each sublayer. Collective.
 
     Raises:
-        InputError: a law is not what it declares, see `forms.check`; it is the same on all ranks.
+        InputError: a law contradicts its declarations, see `forms.check`; all ranks raise it.
         SourceError: a C source cannot be compiled.
     """
     check(law)
@@ -76,7 +76,7 @@ def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
 
 
 def memory_slots(law: BulkLaw, name: str) -> list[tuple[float, BulkLaw, int]]:
-    """Fraction, law and index of the value of each sublayer with an internal variable of this name, a number."""
+    """Fraction, law and memory index of each sublayer that has a scalar internal variable of this name."""
     start, slots = law.memory - sum(sublayer.memory for _, sublayer in law.sublayers), []
     for fraction, sublayer in law.sublayers:
         if sublayer.internal.get(name) == ():
@@ -87,7 +87,7 @@ def memory_slots(law: BulkLaw, name: str) -> list[tuple[float, BulkLaw, int]]:
 
 
 # ---------------------------------------------------------------- laws written in UFL
-_COMPILED_LAWS: dict[Any, tuple[int, Any]] = {}  # this package's laws, by name; others may read what has changed
+_COMPILED_LAWS: dict[Any, tuple[int, Any]] = {}  # this package's laws, by name; other laws may use data that change
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
@@ -108,7 +108,7 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
 
 
 def _outputs(law: BulkLaw, point: SymbolicLaw) -> list[Expr]:
-    """Outputs of a law for symbols: stress (6,), internal values, three energies: zero if it declares none."""
+    """Symbolic outputs of a law: stress (6,), internal values, and three energies, zero if it declares no energy."""
     ufl_law, step = point.law, point.step
     stress, new = mandel_vector(ufl_law.stress(ufl_law.own_step(step))), ufl_law.advance(step)
     memory = [value for name, shape in law.internal.items() for value in _packed_components(new[name], shape)]

@@ -1,4 +1,4 @@
-"""One law at one point of S: computes tractions from jumps, and jumps from tractions."""
+"""One law at one point of S: tractions from jumps, and jumps from tractions."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.compiled_law import CompiledLaw
 
 COMPONENT_NAMES = {2: ("T", "N"), 3: ("T1", "T2", "N")}
-MAX_NEWTON_STEPS, MAX_HALVINGS = 60, 25  # limits of the Newton iterations, and of the halvings of each Newton step
+MAX_NEWTON_STEPS, MAX_HALVINGS = 60, 25  # limits of Newton iterations, and of trial lengths in each line search
 MIN_STEP_FRACTION = 2.0**-10  # smallest fraction of a step that is tried
 MAX_NULL_STEP = 2.0**25  # longest step along a null vector of a singular tangent, relative to the elastic step
+# relative error of tractions: target; largest accepted error if Newton's method stagnates
 TRACTION_TOLERANCE, STAGNATION_TOLERANCE = (
     1e-12,
     1e-9,
-)  # relative error of tractions: wanted; accepted if Newton's method stagnates
+)
 
 
 class MaterialPointState(NamedTuple):
-    """The law at the end of a step: jump, traction and its tangent in the frame of S, stress (6,), memory, energies."""
+    """State at the end of a step: jump, traction and its tangent in the frame of S, stress (6,), memory, energies."""
 
     t: float
     w: Array
@@ -37,24 +38,24 @@ class MaterialPointState(NamedTuple):
 
 
 class MaterialPoint:
-    """A compiled law at a point."""
+    """A compiled law at one point of S."""
 
     def __init__(self, law: BulkLaw, n: Array, axes: Array, theta: float) -> None:
         self.law, self.n, self.theta = law, n, theta
         self.material = CompiledLaw(MPI.COMM_SELF, law)
         self.switching = Switching(law) if law.traits.switches else None
         self.n3 = np.append(n, np.zeros(3 - len(n)))
-        # (6, d), strain of a unit jump in each component: e = E w, t = E^T stress
+        # (6, d) strain of a unit jump in each component: e = E w, t = E^T stress
         self.E = np.einsum("kij,ia,j->ka", MANDEL_BASIS, axes, self.n3)
         self.stiffness = 0.0  # largest entry of a tangent so far
 
     def rest(self) -> MaterialPointState:
-        """The law at rest."""
+        """The state at rest."""
         d = len(self.n)
         return MaterialPointState(0.0, *(np.zeros(shape) for shape in (d, d, (d, d), 6, self.material.memory, 3)))
 
     def _respond(self, old: MaterialPointState, w: Array, dt: float) -> MaterialPointState | None:
-        """The state after a step to the jump w; None where the law fails."""
+        """The state after a step to the jump w; None if the law fails."""
         e, e_old = (self.E @ w)[None], (self.E @ old.w)[None]
         step = (e, e_old, old.memory[None], self.n3[None], dt, self.theta if dt > 0 else 1.0)
         stress, C, memory, energies, failed = self.material.update(range(6), *step)
@@ -65,7 +66,9 @@ class MaterialPoint:
         return MaterialPointState(old.t + dt, w, self.E.T @ stress[0], tangent, stress[0], memory[0], energies[0])
 
     def advance(self, old: MaterialPointState, fixed: Array, goal: Array, dt: float) -> tuple[MaterialPointState, int]:
-        """The state after a step, and the number of parts in which it was made; energies are those of all parts.
+        """The state after a step, and the number of parts it was divided into.
+
+        The dissipated energy and the remainder are sums over the parts.
 
         Args:
             old: the state before the step.
@@ -91,7 +94,7 @@ class MaterialPoint:
         return state._replace(energies=spent), parts
 
     def _settled(self, old: MaterialPointState, jumps_given: Array, aim: Array, dt: float) -> MaterialPointState | None:
-        """The state after a part of a step, after all switches of phases; None if it is not found."""
+        """The state after a part of a step and all its changes of phase; None if Newton's method does not converge."""
         while True:
             state = self._solve(old, jumps_given, aim, dt)
             if state is None or self.switching is None:
@@ -112,10 +115,10 @@ class MaterialPoint:
         return f"no jump was found for the prescribed traction; {where}. {hint}"
 
     def _solve(self, old: MaterialPointState, jumps_given: Array, goal: Array, dt: float) -> MaterialPointState | None:
-        """Newton's method for the components whose traction is prescribed; None if it does not converge.
+        """Solve by Newton's method for the jumps whose traction is prescribed; None if it does not converge.
 
-        Where the tangent is singular (at a limit, or where an open layer is to close), the jump moves in the direction of
-        the missing traction, farther each time.
+        The tangent is singular at a limit, or where an open layer must close. There the jump moves in the direction of
+        the missing traction, by a distance that doubles in each iteration.
         """
         free, farther = np.logical_not(jumps_given), 1.0
 
@@ -123,7 +126,7 @@ class MaterialPoint:
             return float(np.abs(goal - state.traction)[free].max(initial=0.0))
 
         def along(step: Array, most: float) -> MaterialPointState | None:
-            """A state between `now` and a step that misses no more traction than this; None if there is none."""
+            """Line search: the first halving of `step` whose traction error is at most `most`; None without success."""
             whole = np.zeros(len(free))
             whole[free] = step
             tried = (self._respond(old, now.w + 0.5**shortening * whole, dt) for shortening in range(MAX_HALVINGS))

@@ -1,4 +1,4 @@
-"""Integrals: the quadrature points of one law, where a UFL measure integrates; assembled matrices and nodal forces."""
+"""Quadrature points of one law in a UFL measure; assembly of matrices and nodal forces."""
 
 from __future__ import annotations
 
@@ -39,11 +39,12 @@ class MeshOrigin:
     Attributes:
         comm: communicator for messages of the terms.
         x: (d,) UFL coordinates in the joint.
-        numbers: dimension, local cells or facets -> their numbers in the joint.
+        numbers: function (dimension, local cells or facets) -> their numbers in the joint.
         columns: function that returns the column of each cell (-1 outside the layer) or facet of the joint, and the
             centres (columns, d) of the columns.
-        x_on_s: the same on S, for expressions with a side, where S is apart from the facets of the mesh; None: it is not.
-        middle: (n_points, d) places of the joint's points, on S midway between its sides.
+        x_on_s: (d,) UFL coordinates on S in the joint, to be restricted to a side; None: S lies on the facets of the
+            mesh, and `x` is used.
+        middle: (n_points, d) coordinates of the joint's points; points on S are midway between its sides.
     """
 
     comm: MPI.Intracomm
@@ -55,18 +56,18 @@ class MeshOrigin:
 
 
 class MeasureRegion:
-    """The part of a mesh where a measure integrates, as a mesh of its own. Collective.
+    """The part of a mesh over which a measure integrates, as a submesh. Collective.
 
     Attributes:
-        measure: dx, ds or dS, for all its entities or for those with some tags.
-        parent_mesh: the mesh it is a part of.
+        measure: dx, ds or dS, on all entities or on entities with some tags.
+        parent_mesh: the whole mesh.
         mesh: submesh of the cells or facets of the measure, ghosts included.
-        dim: dimension of its cells.
+        dim: topological dimension of the submesh.
         parent: local number in `parent_mesh` of each cell of `mesh`.
-        maps: its entity maps.
+        maps: entity maps of the submesh, for forms.
 
     Raises:
-        InputError: a measure of another kind, or one for entities with tags that has no tags.
+        InputError: a measure of another kind, or a measure that selects tags but has no subdomain data.
     """
 
     def __init__(self, mesh: Mesh, measure: ufl.Measure) -> None:
@@ -77,12 +78,12 @@ class MeasureRegion:
         self.mesh, self.maps, self.parent = create_submesh(mesh, self.dim, _entities(mesh, measure))
 
     def move(self, places: Array) -> None:
-        """Put the mesh of facets of S, which may have a place on either side, at places (n, d) of the joint's points."""
+        """Move the nodes of a submesh of S, whose sides may be distant, to `places` (n, d) of the joint's points."""
         geometry = self.mesh.geometry
         geometry.x[:, : places.shape[1]] = places[np.asarray(geometry.input_global_indices, np.int64)]
 
     def compiled(self, form: Expr) -> fem.Form:
-        """A form of functions on `mesh` and on `parent_mesh`."""
+        """Compile a UFL form with functions on `mesh` and on `parent_mesh`."""
         return compiled(form, self.maps)
 
     def side(self, f: Expr) -> Expr:
@@ -91,7 +92,7 @@ class MeasureRegion:
 
 
 def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
-    """Local cells or facets over which a measure integrates, and those that are ghosts here. Sorted. Collective."""
+    """Local cells or facets over which a measure integrates, ghosts included, sorted. Collective."""
     kind, data, topology = measure.integral_type(), measure.subdomain_data(), mesh.topology
     dim = topology.dim - (kind != "cell")
     create_connectivity(mesh, dim)
@@ -127,10 +128,10 @@ def _all_entities(mesh: Mesh, kind: str) -> Indices:
 
 
 def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
-    """Degree of the quadrature of laws of displacements in V: exact on straight cells, higher on others.
+    """Quadrature degree for laws of displacements in V: exact on straight cells, higher on curved cells.
 
-    Quadrilaterals and hexahedra get one more point per direction. UFL would sum the degrees of all directions and of the
-    geometry, which needs many times the points for no gain.
+    Quadrilaterals and hexahedra get one more point per direction. UFL would sum the degrees of all directions and of
+    the geometry, which needs many times more points without a gain in accuracy.
     """
     mesh = V.mesh
     degree = V.ufl_element().basix_element.degree
@@ -146,14 +147,14 @@ class Quadrature:
     Attributes:
         term: the law, its strain, weight and measure.
         region: the cells or facets of the measure.
-        origin: the joint of the mesh, if there is one.
+        origin: relation of the mesh to its joint; None: no joint.
         comm: communicator for messages.
-        degree: quadrature degree of the measure, or `quadrature_degree`.
+        degree: quadrature degree of the measure; if it has no degree, from `quadrature_degree` and the kinematics.
         measure: the term's measure with this degree.
         count: number of points of this rank.
         cells: (cells, points per cell) numbers of the points in the cells of the region that this rank owns.
-        x: (points, d) places of the points.
-        n: (points, 3) director; NaN in a body, which has none.
+        x: (points, d) coordinates of the points.
+        n: (points, 3) director; NaN in bodies, which have no director.
         weights: (points,) quadrature weights.
     """
 
@@ -188,7 +189,7 @@ class Quadrature:
         return fem.functionspace(mesh, element)
 
     def _geometry(self) -> None:
-        """Places, director and weights of the points."""
+        """Compute coordinates, director and weights of the points."""
         d = self.dim
         W = self._space((5 + d,))
         self.count = W.dofmap.index_map.size_local
@@ -204,12 +205,12 @@ class Quadrature:
             self.n[:] = np.nan
 
     def _integrated(self, rows: Expr, q: Expr) -> Array:
-        """Quadrature weight times the values (points, m) of m functions at each point."""
+        """Values of m functions at the points, times the quadrature weights, (points, m)."""
         form = self.region.compiled(ufl.inner(rows, q) * self.measure)
         return np.asarray(fem.assemble_vector(form).array.reshape(-1, q.ufl_shape[0])[: self.count])
 
     def values(self, f: Expr) -> Array:
-        """Values (points, m) of a vector expression (m,), as integrands of the measure may have it. Collective."""
+        """Values (points, m) of a vector expression (m,), which is restricted as the measure requires. Collective."""
         q = self.region.side(ufl.TestFunction(self._space(f.ufl_shape)))
         return self._integrated(f, q) / self._integrals[:, None]
 
@@ -221,7 +222,7 @@ class Quadrature:
 
     @cached_property
     def joint_x(self) -> Array:
-        """Places (d, points) of the points in the joint before inflating; in a mesh without a joint their places."""
+        """Coordinates (d, points) of the points in the joint before inflating; without a joint in the mesh."""
         x = self.origin.x if self.origin else None
         if self.origin and self.origin.x_on_s is not None and self.region.dim < self.dim:
             x = self.origin.x_on_s
@@ -230,7 +231,7 @@ class Quadrature:
         return np.ascontiguousarray(self.values(self.region.side(x)).T)
 
     def function(self, values: Array) -> fem.Function:
-        """Values (points, m) at points in cells as a function (m,) on the whole mesh, zero elsewhere, for `measure`."""
+        """Function (m,) on the whole mesh, for `measure`, with `values` (points, m) in cells and zero elsewhere."""
         width = values.shape[1]
         if width not in self._functions:
             self._functions[width] = self._space((width,), self.region.parent_mesh)
@@ -241,18 +242,18 @@ class Quadrature:
         return f
 
     def at_points(self, values: Array) -> fem.Function:
-        """A function on the region's mesh with values (n,) at the points, for measures of its degree. Collective."""
+        """Function on the region's mesh with values (n,) at the points, for measures of this degree. Collective."""
         return set_owned_values(fem.Function(self._space(())), values)
 
     @property
     def original(self) -> IntArray:
-        """Number in the joint of each cell of `region.mesh`: of the cell, or of the facet."""
+        """Number in the joint of the cell or facet that each cell of `region.mesh` is."""
         assert self.origin is not None, "a mesh without a joint"
         return self.origin.numbers(self.region.dim, self.region.parent)
 
     @cached_property
     def columns(self) -> Columns:
-        """The columns of the layer that contain the points; on S without a joint each facet is a column.
+        """Columns of the layer that contain the points; on S without a joint each facet is a column.
 
         Raises:
             InputError: a meshed layer without a joint.
@@ -262,7 +263,7 @@ class Quadrature:
             of_cells = numbers[self.original]
             used = np.zeros(len(centres), np.int8)
             used[of_cells] = 1
-            self.comm.Allreduce(MPI.IN_PLACE, used, MPI.MAX)  # other seams' columns have no points of this law
+            self.comm.Allreduce(MPI.IN_PLACE, used, MPI.MAX)  # columns of other seams have no points of this law
             of_cells, count = (np.cumsum(used, dtype=np.int64) - 1)[of_cells], int(used.sum())
         else:
             of_cells, count = self._facets()
@@ -271,7 +272,7 @@ class Quadrature:
         return Columns(self.comm, of, count, self.weights)
 
     def _facets(self) -> tuple[IntArray, int]:
-        """Number of each facet of the region that this rank owns, and the number of those of all ranks."""
+        """Global numbers of the region's facets that this rank owns, and the number of facets on all ranks."""
         mesh, dim = self.region.mesh, self.region.dim
         if dim == self.region.parent_mesh.topology.dim:
             raise InputError(f"{type(self.term.law).__name__} has phases in columns, which layers of other meshes lack")
@@ -280,19 +281,19 @@ class Quadrature:
 
 
 def assemble_matrix(form: fem.Form) -> PETSc.Mat:
-    """The matrix of a bilinear form, without supports."""
+    """Assemble the matrix of a bilinear form, without supports."""
     pattern = fem.create_sparsity_pattern(form)
     pattern.finalize()
     made = dolfinx.cpp.la.petsc.create_matrix(communicator(form.mesh), pattern)
     A = copy(made)
-    made.destroy()  # as DOLFINx has one reference too many to this one
+    made.destroy()  # DOLFINx keeps a surplus reference, so that only the copy can be freed
     dolfinx.fem.petsc.assemble_matrix(A, form)
     A.assemble()
     return A
 
 
 def assemble_forces(first: fem.Form, *others: fem.Form) -> PETSc.Vec:
-    """The sum of linear forms at the nodes; the caller destroys the vector."""
+    """Assemble the sum of linear forms as nodal forces; the caller destroys the vector."""
     b = dolfinx.fem.petsc.assemble_vector(first)
     for form in others:
         dolfinx.fem.petsc.assemble_vector(b, form)
@@ -301,7 +302,7 @@ def assemble_forces(first: fem.Form, *others: fem.Form) -> PETSc.Vec:
 
 
 def add_assembled_forces(out: PETSc.Vec, *forms: fem.Form) -> float:
-    """Add the sum of linear forms at the nodes to a vector; returns its norm."""
+    """Add the nodal forces of linear forms to a vector, and return the norm of their sum."""
     b = assemble_forces(*forms)
     out.axpy(1.0, b)
     size = float(b.norm())
@@ -310,14 +311,14 @@ def add_assembled_forces(out: PETSc.Vec, *forms: fem.Form) -> float:
 
 
 def set_owned_values(f: fem.Function, values: Array) -> fem.Function:
-    """Give a function the values of its degrees of freedom that this rank owns, and its ghosts theirs. Collective."""
+    """Set the owned dofs of a function to `values`, update its ghosts, and return it. Collective."""
     f.x.array[: len(values)] = values
     f.x.scatter_forward()
     return f
 
 
 def assemble_values(form: fem.Form | None, count: int) -> Any:
-    """The values (count,) of a linear form at the nodes of this rank; zeros for None."""
+    """Assembled values (count,) of a linear form at this rank's dofs; zeros for None."""
     if form is None:
         return np.zeros(count)
     b = assemble_forces(form)
@@ -329,9 +330,9 @@ def assemble_values(form: fem.Form | None, count: int) -> Any:
 def add_distributed(
     density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, out: PETSc.Vec, maps: Any = None
 ) -> None:
-    """Add the integral of a density to the first components of displacements, in shares by shape functions.
+    """Add the integral of a density to the first displacement component at nodes, distributed by shape functions.
 
-    On S they are those of the upper side; shape functions add up to one.
+    On S these are the shape functions of the upper side. As they add up to one, the entries add up to the integral.
     """
     v = ufl.TestFunction(V)
     v = v("+") if measure.integral_type() == "interior_facet" else v

@@ -1,4 +1,4 @@
-"""Several runs of studies at a time, each a process of its own; a batch that was killed takes up what it has done."""
+"""Several runs of studies at a time, each in its own process; a killed batch can be resumed."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Job:
     Attributes:
         study: its name.
         options: its options, as for `Record`.
-        folder: where it writes. What it prints goes to a file beside the folder, FOLDER + LOG.
-        seconds: about how long it takes. The longest jobs start first, and progress is counted in these seconds.
+        folder: folder of its files. Its output goes to a file next to the folder, FOLDER + `LOG_SUFFIX`.
+        seconds: approximate duration. The longest jobs start first, and progress is counted in these seconds.
     """
 
     study: str
@@ -52,17 +52,17 @@ class Job:
         return words
 
     def result(self) -> dict[str, Any] | None:
-        """The content of run.json; None unless it is of this study with these options and this code."""
+        """Content of run.json; None unless it has the same study, options and source code."""
         try:
             return Record(self.study, self.folder, self.options).same_run()
         except InputError:
             return None
 
     def start(self, ends: ExitStack) -> subprocess.Popen[bytes] | None:
-        """Start the run, which resumes an earlier one if it can; None if an earlier one is done.
+        """Start the run in a process, which resumes an earlier run if it can; None if an earlier run is done.
 
         Args:
-            ends: ends the process, if it still runs, when it is closed.
+            ends: exit stack that ends the process, if it still runs, when it is closed.
 
         Raises:
             InputError: the folder cannot be written.
@@ -89,23 +89,24 @@ class Job:
 
 
 def quick_options(study: str, quick: bool) -> dict[str, bool]:
-    """The options that make a study quick, if it is wanted and the study has such an option."""
+    """Options for a quick run if `quick` is set and the study has such an option; else none."""
     return {"quick": True} if quick and "quick" in studies()[study].options else {}
 
 
 def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int:
-    """Run jobs, and print a line for each that ends; a job that does not finish stops no other one.
+    """Run jobs, and print a line for each that ends; a job that does not finish stops no other job.
 
     Args:
-        jobs: what to run, each in a folder of its own.
-        out: folder that contains theirs; one batch at a time writes there.
+        jobs: the jobs, each with its own folder.
+        out: folder that contains the jobs' folders; one batch at a time writes there.
         at_a_time: number of processes (default: one for each core).
 
     Returns:
         The exit status: `UNFINISHED` if a job is not finished, else `CHECK_FAILED` if a check fails, else `OK`.
 
     Raises:
-        InputError: started on several ranks; another batch is at work in `out`, or no files can be written there.
+        InputError: started on several ranks; `at_a_time` < 1; another batch is at work in `out`, or no files can be
+            written there.
     """
     require(
         default_comm().size == 1,

@@ -1,4 +1,4 @@
-"""A case: a structure with its layer, and goals; made of a description and its mesh file."""
+"""A case made from a description and its mesh file: a structure with its layer, and goals."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from thinlayer.running.materials import MaterialEntry
 from thinlayer.running.toml_table import TimeSeries
 from thinlayer.system.ranks import errors_on_all
 
-MIN_THICKNESS = 1e-9  # thickness over the size of the bodies: below, rounding is larger than its effect
+MIN_THICKNESS = 1e-9  # thickness over size of the bodies; rounding exceeds the effect of thinner layers
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class DescribedCase:
     """A structure with its layer, and goals.
 
     Attributes:
-        description: what it was made of, with times, tolerances and units.
+        description: the description, with times, tolerances and units.
         structure: the structure.
         layer: its layer, or {name of a seam: its layer}, order 0.
-        goals: quantities whose change is told.
+        goals: quantities whose change is estimated.
     """
 
     description: Description
@@ -42,10 +42,10 @@ class DescribedCase:
 
     @classmethod
     def of(cls, description: Description) -> DescribedCase:
-        """The case that is described. Collective.
+        """Make the case of a description. Collective.
 
         Raises:
-            DescriptionError: thicknesses that are nothing beside the bodies, or larger.
+            DescriptionError: a thickness is negligible against the size of the bodies, or larger.
             InputError: as `read`, `Structure` and `ThinLayer` raise them.
         """
         of_file = dict(description.mesh)
@@ -61,7 +61,7 @@ class DescribedCase:
         return cls(description, _structure(description, joint), layer, goals)
 
     def model(self) -> InterfaceModel:
-        """The interface model, which has what the goals ask for. Collective.
+        """Return the interface model, after each goal has checked that it can be evaluated there. Collective.
 
         Raises:
             InputError: as the model and the goals raise it.
@@ -84,14 +84,14 @@ def _structure(description: Description, joint: Joint) -> Structure:
 
 
 def _timed(value: Any) -> Any:
-    """A value, or the function of time that a history is, also in a table."""
+    """Return a value, in which functions of time replace histories, also in tables."""
     if isinstance(value, Mapping):
         return {name: _timed(entry) for name, entry in value.items()}
     return piecewise(value.values) if isinstance(value, TimeSeries) else value
 
 
 def _by_name(entries: Mapping[str | None, MaterialEntry], make: Any) -> Any:
-    """The only entry, or {name: entry}."""
+    """Apply `make` to the entries; return the result for all names if there is one, else {name: result}."""
     made = {name: make(entry) for name, entry in entries.items()}
     return made.get(None, made)
 
@@ -100,5 +100,5 @@ def _goal(name: str, kind: str, **arguments: Any) -> Goal:
     made: Goal = getattr(kinds, kind.title().replace("_", ""))(**arguments)
     if name in (kind, made.name):
         return made
-    called: Any = type("Called", (type(made),), {"name": name})  # what is asked of its kind holds under any name
+    called: Any = type("Called", (type(made),), {"name": name})  # a subclass: isinstance still finds its kind
     return called(**arguments)

@@ -1,4 +1,4 @@
-"""The studies, read without importing them: what each shows, its options, and how long it takes."""
+"""The studies, read without importing them: summary, options and duration of each."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from textwrap import fill
 from typing import Any
 
 STUDIES_FOLDER = Path(__file__).parents[2] / "studies"
-BENCHMARKS_FOLDER = STUDIES_FOLDER.parent / ".ci/benchmarks"  # of a clone alone
+BENCHMARKS_FOLDER = STUDIES_FOLDER.parent / ".ci/benchmarks"  # only in a clone
 STUDY_LISTS = [
     path for path in (STUDIES_FOLDER / "data/studies.toml", BENCHMARKS_FOLDER / "studies.toml") if path.exists()
 ]
@@ -31,9 +31,9 @@ class Study:
         name: module name in `studies`.
         summary: first line of its docstring.
         options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
-        drawn: whether it has pictures, which its `draw` makes of its tables; others have tables alone.
-        group: of `STUDY_GROUPS`.
-        quick, full: seconds that it takes with --quick, and in full, roughly.
+        drawn: whether its `draw` makes pictures from its tables; other studies have only tables.
+        group: its group in `STUDY_GROUPS`.
+        quick, full: approximate duration with --quick, and in full, s.
     """
 
     name: str
@@ -90,6 +90,6 @@ def listed() -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time in words, to one digit."""
+    """Text for a time, with one digit and a unit."""
     unit = next(unit for unit, size in SECONDS_OF_UNIT.items() if seconds >= 1.5 * size or size == 1)
     return f"{float(f'{seconds / SECONDS_OF_UNIT[unit]:.1g}'):g} {unit}"

@@ -1,4 +1,4 @@
-"""The command line: estimates what dropping a layer costs; lists the studies, runs one, draws it again; prints versions.
+"""The command line: estimates the cost of dropping a layer; lists, runs and draws studies; prints versions.
 
 DOLFINx and PETSc are imported only when something is computed, as that takes seconds.
 """
@@ -50,7 +50,7 @@ Command = Callable[["Parser", argparse.Namespace, Petsc], int]
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that says which command, choice or option may be meant, and takes no abbreviations."""
+    """Parser that suggests the command, choice or option that may be meant, and takes no abbreviations."""
 
     def __init__(self, **more: Any) -> None:
         super().__init__(**more, allow_abbrev=False)
@@ -62,7 +62,7 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(None, _unknown(kind, value, action.choices))
 
     def petsc_options(self, rest: Sequence[str]) -> dict[str, str | None]:
-        """PETSc options, given as -thinlayer_NAME [VALUE] ..., by their names; ends with an error at another argument."""
+        """Parse PETSc options -thinlayer_NAME [VALUE] ... into name -> value; end with an error at another argument."""
         options: dict[str, str | None] = {}
         name = ""
         for word in rest:
@@ -79,13 +79,13 @@ class Parser(argparse.ArgumentParser):
 
 
 def _unknown(kind: str, name: object, choices: Iterable[object]) -> str:
-    from forms.base import unknown_name_message  # not before it is needed: it takes a second
+    from forms.base import unknown_name_message  # imported late: it takes a second
 
     return unknown_name_message(kind, name, [choice for choice in map(str, choices) if choice != "-h"])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit status, see `EXIT_STATUS_HELP`. A defect raises its exception, see `start`."""
+    """Run a command and return its exit status, see `EXIT_STATUS_HELP`. A defect raises its exception, see `start`."""
     words = [*(sys.argv[1:] if arguments is None else arguments)]
     several = words[:1] == ["run"] and ("--all" in words or [word[:1] == "-" for word in words[1:3]] == [False, False])
     parser = _several_studies() if several else command_line()
@@ -98,11 +98,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def start() -> int:
-    """`main` for a process of its own: returns an exit status for every exception, too."""
+    """Run `main` as the whole process, and return an exit status after every exception, too."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name) or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  (it was closed)
-        with suppress(AttributeError):  # another one's
-            stream.reconfigure(errors="backslashreplace")  # where its encoding lacks a sign
+        with suppress(AttributeError):  # a replaced stream may lack it
+            stream.reconfigure(errors="backslashreplace")  # for characters that its encoding lacks
         setattr(sys, name, stream)
     try:
         return main()
@@ -168,14 +168,14 @@ def _several_studies() -> Parser:
 
 
 def _add_batch(parser: Parser, out: Path) -> None:
-    """Add what commands that run several studies have in common."""
+    """Add the options of commands that run several studies."""
     parser.add_argument("--quick", action="store_true", help="coarser meshes and fewer rows, of studies that have both")
     parser.add_argument("--out", type=_folder, default=out, metavar="DIR", help=f"folder of the runs (default: {out})")
     parser.add_argument("-j", type=int, metavar="N", help="studies at a time (default: as many as cores)")
 
 
 def _command(commands: Any, name: str, work: Command, what: str, example: str) -> Parser:
-    """The parser of a command."""
+    """Add a command and return its parser."""
     short, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
     parser: Parser = commands.add_parser(name, help=short[0].lower() + short[1:], description=what, epilog=epilog)
     parser.set_defaults(work=work)
@@ -183,7 +183,7 @@ def _command(commands: Any, name: str, work: Command, what: str, example: str) -
 
 
 def _computing(parser: Parser) -> Parser:
-    """The parser of a command that computes, and has a folder."""
+    """Add the options of a command that computes and writes into a folder, and return its parser."""
     parser.description = f"{parser.description} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
     parser.epilog = f"{EXIT_STATUS_HELP} {parser.epilog}"
     said = parser.add_mutually_exclusive_group()
@@ -269,7 +269,7 @@ def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
 
 
 def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
-    """Run several studies, or those of the paper with its page."""
+    """Run several studies, or the studies of the paper and write its page."""
     if petsc:
         parser.error("PETSc options are those of one study; run it by itself")
 

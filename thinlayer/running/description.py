@@ -1,7 +1,7 @@
-"""What a description says: a mesh file, laws, supports, loads, and what is asked; checked, without a mesh.
+"""Content of a description: mesh file, laws, supports, loads and goals; checked without reading the mesh.
 
 Its keys are the names of arguments of the package: of `geometry.read` in [mesh], of `Structure`, of `ThinLayer` in [layer],
-and of `goals`. All moduli are real ones; a layer's are divided by its thickness when the layer is made.
+and of `goals`. All moduli are real moduli; a layer's moduli are divided by its thickness when the layer is made.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ GOAL_READERS: dict[str, dict[str, Reader]] = {
     "reaction": {"place": Section.text, "direction": Section.vector},
     "mean_traction": {"direction": Section.vector, "seam": Section.text},
     "displacement": {"x": Section.vector, "direction": Section.vector, "side": choice_reader("lower", "upper")},
-}  # kind -> its arguments
-DEFAULT_QUANTITIES = ("traction", "jump")  # quantities that every estimate has, besides goals
+}  # kind of goal -> readers of its arguments
+DEFAULT_QUANTITIES = ("traction", "jump")  # quantities that every estimate has, in addition to goals
 
 
 @dataclass(frozen=True)
 class Description:
-    """A structure with a thin layer, and what is asked of it.
+    """A structure with a thin layer, and the quantities to estimate.
 
     Attributes:
-        section: the whole table, for words about where entries stand.
+        section: the whole table, for errors that name the place of an entry.
         mesh: "path" of the file, and arguments of `geometry.read`.
-        body: region -> its law; None stands for all.
-        layer: seam -> its law and thickness; None stands for all.
-        units: of lengths and of stresses, as texts; None: not given.
+        body: region -> its law; the key None means all regions.
+        layer: seam -> its law and thickness; the key None means all seams.
+        units: names of the units of lengths and of stresses; None: no names.
         supports: place -> prescribed displacements, as in `Structure`.
         tractions: name of a facet set -> components, or {"pressure": number}.
         body_force: components, or region or seam -> components; None: none.
@@ -52,9 +52,9 @@ class Description:
         plane, element: as in `Structure`; None: its default.
         bodies: "kept" or "extended", as in `Structure.interface`.
         times: times of steps for laws with a rate or a memory; (): one solve.
-        goals: name -> kind and arguments of a quantity whose change is told.
-        tolerance: quantity -> its largest relative change, for the thickness below which the layer may be dropped.
-        bonded: whether to ask as well if the layer may be left out altogether.
+        goals: name -> kind and arguments of a quantity whose change is estimated.
+        tolerance: quantity -> largest allowed relative change, for the thickness below which the layer may be dropped.
+        bonded: whether to estimate, too, the change if the layer is left out and its bodies are bonded.
     """
 
     section: Section
@@ -76,10 +76,10 @@ class Description:
 
     @classmethod
     def read(cls, path: Path, settings: Iterable[str] = ()) -> Description:
-        """The description in a file, with keys set anew, see `section.read`.
+        """Read the description in a file, with some keys replaced, see `read_description`.
 
         Raises:
-            DescriptionError: where, what is wrong, and what is allowed.
+            DescriptionError: the description is wrong; says where, what is wrong, and what is allowed.
         """
         section = read_description(path, settings)
         law = "the parameters of a law, such as E and nu, in a table"
@@ -95,7 +95,7 @@ class Description:
         return description
 
     def _require_times(self) -> None:
-        """Raise DescriptionError unless histories have times, and reach from 0 to the last one."""
+        """Raise DescriptionError if a history comes without `times`, or does not reach from 0 to the last time."""
         for history in self.section.histories:
             first, last = min(history.values), max(history.values)
             if not self.times:
@@ -106,7 +106,7 @@ class Description:
 
 
 def _mesh(section: Section, key: str) -> dict[str, Any]:
-    """Arguments of `read_description`. S is all that is between `upper` and `lower` if these are given alone."""
+    """Arguments of `geometry.read`. With `upper` and `lower`, S defaults to all facets between these regions."""
     value, sides = section.values[key], dict.fromkeys(("upper", "lower"), Section.texts)
     table = section.inner({"path": value} if isinstance(value, str) else value, "path and arguments of read", key)
     readers: dict[str, Reader] = {"path": Section.text, "S": _sides, **sides, "direction": Section.vector}
@@ -115,7 +115,7 @@ def _mesh(section: Section, key: str) -> dict[str, Any]:
 
 
 def _sides(section: Section, key: str) -> Any:
-    """Names of facets; of a table `read_description` checks the sides."""
+    """Names of facet sets, or a table of seams whose sides `geometry.read` checks."""
     value = section.values[key]
     return value if isinstance(value, Mapping) else section.texts(key)
 
@@ -129,7 +129,7 @@ def _units(section: Section, key: str) -> tuple[str, str]:
 
 
 def _supports(section: Section, key: str) -> dict[Place, Any]:
-    """Place -> a number, or components."""
+    """Return place -> prescribed number or components."""
     places, supports = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Any]()
     for name, value in places.values.items():
         place = _place(name)
@@ -144,7 +144,7 @@ def _supports(section: Section, key: str) -> dict[Place, Any]:
 
 
 def _place(text: str) -> Place:
-    """A place in the form of a key: "(x, y)" for a vertex, else the name of a facet set."""
+    """Read a key as a place: "(x, y)" is a vertex, any other text the name of a facet set."""
     if not (text.startswith("(") and text.endswith(")")):
         return text
     try:
@@ -175,7 +175,7 @@ def _body_force(section: Section, key: str) -> Vector | dict[str, Vector]:
 
 
 def _loads(section: Section, key: str) -> tuple[dict[str, Any], ...]:
-    """Forces at points, or per length of edges."""
+    """Arguments of forces at points, or of forces per length of edges."""
     loads = []
     for table in section.tables(key, "place and force, or first, second and force"):
         where: dict[str, Reader] = {"place": Section.vector}
@@ -210,7 +210,7 @@ def _goals(section: Section, key: str) -> dict[str, dict[str, Any]]:
 
 
 def _tolerance(section: Section, key: str) -> dict[str, float]:
-    """Quantity -> its largest relative change; a number alone is that of the traction."""
+    """Return quantity -> largest allowed relative change; a number alone applies to the traction."""
     value, what = section.values[key], "the largest relative change that is allowed, between 0 and 1"
     table = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, key)
     goals = section.values.get("goals") or {"compliance": True}

@@ -1,4 +1,4 @@
-"""The command `estimate`: solves, tells what dropping the layer costs, and keeps tables and pictures."""
+"""The command `estimate`: solves, estimates the cost of dropping the layer, and writes tables and pictures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from thinlayer.system.folder import hash_of
 from thinlayer.system.table import Table
 from thinlayer.time.marching import march
 
-LAW, BOND = "law", "bond"  # what is in place of the meshed layer
+LAW, BOND = "law", "bond"  # replacements of the meshed layer
 END_DISTANCES = (4, 8)  # distances from the ends of S, in thicknesses, for which shares of the change are printed
 QUESTION_TEXTS = {
     LAW: "May you drop the layer's mesh, with its interface law instead?",
@@ -39,7 +39,7 @@ QUESTION_TEXTS = {
 
 
 def run(record: Record, description: Description, file: Path) -> None:
-    """Answer what a description asks: sentences, estimate.csv, pictures of where on S the changes come from. Collective.
+    """Estimate the quantities of a description: sentences, estimate.csv, pictures of the change along S. Collective.
 
     Raises:
         InputError, SolveError: as the description, the models and the solves raise them.
@@ -51,7 +51,7 @@ def run(record: Record, description: Description, file: Path) -> None:
     if description.bonded:
         estimates[BOND] = _estimate(record, case, case.structure.bonded(), layer=case.layer)
     rows = [{"instead": name, **row} for name, answer in estimates.items() for row in answer.table.rows]
-    # NaN stands where there is no number
+    # NaN marks a missing number
     table = Table([{key: None if value != value else value for key, value in row.items()} for row in rows])
     record.write("estimate.csv", table)
     for name, answer in estimates.items():
@@ -81,7 +81,7 @@ def _estimate(record: Record, case: DescribedCase, model: Model, **left_out: Any
 
 
 def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[dict[str, Any]]:
-    """The thickness below which each quantity changes by less than its tolerance; told as soon as it is known."""
+    """Rows with the thickness below which each quantity changes by less than its tolerance; each is printed at once."""
     goals, rows = {goal.name: goal for goal in case.goals}, []
     seams = [*case.layer] if isinstance(case.layer, Mapping) else [S]
     options: dict[str, Any] = {
@@ -91,7 +91,7 @@ def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[dict[st
     }
     for (quantity, tolerance), seam in product(case.description.tolerance.items(), seams):
         if name == BOND and quantity == "jump":
-            continue  # bonded bodies have none
+            continue  # bonded bodies have no jump
         of = {"seam": seam} if len(seams) > 1 else {}
         try:
             goal = goals.get(quantity, quantity)
@@ -105,7 +105,7 @@ def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[dict[st
 
 
 def _draw(record: Record, case: DescribedCase, name: str, estimate: Estimate) -> None:
-    """A picture for each goal whose density on S is known, and how much of its change arises near the ends of S."""
+    """Draw each goal whose density on S is known, and print the share of its change near the ends of S."""
     stems = list[str]()
     for goal in estimate.goals:
         try:
@@ -114,13 +114,13 @@ def _draw(record: Record, case: DescribedCase, name: str, estimate: Estimate) ->
             record.say(f"no picture of {goal}: {error}")
             continue
         stem = "_".join(["map", name, *re.findall(r"\w+", goal)])
-        while stem in stems:  # as of "a b" and "a-b"
+        while stem in stems:  # as for "a b" and "a-b"
             stem += "_"
         stems.append(stem)
         if shares := _near_ends(estimate, goal, density):
             record.say(f"  {goal}: {shares}")
         path, length = record.path(f"{stem}.png"), case.description.units[0] if case.description.units else ""
-        shown = goal.replace("$", r"\$")  # no mathematics
+        shown = goal.replace("$", r"\$")  # a plain dollar sign, no formula
         quantity, surface = f"change of {shown}, per area of S", Surface(estimate.better.model)
         if surface.joint.dim == 2:
             plotting.along(surface, {quantity: density}, save=path, length=length, log=True)
@@ -131,7 +131,7 @@ def _draw(record: Record, case: DescribedCase, name: str, estimate: Estimate) ->
 
 
 def _near_ends(estimate: Estimate, goal: str, density: Array) -> str:
-    """How much of the change of a goal arises near the ends of S, in words; "" if there are none, or no change."""
+    """Words for the shares of a goal's change near the ends of S; "" without ends or without a change."""
     surface, error, shares = Surface(estimate.better.model), estimate.goals[goal], []
     if error.zero or error.fixed or not np.isfinite(surface.distance_to_ends).any():
         return ""

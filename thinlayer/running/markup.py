@@ -1,7 +1,7 @@
-"""Text with `code`, **stress**, [links](to) and formulas in dollars, as $\\bar\\mu [u_T]$, as HTML without scripts.
+"""HTML without scripts from text with `code`, **stress**, [links](to) and formulas in dollars, as $\\bar\\mu [u_T]$.
 
-A formula has letters, numbers, \\bar and \\dot of a letter, _ and ^ of a word or of a group {without groups}, and the names
-of studies/data/signs.toml. These are a part of TeX, which other readers of the same text set as well.
+A formula has letters, numbers, \\bar and \\dot of a letter, and the names of studies/data/signs.toml. It also has _ and
+^ of one sign or of a group {without groups}. This is a part of TeX, so that other programs can typeset the same text.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from pathlib import Path
 
 from forms.base import InputError
 
-DATA_FOLDER = Path(__file__).parents[2] / "studies" / "data"  # pages of the paper, and the means of their text
+DATA_FOLDER = Path(__file__).parents[2] / "studies" / "data"  # data of the paper's page, and names of signs
 SIGN_ENTITIES: dict[str, str] = tomllib.loads((DATA_FOLDER / "signs.toml").read_text(encoding="utf-8"))
 COMBINING_ACCENTS = {"bar": "\u0304", "dot": "\u0307"}
 MARKUP_PATTERN = re.compile(r"\$([^$]+)\$|`([^`]+)`|\*\*([^*]+)\*\*|\[([^\]]+)\]\(([^)\s]+)\)")
 
 
 def html_of(text: str) -> str:
-    """Paragraphs of text as HTML; InputError: a formula has something else than described above."""
+    """Paragraphs of text as HTML; InputError: a formula has other content than described above."""
     return "".join(f"<p>{line_of(part)}</p>" for part in re.split(r"\n\s*\n", text.strip()))
 
 

@@ -1,4 +1,4 @@
-"""Laws by their names in `forms`, with real parameters by their names; pairs of elastic moduli; layers' thicknesses."""
+"""Materials of a description: laws of `forms` with real parameters, pairs of elastic moduli, thicknesses of layers."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ ELASTIC_PAIRS_TEXT = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
 
 @dataclass(frozen=True)
 class MaterialEntry:
-    """A law with real parameters, and what else belongs to it.
+    """A law with real parameters, with the thickness of a layer and the eigenstrain.
 
     Attributes:
         law: the law.
-        eps: thickness of a layer; 0: of a body.
-        eigenstrain: strain that it would have without stress; None: none.
+        eps: thickness of a layer; 0 for a body.
+        eigenstrain: strain that the material would have without stress; None: no eigenstrain.
     """
 
     law: BulkLaw
@@ -37,10 +37,10 @@ class MaterialEntry:
 
 
 def read_materials(section: Section, key: str, *, thin: bool = False) -> dict[str | None, MaterialEntry]:
-    """The materials in the table of a key, of layers with a thickness, by name; None stands for all.
+    """Read the materials in the table of a key, by name; the name None means all. `thin`: layers, with a thickness.
 
     Raises:
-        DescriptionError: an unknown law or parameter, one that is missing, moduli that are no pair, or a law's own error.
+        DescriptionError: an unknown law, an unknown or missing parameter, moduli that are no pair, or a law's error.
     """
     what, thickness = "the parameters of a law, such as E and nu", "the thickness of the layer, a length"
     whole = section.table(key, what)
@@ -64,7 +64,7 @@ def known_laws() -> dict[str, type[BulkLaw]]:
 
 
 def _law(section: Section, extra: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:
-    """The law {law: its name, parameter: value}, or {sublayers: ...}, of a table, and the entries beside it."""
+    """Read the law {law: its name, parameter: value}, or {sublayers: ...}, of a table; return it and all entries."""
     if "sublayers" in section.values or section.values.get("law") == "Stack":
         of_stack = {"law": choice_reader("Stack"), "sublayers": _sublayers, **extra}
         entries = section.entries(of_stack, {**needed, "sublayers": "tables with a law"}, "key of Stack")
@@ -102,7 +102,7 @@ def _sublayers(section: Section, key: str) -> list[tuple[float, BulkLaw]]:
 
 
 def _value(kind: Any, section: Section, key: str) -> Any:
-    """The value of a parameter: a number where the law has a number, else what is given, lists as arrays."""
+    """Read a parameter of a law: a number if the law needs a number, else the value as written, lists as arrays."""
     if key in scalar_fields(kind):
         return section.number(key)
     value = section.values[key]
@@ -113,7 +113,7 @@ def _value(kind: Any, section: Section, key: str) -> Any:
 
 
 def _shear(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
-    """The shear modulus of an incompressible law."""
+    """Shear modulus of an incompressible law from its only modulus, mu, G or E = 3 mu."""
     if len(moduli) != 1:
         section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has one: mu (which is G), or E = 3 mu")
     ((key, value),) = moduli.items()

@@ -1,4 +1,4 @@
-"""What the command line does around its work: interrupts, options, the record's folder, errors and exit statuses."""
+"""Frame around the work of commands: interrupts, options, the record's folder, errors and exit statuses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def end_on_interrupt() -> None:
 
 
 def is_first() -> bool:
-    """Whether this is rank 0, before MPI has started."""
+    """Whether this process is rank 0, by the launcher's environment variables; for use before MPI has started."""
     return all(os.environ.get(name, "0") == "0" for name in ("PMIX_RANK", "PMI_RANK", "OMPI_COMM_WORLD_RANK"))
 
 
@@ -58,16 +58,16 @@ def recorded(
     resume: bool = False,
     verbose: int,
 ) -> int:
-    """Run something that keeps its results in a folder; returns the exit status. Collective.
+    """Run a function that records its results in a folder, and return the exit status. Collective.
 
     Args:
-        name: of the study, for run.json.
+        name: name of the study, for run.json.
         out: the folder.
-        work: what is run.
+        work: function of the record that does the work.
         options: options chosen by the user, for run.json.
         petsc: PETSc options to set.
         resume: whether an earlier run in the folder is continued.
-        verbose: as in `computed`; below 0 tables and checks that hold are not printed.
+        verbose: as in `computed`; below 0 tables and checks that pass are not printed.
     """
 
     def keep() -> int:
@@ -88,13 +88,13 @@ def recorded(
 
 
 def computed(work: Callable[[], int], *, petsc: Mapping[str, str | None], verbose: int, kept: str = "") -> int:
-    """Run something with DOLFINx; returns its exit status, or that of its error. Collective.
+    """Run a function with DOLFINx, and return its exit status, or the status for its error. Collective.
 
     Args:
-        work: gives an exit status.
+        work: function that does the work and returns an exit status.
         petsc: PETSc options to set.
-        verbose: 1: attempts of solves are shown; 2: their steps as well; below 0: progress is not.
-        kept: words for what is left if `work` is not finished.
+        verbose: 1: attempts of solves are shown; 2: their steps as well; below 0: progress is not shown.
+        kept: words about the results that remain if `work` is not finished.
     """
     ignore_working_folder()
     from mpi4py import MPI
@@ -114,10 +114,10 @@ def computed(work: Callable[[], int], *, petsc: Mapping[str, str | None], verbos
     root = comm.rank == 0
     if root and (elsewhere := database_options()):
         print(f"thinlayer: PETSc options from PETSC_OPTIONS or a file petscrc: {elsewhere}", file=sys.stderr)
-    PETSc.Options().setValue("options_left", False)  # options that are not read are errors of ours, not PETSc's report
+    PETSc.Options().setValue("options_left", False)  # we raise errors for unread options instead of PETSc's report
     for option, value in petsc.items():
         PETSc.Options().setValue(option, value)
-    # warnings are of results; the line they come from is this program's
+    # without the line of code: warnings are about results, and the line is not the user's
     name = (lambda category: category.__name__) if verbose > 0 else (lambda _: "warning")
     warnings.formatwarning = lambda message, category, *_, **__: f"thinlayer: {name(category)}: {message}\n"
     try:
@@ -138,7 +138,7 @@ def computed(work: Callable[[], int], *, petsc: Mapping[str, str | None], verbos
 
 
 def error_text(error: BaseException, verbose: int) -> str:
-    """Words for an error that ends a command; its class as well if the user asked for more."""
+    """Message for an error that ends a command, with its class if `verbose` > 0."""
     words = str(error) if isinstance(error, ValueError) else error_reason(error)
     return f"{type(error).__name__}: {words}" if verbose > 0 else words
 

@@ -1,4 +1,4 @@
-"""What results depend on besides a study's options: versions, PETSc options, source code."""
+"""Data on which results depend in addition to a study's options: versions, PETSc options, source code."""
 
 from __future__ import annotations
 

@@ -31,15 +31,15 @@ from thinlayer.time.plan import Adaptive
 
 SolvedType = TypeVar("SolvedType", State, History)
 STUDY_LOGGER = logger("study")
-RUN_FILE, RUN_FORMAT = "run.json", 1  # the format is that of run.json
-MAX_PRINTED_ROWS = 40  # most rows of a table that is printed
+RUN_FILE, RUN_FORMAT = "run.json", 1  # name of the file, and version of its format
+MAX_PRINTED_ROWS = 40  # largest number of rows of a table that is printed
 ENTRY_TYPES = {"study": str, "options": dict, "code": str, "petsc": dict, "files": list, "checks": list}  # in run.json
 MARCHES_FOLDER = "unfinished"  # folder for the states of marches, needed to resume
 
 
 @dataclass
 class Check:
-    """A number that a study promises to lie in a range.
+    """A number of a study that must lie in a range.
 
     Attributes:
         name: description of the number.
@@ -57,7 +57,7 @@ class Check:
     def __post_init__(self) -> None:
         above = self.low is None or self.value >= self.low
         below = self.high is None or self.value <= self.high
-        self.passed = bool(above and below)  # NaN passes neither; numpy's bool is none of JSON's
+        self.passed = bool(above and below)  # NaN fails; JSON needs Python's bool
 
     def __str__(self) -> str:
         ends = [f"{sign} {end:.6g}" for sign, end in ((">=", self.low), ("<=", self.high)) if end is not None]
@@ -65,12 +65,12 @@ class Check:
 
 
 class Record:
-    """The results of a study's run: tables, pictures, checks. The file run.json describes the input they are from.
+    """The results of a study's run: tables, pictures, checks. The file run.json describes their input.
 
     In a `with` statement the record owns its folder: other runs there are refused, and the files of an earlier run are
-    moved to previous-1, previous-2, ... They come back if the study stops before it writes anything. A file of another
-    origin is moved there before one of its name is written. At the end of the statement run.json tells whether the study
-    is done, or why it is not. Only rank 0 writes.
+    moved to previous-1, previous-2, ... They are moved back if an InputError stops the study before it writes anything.
+    Any other file is moved there before a file of the same name is written. At the end of the statement run.json says
+    whether the study is done, or why it is not. Only rank 0 writes.
 
     Attributes:
         study: name of the study.
@@ -79,10 +79,10 @@ class Record:
         resume: whether to continue an earlier run of the study with the same options.
         checks: the checks so far.
         parameters: parameters of the study, for run.json.
-        results: numbers that the study found besides its tables, for run.json.
-        solves: how each state was found, for run.json.
+        results: numbers that the study computed in addition to its tables, for run.json.
+        solves: model and solver's report of each state, for run.json.
         root: whether this is rank 0.
-        quiet: whether `print_safely` prints nothing.
+        quiet: whether `say` prints nothing.
     """
 
     def __init__(self, study: str, out: str | Path, options: Mapping[str, Any], *, resume: bool = False) -> None:
@@ -105,8 +105,8 @@ class Record:
         """Lock the folder, and move the files of an earlier run away unless it is resumed. Collective.
 
         Raises:
-            InputError: the folder cannot be written, belongs to a run that goes on, or has tables without a run.json; or
-                the earlier run cannot be resumed.
+            InputError: the folder cannot be written, is in use by another run, or has tables without a run.json; or the
+                earlier run cannot be resumed.
         """
         with ExitStack() as stack:
             on_root(default_comm(), lambda: self._take(stack))
@@ -127,7 +127,7 @@ class Record:
             raise InputError(f"{what}; give another --out, or remove these")
 
     def __exit__(self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None) -> None:
-        """Write run.json, and unlock the folder; of bad input without results nothing stays. Collective if all is well.
+        """Write run.json and unlock the folder; an InputError without results leaves no file. Collective without error.
 
         Raises:
             OSError: run.json cannot be written; on all ranks.
@@ -146,7 +146,7 @@ class Record:
                             move_back(self._previous)
 
     def _read(self) -> dict[str, Any]:
-        """The content of run.json; on rank 0. InputError: the file cannot be read, or has other content."""
+        """Read run.json, on rank 0. InputError: the file cannot be read, or has other content."""
         path = self.out / RUN_FILE
         try:
             run = dict(json.loads(path.read_text(encoding="utf-8")))
@@ -159,17 +159,17 @@ class Record:
             raise InputError(f"{path} cannot be read ({error}); give another folder, or remove it") from error
 
     def _of_study(self) -> dict[str, Any]:
-        """The same, of this study; InputError: it is of another."""
+        """Read run.json, on rank 0. InputError: as `_read`, or the run is of another study."""
         run = self._read()
         if run["study"] != self.study:
             raise InputError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
         return run
 
     def same_run(self) -> dict[str, Any]:
-        """The content of run.json. On rank 0.
+        """Read run.json of an earlier run with the same input. On rank 0.
 
         Raises:
-            InputError: it cannot be read, or is of another study, other options or other source code.
+            InputError: it cannot be read, or has another study, options, PETSc options of the package or source code.
         """
         run = self._of_study()
         here = {"options": self.identity()[1], "code": code(), "petsc": petsc_options()}
@@ -183,7 +183,7 @@ class Record:
         return run
 
     def identity(self) -> list[Any]:
-        """Identity of the run for what is resumed within it (`thinlayer.system.fingerprint`), independent of its folder."""
+        """Identity of the run, independent of its folder; part of the fingerprint of sweeps and marches within it."""
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
     def check_drawn(self) -> None:
@@ -206,12 +206,12 @@ class Record:
 
     # ---------------------------------------------------------------- files
     def path(self, name: str) -> Path:
-        """Path of a file in the folder. From now on it counts as one of the run's files; its writer makes the folder."""
+        """Path of a file in the folder, listed as one of the run's files from now on; its writer makes the folder."""
         if name not in self._files:
             self._files.add(name)
             if self._owns and self.root:  # so that run.json names the files even if the run is killed
                 with suppress(OSError):
-                    move_away(self.out, [name])  # of another origin: files of earlier runs are away
+                    move_away(self.out, [name])  # no file of an earlier run: these have been moved already
                     self._write("not finished")
         return self.out / name
 
@@ -221,12 +221,12 @@ class Record:
         return self._tables[name]
 
     def rows(self, name: str, cases: Iterable[Any], row: Callable[..., Mapping[str, Any]], label: str = "{}") -> Table:
-        """A table with a row for each case, written as it is found. Collective.
+        """Compute a table with a row for each case; each row is written at once. Collective.
 
         Args:
-            name: of the file.
-            cases: one by one; a tuple has several arguments of `row`.
-            row: of a case.
+            name: name of the file.
+            cases: arguments of `row`; a tuple holds several arguments.
+            row: function that returns the row of a case.
             label: format of a case in the line of progress.
         """
         table = self.table(name)
@@ -249,7 +249,7 @@ class Record:
 
     # ---------------------------------------------------------------- results
     def say_tables(self) -> None:
-        """Print the tables that are not long."""
+        """Print the tables with at most `MAX_PRINTED_ROWS` rows."""
         for name, table in self._tables.items():
             if len(table) <= MAX_PRINTED_ROWS:
                 self.say(f"{name}\n{table}")
@@ -279,7 +279,7 @@ class Record:
         return history
 
     def solved(self, solution: SolvedType) -> SolvedType:
-        """Note for run.json how a state, or the last one of a history, was found; returns what it is given."""
+        """Add the solver's report of a state, or of a history's last state, to `solves`; return the argument."""
         state = solution if isinstance(solution, State) else solution.last
         thin = {name: layer.thin_layer.eps for name, layer in state.model.layers.items() if layer.thin_layer}
         eps = thin if len(thin) > 1 else next(iter(thin.values()), None)
@@ -293,11 +293,11 @@ class Record:
         STUDY_LOGGER.info("check %s", self.checks[-1])
 
     def check_near(self, name: str, value: float, expected: float, tolerance: float) -> None:
-        """Check that a number is the expected one, to a relative tolerance."""
+        """Check that a number agrees with `expected`, to a relative tolerance."""
         low, high = sorted((expected * (1 - tolerance), expected * (1 + tolerance)))
         self.check(name, value, low=low, high=high)
 
     @property
     def failed(self) -> list[Check]:
-        """Checks that do not hold."""
+        """Checks that have failed."""
         return [check for check in self.checks if not check.passed]

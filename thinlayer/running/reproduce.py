@@ -1,7 +1,8 @@
-"""The paper, section by section, beside what the studies compute: one page of HTML, and the same rows as JSON.
+"""The paper, section by section, next to the results of the studies: one page of HTML, and the same rows as JSON.
 
-What the paper says, the runs, and the checks that are shown are data: studies/data/paper.toml. The HTML is that of
-studies/data/paper.html. A row holds if the check of its name, which a study wrote to its run.json, has passed.
+studies/data/paper.toml has the statements of the paper, the runs, and the checks that are shown.
+studies/data/paper.html is the template. A row holds if the check of its name, which a study wrote to its run.json, has
+passed.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ from thinlayer.system.folder import replace_file
 from thinlayer.system.table import Table
 from thinlayer.system.version import print_safely
 
-STATUS_OF_VERDICT = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED}  # by verdict
+STATUS_OF_VERDICT = {"holds": OK, "fails": CHECK_FAILED, "missing": UNFINISHED}  # verdict of a row -> exit status
 HEADER_PACKAGES = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  # versions at the head of the page
-NARROW_RANGE = 0.05  # a range less than this wide, over its middle, is shown as one number and a tolerance
+NARROW_RANGE = 0.05  # half-width over lower end, up to which a range is shown as a number and a tolerance
 NUMBERS = {"label": "Number", "printed": "Paper", "computed": "Computed", "bounds": "Bounds", "verdict": "Verdict"}
 ERRATA = {"where": "Where", "printed": "Printed", "right": "Right", "shown": "Shown by"}
-MISSING_CHECK = {"value": None, "low": None, "high": None, "passed": None}  # of a check that is missing
+MISSING_CHECK = {"value": None, "low": None, "high": None, "passed": None}  # entries of a missing check
 
 
 def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
@@ -43,14 +44,14 @@ def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
 
     Args:
         out: folder of the page and of the runs.
-        quick: as of the studies.
+        quick: whether the studies run with --quick.
         at_a_time: number of processes (default: one for each core).
 
     Returns:
         The exit status: `UNFINISHED` if a run or row is missing, else `CHECK_FAILED` if a row fails, else `OK`.
 
     Raises:
-        InputError: as of `run_all`.
+        InputError: as in `run_all`.
     """
     start, page = time.monotonic(), Page(out, quick=quick)
     run_all([*page.jobs.values()], out, at_a_time)
@@ -65,15 +66,15 @@ def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
 
 
 class Page:
-    """The page, and the runs that it is made of.
+    """The page, and the runs that it is made from.
 
     Attributes:
-        data: what studies/data/paper.toml says.
+        data: content of studies/data/paper.toml.
         jobs: runs by name, each in its folder in `out`.
         results: content of run.json by run; {} for a run that has none.
         unfinished: names of the runs that are not finished.
         rows: all rows, see `of`.
-        summary: how many rows hold.
+        summary: sentence with the numbers of rows that hold, of figures, and of corrected places of the paper.
     """
 
     def __init__(self, out: Path, *, quick: bool) -> None:
@@ -99,10 +100,10 @@ class Page:
         return max(UNFINISHED if self.unfinished else OK, *(STATUS_OF_VERDICT[row["verdict"]] for row in self.rows))
 
     def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[dict[str, Any]]:
-        """Rows of entries of paper.toml: a check, or nulls where nothing is computed, and words for it.
+        """Rows of entries of paper.toml: a check, or None where nothing is computed, and words for it.
 
-        A row has all checks of the run whose names match the entry's `check`, in which * is any text. In `label` each *
-        stands for the same text.
+        Each check of the run whose name matches the entry's `check` gives a row. In `check` * is any text; in `label`
+        the same text replaces each *.
         """
         rows = []
         for entry in entries:
@@ -121,7 +122,7 @@ class Page:
         return rows
 
     def html(self, facts: Mapping[str, str]) -> str:
-        """The whole page."""
+        """HTML of the whole page."""
         about = {name: html_of(text) for name, text in self.data["paper"].items() if name != "bibtex"}
         about |= {name: escape(self.data["paper"][name].strip()) for name in ("title", "bibtex")}
         sections = self.data["sections"]
@@ -135,7 +136,7 @@ class Page:
         return fill_template("page", **about, facts=html_pairs(facts), versions=html_pairs(versions()))
 
     def section(self, part: Mapping[str, Any]) -> str:
-        """A section: the paper on the left, what is computed on the right; pictures, numbers, details."""
+        """HTML of a section: the paper on the left, the results on the right; pictures, numbers, details."""
         words = {"id": part["id"], "title": line_of(part["title"])}
         words |= {name: html_of(part[name]) for name in ("problem", "says", "computed")}
         words["sketch"] = html_picture(DATA_FOLDER / part["sketch"], part["sketch_says"])
@@ -145,7 +146,7 @@ class Page:
         return fill_template("section", **words, numbers=html_table(NUMBERS, "number", self.of(part["rows"])))
 
     def details(self, run: str, tables: Iterable[str]) -> str:
-        """What is folded away of a run: its command, its tables, all its checks, its parameters."""
+        """HTML of a run's details, which the page folds: its command, its tables, all its checks, its parameters."""
         result, job = self.results[run], self.jobs[run]
         paths = [self.out / name for name in tables if name.startswith(f"{run}/")]
         texts = {path.name: str(Table.load(path)) for path in paths if path.exists()}
@@ -170,12 +171,12 @@ def templates() -> dict[str, Template]:
 
 
 def fill_template(part: str, **values: str) -> str:
-    """A part with values that are HTML."""
+    """HTML of a template's part, filled with values that are HTML."""
     return templates()[part].substitute(values)
 
 
 def bounds_text(check: Mapping[str, Any]) -> str:
-    """Words for the range of a check."""
+    """Text for the range of a check."""
     low, high = check["low"], check["high"]
     if low is None or high is None:
         return "".join(f"{sign} {end:.6g}" for sign, end in (("≥", low), ("≤", high)) if end is not None)
@@ -185,19 +186,19 @@ def bounds_text(check: Mapping[str, Any]) -> str:
 
 
 def html_table(heads: Mapping[str, str], part: str, rows: Iterable[Mapping[str, Any]]) -> str:
-    """A table; `part` is filled with the texts of each row."""
+    """HTML of a table; `heads`: column -> its head; the template's `part` is filled with the texts of each row."""
     lines = [fill_template(part, **row | {name: line_of(row[name]) for name in heads}) for row in map(dict, rows)]
     return fill_template("table", head="".join(f"<th>{name}</th>" for name in heads.values()), body="".join(lines))
 
 
 def html_pairs(values: Mapping[str, Any]) -> str:
-    """Names and values."""
+    """HTML of names and values."""
     texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
     return "".join(fill_template("pair", name=escape(name), value=escape(text)) for name, text in texts.items())
 
 
 def html_picture(path: Path, text: str) -> str:
-    """A picture with its caption, in the page itself; words if there is none."""
+    """HTML of a picture with its caption, embedded in the page; a note if the file is missing."""
     if not path.exists():
         return fill_template("no figure", caption=line_of(text))
     words = {"alt": escape(re.sub(r"[$`\\{}]", "", text)), "type": guess_type(path.name)[0] or "", "name": path.stem}

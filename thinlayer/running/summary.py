@@ -1,4 +1,4 @@
-"""What is read of a description and its mesh, before anything is solved: sizes, laws, supports, loads and their sum."""
+"""Summary of a description and its mesh before a solve: sizes, laws, supports, loads and their sum."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from thinlayer.running.materials import MaterialEntry
 
 
 def summarise(case: DescribedCase) -> str:
-    """Bodies, layers, supports, loads and goals of a case, by the names of the description and of its mesh. Collective.
+    """Text with bodies, layers, supports, loads and goals of a case, named as in the description and mesh. Collective.
 
-    Areas and volumes of bodies of revolution are those of the whole revolution, like the resultant of the loads. This is at
-    the last of the times, about the origin.
+    For bodies of revolution, areas, volumes and the resultant of the loads are for the whole revolution. The resultant
+    is at the last time, about the origin.
 
     Raises:
         InputError: as the model and the goals raise it.
@@ -45,7 +45,7 @@ def summarise(case: DescribedCase) -> str:
 
 
 def _law(values: Mapping[str, Any], materials: Mapping[str | None, MaterialEntry], name: str) -> str:
-    """The law of a body or of a layer, and its numbers as they were given."""
+    """Text for the law of a body or of a layer, with its numbers as in the description."""
     key = name if name in materials else None
     return _entries({"law": type(materials[key].law).__name__, **(values[key] if key else values)})
 

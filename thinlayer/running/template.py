@@ -1,4 +1,4 @@
-"""A description with the names of a mesh file, to be filled in."""
+"""Template of a description, with the names of a mesh file and gaps to fill in."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ quoted = partial(json.dumps, ensure_ascii=False)  # a text as a string or a key 
 
 
 def template(mesh: Path) -> str:
-    """A description in TOML of a structure in a mesh file, with "?" for all that is to be filled in. Collective.
+    """Write a description in TOML of a structure in a mesh file, with "?" for each value to fill in. Collective.
 
-    A text is refused where a number belongs.
+    Where a number belongs, reading the description refuses this text.
 
     Raises:
         InputError: the file cannot be read, as by `geometry.read`.
@@ -43,7 +43,12 @@ def _filled(mesh: Path, named: NamedGroups) -> str:
 
 
 def _seam(inside: dict[str, list[str]], names: str) -> tuple[str, str]:
-    """The layer's place as arguments of `read` in TOML, and words on it: from the facet sets inside, and all of them."""
+    """Return arguments of `geometry.read` in TOML for the place of the layer, and a comment.
+
+    Args:
+        inside: name of a facet set inside the bodies -> regions that it touches.
+        names: names of all facet sets.
+    """
     if len(inside) == 1:
         ((name, touched),) = inside.items()
         side = f"upper = {quoted(touched[-1])}" if len(touched) > 1 else 'direction = "?"'

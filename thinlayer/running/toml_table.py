@@ -1,4 +1,4 @@
-"""A table of a description: values by key, and words for the place where each was given; read from TOML."""
+"""A table of a description in TOML: values by key, readers that check them, and errors that name the place."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ NO_HISTORIES: Mapping[str, str] = {}
 
 
 class DescriptionError(InputError):
-    """A description that cannot be used. Says where, what is wrong, and what is allowed."""
+    """Error in a description; says where it is, what is wrong, and what is allowed."""
 
 
 @dataclass(frozen=True)
 class TimeSeries:
-    """Values at times, two or more, linear between them; and the keys that lead to them."""
+    """Values at two or more times, linear in between, and the keys that lead to the series in the description."""
 
     values: Mapping[float, Any]
     keys: Keys
 
 
 def read_description(path: Path, settings: Iterable[str] = ()) -> Section:
-    """A description in TOML, with keys set anew.
+    """Read a description in TOML, with some keys replaced.
 
     Args:
         path: the file; the name of its mesh file is relative to its folder.
         settings: texts "KEY=VALUE" in TOML, as "layer.E=2e3"; entries of lists are numbered from 1. A value that is no TOML
-            is a text, as shells take quotes away.
+            is a text, as shells remove quotes.
 
     Raises:
         DescriptionError: the file cannot be read, or is no TOML, with the line; a setting cannot be read.
@@ -59,7 +59,7 @@ def read_description(path: Path, settings: Iterable[str] = ()) -> Section:
 
 
 def _assignment(text: str, option: str) -> tuple[Keys, Any]:
-    """Keys and value of a text."""
+    """Return keys and value of a text "KEY=VALUE"; `option` names it in errors."""
     name, equals, value_text = text.partition("=")
     try:
         keys: Keys = ()
@@ -77,7 +77,7 @@ def _assignment(text: str, option: str) -> tuple[Keys, Any]:
 
 
 def _with_value(old: Any, keys: Sequence[str], value: Any, option: str) -> Any:
-    """A table or a list with another value at some keys."""
+    """Return a copy of a table or list with another value at the keys that lead to it."""
     if not keys:
         return value
     key, *rest = keys
@@ -96,8 +96,8 @@ class Section:
     Attributes:
         values: its entries.
         path: the keys that lead to it.
-        name: the file, and the options that set keys anew.
-        histories: all histories that have been read, in whatever table of the description.
+        name: the file, and the options that replaced keys.
+        histories: all histories that have been read so far, in any table of the description.
     """
 
     values: Mapping[str, Any]
@@ -111,7 +111,7 @@ class Section:
 
     @contextmanager
     def described(self, *keys: str) -> Iterator[None]:
-        """Raise errors of input in a block as those of this table, or of an entry of it."""
+        """Context that turns an InputError into a DescriptionError about this table or an entry of it."""
         try:
             yield
         except DescriptionError:
@@ -122,12 +122,12 @@ class Section:
     def entries(
         self, keys: Mapping[str, Reader], needs: Mapping[str, str] = NO_HISTORIES, kind: str = "key"
     ) -> dict[str, Any]:
-        """What readers take from the entries of their keys.
+        """Return key -> value, read from all entries of the table.
 
         Args:
-            keys: key -> what reads it, of all keys that are allowed.
-            needs: key that must be given -> words for what it is.
-            kind: the word for a key.
+            keys: allowed key -> its reader.
+            needs: required key -> words for what it is.
+            kind: the word for a key in errors.
         """
         for key in self.values:
             if key not in keys:
@@ -138,7 +138,7 @@ class Section:
         return {key: read(self, key) for key, read in keys.items() if key in self.values}
 
     def checked(self, key: str, good: Callable[[Any], bool], wrong: str) -> Any:
-        """The value of a key; raises DescriptionError unless it is good, with what is wrong."""
+        """Return the value of a key; raise DescriptionError with the words `wrong` unless `good(value)`."""
         if not good(value := self.values[key]):
             self.refuse("it is not filled in" if "?" in str(value) else f"{_shown(value)} {wrong}", key)
         return value
@@ -153,7 +153,7 @@ class Section:
         return tuple(map(float, self.checked(key, lambda value: _are_finite(value) and len(value) in (2, 3), wrong)))
 
     def text(self, key: str, allowed: Collection[str] = (), kind: str = "choice") -> str:
-        """A text, one of those that are allowed if there are any."""
+        """A text; if `allowed` is not empty, one of these texts."""
         value = self.values[key]
         if not isinstance(value, str) or not value:
             self.refuse(f"{_shown(value)} is no text" + (f"; allowed: {', '.join(allowed)}" if allowed else ""), key)
@@ -162,23 +162,23 @@ class Section:
         return value
 
     def texts(self, key: str) -> str | list[str]:
-        """A text or several in a list."""
+        """A text, or a list of texts."""
         value = self.values[key]
         several = isinstance(value, list) and value and all(isinstance(text, str) for text in value)
         return value if several else self.text(key)
 
     def table(self, key: str, what: str) -> Section:
-        """The table of a key, empty if it is not given; raises DescriptionError if it is no table, with what it is."""
+        """Return the table of a key, empty without it; raise DescriptionError with the text `what` for other values."""
         return self.inner(self.values.get(key, {}), what, key)
 
     def inner(self, value: Any, what: str, *keys: str) -> Section:
-        """A value of this table as a table."""
+        """Return a value of this table as a `Section`; raise DescriptionError if it is no table."""
         if not isinstance(value, Mapping):
             self.refuse(f"{_shown(value)} is no table; it has {what}", *keys)
         return replace(self, values=value, path=(*self.path, *keys))
 
     def tables(self, key: str, what: str) -> list[Section]:
-        """The tables in a list."""
+        """Return the tables in the list of a key."""
         tables = self.checked(key, lambda value: isinstance(value, list), f"is no list of tables; each has {what}")
         return [self.inner(table, what, key, str(number)) for number, table in enumerate(tables, 1)]
 
@@ -187,12 +187,12 @@ Reader = Callable[[Section, str], Any]
 
 
 def choice_reader(*allowed: str) -> Reader:
-    """Reader of one of these texts."""
+    """Return a reader of a text that must be one of `allowed`."""
     return lambda section, key: section.text(key, allowed)
 
 
 def positive_reader(what: str) -> Reader:
-    """Reader of a number > 0, with words for what it is."""
+    """Return a reader of a number > 0; errors say `what` it is."""
 
     def read(section: Section, key: str) -> float:
         section.number(key)
@@ -202,7 +202,7 @@ def positive_reader(what: str) -> Reader:
 
 
 def time_series(read: Reader) -> Reader:
-    """Reader of what `read_description` reads, or of a `TimeSeries` of such values, {times = ..., values = ...}."""
+    """Return a reader of values that `read` accepts, or of a `TimeSeries` of them, {times = ..., values = ...}."""
 
     def read_each(section: Section, key: str) -> Any:
         entry, what = section.values[key], "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"

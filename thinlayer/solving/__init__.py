@@ -1,1 +1,1 @@
-"""Solving the balance of forces: equations, finders, linear solvers and their options."""
+"""Solution of the balance of forces: equations, solvers of a step, linear solvers and their options."""

@@ -1,4 +1,4 @@
-"""Adjoint: responses of a model at one of its equilibria to small forces and motions, with the tangent there."""
+"""Adjoint: linear responses of a model at an equilibrium, and adjoint solutions of goals, with the tangent there."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ from thinlayer.solving.part_sum import PartSum, TangentMatrix
 from thinlayer.solving.petsc import Options, default_options, solve_linear, value_of
 from thinlayer.system.ranks import destroy
 
-GOAL_CHANGE_TOLERANCE = (
-    1e-6  # difference of changes of a goal, relative, that counts as rounding: forces of random motions are large
-)
-LOAD_TOLERANCE = 1e-12  # difference of two loads, relative, that counts as rounding
+# relative difference of changes of a goal that counts as rounding: forces of random motions are large
+GOAL_CHANGE_TOLERANCE = 1e-6
+LOAD_TOLERANCE = 1e-12  # relative difference of two loads that counts as rounding
 
 
 class Adjoint(AbstractContextManager["Adjoint"]):
     """Linear responses of an interface model at an equilibrium, to forces and to goals. Use it in a `with` statement.
 
-    A goal is Q(u) = q . u - g . r(u), with nodal weights q, the reactions r of what holds the model, and motions g of it.
-    Its weights z are K^t z = q, z = g where displacements are held.
+    A goal is Q(u) = q . u - g . r(u), with nodal weights q, the reactions r, and motions g at constrained dofs. Its
+    adjoint solution, the weights z, satisfies K^t z = q, and z = g at constrained dofs.
 
     Args:
         state: the equilibrium.
-        old: the configuration from which it was found in one step; None: from rest at its time.
-        options: PETSc options of the solve, as in `solve`; its factor is then used again if the model is linear.
+        old: the configuration from which one step led to it; None: rest at its time.
+        options: PETSc options of the solve, as in `solve`; the factor of that solve is then used again if the model is
+            linear.
 
     Attributes:
-        transposed: whether `displacements` solves with the transpose, as weights need it.
+        transposed: whether `displacements` solves with the transpose, as adjoint solutions need it.
     """
 
     def __init__(self, state: State, old: Configuration | None = None, options: Options | None = None) -> None:
@@ -63,7 +63,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         self._options = {**linear[0], **self._given}
         self._tangent: PETSc.Mat | None = None
         self.transposed = False
-        self._same = self.model.linear and self.model.symmetric  # its factor serves all states, and the transpose
+        self._same = self.model.linear and self.model.symmetric  # one factor serves all states, and the transpose
         if self._same and equations.factor.of == (0.0, 1.0):
             return
         with default_options(self._options):
@@ -86,15 +86,15 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     # ---------------------------------------------------------------- goals, as vectors of unknowns
     def zero_vector(self) -> PETSc.Vec:
-        """Zero."""
+        """New zero vector of unknowns."""
         return self.equations.vector()
 
     def form_weights(self, form: Expr) -> PETSc.Vec:
-        """The values q of a UFL form that is linear in a test function of the model's displacements."""
+        """Weights q of a UFL form that is linear in a test function of the model's displacements."""
         return self.equations.on_unknowns(assemble_forces(compiled(form)))
 
     def nodal_weights(self, dofs: IntArray, values: Array) -> PETSc.Vec:
-        """Weights q (n,) at displacements (n,), local numbers that one rank gives, ghosts included."""
+        """Weights q with `values` (n,) at `dofs` (n,), local numbers, ghosts included; one rank gives each of them."""
         f, forces = fem.Function(self.model.V), self.equations.u.x.petsc_vec.duplicate()
         np.add.at(f.x.array, dofs, values)
         f.x.scatter_reverse(la.InsertMode.add)
@@ -102,18 +102,18 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return self.equations.on_unknowns(forces)
 
     def load_weights(self) -> PETSc.Vec:
-        """The loads as weights q, those of plates included, without those on the layers, which bear these themselves."""
+        """Weights q that are the loads, with loads on plates, but without loads on the layers, see `layer_loads`."""
         loads = self.equations.loads.copy()
         loads.array[:] -= self.layer_loads
         return self.equations.on_unknowns(loads, [part.load for part in self.equations.with_own])
 
     @cached_property
     def layer_loads(self) -> Array:
-        """Nodal forces (m,) that the interface model has for loads on its layers. Collective."""
+        """Nodal forces (m,) of the interface model for the loads on its layers. Collective."""
         return np.asarray(self.model.forces.nodal_at(self.model.V, self.state.t, layers=True).array_r.copy())
 
     def prescribed_motions(self) -> PETSc.Vec:
-        """Motions g: the displacements that supports prescribe."""
+        """Motions g that are the prescribed displacements of supports."""
         g = self.zero_vector()
         g.array[self.equations.bc_dofs] = self.equations.prescribed
         return g
@@ -128,7 +128,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def require_dual(self, goal: Any, q: PETSc.Vec, g: PETSc.Vec, *, layers: bool) -> None:
         """Raise InputError unless a linear goal of a linear model changes by q . d - g . r along a random motion d.
 
-        Where the goal weighs the forces on `layers`, these are on S in the model, and beside q.
+        With `layers` the goal also weighs the loads on the layers, which act on S in this model and are not in q.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
         d, residuals, values = equations.vector(), [], []
@@ -156,14 +156,14 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     # ---------------------------------------------------------------- displacements and weights
     def displacements(self, dofs: IntArray, forces: Array) -> Array:
-        """Small displacements (m,) under forces (n,) at displacements, local numbers that one rank gives; supports hold."""
+        """Linear response (m,) to `forces` (n,) at `dofs` (n,), as in `nodal_weights`; zero at constrained dofs."""
         q, x = self.nodal_weights(dofs, forces), self.equations.vector()
         q.array[self.equations.bc_dofs] = 0.0
         self._solve(q, x, transposed=self.transposed)
         return np.asarray(self.equations.configuration(x).u.x.array[: self.equations.n_displacements])
 
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
-        """The weights z, as displacements and the layers' own fields; q and g are overwritten."""
+        """Adjoint solution z, as displacements and the layers' own fields; q and g are overwritten."""
         equations, bc_dofs = self.equations, self.equations.bc_dofs
         if self._same and self._are_given(q, g):
             return equations.configuration(self._x)
@@ -185,9 +185,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
                 solve_linear(self.equations.factor.ksp, q, x)
 
     def _are_given(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
-        """Whether q are the loads, and g the displacements of supports, so that the state itself is the weights."""
+        """Whether q is the loads, and g the prescribed displacements: then the state itself is the adjoint solution."""
         equations, bc_dofs, r = self.equations, self.equations.bc_dofs, self._r
-        equations.residual(equations.vector(), r)  # the loads, from the other side
+        equations.residual(equations.vector(), r)  # minus the loads
         r.array[bc_dofs] = 0.0
         size = r.norm()
         r.axpy(1.0, q)
@@ -195,7 +195,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return bool(r.norm() <= LOAD_TOLERANCE * size)
 
     def _times(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """K^t x; by residuals if the matrix of the factor is the tangent, with its held rows replaced."""
+        """K^t x, from residuals unless the tangent is stored: the factor's matrix has Dirichlet conditions."""
         if self._tangent is not None:
             self._tangent.multTranspose(x, out)
             return
@@ -206,14 +206,14 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     # ---------------------------------------------------------------- parts of the balance
     def tangent_of(self, parts: PartSum) -> PETSc.Mat:
-        """Tangent of some parts in their last evaluation, after the constructor's the state; do not change it."""
+        """Tangent of parts at their last evaluation (the state, after the constructor); do not change the matrix."""
         first, *others = blocks = parts.blocks()
         if first.kept and first.factor == 1.0 and not (others or parts.traits.nonlinear):
-            return first.matrix  # the matrix of the bodies is the largest
+            return first.matrix  # no copy, as the matrix of the bodies is the largest
         return TangentMatrix(self.model.comm, {DISPLACEMENT_KEY: self.equations.n_displacements}).fill(blocks)
 
     def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: TimeStep) -> Array:
-        """Nodal forces (m,) of layers at displacements u, with their own fields in a state."""
+        """Nodal forces (m,) of parts at displacements u in a time step, with the parts' own fields from a state."""
         out = self.equations.u.x.petsc_vec.duplicate()
         out.set(0.0)
         if parts:
@@ -225,7 +225,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return np.asarray(out.array_r.copy())
 
     def work(self, parts: Sequence[Part], z: Configuration) -> Array:
-        """Work (m,) of the layers' stresses of the last evaluation in displacements z, spread over nodes."""
+        """Work (m,) of the parts' stresses of the last evaluation in displacements z, distributed over the nodes."""
         out = self.equations.u.x.petsc_vec.duplicate()
         forces = out.duplicate()
         out.set(0.0)

@@ -44,8 +44,8 @@ LINEARITY_TOLERANCE = 1e-9  # relative deviation from a straight line in time th
 class Equations(PartSum):
     """Residual and tangent of a model. The unknowns are the displacements, then the parts' own unknowns.
 
-    If supports are inclined, plates rigid, or some displacements follow others, other unknowns are in the place of the
-    displacements, see `Constraints`.
+    With inclined supports, rigid plates or other multi-point constraints, other unknowns y take the places of the
+    displacements u = T y, see `Constraints`.
 
     The constructor and all methods are collective.
 
@@ -54,14 +54,14 @@ class Equations(PartSum):
         bodies, layers: the parts of the bodies, and of the layers.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
-        external: these less the parts' forces that do not depend on the unknowns.
-        bc_dofs: numbers of the unknowns of this rank that are prescribed.
-        prescribed: their values at the end of the step.
-        constraints: what they leave of the displacements, in whose places the unknowns stand.
+        external: `loads` minus the parts' forces that do not depend on the unknowns.
+        bc_dofs: local numbers of the constrained unknowns of this rank.
+        prescribed: prescribed values of `bc_dofs` at the end of the step.
+        constraints: the constraints u = T y of the displacements.
         mean_stiffness: mean size of the diagonal entries of K and of the tangents at rest of bodies that are not in K.
-        homotopy_parameter: that of the parts; 0 is the parts themselves.
-        factor: linear solver with the factor of a tangent, of this model or of another one of its family.
-        scale: the forces that residuals are compared with; it knows the sizes that `Part.add_forces` returns.
+        homotopy_parameter: continuation parameter of the parts' laws: 0 is the law itself, 1 an elastic law.
+        factor: linear solver with the factor of a tangent, of this model or of another model of its family.
+        scale: the reference forces for residuals; it includes the norms that `Part.add_forces` returns.
     """
 
     def __init__(self, model: Model) -> None:
@@ -98,7 +98,7 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- unknowns
     def vector(self) -> PETSc.Vec:
-        """A vector of unknowns, zero."""
+        """New zero vector of unknowns."""
         return self._layout.vector()
 
     def put_state(self, state: Configuration, x: PETSc.Vec) -> None:
@@ -118,7 +118,7 @@ class Equations(PartSum):
             self.u.x.scatter_forward()
 
     def _prescribed(self, t: float | None) -> tuple[IntArray, Array]:
-        """Numbers of the held unknowns, increasing, and their values at time t."""
+        """Local numbers of the constrained unknowns, increasing, and their values at time t (0 if t is None)."""
         bc_dofs: npt.NDArray[Any] = self.constraints.bc_dofs
         values = np.zeros(len(bc_dofs)) if t is None else self.constraints.values(t)
         first = self.n_displacements
@@ -130,7 +130,7 @@ class Equations(PartSum):
 
     @property
     def bc_rows(self) -> npt.NDArray[PETSc.IntType]:
-        """Global numbers of the held unknowns."""
+        """Global numbers of the constrained unknowns."""
         return self._layout.rows(self.bc_dofs)
 
     @cached_property
@@ -143,15 +143,15 @@ class Equations(PartSum):
         return K
 
     def apply_bcs(self, A: PETSc.Mat, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
-        """Replace rows and columns of held unknowns in a tangent by those of a mean stiffness times the identity.
+        """Replace rows and columns of constrained unknowns in A by a mean stiffness times the identity.
 
-        Their values x, if given, go to the right-hand side b: then the solution has them.
+        With x, its values at these unknowns enter the right-hand side b, so that the solution has these values.
         """
         A.zeroRowsColumns(self.bc_rows, self.mean_stiffness or 1.0, x, b)
 
     @cached_property
     def near_null(self) -> list[PETSc.Vec]:
-        """The unknowns of rigid motions of the whole structure, orthonormal."""
+        """Orthonormal vectors of unknowns that are rigid motions of the whole structure."""
         motions = model_motions(self.model).values()
         vectors = [self.vector() for _ in motions]
         for x, motion in zip(vectors, motions, strict=True):
@@ -159,7 +159,7 @@ class Equations(PartSum):
         return orthonormal(vectors)
 
     def set_preconditioner_data(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
-        """Tell the preconditioner of a tangent, with supports, what it can use: rigid motions, blocks of the unknowns."""
+        """Pass rigid motions or blocks of the unknowns to the preconditioner of a tangent A with supports."""
         kind = ksp.getPC().getType()
         if kind in MULTIGRID_TYPES:
             A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null, comm=A.comm))
@@ -170,8 +170,9 @@ class Equations(PartSum):
     def require_unique(self, r: PETSc.Vec | None = None) -> None:
         """Raise LooseBody if a connected piece of the bodies can move freely.
 
-        The test uses tangents at the last u, of the parts that resist rigid motions. There is no test if a part may resist
-        less than its tangent does. Forces at a node as small as solvers aim at, or as the residual r, do not resist.
+        The test uses the tangents, at the last u, of the parts that resist rigid motions. It is skipped if a part may
+        resist less than its tangent does. Forces at a node count as resistance only if they exceed the residual at
+        which solvers stop, and the residual r.
         """
         if not self.traits.weakens:
             largest = self.comm.allreduce(float(np.abs(self.u.x.array).max(initial=0.0)), max)
@@ -190,10 +191,11 @@ class Equations(PartSum):
         return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=lost)
 
     def begin(self, interval: TimeStep) -> None:
-        """Begin a step: set its loads and supports, and begin it in all parts.
+        """Begin a step: set its loads and prescribed displacements, and begin it in all parts.
 
         Raises:
-            InputError: loads, supports or given strains that are not finite at the times of the step.
+            InputError: loads, prescribed displacements or prescribed strains that are not finite at the times of the
+                step.
         """
         self.interval, old = interval, interval.old
         self.loads.set(0.0)
@@ -203,12 +205,12 @@ class Equations(PartSum):
         self.prescribed = self._prescribed(interval.t)[1]
         self._strains_at(interval.t)
         largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
-        if self.model.strain:  # moves the sides of the cell, as supports would
+        if self.model.strain:  # it moves the sides of the periodic cell, as supports would
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
             largest_displacement = max(largest_displacement, across)
-        moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # forces may end at zero where loads do
+        moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # if loads end at zero, so may all forces
         moved = max([moved, *self.call_optional("distance")])
-        if self.mean_stiffness:  # about that of an elastic response
+        if self.mean_stiffness:  # about the displacement of an elastic response
             moved = max(moved, float(self.loads.norm()) / (self.mean_stiffness * math.sqrt(self.loads.getSize())))
         self.scale.begin(self.norms(self.loads.array_r), largest_displacement, moved)
         self.begin_parts(interval)
@@ -217,7 +219,7 @@ class Equations(PartSum):
         self.external.aypx(-1.0, self.loads)
 
     def loads_at(self, t: float) -> PETSc.Vec:
-        """Nodal forces of the loads at a time, those of ties included, a new vector.
+        """New vector of the nodal forces of the loads at a time, including loads on multi-point constraints.
 
         Raises:
             InputError: loads that are not finite, or that nothing balances in a periodic joint.
@@ -228,21 +230,21 @@ class Equations(PartSum):
         return b
 
     def prescribed_forces(self) -> PETSc.Vec:
-        """The forces of the present step that are given, as those on the unknowns."""
+        """New vector of forces on the unknowns: the external forces of the present step, and loads of own equations."""
         return self.on_unknowns(self.external, [part.load for part in self.with_own])
 
     def configuration(self, x: PETSc.Vec) -> Configuration:
-        """The displacements of unknowns, and the parts' own fields, at the end of the present step."""
+        """Configuration at the end of the present step, with the displacements and own fields of unknowns x."""
         self._put(x)
         fields = {part.key: part.own_result() for part in self.with_own}
         return Configuration(self.u.copy(), self.interval.t, fields=fields)
 
     def prescribed_forces_at(self, t: float) -> PETSc.Vec:
-        """Loads and given forces of parts at a time, as those on the unknowns."""
+        """New vector of forces on the unknowns: the loads, and loads of own equations, at a time."""
         return self.on_unknowns(self.loads_at(t), [part.load_at(t) for part in self.with_own])
 
     def on_unknowns(self, forces: PETSc.Vec, part_loads: Sequence[Array] = ()) -> PETSc.Vec:
-        """Nodal forces, and forces in own equations, as those on the unknowns, a new vector."""
+        """New vector of forces on the unknowns, from nodal forces, and from loads of the parts' own equations."""
         out = self.vector()
         rows = self._layout.split(out.array)
         rows[DISPLACEMENT_KEY][:] = forces.array_r
@@ -252,17 +254,20 @@ class Equations(PartSum):
         return out
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Compute the residual at the displacements before the step, and tell the force scale its norm.
+        """Write the residual at the initial unknowns x of the step into `out`, and pass its norms to the force scale.
 
-        Not under a mean strain: these forces would be those of stiff bodies that follow it alone, however soft the layer.
-        Nor those of eased laws, in which a layer that has slipped far is elastic.
+        Under a mean strain the norms are not passed: stiff bodies alone would follow the strain, with large forces
+        however soft the layer. Nor are they passed for homotopy laws, in which a layer that has slipped far is elastic.
         """
         self.residual(x, out)
         if self.model.strain is None and not self.homotopy_parameter:
             self.scale.start(self.residual_norms(out))
 
     def residual(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Internal forces less loads, then the parts' own residuals. All forces are NaN if a part failed."""
+        """Write the residual at x into `out`: internal forces minus loads, then the parts' own residuals.
+
+        All forces are NaN if a part failed.
+        """
         self._put(x)
         theta, mid = self.interval.theta, self._mid.x.petsc_vec
         self.u.x.petsc_vec.copy(mid)
@@ -271,7 +276,8 @@ class Equations(PartSum):
         self._mid.x.scatter_forward()
         of_parts = self.forces(self.u, self._mid, self._forces)
         of_all = np.zeros(self.n_blocks)
-        of_all[: None if self.model.strain or self.model.stress else 1] = max(of_parts, default=0.0)  # equal everywhere
+        # a mean strain or stress acts on all blocks alike
+        of_all[: None if self.model.strain or self.model.stress else 1] = max(of_parts, default=0.0)
         self.scale.update_stresses(np.maximum(self.of_bodies, of_all))
         self._forces.axpy(-1.0, self.loads)
         rows = self._layout.split(out.array)
@@ -282,10 +288,10 @@ class Equations(PartSum):
         self._relative_residual = self.relative(out) if self.traits.singular else 0.0
 
     def tangent(self) -> PETSc.Mat:
-        """Tangent at the unknowns of the last residual, without supports. Each call fills the same matrix.
+        """Tangent at the unknowns of the last residual, without Dirichlet conditions. Each call fills the same matrix.
 
         Raises:
-            InputError: a law declares a symmetric tangent and has another one.
+            InputError: a law declares a symmetric tangent, but its tangent is not symmetric.
         """
         tangent = self._matrix.fill(self.blocks(self._relative_residual))
         if self._T is None:
@@ -298,12 +304,12 @@ class Equations(PartSum):
     def with_supports(
         self, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None, *, lend: bool = False
     ) -> Iterator[PETSc.Mat]:
-        """The tangent at the unknowns of the last residual, with supports.
+        """Within a `with` block, the tangent at the unknowns of the last residual, with Dirichlet conditions applied.
 
         Args:
             x, b: as in `apply_bcs`.
-            lend: whether the `with` block factors the matrix and all else may do without it: then, without x, the matrix
-                of the bodies may stand for it.
+            lend: whether the bodies' matrix may be changed in place to serve as the tangent, without x. Nothing but a
+                factorisation may then use the bodies' matrix within the block.
         """
         alone = x is None and self._T is None and not self.with_own
         first, *others = self.blocks(self._relative_residual) if lend and alone else [Block(None)]
@@ -316,12 +322,12 @@ class Equations(PartSum):
             yield A
 
     def set_homotopy(self, ease: float) -> None:
-        """Replace laws by eased ones: 0 is the law itself, 1 an elastic one."""
+        """Set the continuation parameter of the laws: 0 is the law itself, 1 an elastic law."""
         self.homotopy_parameter = ease
         self.call_optional("set_homotopy", ease)
 
     def accept(self, x: PETSc.Vec, report: Report) -> State:
-        """The state at the end of the step, for its solution x.
+        """Return the state at the end of the step, for its solution x.
 
         Raises:
             SolveError: x is no equilibrium, even if the solver converged. LooseBody: parts released a body.
@@ -351,13 +357,14 @@ class Equations(PartSum):
         return State(**vars(end), model=self.model, report=report, audit=audit, **attributes)
 
     def reactions(self) -> Array:
-        """Forces and moments (n, k) of what holds the model at the end of the step, for the last residual."""
+        """Forces and moments (n, k) of `Model.holders` at the end of the step, for the last residual."""
         return self._reactions.at_end(self._forces, self.interval, self.loads_at)
 
     def _require_bounded_jumps(self) -> None:
-        """Raise SolveError if a layer that bounds forces, or lets a body go, has jumped farther than the model is large.
+        """Raise SolveError if the jumps of a layer with bounded stresses, or in contact, exceed the size of the model.
 
-        Beyond a limit load displacements run away; then the rounding of forces grows until it hides what is out of balance.
+        Beyond a limit load displacements grow without bound. The rounding of forces then grows until it hides the
+        residual.
         """
         size = self.model.joint.size
         for part in self.layers:
@@ -371,12 +378,12 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:
-        """Raise InputError (loads, supports) or InputError (parameters of laws) for values out of range at these times."""
+        """Raise InputError if loads, prescribed displacements or parameters of laws are out of range at these times."""
         for t in times:
             self._given_at(t)
 
     def linear_in_time(self, start: float, end: float) -> bool:
-        """Whether loads, supports and parameters of laws are linear between two times. Tested at a few times."""
+        """Whether loads, supports and parameters of laws are linear between two times; tested at a few times."""
         first, last = self._given_at(start), self._given_at(end)
         for share in SAMPLE_FRACTIONS:
             now = self._given_at(start + share * (end - start))
@@ -388,7 +395,7 @@ class Equations(PartSum):
         return True
 
     def _given_at(self, t: float) -> list[Array]:
-        """Loads, prescribed displacements, given strains and varying parameters at time t, on this rank."""
+        """Loads, prescribed displacements, prescribed strains and varying parameters at time t, on this rank."""
         self.call_optional("at_time", t)
         return [
             self.loads_at(t).array_r.copy(),
@@ -398,12 +405,12 @@ class Equations(PartSum):
         ]
 
     def _strains_at(self, t: float) -> list[Array]:
-        if self.model.strain:  # has words of its own for values that are not finite
+        if self.model.strain:  # it has its own error for values that are not finite
             self.model.strain.at(t)
         return self._strains.integrals(t)
 
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
-        """Free the matrices."""
+        """Free the matrices, except matrices that other models of the family may use."""
         destroy(*self._own_parts)
         self._kept.give_back(self.model)

@@ -1,4 +1,4 @@
-"""History: the accepted steps of a march, their columns, and what phases of layers they have."""
+"""History: the accepted steps of a march, the columns of their table, and the shares of phases in layers."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ ENERGY_COLUMNS = ("supplied", "stored", "dissipated", "remainder", "imbalance")
 
 @dataclass(frozen=True)
 class Snap:
-    """A jump of a layer and its bodies to another equilibrium at the same loads.
+    """A sudden change of a layer and its bodies to another equilibrium at the same loads.
 
     Attributes:
         t: time of the snap.
-        row: row of the state after the snap; the row before has the state just before it (if `keep` is "all").
+        row: table row of the state after the snap. The previous row is the state just before it (stored if `keep` is
+            "all").
         lost: energy lost in the snap.
-        seams: names of the seams whose layers have other shares of phases after it.
+        seams: names of the seams whose layers have different shares of phases after it.
     """
 
     t: float
@@ -47,10 +48,10 @@ class History:
         table: a row for each accepted state: t, dt, iterations, residual, energy balance (`Audit`), observed values.
         states: row -> state, for the states that are kept.
         theta: forces balance at t + theta dt of each step.
-        step_errors: "displacements", "jumps", "forces" -> estimated relative error of the last state by the planned steps;
-            0 if nothing was dissipated, NaN if it is not known, empty for laws that are linear or have no history, for
-            adaptive steps and for paths.
-        begun: whether it goes on from a state, its first one, and not from rest.
+        step_errors: "displacements", "jumps", "forces" -> estimated relative error of the last state due to the planned
+            steps. It is 0 if nothing was dissipated, and NaN if unknown. It is empty for laws that are linear or have
+            no history, for adaptive steps and for paths.
+        begun: whether the march continues from a state, which is its first state, instead of from rest.
     """
 
     model: Model
@@ -65,7 +66,7 @@ class History:
         return f"History({self.model!r}, {len(self)} steps{span}, {len(self.states)} states)"
 
     def identity(self) -> dict[str, Any]:
-        """The model's identity and the times."""
+        """Identity of the history: the identity of its model, and its times."""
         return {"history of": self.model.identity(), "t": self.t.tolist()}
 
     def __len__(self) -> int:
@@ -76,7 +77,7 @@ class History:
 
     @property
     def last(self) -> State:
-        """State of the last accepted step. InputError: there is none."""
+        """State of the last accepted step. Raises InputError if no step was accepted."""
         if not self.states:
             raise InputError("the march has no accepted state: its first one failed")
         return self.states[max(self.states)]
@@ -88,9 +89,9 @@ class History:
 
     @property
     def snaps(self) -> list[Snap]:
-        """The snaps of a layer whose columns switch phase, in order of time: rows after the first with dt = 0.
+        """Snaps of layers whose columns switch phase, in order of time: all rows with dt = 0 except the first row.
 
-        Switches by a sudden load at the start are no snaps; the first row is the state after them.
+        Switches under a sudden load at the start are not snaps; the first row is the state after them.
         """
         if not self.table.rows:
             return []
@@ -99,14 +100,18 @@ class History:
         return [Snap(float(t[k]), k, float(lost[k]), self._changed(k)) for k in rows]
 
     def _changed(self, row: int) -> tuple[str, ...]:
-        """The seams whose layers have other shares of phases in a row than in the one before it."""
+        """Names of the seams whose layers have different shares of phases in a row than in the previous row."""
         before, after = (self.table.rows[k] for k in (row - 1, row))
         shares = {seam: phase_columns(self.model, seam) for seam in seams_with_phases(self.model)}
         moved = {column for column in after if after[column] != before[column]}
         return tuple(seam for seam, names in shares.items() if moved & {names["plus"], names["minus"]})
 
     def at(self, t: float) -> State:
-        """The state at a time, the last of several. InputError: no step ended there, or its state was not kept."""
+        """State at a time, the last one if there are several.
+
+        Raises:
+            InputError: t is not finite; no step ended there, or its state was not kept.
+        """
         require(is_finite(t), "t", t, "it must be a finite number")
         near = TIME_TOLERANCE * max(abs(t), float(np.ptp(self.t)))
         for state in reversed(self.states.values()):
@@ -121,11 +126,12 @@ Solution = State | History
 
 # ---------------------------------------------------------------- columns
 def columns(model: Model) -> dict[str, Callable[[State], float]]:
-    """Name of a column of a march -> its value in a state, beside dt and what is observed.
+    """Name of a table column of a march -> function of its value in a state; without dt and observed values.
 
-    What a layer that remembers dissipates in a step has a column if there are several seams, and so have bodies that
-    remember. What is lost in a snap, by layers and bodies together, is in the column "dissipated" alone. "elastic share" is
-    of laws with an `elastic_fraction`, see `State.elastic_share`.
+    If there are several seams, each layer with internal variables has a column for the energy that it dissipates in a
+    step. Bodies with internal variables have such a column too. The energy lost in a snap, by layers and bodies
+    together, is in the column "dissipated" alone. The column "elastic share" exists for laws with an
+    `elastic_fraction`, see `State.elastic_share`.
     """
     names = ("t", "report.iterations", "report.residual", *(f"audit.{name}" for name in ENERGY_COLUMNS))
     getters: dict[str, Callable[[State], float]] = {name.rpartition(".")[2]: attrgetter(name) for name in names}
@@ -142,7 +148,7 @@ def columns(model: Model) -> dict[str, Callable[[State], float]]:
 
 
 def phase_columns(model: Model, seam: str) -> dict[str, str]:
-    """Name of a share of `phase_shares` of a seam -> its column, which has the seam's name if several have phases."""
+    """Name of a share in `phase_shares` -> its column, which contains the seam's name if several seams have phases."""
     of_seam = f" {seam}" if len(seams_with_phases(model)) > 1 else ""
     return {name: name + of_seam for name in ("plus", "minus", "boundary")}
 
@@ -154,19 +160,20 @@ def seams_with_phases(model: Model) -> list[str]:
 
 
 def phase_slots(law: BulkLaw) -> list[tuple[float, int]]:
-    """Fraction of the thickness, and index among the internal variables, of each phase of a law."""
+    """Thickness fraction and index among the internal variables, for each sublayer of a law that has phases."""
     return [(a, k) for a, sublayer, k in memory_slots(law, "phase") if sublayer.traits.phases]
 
 
 def phase_shares(state: State, seam: str) -> dict[str, float]:
-    """Shares of the phases of a layer, in a state of either model. Collective.
+    """Shares of the phases of a layer, in a state of a full or an interface model. Collective.
 
-    The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases; others are the share of phase 1 (or -1) beside phase 0.
+    The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Any other value is a mixture with phase 0: its size
+    is the share of phase 1 (or -1).
 
     Returns:
         "plus", "minus": shares of the layer (of its sublayers with phases) in phases 1 and -1; "boundary": thickness of
-        phase 0 if the other phases lie above it, a length, the mean over S. For the bar of section 6.2 it is the
-        position eps S of the phase boundary, Eq. (47).
+            phase 0 if the other phases lie above it, a length, the mean over S. For the bar of section 6.2 it is the
+            position eps S of the phase boundary, Eq. (47).
     """
     layer, sums = state.model.layers[seam], np.zeros(3)
     assert layer.thin_layer

@@ -1,4 +1,4 @@
-"""The layers by themselves: what forces hold their faces where the bodies move them, and how forces move their faces."""
+"""Subproblem of the layers without bodies: face forces for prescribed face displacements, and the inverse."""
 
 from __future__ import annotations
 
@@ -32,34 +32,34 @@ from thinlayer.solving.part_sum import ROUNDING_SHARE
 from thinlayer.system.compat import interpolation_points
 
 Vertices = tuple[int, ...]
-MAX_NEWTON_STEPS = 100  # at most
+MAX_NEWTON_STEPS = 100  # largest number of Newton steps
 MESH_REMEDY = "mesh the layer (structure.full), in smaller steps of time if it slips or opens far"
-NEWTON_TOLERANCE = 1e-9  # what a step of Newton's changes, in the energy norm and relative, that counts as none
-MIN_STEP_RATIO, MAX_SHORTENINGS = 0.1, 8  # of a step in the one before, number of them in turn
-WORK_SUBSTEPS = 32  # of a straight way between two displacements, over which work is summed
-MAX_WORK_DIFFERENCE = 0.01  # of the work of forces in what they move, by which the energy there may differ from it
-INDEPENDENCE_TOLERANCE = 1e-9  # singular value of motions that are independent of each other, over the largest
+NEWTON_TOLERANCE = 1e-9  # relative change by a Newton step, in the energy norm, at which Newton's method stops
+MIN_STEP_RATIO, MAX_SHORTENINGS = 0.1, 8  # least ratio of successive lengths of a step, and number of such reductions
+WORK_SUBSTEPS = 32  # number of substeps of the line between two displacements over which work is summed
+MAX_WORK_DIFFERENCE = 0.01  # largest relative difference of the work of face forces and the energy of their response
+INDEPENDENCE_TOLERANCE = 1e-9  # least singular value of independent motions, over the largest
 
 
 class DirichletLayers:
-    """Layers by themselves, at a time, between faces that are moved. Vectors have their unknowns.
+    """Layers without bodies, at a time, with prescribed face displacements. Vectors (n,) are unknowns of the layers.
 
     Attributes:
         model: the layers, meshed.
-        K: (n, n) their stiffness.
-        load: (n,) forces on them, those of given strains included.
-        forces: (n,) the former alone.
-        values: (n,) what supports prescribe on their sides.
-        on_face: (n,) which unknowns are displacements of faces, those that bodies hold too included.
+        K: (n, n) tangent stiffness of the layers.
+        load: (n,) forces on the layers, prescribed strains included, such that the residual is K w - load.
+        forces: (n,) loads on the layers, without prescribed strains.
+        values: (n,) prescribed displacements of the layers' sides.
+        on_face: (n,) mask of face displacements, whether or not supports constrain them.
 
     Args:
         model: the layers.
-        t: the time, at which they answer at once from rest; `begin` goes on in time.
+        t: the time of their instantaneous response from rest; `begin` starts a step in time.
     """
 
     def __init__(self, model: LayerModel, t: float) -> None:
         self.model, self.K = model, scipy.sparse.csr_matrix((0, 0))
-        self._equations = equations = Equations(model)  # of this rank alone: freed with the layers
+        self._equations = equations = Equations(model)  # on this rank only: freed with the layers
         self._x, self._out = equations.vector(), equations.vector()
         self._displacements, n = equations.n_displacements, self._x.getLocalSize()
         self.forces, self.values, self._at_sides = np.zeros(n), np.zeros(n), np.zeros(n, bool)
@@ -73,7 +73,7 @@ class DirichletLayers:
         self._inside = ~self.on_face & ~self._at_sides
 
     def transpose(self) -> None:
-        """Let K be its transpose, until the next call or `linearise`: goals' weights need it."""
+        """Replace K by its transpose, as adjoint solutions need it, until the next call or `linearise`."""
         if not self.model.symmetric:
             self.K = scipy.sparse.csr_matrix(self.K.T)
             self._reset()
@@ -83,11 +83,11 @@ class DirichletLayers:
             vars(self).pop(factor, None)
 
     def rest(self, t: float) -> State:
-        """The layers at a time, before anything has happened."""
+        """State of the layers at rest at a time."""
         return self._equations.rest(t)
 
     def begin(self, old: Configuration, t: float) -> None:
-        """Begin a step from a state of the layers to a time."""
+        """Begin a step from a configuration of the layers to a time, and linearise at its start."""
         equations = self._equations
         equations.begin(TimeStep(old, t, t - old.t, 1.0))
         self.forces[: self._displacements], self.values[equations.bc_dofs] = (
@@ -98,20 +98,20 @@ class DirichletLayers:
         self.linearise(self._x.array_r.copy())
 
     def residual(self, w: Array) -> Array:
-        """Internal forces (n,) at displacements, and other unknowns, w, less forces on the layers; NaN: a law fails."""
+        """Residual (n,) at unknowns w: internal forces minus loads on the layers; NaN if a law fails."""
         self._x.array[:] = w
         self._equations.residual(self._x, self._out)
         return np.asarray(self._out.array_r.copy())
 
     def linearise(self, w: Array) -> None:
-        """Let K be the tangent at w, and `load` such that the residual there is K w - load."""
+        """Set K to the tangent at w, and `load` such that the residual at w is K w - load."""
         r = self.residual(w)
         self.K = local_csr(self._equations.tangent())
         self.load = self.K @ w - r
         self._reset()
 
     def state(self, w: Array) -> State:
-        """The layers at displacements, and other unknowns, w."""
+        """State of the layers at unknowns w, displacements first."""
         self.residual(w)
         _, end = self._equations.end_parts(self._equations.u, self._equations.interval.t)
         return State(**vars(end), model=self.model, report=Report("layers", 0, 0.0, 0.0))
@@ -121,31 +121,31 @@ class DirichletLayers:
         return _SubmatrixFactor(self.K, self._inside, symmetric=self.model.symmetric)
 
     def dirichlet_displacements(self, v: Array, load: Array, values: Array) -> Array:
-        """Displacements of layers whose faces are at v, under forces and with prescribed displacements of their sides.
+        """Unknowns (n,) for face displacements v, forces `load` and prescribed displacements `values` of the sides.
 
-        If laws are not linear their tangent is in their place, see `linearise`.
+        Laws that are not linear are replaced by their tangent, see `linearise`.
         """
         w = np.where(self.on_face, v, np.where(self._at_sides, values, 0.0))
         self._dirichlet.solve(load - self.K @ w, w)
         return w
 
     def equilibrate_dirichlet(self, v: Array) -> Array:
-        """As `dirichlet_displacements`, under the layers' own forces, with their laws, which are linearised there.
+        """Unknowns (n,) for face displacements v under the layers' own loads, with non-linear laws; linearise there.
 
         Raises:
-            SolveError: it is not found.
+            SolveError: no convergence, or the layer softens.
         """
         return self._balanced(
             self.dirichlet_displacements(v, self.load, self.values), np.zeros(len(v)), lambda: self._dirichlet
         )
 
     def _balanced(self, w: Array, forces: Array, factor: Callable[[], _SubmatrixFactor]) -> Array:
-        """Displacements, from w on, under forces on the unknowns of a factor, by Newton's method."""
+        """Solve residual = forces by Newton's method from w, for the unknowns of a factor; all others stay fixed."""
         if self.model.linear:
             return w
 
         def slope(share: float) -> float:
-            """By which the energy falls along d, a share of it beyond w."""
+            """Decrease of the energy along d, per unit of the share, at w + share d."""
             return float(d @ (forces - self.residual(w + share * d)))
 
         for _ in range(MAX_NEWTON_STEPS):
@@ -154,7 +154,7 @@ class DirichletLayers:
             first = factor().solve(forces - self.residual(w), d)
             rounding = ROUNDING_SHARE * np.abs(w[: self._displacements]).max(initial=0.0)
             if first <= max(NEWTON_TOLERANCE**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
-                if factor().negative_pivots > self._inside[self._displacements :].sum():  # each pressure has one
+                if factor().negative_pivots > self._inside[self._displacements :].sum():  # one for each pressure
                     raise SolveError(
                         "the layer by itself softens: its stress falls as strains grow", advice=MESH_REMEDY
                     )
@@ -165,13 +165,13 @@ class DirichletLayers:
         )
 
     def motion_of(self, place: Place, direction: Array) -> Array:
-        """(n,) motion of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
+        """(n,) motion g of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
         out = np.zeros(len(self.load))
         out[: self._displacements] = -self.model.constraints.dual_to_resultant(self.model.holder_rows(place), direction)
         return out
 
     def in_refined_cells(self, w: Array, fine: DirichletLayers) -> Array:
-        """(m,) displacements w of these layers in cells that are parts of theirs; other unknowns are zero there."""
+        """(m,) displacements w interpolated to the divided cells of layers `fine`; zero for other unknowns."""
         divided, d = fine.model.divided, self.model.joint.dim
         if divided is None:
             return w
@@ -187,16 +187,16 @@ class DirichletLayers:
 
 
 class LayerSubproblem(DirichletLayers):
-    """The layers of an interface model by themselves, at a time.
+    """Subproblem of the layers of an interface model, at a time.
 
-    With the faces at v and the least energy inside, the forces that hold them are E v - l, a Schur complement of the
-    stiffness K. Vectors are whole on every rank.
+    For face displacements v, with the least energy inside, the face forces are E v - l. E is a Schur complement of the
+    stiffness K. Every rank has the whole vectors.
 
     Attributes:
-        seams: names of their seams.
+        seams: names of the layers' seams.
         through: number of cells through the thickness.
-        free_faces: (n,) which unknowns are displacements of faces that nothing holds.
-        R: (n, m) motions without energy that supports leave to each piece, orthonormal.
+        free_faces: (n,) mask of face displacements that supports leave free.
+        R: (n, m) orthonormal motions without energy of each piece, as far as supports allow them.
 
     Args:
         interface: the interface model.
@@ -218,7 +218,7 @@ class LayerSubproblem(DirichletLayers):
         self.R, self._pins = self._motions(self.free_faces | self._inside)
 
     def _require_pairs(self, interface: InterfaceModel) -> None:
-        """Raise InputError if a displacement of the layers' faces is that of several bodies, which could not part there."""
+        """Raise InputError if a face displacement belongs to several bodies, which could not separate there."""
         times = self._comm.allreduce(np.bincount(self._theirs, minlength=len(self.load)))
         if (times > 1).any() and (refused := meeting_layers(interface.joint, self.seams)):
             raise refused.error()
@@ -228,7 +228,7 @@ class LayerSubproblem(DirichletLayers):
         return _SubmatrixFactor(self.K, (self.free_faces | self._inside) & ~self._pins, symmetric=self.model.symmetric)
 
     def work(self, w: Array, z: Array) -> Array:
-        """Work (k,) of the stresses at w in the strains of z, less that of the loads, spread over displacements."""
+        """Work (k,) of the stresses at w in the strains of z, minus the loads' work, distributed over displacements."""
         self.residual(w)
         strained, nodal_work = fem.Function(self.model.V), fem.Function(self.model.V)
         strained.x.array[:] = z[: self._displacements]
@@ -238,7 +238,7 @@ class LayerSubproblem(DirichletLayers):
         return np.asarray(nodal_work.x.array - (z * self.forces)[: self._displacements])
 
     def _motions(self, free: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Motions without energy (n, m), and as many unknowns (n,) that hold them."""
+        """Orthonormal motions without energy (n, m), and a mask (n,) of m unknowns that fix them."""
         model, pins, null_spaces = self.model, np.zeros(len(free), bool), []
         motions = model_motions(model).values()
         rigid = np.zeros((len(free), len(motions)))
@@ -259,18 +259,18 @@ class LayerSubproblem(DirichletLayers):
 
     # ---------------------------------------------------------------- vectors of the interface model
     def at_faces(self, x: Array) -> Array:
-        """Values at the faces of a vector (m,) of the interface model's displacements on this rank. Collective."""
+        """Values at the faces (n,) of a vector (m,) of the interface model's displacements on this rank. Collective."""
         out = np.zeros(len(self.load))
         out[self._theirs] = x[self._ours]
         return np.asarray(self._comm.allreduce(out))
 
     def of_faces(self, w: Array) -> tuple[IntArray, Array]:
-        """Numbers of this rank's displacements of the interface model at the faces, and values there."""
+        """Local numbers of the interface model's displacements at the faces on this rank, and the values of w there."""
         return self._ours, w[self._theirs]
 
     # ---------------------------------------------------------------- E and its inverse
     def dirichlet_reactions(self, v: Array, load: Array, values: Array) -> Array:
-        """Forces that hold the faces at v, zero where supports hold them."""
+        """Forces (n,) on the faces at face displacements v; zero where supports constrain the faces."""
         return self.on_free(self.K @ self.dirichlet_displacements(v, load, values) - load)
 
     def on_free(self, r: Array) -> Array:
@@ -278,14 +278,14 @@ class LayerSubproblem(DirichletLayers):
         return np.where(self.free_faces, r, 0.0)
 
     def neumann_displacements(self, r: Array) -> Array:
-        """Displacements of the faces under forces on them that have no resultant."""
+        """Face displacements (n,) under face forces r without resultant."""
         return self.compliance(r)[0]
 
     def compliance(self, r: Array) -> tuple[Array, float]:
-        """Displacements as of `neumann_displacements`, and the work r . E^+ r of the forces in them.
+        """Face displacements as in `neumann_displacements`, and the work r . E^+ r of the forces in them.
 
-        The work is infinite if rounding hides it. A layer of length L that can bend freely is (L/eps)^4 times as soft as
-        one that is stretched across.
+        The work is infinite if rounding hides it. A layer of length L that can bend freely is (L/eps)^4 times as soft
+        as a layer that is stretched across.
         """
         w = np.zeros(len(r))
         work = self._neumann.solve(r, w)
@@ -293,17 +293,18 @@ class LayerSubproblem(DirichletLayers):
         return np.where(self.on_face, w, 0.0), work if lost <= MAX_WORK_DIFFERENCE * work else math.inf
 
     def equilibrate_neumann(self, w: Array, F: Array) -> Array:
-        """Displacements, from w on, under forces F on the faces that have no resultant; as `equilibrate_dirichlet`."""
+        """Unknowns (n,) under face forces F without resultant, starting from w; as in `equilibrate_dirichlet`."""
         return self._balanced(w, F, lambda: self._neumann)
 
     def bregman_divergence(self, w: Array, at: Array) -> tuple[float, float]:
-        """Bounds of the energy at w above its tangent plane at another place, of laws whose energy is convex.
+        """Bounds of the energy at w above its tangent plane at `at`, for laws with a convex energy.
 
-        It is the work in w - at of residuals on the straight way, less that of the first one. Along it their work grows, so
-        that sums over its parts are bounds.
+        This is the work, along the straight line from `at` to w, of the residuals minus the first residual. For a
+        convex energy the work of the residuals grows along the line. Therefore left and right sums over substeps are
+        bounds.
 
         Raises:
-            SolveError: their work falls somewhere: the energy is not convex.
+            SolveError: the work falls somewhere: the energy is not convex.
         """
         d = w - at
         work = np.array([d @ self.residual(at + share * d) for share in np.linspace(0.0, 1.0, WORK_SUBSTEPS + 1)])
@@ -314,7 +315,7 @@ class LayerSubproblem(DirichletLayers):
 
 
 class _SubmatrixFactor:
-    """Rows and columns of a matrix, factored."""
+    """Factor of the rows and columns of a matrix that a mask selects."""
 
     def __init__(self, K: scipy.sparse.csr_matrix, which: npt.NDArray[np.bool_], *, symmetric: bool) -> None:
         self._which, self._symmetric = which, symmetric
@@ -330,13 +331,13 @@ class _SubmatrixFactor:
 
     @property
     def negative_pivots(self) -> int:
-        """Number of negative eigenvalues of a symmetric matrix."""
+        """Number of negative eigenvalues of the submatrix; 0 if it is not symmetric."""
         if not (self._symmetric and self._which.any()):
             return 0
         return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12))  # negative pivots
 
     def solve(self, b: Array, out: Array) -> float:
-        """Write the solution into `out`; returns its product with b."""
+        """Write the solution into `out`, at the selected rows; return its product with b."""
         if not self._which.any():
             return 0.0
         self._b.array[:] = b[self._which]
@@ -346,9 +347,20 @@ class _SubmatrixFactor:
 
 
 def line_search_share(slope: Callable[[float], float], start: float) -> float:
-    """The share of a step at which the slope of a convex energy, `start` > 0 downhill at first, is not far uphill."""
+    """Line search: share of a step at which the energy does not increase too steeply.
+
+    Args:
+        slope: share -> decrease of a convex energy per unit of the share.
+        start: `slope` at the share 0, > 0.
+
+    Returns:
+        A share, at most 1, with a slope of at least -start/2.
+
+    Raises:
+        SolveError: there is no such share.
+    """
     share = 1.0 if math.isfinite(start) else 0.0
-    while share and not (end := slope(share)) >= -start / 2:  # a law that fails has none
+    while share and not (end := slope(share)) >= -start / 2:  # NaN where a law fails
         share *= max(start / (start - end), MIN_STEP_RATIO) if end < 0 else MIN_STEP_RATIO
         share = share if share >= MIN_STEP_RATIO**MAX_SHORTENINGS else 0.0
     if not share:
@@ -357,7 +369,7 @@ def line_search_share(slope: Callable[[float], float], start: float) -> float:
 
 
 def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, IntArray]:
-    """Displacements of this rank at the layers' seams, and those of the layers' faces that are the same, unrolled."""
+    """Displacements of this rank at the layers' seams, and the equal displacements of the layers' faces, unrolled."""
     base, band, d = layers.joint, layers.domain.joint, interface.joint.dim
     ours_of, theirs_of = (_local_cells(model, joint) for model, joint in ((interface, base), (layers, band)))
     of_key: dict[tuple[Vertices, int, Vertices], int] = {}
@@ -387,7 +399,7 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
 
 
 def _local_cells(model: InterfaceModel | LayerModel, joint: Joint) -> IntArray:
-    """Cells (n_cells,) of the model's mesh on this rank that are those of the joint; -1: not on this rank."""
+    """(n_cells,) local cell of the model's mesh for each cell of the joint; -1: not on this rank."""
     out = np.full(len(joint.corners), -1, np.int64)
     original = model.domain.original_cells
     out[original] = np.arange(len(original))
@@ -397,7 +409,7 @@ def _local_cells(model: InterfaceModel | LayerModel, joint: Joint) -> IntArray:
 def _facet_dofs(
     model: InterfaceModel | LayerModel, cells: IntArray, joint: Joint, cell: int, facet: int
 ) -> Iterator[tuple[int, IntArray]]:
-    """Nodes on a facet of a cell of the joint, and the vertices of the vertex, edge or face that each belongs to."""
+    """Yield the nodes on a facet of a cell of the joint, each with the vertices of its vertex, edge or face."""
     if cells[cell] < 0:
         return
     dofs, layout = model.V.dofmap.cell_dofs(cells[cell]), model.V.dofmap.dof_layout

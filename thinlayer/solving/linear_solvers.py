@@ -1,9 +1,9 @@
-"""Linear solvers for a model: their PETSc options, factors, what families keep of them, and blocks with pressures.
+"""Linear solvers for a model: PETSc options, factors, matrices that families share, and blocks with pressures.
 
-With pressures on S the tangent is [A B'; B -C], and PETSc's PCFIELDSPLIT takes it block by block.
-The Schur complement of the pressures is -(C + B A^-1 B'). C has the compliance and the flow of the layer, and is assembled.
-B A^-1 B' is what the sides of S yield to pressures. PETSc replaces A by its diagonal there ("selfp"): the compliance under
-waves as long as cells. Where bodies are stiff, or waves short, C is the larger one.
+With pressures on S the tangent is [A B'; B -C], and PETSc's PCFIELDSPLIT preconditions it block by block. The Schur
+complement of the pressures is -(C + B A^-1 B'). C has the compliance and the flow of the layer, and is assembled. B
+A^-1 B' is the compliance of the sides of S under pressures. PETSc replaces A by its diagonal there ("selfp"), which
+gives the compliance under waves as long as cells. Where bodies are stiff, or waves short, C is the larger term.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ DIRECT_OPTIONS: dict[str, OptionValue] = {
     "ksp_type": "preonly",
     "ksp_rtol": 1e-10,
     "pc_factor_mat_solver_type": "mumps",
-    "mat_mumps_icntl_14": 100,  # spare memory in per cent: with its default of 20, MUMPS sometimes fails on several ranks
+    "mat_mumps_icntl_14": 100,  # spare memory in per cent: with the default of 20 MUMPS may fail on several ranks
     "mat_mumps_icntl_35": 2,  # blocks of low rank, to rounding: less time and memory from 1e5 unknowns on
     "mat_mumps_cntl_7": 1e-14,
 }
-# dimension -> how MUMPS orders: unknowns, not nodes, by least fill, for fewer entries on grids; in 3D nodes, by PORD
+# dimension -> ordering of MUMPS: 2D: unknowns, not nodes, by least fill, for fewer entries on grids; 3D: nodes, by PORD
 ORDERING_OPTIONS: dict[int, dict[str, OptionValue]] = {
     2: {"mat_mumps_icntl_7": 2, "mat_mumps_icntl_15": 0},
     3: {"mat_mumps_icntl_7": 4},
 }
-# for saddle points at which MUMPS puts off pivots again and again: more memory and smaller pivots
+# for saddle points at which MUMPS delays many pivots: more memory and smaller pivots
 LENIENT_OPTIONS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 1000, "mat_mumps_cntl_1": 1e-4}
 MULTIGRID_OPTIONS: dict[str, OptionValue] = {
     **DIRECT_OPTIONS,
@@ -48,11 +48,11 @@ MULTIGRID_OPTIONS: dict[str, OptionValue] = {
     "mg_levels_pc_type": "jacobi",
 }
 MULTIGRID_TYPES = ("gamg", "hypre", "ml")  # PETSc's kinds of algebraic multigrid, for the displacements
-# for saddle points: multigrid for the displacements after a factorisation for the pressures on S, see above. A
-# preconditioner that is not symmetric takes half the iterations of one for MINRES, and each costs the same.
+# for saddle points: multigrid for the displacements after a factorisation for the pressures on S, see above. This
+# preconditioner is not symmetric. It takes half the iterations of a symmetric one for MINRES, at the same cost each.
 FIELD_SPLIT_OPTIONS: dict[str, OptionValue] = {
     "ksp_type": "gmres",
-    "ksp_pc_side": "right",  # then the residual itself is tested
+    "ksp_pc_side": "right",  # then the convergence test uses the residual itself
     "ksp_gmres_restart": 100,
     "ksp_gmres_cgs_refinement_type": "refine_ifneeded",
     "ksp_rtol": MULTIGRID_OPTIONS["ksp_rtol"],
@@ -74,22 +74,22 @@ FIELD_SPLIT_OPTIONS: dict[str, OptionValue] = {
     },
     "fieldsplit_p_pc_type": "cholesky",
 }
-# dimension -> number of unknowns up to which factors pay, which steps may share
+# dimension -> number of unknowns from which on multigrid is faster than a factor, even if steps share the factor
 MIN_MULTIGRID_UNKNOWNS = {2: 3_000_000, 3: 50_000}
 
 
 def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[dict[str, OptionValue]]:
-    """PETSc options to try in turn.
+    """PETSc options of the linear solvers for a model, in the order in which they are tried.
 
-    The direct solver is MUMPS: Cholesky for symmetric tangents, else LU. Large models try conjugate gradients (GMRES if not
-    symmetric) with algebraic multigrid first, which knows the rigid motions. Very stiff layers slow it down so much that
-    factorising is faster. Layers with a pressure lead to saddle points: if the pressures are on S, large models try GMRES
-    with blocks first; if MUMPS fails, it is tried with more memory and smaller pivots.
+    The direct solver is MUMPS: Cholesky for symmetric tangents, else LU. Large models try conjugate gradients (GMRES if
+    not symmetric) with algebraic multigrid first, whose near null space is the rigid motions. Very stiff layers slow it
+    down so much that factorising is faster. Layers with a pressure lead to saddle points. If the pressures are on S,
+    large models try GMRES with blocks first. If MUMPS fails, it is tried with more memory and smaller pivots.
 
     Args:
         model: the model.
         parts: the parts of its balance.
-        chosen: the user's type of preconditioner; None: ours.
+        chosen: type of preconditioner that the user has chosen; None: the default.
 
     Raises:
         InputError: a type of preconditioner that does not suit the model.
@@ -119,13 +119,13 @@ def direct_solver(model: Model) -> dict[str, OptionValue]:
 
 
 def needs_factor_only() -> bool:
-    """Whether solves need no more than the factor, or than the matrices in blocks, with the options that are set."""
+    """Whether, with the options that are set, solves use only the factor, or only matrices in blocks."""
     options, names = options_set(), ("ksp_type", "pc_factor_mat_solver_type")
     return options.get("pc_type") == "gamg" or all(options.get(name) == DIRECT_OPTIONS[name] for name in names)
 
 
 def least_pivot(pc: PETSc.PC) -> float:
-    """Smallest pivot of a factorisation of a definite matrix by MUMPS, relative to the largest; 0: not known."""
+    """Smallest pivot of a factorisation of a definite matrix by MUMPS, relative to the largest pivot; 0 if unknown."""
     if pc.getType() != "cholesky" or pc.getFactorSolverType() != "mumps":
         return 0.0
     smallest, largest = (pc.getFactorMatrix().getMumpsRinfog(k) for k in (20, 21))
@@ -133,17 +133,17 @@ def least_pivot(pc: PETSc.PC) -> float:
 
 
 def mark_symmetry(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
-    """Tell PETSc whether a tangent is symmetric, and whether it is positive definite, as it is not at a saddle point."""
+    """Set PETSc's flags of a tangent: symmetric, and positive definite, which it is not at a saddle point."""
     A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
 
 
 class Factor:
-    """A KSP and the matrix that it has factored. Collective.
+    """KSP and the matrix that it has factorised. Collective.
 
     Attributes:
-        ksp: the solver; None: there is none.
-        of: what the factored matrix depends on; None: not known.
+        ksp: the linear solver; None: not created.
+        of: key that identifies the factorised matrix; None: unknown.
     """
 
     def __init__(self) -> None:
@@ -153,15 +153,15 @@ class Factor:
         self._blocks: PETSc.Mat | None = None
 
     def renew(self, A: PETSc.Mat, of: Hashable, tell: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
-        """Take another matrix, which is factored by the next solve.
+        """Set another matrix, which the next solve factorises.
 
         Args:
             A: the matrix.
-            of: what it depends on.
-            tell: function that tells a solver what is known of the matrix, see `Equations.tell`.
+            of: key that identifies it.
+            tell: function that passes data to the preconditioner, see `Equations.set_preconditioner_data`.
 
         Returns:
-            Whether the solver stays: it then orders the unknowns anew only if A has another nonzero pattern.
+            Whether the KSP stays: it then orders the unknowns anew only if A has another nonzero pattern.
         """
         options = options_set()
         stays = self.ksp is not None and options == self._options and self.ksp.getPC().getType() != "fieldsplit"
@@ -180,12 +180,12 @@ class Factor:
         return stays
 
     def set_up(self) -> None:
-        """Factor the matrix now, for all solves until the next `renew`, even if the matrix changes."""
+        """Factorise the matrix now, for all solves until the next `renew`, even if the matrix changes."""
         self.ksp.setUp()
         self.ksp.getPC().setReusePreconditioner(True)
 
     def _set_up_in_blocks(self, A: PETSc.Mat) -> None:
-        """Build the hierarchy, whose matrices then multiply in blocks; A itself stays as it is."""
+        """Build the multigrid hierarchy, and let its matrices multiply in blocks; A itself does not change."""
         pc = self.ksp.getPC()
         with lean_products():
             self.ksp.setUp()
@@ -206,12 +206,12 @@ class Factor:
 
 
 class SharedMatrices:
-    """Matrices of the equations of a model, which may serve other models of its family.
+    """Matrices of the equations of a model, which other models of its family may use.
 
     Attributes:
-        bodies: parts that depend on mesh and bodies alone; empty: they are yet to be made.
-        matrix: the tangent; None: it is yet to be made.
-        factor: of the tangent.
+        bodies: parts that depend on mesh and bodies alone; empty: not created.
+        matrix: the tangent; None: not created.
+        factor: factor of the tangent.
     """
 
     def __init__(self) -> None:
@@ -223,7 +223,7 @@ class SharedMatrices:
 
     @classmethod
     def of(cls, model: Model) -> SharedMatrices:
-        """What the model's family has, made fit for this model; new if it has nothing."""
+        """Take the matrices from the model's family, without any that do not suit this model; new if there are none."""
         kept = model.family.kept or cls()
         model.family.kept = None
         pattern = (
@@ -238,9 +238,9 @@ class SharedMatrices:
         return kept
 
     def give_back(self, model: Model) -> None:
-        """Leave all to the family if it has other models, else free it."""
+        """Return the matrices to the family if it has other models, else free them."""
         for part in self.bodies:
-            vars(part).pop("interval", None)  # its state has a model of the family
+            vars(part).pop("interval", None)  # its state refers to a model of the family
         if model.family.several:
             model.family.kept = self
         else:
@@ -254,7 +254,7 @@ class SharedMatrices:
 
 # ---------------------------------------------------------------- blocks with pressures
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
-    """Make vectors, which are overwritten, orthonormal; they are independent."""
+    """Orthonormalise independent vectors in place."""
     for k, v in enumerate(vectors):
         for b in vectors[:k]:
             v.axpy(-v.dot(b), b)
@@ -263,13 +263,13 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
 
 
 def set_field_split(pc: PETSc.PC, A: PETSc.Mat, layout: UnknownLayout, motions: list[PETSc.Vec]) -> None:
-    """Tell a PCFIELDSPLIT its blocks "u", displacements, and "p", pressures. Collective.
+    """Set the blocks "u", displacements, and "p", pressures, of a PCFIELDSPLIT. Collective.
 
     Args:
         pc: the preconditioner, which has read its options.
-        A: the tangent, with supports, see `Equations.hold`.
-        layout: of the unknowns: displacements and fields on S.
-        motions: rigid motions: their displacements, or also further unknowns.
+        A: the tangent, with supports, see `Equations.apply_bcs`.
+        layout: layout of the unknowns: displacements and fields on S.
+        motions: vectors of rigid motions, of the displacements or of all unknowns.
     """
     first, last = A.getOwnershipRange()
     n, bs = layout.sizes[DISPLACEMENT_KEY], layout.fields[DISPLACEMENT_KEY].function_space.dofmap.index_map_bs

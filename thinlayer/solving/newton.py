@@ -1,4 +1,4 @@
-"""One step of a model to its equilibrium: a linear solve from the old state, then refinement or Newton's method."""
+"""Solution of one step of a model: a linear solve from the old state, then refinement or Newton's method."""
 
 from __future__ import annotations
 
@@ -19,40 +19,33 @@ from thinlayer.solving.petsc import PREFIX, OptionValue, reason_name, solve_line
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
 REFINE_BELOW = {True: 1e-3, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
-REFINE_RATIO = {True: 0.1, False: 0.5}  # reduction of the residual by a refinement after which another one follows
-KRYLOV_REDUCTION = 0.3  # reduction of a residual by a Krylov method that refines, relative to what is still wanted
-MIN_DETERMINED_PIVOT = 1e-6  # least pivot, relative to the largest, above which rounding of the forces moves nothing
-SINGULAR_REFINEMENT = 1e-3  # first refinement, relative to the displacements at play, that shows a singular matrix
-SPOILT_REFINEMENT = (
-    1e-5  # last refinement, relative to the displacements at play, above which rounding has spoilt the solution
-)
-OVERSHOOT_RESIDUAL = 10.0  # residual after the linear step, relative to the forces, at which the step is shortened
+REFINE_RATIO = {True: 0.1, False: 0.5}  # another refinement follows if one reduces the residual below this ratio
+KRYLOV_REDUCTION = 0.3  # target of a Krylov method that refines, relative to REFINED_RESIDUAL
+MIN_DETERMINED_PIVOT = 1e-6  # smallest over largest pivot above which rounding of the forces is harmless
+# The next two are changes of displacements by a refinement, relative to `_displacements_at_play`.
+SINGULAR_REFINEMENT = 1e-3  # change by the first refinement above which the matrix is singular
+SPOILT_REFINEMENT = 1e-5  # change by the last refinement above which rounding has spoilt the solution
+OVERSHOOT_RESIDUAL = 10.0  # residual after the linear step, relative to the forces, above which it is shortened
 NEWTON_OPTIONS: dict[str, OptionValue] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "bt",
-    "snes_rtol": 0,  # the first residual is no scale: it may be arbitrarily large where a dashpot was at rest
+    "snes_rtol": 0,  # the first residual is no reference: it may be arbitrarily large where a dashpot was at rest
     "snes_stol": 0,
     "snes_max_it": 100,
 }
 YIELDING_OPTIONS: dict[str, OptionValue] = {"snes_max_it": 50}
-MAX_STEP_OPTION = (
-    "snes_linesearch_maxlambda" if PETSc.Sys.getVersion() >= (3, 24) else "snes_linesearch_maxstep"
-)  # one option
-CRITICAL_OPTIONS: dict[
-    str, OptionValue
-] = {  # steps end where the forces do no work along them, though residuals may grow
+# PETSc 3.24 has renamed this option
+MAX_STEP_OPTION = "snes_linesearch_maxlambda" if PETSc.Sys.getVersion() >= (3, 24) else "snes_linesearch_maxstep"
+# steps end where the forces do no work along them, though residuals may grow
+CRITICAL_OPTIONS: dict[str, OptionValue] = {
     "snes_linesearch_type": "cp",
     "snes_linesearch_max_it": 40,
     "snes_linesearch_atol": 0,  # a work along the step: an absolute tolerance would depend on the units
 }
-SINGULAR_OPTIONS: dict[str, OptionValue] = {
-    **CRITICAL_OPTIONS,
-    "snes_max_it": 300,
-}  # for singular tangents: of the least energy
-CONTACT_OPTIONS: dict[str, OptionValue] = {
-    "snes_linesearch_type": "basic",
-    "snes_max_it": 300,
-}  # residuals grow on good steps
+# for singular tangents: the line search looks for the least energy
+SINGULAR_OPTIONS: dict[str, OptionValue] = {**CRITICAL_OPTIONS, "snes_max_it": 300}
+# no line search, as residuals grow on good steps
+CONTACT_OPTIONS: dict[str, OptionValue] = {"snes_linesearch_type": "basic", "snes_max_it": 300}
 CONTACT_HOMOTOPY_OPTIONS: dict[str, OptionValue] = {
     **CRITICAL_OPTIONS,
     "snes_max_it": 40,
@@ -60,12 +53,10 @@ CONTACT_HOMOTOPY_OPTIONS: dict[str, OptionValue] = {
     MAX_STEP_OPTION: 1,
 }
 STAGNATION_STEPS = 16  # number of steps in which the residual must fall by a tenth, for laws that yield
-DIVERGED_DISPLACEMENT = 1e6  # largest displacements, relative to those of the first step, for laws that yield
+DIVERGED_DISPLACEMENT = 1e6  # largest displacements, relative to the first step's, for laws that yield
 Reason = PETSc.SNES.ConvergedReason
 RESISTANCE_QUESTION = "does something resist every motion of the bodies, and every strain of the layer?"
-YIELDING_EVERYWHERE_STEP = (
-    1e4  # linear step, relative to the old displacements, that shows a layer that yields everywhere
-)
+YIELDING_EVERYWHERE_STEP = 1e4  # linear step over old displacements above which a layer yields everywhere
 
 
 @dataclass(frozen=True)
@@ -73,8 +64,8 @@ class StepSolution:
     """Unknowns at the end of a step.
 
     Attributes:
-        x: the unknowns; the vector belongs to the finder and is valid until the next `solve_step` or `close`.
-        iterations: number of iterations; of Newton's method, if the finder uses it.
+        x: the unknowns; the vector belongs to the solver and is valid until the next `solve_step` or `close`.
+        iterations: number of iterations; of Newton's method, if the solver uses it.
         residual: norm of the residual relative to the forces.
     """
 
@@ -84,10 +75,10 @@ class StepSolution:
 
 
 class EquilibriumSolver(ABC):
-    """Finds the unknowns of the step that its equations have begun; keeps matrices and factors between steps.
+    """Solver for the unknowns of the step that its equations have begun; keeps matrices and factors between steps.
 
     Attributes:
-        has_homotopy: whether it finds equilibria of eased laws.
+        has_homotopy: whether it can solve with homotopy laws, see `Equations.set_homotopy`.
         reused: whether the last step used a solver of an earlier step, and so read no PETSc options.
     """
 
@@ -96,17 +87,17 @@ class EquilibriumSolver(ABC):
 
     @abstractmethod
     def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
-        """The unknowns at the end of the step. Collective.
+        """Solve for the unknowns at the end of the step. Collective.
 
         Args:
-            start: unknowns to begin from; None: those of the old state.
+            start: initial unknowns; None: the unknowns of the old state.
 
         Raises:
-            SolveError: the unknowns were not found.
+            SolveError: no convergence.
         """
 
     def reset(self) -> bool:
-        """Drop what depends on the last step. True if this step used it: then another try may succeed."""
+        """Drop data of earlier steps; return whether the last step used them, so that another attempt may succeed."""
         return False
 
     def close(self) -> None:  # noqa: B027  some finders have nothing to free
@@ -114,7 +105,7 @@ class EquilibriumSolver(ABC):
 
 
 class NewtonSolver(EquilibriumSolver):
-    """A `EquilibriumSolver` for static equilibrium that keeps its factor as long as the matrix stays the same.
+    """Solver by a linear step and Newton's method, which keeps its factor as long as the matrix stays the same.
 
     Attributes:
         equations: the equations of the step.
@@ -128,13 +119,13 @@ class NewtonSolver(EquilibriumSolver):
         self._vectors = [equations.vector() for _ in range(4)]
 
     def reset(self) -> bool:
-        """Drop the solver with its factor. True if the last step used that of an earlier one."""
+        """Drop the linear solver and its factor; return whether the last step used the factor of an earlier step."""
         self._factor.destroy()
         was_reused, self.reused = self.reused, False
         return was_reused
 
     def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
-        """Unknowns at the end of the step; if `start` is given, Newton's method begins there without a linear step.
+        """Solve for the unknowns at the end of the step; from `start`, Newton's method begins without a linear step.
 
         Errors as in `solve`.
         """
@@ -169,7 +160,7 @@ class NewtonSolver(EquilibriumSolver):
         return StepSolution(x, iterations + refining, residual)
 
     def _from_linear_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> StepSolution:
-        """Newton's method from where a linear step leads, in which supports move."""
+        """Solve by Newton's method after a linear step, in which the supports move."""
         equations, forces = self.equations, float(self.equations.scale.forces[0])
         self._require_finite("stress", self._free_norm(r))
         r.scale(-1.0)
@@ -189,7 +180,7 @@ class NewtonSolver(EquilibriumSolver):
         return self._newton(x)
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
-        """The first step with the stiffness of an elastic layer."""
+        """Compute the linear step d with the stiffness of an elastic layer."""
         equations, ease = self.equations, self.equations.homotopy_parameter
         equations.residual(x, r)
         r.scale(-1.0)
@@ -202,7 +193,7 @@ class NewtonSolver(EquilibriumSolver):
         self._solve_linear(r, d)
 
     def _retreat(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
-        """Shorten a linear step that is far too long, as laws that stiffen with their rate cause; supports stay moved."""
+        """Shorten a linear step that is far too long, as for laws that stiffen with the rate; supports stay moved."""
         d.axpy(-1.0, move)
         for _ in range(40):
             if not forces or self._free_norm(r) <= OVERSHOOT_RESIDUAL * forces:
@@ -212,10 +203,10 @@ class NewtonSolver(EquilibriumSolver):
             self.equations.residual(x, r)
 
     def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
-        """Make the matrix and the factor of the step, and add the forces of support displacements `move` to b."""
+        """Assemble and factorise the matrix of the step, and add the forces of support displacements `move` to b."""
         equations = self.equations
         dt = equations.interval.dt if equations.depends_on_dt else 0.0
-        key = (float(f"{dt:.12g}"), equations.interval.theta)  # equal steps differ by rounding
+        key = (float(f"{dt:.12g}"), equations.interval.theta)  # lengths of equal steps differ by rounding
         if move is None and self._factor.of == key:
             self.reused = True
             return
@@ -242,7 +233,7 @@ class NewtonSolver(EquilibriumSolver):
         return int(self._factor.ksp.getIterationNumber())
 
     def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> tuple[float, int]:
-        """Refine the linear solution x iteratively; returns its relative residual, and the iterations of a Krylov method.
+        """Refine the linear solution x iteratively; return its relative residual and the Krylov iterations.
 
         Raises:
             SolveError: the solution is not unique, or its residual is too large.
@@ -299,18 +290,18 @@ class NewtonSolver(EquilibriumSolver):
         return residual, 0 if direct else iterations
 
     def _displacements_at_play(self, x: PETSc.Vec) -> float:
-        """Largest displacement with which the rounding of a solution x is compared.
+        """Reference displacement for the rounding errors of a solution x.
 
-        x itself may be only rounding: where loads end at zero, in a uniform cell under a mean strain, or where supports
-        hold all that would expand. Then the displacements count that are known before the step, and those that the forces
-        of the step cause against the mean stiffness.
+        x itself may be only rounding: if loads end at zero, in a uniform cell under a mean strain, or if supports
+        prevent every expansion. Therefore displacements known before the step also count. So do displacements that the
+        forces of the step cause against the mean stiffness. The largest of the three is returned.
         """
         scale, stiffness = self.equations.scale, self.equations.mean_stiffness
         of_forces = float(scale.forces[0]) / (stiffness * math.sqrt(x.getSize())) if stiffness else 0.0
         return max(_largest(x), scale.displacement, of_forces)
 
     def _relative(self, r: PETSc.Vec) -> float:
-        """The largest norm of the residual relative to the forces on its block; r becomes zero at held unknowns."""
+        """Largest norm of the residual relative to the forces on its block; sets r to zero at constrained unknowns."""
         r.array[self.equations.bc_dofs] = 0.0
         return self.equations.relative(r)
 
@@ -320,14 +311,14 @@ class NewtonSolver(EquilibriumSolver):
 
     # ---------------------------------------------------------------- Newton's method
     def _newton(self, x: PETSc.Vec) -> StepSolution:
-        """Newton's method, by PETSc's SNES, from unknowns x at which the last residual was computed; they are overwritten.
+        """Solve by Newton's method (PETSc SNES) from unknowns x of the last residual, which are overwritten.
 
-        The force scale says when to stop, unless the user's options do. If a law yields, the method stops early where the
-        residual stagnates or displacements run away, as for loads beyond the limit load.
+        The force scale decides on convergence, unless the user's options do. If a law yields, the method stops early if
+        the residual stagnates or displacements grow without bound, as for loads beyond the limit load.
 
         Raises:
-            SolveError: no convergence. InputError: a method of PETSc's that does not use our convergence test.
-            PETSc.Error: PETSc itself has failed. Errors of the equations, such as a InputError, as they were raised.
+            SolveError: no convergence. InputError: an SNES type that does not use our convergence test. PETSc.Error:
+                PETSc itself has failed. Errors of the equations, such as an InputError, pass unchanged.
         """
         equations, largest = self.equations, DIVERGED_DISPLACEMENT * _largest(x)
         residuals: list[float] = []
@@ -372,14 +363,13 @@ class NewtonSolver(EquilibriumSolver):
         last = equations.relative(snes.getFunction()[0])
         ksp_reason = snes.getKSP().getConvergedReason()
         stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < STATE_TOLERANCE
-        if stalled:  # by rounding, or as no equilibrium is near: then another step would go far
+        if stalled:  # by rounding, unless no equilibrium is near: then another step would be long
             solve_linear(snes.getKSP(), snes.getFunction()[0], d := self._vectors[2])
             stalled = _largest(d) <= SPOILT_REFINEMENT * self._displacements_at_play(x)
             given_up = "" if stalled else "no step reduces the residual"
         snes.destroy()
-        stopped = (
-            self._own_test and reason >= 0 and not last < STATE_TOLERANCE
-        )  # another test than ours ended the solve
+        # whether a test other than ours ended the solve
+        stopped = self._own_test and reason >= 0 and not last < STATE_TOLERANCE
         if stopped or (reason < 0 and not stalled):
             failed = f"; {equations.failure()}" if equations.failed else ""
             why = f"{given_up or reason_name(Reason, reason)}, residual {last:.1e} of the forces"
@@ -398,6 +388,6 @@ def _largest(x: PETSc.Vec) -> float:
 
 
 def _stagnates(residuals: list[float]) -> bool:
-    """Whether the last steps have not reduced the residual."""
+    """Whether the last STAGNATION_STEPS steps have reduced the residual by less than a tenth."""
     before, last = residuals[:-STAGNATION_STEPS], residuals[-STAGNATION_STEPS:]
     return bool(before) and min(last) > 0.9 * min(before)

@@ -1,4 +1,4 @@
-"""The balance of forces of a step: the sum of its parts, the order of its unknowns, its tangent, its scale of forces."""
+"""Balance of forces of a step: the sum of its parts, the order of its unknowns, its tangent, its scale of forces."""
 
 from __future__ import annotations
 
@@ -35,33 +35,36 @@ DIFFERENT_PATTERN = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 
 class ForceScale:
-    """The forces that the residuals of a step are compared with, in each block of the unknowns.
+    """Reference forces for the residuals of a step, in each block of the unknowns.
 
-    A block is what can lose its balance by itself: the whole model, each piece of the bodies, and within it its nodes on
-    each seam. Norms (k,) of forces, stiffnesses and residuals are Euclidean, one for each block, that of the whole model
-    first. Rules:
+    A block is a set of unknowns that can be out of balance independently of the others. Blocks are the whole model,
+    each connected piece of the bodies, and the nodes of a piece on each seam. Norms (k,) of forces, stiffnesses and
+    residuals are Euclidean. They have one entry for each block, the whole model first. Rules:
 
-    1. Residuals in a block are relative to "the forces" on it: the largest of the loads, the forces of the stresses at the
-       last residual, and the residual at the start of the step.
-    2. If supports move stiff bodies, if loads end at zero, or if soft springs let stiff bodies move far, all forces may be
-       rounding errors. Therefore the forces have a lower bound: 1e-14 of stiffness times displacement, their rounding,
+    1. Residuals in a block are relative to "the forces" on it: the largest of the loads, the forces of the stresses at
+       the last residual, and the residual at the start of the step.
+    2. All forces may be rounding errors if supports move stiff bodies, loads end at zero, or soft springs let stiff
+       bodies move far. Therefore the forces have a lower bound: 1e-14 of stiffness times displacement, their rounding,
        divided by the 1e-6 of rule 5.
-    3. Solvers stop where the residual in each block is 1e-10 of the forces, or rounding of stiffness times displacement.
+    3. Solvers stop where the residual in each block is at most 1e-10 of the forces, or at most the rounding of
+       stiffness times displacement.
     4. A residual as small as the rounding of prescribed displacements is always allowed; no solver can reduce it.
-    5. A state is accepted with a residual of at most 1e-6 of the forces in each block, or at most that of rule 4.
+    5. A state is accepted with a residual of at most 1e-6 of the forces in each block, or at most the residual of rule
+       4.
 
-    Neither a factor common to all forces, such as a change of units, nor a rigid motion of supports and bodies changes a
-    relative residual.
+    Neither a factor common to all forces, such as a change of units, nor a rigid motion of supports and bodies changes
+    a relative residual.
 
     Args:
         stiffness: norms (k,) of the diagonal of the bodies' stiffness.
         cancelling: norm of the diagonal of the stiffness of springs that act on differences of displacements.
-        within: (k, k) sparse, the blocks that lie within each; forces on these have the rounding of those on the whole.
+        within: (k, k) sparse; entry (i, j) is 1 if block j lies within block i. The forces on j then have the rounding
+            of the forces on i.
 
     Attributes:
         stiffness: the argument.
         forces: (k,) the forces of rules 1 and 2 for the last residual.
-        displacement: largest displacement that is known: prescribed, of the state before, or of an elastic response.
+        displacement: largest known displacement: prescribed, of the previous state, or of an elastic response.
     """
 
     def __init__(self, stiffness: Array | float, cancelling: float = 0.0, within: Any = None) -> None:
@@ -73,9 +76,9 @@ class ForceScale:
         """Begin a step.
 
         Args:
-            loads: norms of the loads.
+            loads: norms (k,) of the loads.
             prescribed: largest displacement that supports prescribe.
-            moved: largest displacement of the state before.
+            moved: largest displacement of the previous state.
         """
         self._loads, self._unbalanced, self.displacement = (
             np.atleast_1d(loads),
@@ -86,15 +89,15 @@ class ForceScale:
         self.update_stresses(0.0)
 
     def start(self, unbalanced: Array) -> None:
-        """Take the norms of the residual at the start of the step; the step may have no other forces."""
+        """Set the norms (k,) of the residual at the start of the step, which may be the only forces of the step."""
         self._unbalanced = np.where(np.isfinite(unbalanced), unbalanced, 0.0)
 
     def move(self, elastic: float) -> None:
-        """Take the largest displacement of an elastic response; that of another iterate may be out of all proportion."""
+        """Include the largest displacement of an elastic response; other iterates may move far too much."""
         self.displacement = max(self.displacement, elastic)
 
     def update_stresses(self, stresses: Array | float) -> None:
-        """Take norms of the forces of the stresses at a new residual."""
+        """Update the forces with the norms (k,) of the forces of the stresses at a new residual."""
         rounding = ROUNDING_SHARE * self.stiffness * self.displacement
         self.least = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / STATE_TOLERANCE)
         self.forces = np.fmax(self.least, stresses)
@@ -102,7 +105,7 @@ class ForceScale:
             self.forces = np.maximum(self.forces, ROUNDING_SHARE / STATE_TOLERANCE * (self._within.T @ self.forces))
 
     def rounding(self, largest_displacement: float) -> Array:
-        """Rounding of the forces (k,)."""
+        """Rounding errors (k,) of the forces for a largest displacement."""
         return np.asarray(MACHINE_EPSILON * self._largest_stiffness * largest_displacement)
 
     def target(self, largest_displacement: float) -> Array:
@@ -116,25 +119,28 @@ class ForceScale:
         return np.maximum(STATE_TOLERANCE * self.forces, self._support_rounding)
 
     def relative(self, norms: Array) -> float:
-        """The largest of the norms of a residual divided by the forces on its block."""
+        """Largest ratio of the norms (k,) of a residual to the forces on their blocks."""
         return float((norms / np.maximum(self.forces, MIN_DIVISOR)).max())
 
 
 class PartSum:
-    """Parts of a balance of forces, added up. All methods are collective.
+    """Sum of the parts of a balance of forces. All methods are collective.
 
     Attributes:
         parts: the parts.
         traits: the traits of all parts together.
-        with_own: the parts with own unknowns.
+        with_own: the parts with unknowns of their own.
         depends_on_dt: whether the tangent depends on the length of the step.
         failed: number of points where parts failed in the last evaluation.
-        comm, bc_dofs, scale: communicator, held unknowns of this rank, and the forces that residuals are compared with, of
-            the equations of a step.
-        block_of: (n,) number >= 1 of the block of each of the first unknowns of this rank, see `ForceScale`.
-        n_blocks: number of blocks, the whole model's included.
-        within: (n_blocks, n_blocks) sparse, 1 for blocks that lie within another one, and for itself.
-        last_body: the last of the parts that are bodies; the norms of their forces are `of_bodies`.
+        comm, bc_dofs, scale: communicator, local numbers of the constrained unknowns of this rank, and the reference
+            forces for residuals, of the equations of a step.
+        block_of: (n,) block number >= 1 of each of the first n unknowns of this rank, see `ForceScale`. Further
+            unknowns count for the whole model only.
+        n_blocks: number of blocks, including the whole model.
+        within: (n_blocks, n_blocks) sparse; entry (i, j) is 1 if block j lies within block i, or is block i. The row
+            and column of the whole model are as in the identity.
+        last_body: the last of the parts that are bodies.
+        of_bodies: norms (k,) of the summed forces of the bodies in the last evaluation.
     """
 
     comm: MPI.Intracomm
@@ -157,33 +163,33 @@ class PartSum:
         self.depends_on_dt, self.failed = any(timed), 0
 
     def of_kind(self, kind: type[PartType]) -> list[PartType]:
-        """The parts of a kind."""
+        """The parts that are instances of a class."""
         return [part for part in self.parts if isinstance(part, kind)]
 
     def names_with_trait(self, trait: str) -> list[str]:
-        """Names of the laws, and of parts that are none, that have a trait."""
+        """Names of the laws, and of parts without a law, that have a trait."""
         return [name for part in self.parts for name, traits in part.named().items() if getattr(traits, trait)]
 
     def refuse(self, reasons: Mapping[str, str]) -> None:
-        """Raise InputError if a part has one of these traits, with the reason, in which {} is the part's name."""
+        """Raise InputError with the reason of a trait if a part has this trait; {} becomes the part's name."""
         for trait, reason in reasons.items():
             for name in self.names_with_trait(trait):
                 raise InputError(reason.format(name))
 
     def call_optional(self, name: str, *arguments: Any) -> list[Any]:
-        """What an optional method or attribute gives in each of the parts that have it, see `Part`."""
+        """Results of an optional method, or values of an optional attribute, of the parts that have it, see `Part`."""
         answers = [getattr(part, name) for part in self.parts if hasattr(part, name)]
         return [answer(*arguments) if callable(answer) else answer for answer in answers]
 
     # ---------------------------------------------------------------- a step
     @property
     def memory_at_rest(self) -> dict[str, Memory]:
-        """Memory at rest of the parts that have one, by key."""
+        """Memory at rest, by key, of the parts that have a memory."""
         return {part.key: rest for part in self.parts if (rest := part.rest()) is not None}
 
     @property
     def stresses_at_rest(self) -> dict[str, Array]:
-        """Stresses at rest, zero, of the parts whose stresses states keep, by key."""
+        """Zero stresses at rest, by key, of the parts whose stresses are stored in states."""
         return {
             part.key: np.zeros((len(rest), width))
             for part in self.parts
@@ -196,10 +202,11 @@ class PartSum:
             part.begin(interval)
 
     def forces(self, u: fem.Function, mid: fem.Function, out: PETSc.Vec, each: PETSc.Vec | None = None) -> list[float]:
-        """Evaluate all parts and write the sum of their nodal forces.
+        """Evaluate all parts and write the sum of their nodal forces into `out`.
 
         Returns:
-            The norms that the force scale shall know; given a vector `each` to work with, the norms of all parts' forces.
+            One norm for each part: the result of `Part.add_forces` or, with a work vector `each`, the norm of the
+                part's forces.
         """
         out.set(0.0)
         sizes = []
@@ -218,7 +225,7 @@ class PartSum:
         return sizes
 
     def failure(self) -> str:
-        """Text that says which part failed in the last evaluation and where; "" if none did."""
+        """Text that says which part failed in the last evaluation and where; "" if no part failed."""
         return next(filter(None, self.call_optional("failure")), "")
 
     def blocks(self, relative_residual: float = 0.0) -> list[Block]:
@@ -226,21 +233,21 @@ class PartSum:
         return [block for part in self.parts for block in part.tangents(relative_residual)]
 
     def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
-        """Blocks of the parts that resist rigid motions, by more than forces that are `rounding` at their nodes."""
+        """Blocks of the parts that resist rigid motions with forces larger than `rounding` at their nodes."""
         parts = [part for part in self.parts if not part.traits.inner]
         return [block for part in parts for block in part.resisting(relative_residual, rounding)]
 
     @property
     def excess(self) -> float:
-        """Largest gain of energy if a column changed its phase; <= 0: no column gains."""
+        """Largest gain of energy by a change of phase of a column; <= 0 if no column gains energy."""
         return max([-np.inf, *self.call_optional("excess")])
 
     def switch(self) -> bool:
-        """Change columns to the phases of lowest energy in the last evaluation. True if any column changes."""
+        """Change columns to the phases of lowest energy in the last evaluation; return whether any column changes."""
         return any(self.call_optional("switch"))
 
     def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, StepOutcome], Configuration]:
-        """End the step in all parts, at displacements u of the last evaluation: energies by key, new configuration."""
+        """End the step at displacements u of the last evaluation; return the parts' outcomes and the configuration."""
         outcomes = {part.key: part.commit() for part in self.parts}
         memory = {key: outcome.memory for key, outcome in outcomes.items() if outcome.memory is not None}
         if lost := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
@@ -252,7 +259,7 @@ class PartSum:
 
     # ---------------------------------------------------------------- tests of balance
     def norms(self, values: Array) -> Array:
-        """Norms (k,) of forces on the unknowns of this rank: on all of them, then on each block."""
+        """Norms (k,) of forces on the unknowns of this rank: first on all of them, then on each block."""
         squares = values * values
         sums = np.bincount(self.block_of, squares[: len(self.block_of)], self.n_blocks)
         sums = sums if self.within is None else self.within @ sums
@@ -260,13 +267,13 @@ class PartSum:
         return np.sqrt(self.comm.allreduce(sums))
 
     def residual_norms(self, r: PETSc.Vec) -> Array:
-        """Norms (k,) of a residual, over the unknowns that are not held."""
+        """Norms (k,) of a residual over the unknowns that are not constrained."""
         free = r.array_r.copy()
         free[self.bc_dofs] = 0.0
         return self.norms(free)
 
     def relative(self, r: PETSc.Vec) -> float:
-        """The largest norm of a residual relative to the forces on its block."""
+        """Largest norm of a residual relative to the forces on its block."""
         return self.scale.relative(self.residual_norms(r))
 
     def target(self, x: PETSc.Vec) -> Array:
@@ -278,9 +285,9 @@ class PartSum:
         return bool((self.residual_norms(r) <= self.target(x)).all())
 
     def require_equilibrium(self, r: PETSc.Vec) -> None:
-        """Raise SolveError unless a residual is small against the forces in each block.
+        """Raise SolveError unless a residual is small relative to the forces in each block.
 
-        PETSc options do not change this test, so a solver that stopped too early is noticed here.
+        PETSc options do not change this test, so that it detects a solver that stopped too early.
         """
         norms, scale = self.residual_norms(r), self.scale
         if (norms <= scale.allowed).all():
@@ -294,7 +301,7 @@ class PartSum:
 
 # ---------------------------------------------------------------- unknowns and tangent
 class UnknownLayout:
-    """The unknowns of this rank, field after field. Collective.
+    """Order of the unknowns of this rank: field after field. Collective.
 
     Args:
         comm: communicator.
@@ -309,11 +316,11 @@ class UnknownLayout:
         self._ends = np.cumsum([*self.sizes.values()])
 
     def vector(self) -> PETSc.Vec:
-        """A vector of unknowns, zero."""
+        """New zero vector of unknowns."""
         return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
 
     def split(self, values: Array) -> dict[str, Array]:
-        """The unknowns of this rank, split by key; the arrays are views."""
+        """Values of the unknowns of this rank by key of their field; the arrays are views."""
         return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
 
     def put(self, x: PETSc.Vec) -> None:
@@ -322,20 +329,20 @@ class UnknownLayout:
             set_owned_values(self.fields[key], values)
 
     def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
-        """A matrix of displacements on all unknowns, the others as they are; None of None."""
+        """Extend a matrix T of displacements by the identity on all other unknowns; None stays None."""
         if T is None or len(self.sizes) == 1:
             return T
         others = _diagonal_matrix(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENT_KEY], 1.0)
         return block_matrix([[T, None], [None, others]], self.comm)
 
     def rows(self, local: Indices) -> npt.NDArray[PETSc.IntType]:
-        """Global numbers of unknowns of this rank."""
+        """Global numbers of unknowns of this rank, from local numbers."""
         n = int(self._ends[-1])
         return (self.comm.scan(n) - n + local).astype(PETSc.IntType)
 
 
 class TangentMatrix:
-    """A matrix of sums of blocks; every `fill` writes into the same matrix. Collective.
+    """Matrix whose blocks are sums of matrices of parts; every `fill` writes into the same matrix. Collective.
 
     Args:
         comm: communicator.
@@ -351,7 +358,7 @@ class TangentMatrix:
         self._whole: PETSc.Mat | None = None
 
     def fill(self, blocks: Sequence[Block]) -> PETSc.Mat:
-        """The matrix of these blocks; no entries may lie outside those of the first call. Destroys blocks not kept."""
+        """Return the matrix of these blocks, whose pattern the first call fixes; destroy blocks not kept."""
         places: dict[tuple[str, str], list[Block]] = {}
         for block in blocks:
             places.setdefault((block.row, block.column), []).append(block)
@@ -374,7 +381,7 @@ class TangentMatrix:
         A.scale(blocks[0].factor)
         for block in blocks[1:]:
             A.axpy(block.factor, block.matrix, DIFFERENT_PATTERN)
-        if len(blocks) > 1:  # PETSc's own LU finds zero pivots in what axpy has merged, none in a copy
+        if len(blocks) > 1:  # PETSc's own LU finds zero pivots in a matrix merged by axpy, but not in its copy
             A = A.copy()
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self._sums[place] = A
@@ -401,20 +408,19 @@ class TangentMatrix:
 def augmented_in_place(
     comm: MPI.Intracomm, K: PETSc.Mat, others: Sequence[Block], bc_rows: npt.NDArray[Any], value: float
 ) -> Iterator[PETSc.Mat]:
-    """In a `with` block K itself is its sum with other blocks, with supports: a copy would take as much memory again.
+    """Within a `with` block, turn K into its sum with other blocks, with Dirichlet conditions applied. Collective.
 
-    Collective.
+    K is changed in place, because a copy would need the same memory again.
 
     Args:
         comm: communicator.
         K: a matrix with symmetric pattern; after the block its entries are the same as before.
-        others: the other blocks; those not kept are destroyed.
-        bc_rows: rows and columns that become those of `value` times the identity.
-        value: of the diagonal in these rows.
+        others: the other blocks; blocks not kept are destroyed.
+        bc_rows: rows and columns to replace by `value` times the identity.
+        value: the diagonal entry of these rows.
     """
-    submatrix = K.createSubMatrix(
-        _block_indices(K, bc_rows)
-    )  # its columns are rows with held columns: the pattern is symmetric
+    # as the pattern is symmetric, the columns of these rows are the rows with entries in constrained columns
+    submatrix = K.createSubMatrix(_block_indices(K, bc_rows))
     columns = np.unique(submatrix.getValuesCSR()[1])
     submatrix.destroy()
     rows = [bc_rows, send(comm, np.searchsorted(K.getOwnershipRanges(), columns, "right") - 1, columns)]
@@ -441,9 +447,9 @@ def augmented_in_place(
 
 
 def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: npt.NDArray[Any]) -> bool:
-    """Whether all entries of a matrix have places in rows of another one, given by their numbers. Collective."""
+    """Whether all entries of `part` have places in `rows`, the rows `numbers` of another matrix. Collective."""
     pattern, allowed = local_csr(part)[numbers - part.getOwnershipRange()[0]], local_csr(rows)
-    pattern.data[:], allowed.data[:] = 1.0, 1.0  # entries may be zero
+    pattern.data[:], allowed.data[:] = 1.0, 1.0  # stored entries may be zero
     return bool(comm.allreduce(pattern.multiply(allowed).nnz == pattern.nnz, MPI.LAND))
 
 
@@ -452,12 +458,12 @@ def _block_indices(A: PETSc.Mat, rows: npt.NDArray[Any]) -> PETSc.IS:
 
 
 def block_matrix(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:
-    """One matrix of blocks; on each rank rows and columns of the first block come first, then those of the next."""
+    """One matrix of blocks; on each rank, rows and columns are in the order of the blocks."""
     return PETSc.Mat().createNest(blocks, comm=comm).convert("aij", PETSc.Mat())
 
 
 def _diagonal_matrix(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:
-    """A diagonal matrix with n rows on this rank, which stores zeros too: `zeroRowsColumns` needs stored entries."""
+    """Diagonal matrix with n rows on this rank; zeros are stored too, as `zeroRowsColumns` needs stored entries."""
     places = np.arange(n + 1, dtype=PETSc.IntType)
     csr = places, (comm.scan(n) - n + places[:-1]).astype(PETSc.IntType), np.full(n, value)
     return PETSc.Mat().createAIJ(((n, None), (n, None)), csr=csr, comm=comm)

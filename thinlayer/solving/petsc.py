@@ -1,6 +1,7 @@
-"""PETSc's options, with errors for those that no solver reads, its solves, and functions of it that petsc4py lacks.
+"""PETSc options, with errors for options that no solver reads; PETSc solves; functions that petsc4py lacks.
 
-- `schur_complement` and `keep_unknowns`: MUMPS's Schur complement. Without it a bar of 256 squares takes 514 solves more.
+- `schur_complement` and `keep_unknowns`: MUMPS's Schur complement. Without it a bar of 256 squares takes 514 solves
+  more.
 - `was_read`: whether PETSc has read an option. Without it misspelt options would be ignored silently.
 """
 
@@ -26,9 +27,8 @@ PREFIX = "thinlayer_"
 OPTION_ERROR_CODES = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
 Options = Mapping[str, OptionValue]  # names without the prefix -> values
-_DEFAULT_NAMES: set[str] = (
-    set()
-)  # names, without the prefix, of the options that `default_options` has put into PETSc's database
+# names, without the prefix, of the options that `default_options` has put into PETSc's database
+_DEFAULT_NAMES: set[str] = set()
 C_POINTER = ctypes.c_void_p
 C_ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code
     "PetscOptionsUsed": (C_POINTER, ctypes.c_char_p, C_POINTER),
@@ -42,7 +42,7 @@ C_ARGUMENTS = {  # name of a function -> types of its arguments; all functions r
 
 @contextmanager
 def default_options(options: Options) -> Iterator[None]:
-    """Within a `with` block, PETSc's database has these options under our prefix, unless the user has set them."""
+    """Within a `with` block, set these options under our prefix in PETSc's database, unless the user has set them."""
     database = PETSc.Options()
     theirs = database.getAll()  # hasName would mark the option as read
     ours = {PREFIX + name: value for name, value in options.items() if PREFIX + name not in theirs}
@@ -58,7 +58,7 @@ def default_options(options: Options) -> Iterator[None]:
 
 
 def options_set() -> dict[str, str]:
-    """The options under our prefix in PETSc's database, by their names without it."""
+    """The options under our prefix in PETSc's database, by name without the prefix."""
     options = PETSc.Options().getAll().items()
     return {name.removeprefix(PREFIX): value for name, value in options if name.startswith(PREFIX)}
 
@@ -80,7 +80,7 @@ def database_options() -> str:
 
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:
-    """Raise InputError if the last solve has not read all options that the user has set; ours may stay unread."""
+    """Raise InputError unless the last solve has read all options that the user has set; `ours` may stay unread."""
     theirs = options_set().keys() - _DEFAULT_NAMES.intersection(ours)
     if names := sorted(name for name in theirs if not was_read(PREFIX + name)):
         listed = ", ".join(f"-{PREFIX}{name}" for name in names)
@@ -90,7 +90,7 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
 
 @contextmanager
 def chosen_options(ours: Options, user_options: Options | None = None) -> Iterator[None]:
-    """Within a `with` block, PETSc's database has our options, and those of a script, which override them.
+    """Within a `with` block, set our options in PETSc's database, and the options of a script, which override ours.
 
     Raises:
         InputError: PETSc does not take the value of one of the user's options.
@@ -112,7 +112,7 @@ def chosen_options(ours: Options, user_options: Options | None = None) -> Iterat
 
 @cache
 def c_function(name: str) -> Any:
-    """The function of this name, one of ARGUMENTS.
+    """PETSc's C function with a name of `C_ARGUMENTS`.
 
     Raises:
         ImportError: the library of this PETSc has no such function.
@@ -139,13 +139,13 @@ def was_read(option: str) -> bool:
 
 
 def keep_unknowns(factor: PETSc.Mat, unknowns: npt.NDArray[Any]) -> None:
-    """Tell a factor, before the factorisation, which unknowns (c,) to keep: it then computes their Schur complement."""
+    """Set, before the factorisation, which unknowns (c,) a factor keeps: it then computes their Schur complement."""
     places = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
     _checked_call("MatFactorSetSchurIS", factor.handle, places.handle)
 
 
 def schur_complement(factor: PETSc.Mat, c: int) -> Array:
-    """Copy (c, c) of the Schur complement of the c unknowns that a Cholesky factor keeps; its upper triangle is set."""
+    """Copy (c, c) of the Schur complement of the c kept unknowns of a Cholesky factor; its upper triangle is set."""
     out = np.empty((c, c))
     dense = PETSc.Mat().createDense((c, c), array=out.T, comm=PETSc.COMM_SELF)  # PETSc stores columns
     inside, status = C_POINTER(), ctypes.c_int()
@@ -156,18 +156,18 @@ def schur_complement(factor: PETSc.Mat, c: int) -> Array:
 
 
 def faster_products(*, serial: bool) -> AbstractContextManager[None]:
-    """Within a `with` block, PETSc computes A P before P^T A P: less time, more memory."""
+    """Within a `with` block, PETSc computes A P before P^T A P if `serial`: less time, more memory."""
     return _products({"matptap_via": "rap"} if serial else {})
 
 
 def lean_products() -> AbstractContextManager[None]:
-    """Within a `with` block, PETSc frees what would make a product anew from other values; it cannot be made anew then."""
+    """Within a `with` block, PETSc frees the data that are needed to compute a product again with other values."""
     return _products({"mat_product_clear": True})
 
 
 @contextmanager
 def _products(options: dict[str, OptionValue]) -> Iterator[None]:
-    """Within a `with` block, products have options that PETSc reads without a prefix, unless the user has set them."""
+    """Within a `with` block, set options of products (read without a prefix), unless the user has set them."""
     database = PETSc.Options()
     ours = [name for name in options if not database.hasName(name)]
     for name in ours:
@@ -180,11 +180,11 @@ def _products(options: dict[str, OptionValue]) -> Iterator[None]:
 
 
 def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
-    """Turn A, or another matrix, into A in blocks, which multiply faster; PETSc's own conversion is slower."""
+    """Convert A, in place or in `into`, to blocks, which multiply faster; PETSc's own conversion is slower."""
     indptr, indices, values = A.getValuesCSR()
     d, shape = A.getBlockSize(), (A.getLocalSize()[0], A.getSize()[1])
     blocks = scipy.sparse.csr_matrix((values, indices, indptr), shape=shape, copy=False).tobsr((d, d))
-    del indptr, indices, values  # which are copies
+    del indptr, indices, values  # they are copies, and take memory
     csr = (*(a.astype(PETSc.IntType, copy=False) for a in (blocks.indptr, blocks.indices)), blocks.data)
     target = into or A
     target.setSizes(A.getSizes(), d)
@@ -194,7 +194,7 @@ def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
 
 
 def set_residual(pc: PETSc.PC, level: int, A: PETSc.Mat) -> None:
-    """Let a level of multigrid compute residuals with A."""
+    """Set the matrix with which a level of multigrid computes residuals."""
     _checked_call("PCMGSetResidual", pc.handle, level, None, A.handle)
 
 
@@ -202,8 +202,8 @@ def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
     """Solve A x = b. Collective.
 
     Raises:
-        PETSc.Error: PETSc, or a library that it calls, has failed. Do not use the solver again: its vectors stay locked. b
-            is unchanged.
+        PETSc.Error: PETSc, or a library that it calls, has failed. Do not use the solver again: its vectors stay
+            locked. b is unchanged.
     """
     ksp.solve(b.copy(), x)  # PETSc leaves the right-hand side locked after an error
 
@@ -211,15 +211,15 @@ def solve_linear(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
 def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec) -> None:
     """Solve from x, in place, by an SNES. Collective.
 
-    After an error PETSc leaves vectors locked for ever: the solution's after one in a function that it has called, the
-    residual's after one in a linear solve. Therefore it gets a copy of x, and after an error the SNES goes.
+    After an error PETSc leaves a vector locked for ever: the solution, if a function that it called has failed, or the
+    residual, if a linear solve has failed. Therefore the SNES gets a copy of x, and is destroyed after an error.
 
     Args:
         snes: the solver.
         x: unknowns; unchanged after an error.
 
     Raises:
-        Exception: what a function that PETSc has called raises. PETSc.Error: PETSc itself has failed.
+        Exception: an error of a function that PETSc has called. PETSc.Error: PETSc itself has failed.
     """
     inside = x.copy()
     try:

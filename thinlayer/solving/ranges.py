@@ -1,4 +1,4 @@
-"""Tests of whether a model and its results lie in the range of its interface law; a RangeWarning says where not."""
+"""Tests whether a model and its results are within the range of its interface law, with a RangeWarning if not."""
 
 from __future__ import annotations
 
@@ -33,21 +33,20 @@ from thinlayer.surface.pressure_excess import (
 )
 from thinlayer.surface.surface_mesh import surface_of
 
-LOCKING_NU = 0.45  # Poisson's ratio above which bodies in elements of degree 1 are told to lock
+LOCKING_NU = 0.45  # Poisson's ratio above which a warning says that elements of degree 1 lock
 MIN_OVERLAP = 2.0  # least closing, relative to the thickness, that leads to a warning; the bodies overlap from 1 on
-CORNER_ANGLE = 0.25  # largest angle, in rad, between a facet and the mean of its neighbours that is not a corner of S
-MAX_SMALL_STRAIN = 0.1  # root mean square over a body, beyond which changes of shape are no longer small
-MAX_STEP_ERROR = 0.05  # of steps over one own time of a law, in shares of what creeps or relaxes
-MIN_SPRING_SHARE = 0.05  # share of the load that parallel springs carry, from which on they change results visibly
-SLENDERNESS = 10.0  # length of S over the height of both bodies, from which on these are plates that may bend
-MIN_STEP_RATIO = 1e-9  # step over the time of a law whose error is far below all others, and lost in rounding
-CAVITATION_STRESS_RATIO = (
-    2.5  # mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
-)
+CORNER_ANGLE = 0.25  # angle, in rad, between a facet and the mean of its neighbours above which S has a corner
+MAX_SMALL_STRAIN = 0.1  # largest root mean square strain of a body that counts as small
+MAX_STEP_ERROR = 0.05  # largest error of steps over one time constant of a law, relative to the creep or relaxation
+MIN_SPRING_SHARE = 0.05  # share of the load in parallel springs above which they change results visibly
+SLENDERNESS = 10.0  # length of S over the height of both bodies above which these are plates that may bend
+MIN_STEP_RATIO = 1e-9  # step over a time constant of a law below which its error is lost in rounding
+# mean stress over the shear modulus at which small holes in rubber grow (Gent and Lindley 1959)
+CAVITATION_STRESS_RATIO = 2.5
 
 
 def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
-    """Warn, once, of an interface model that lies outside the range of its law, before it is solved. Collective.
+    """Warn once, before a solve, of elements that lock and of interface models outside their range. Collective.
 
     Args:
         model: the model.
@@ -82,7 +81,7 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
 
 
 def _model_remarks(model: Model, layer: SeamLayer, lasting: Sequence[float]) -> Iterator[Remark]:
-    """What a model tells of a layer, before it is solved."""
+    """Warnings about a layer that follow from the model alone, before it is solved."""
     sublayers = resting_sublayers(layer)
     yield from _facet_remarks(model, layer)
     if not acts_as_springs(sublayers):
@@ -94,13 +93,13 @@ def _model_remarks(model: Model, layer: SeamLayer, lasting: Sequence[float]) -> 
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
-    """Warn of results that lie outside the range of small strains or of interface laws, once for all. Collective.
+    """Warn, once for all states, of results outside the range of small strains or of interface laws. Collective.
 
-    What was said of the same time is not said again.
+    Warnings already issued for the same time are not repeated.
 
     Args:
-        states: of one model.
-        start: time since which loads last; None if they are sudden at every state.
+        states: states of one model.
+        start: time since which the loads last; None if they are sudden at every state.
     """
     if not states:
         return
@@ -126,13 +125,13 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
 
 
 def warn_of_strains(states: Sequence[State]) -> None:
-    """Warn where strains of bodies that are not linear exceed `MAX_SMALL_STRAIN`, once for all states. Collective.
+    """Warn, once for all states, if strains of non-linear bodies exceed `MAX_SMALL_STRAIN`. Collective.
 
-    The root mean square over a body is tested, because at single places, such as corners, strains are large in any case.
-    Linear bodies are not tested: their results are proportional to loads of any size.
+    The root mean square over a body is tested, because at single places, such as corners, strains are large in any
+    case. Linear bodies are not tested: their results are proportional to loads of any size.
 
     Args:
-        states: of one model.
+        states: states of one model.
     """
     if not states:
         return
@@ -158,11 +157,12 @@ def warn_of_strains(states: Sequence[State]) -> None:
 
 
 def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | None) -> Iterator[Remark]:
-    """What states tell of a layer."""
+    """Warnings about a layer that follow from states."""
     model, sublayers = states[0].model, resting_sublayers(layer)
     if not (model.linear or acts_as_springs(sublayers)):
-        # the mean over S, as jumps are large at single places in any case; not from 1 on, because under one load jumps
-        # stay as the thickness tends to zero; not of linear models, whose results are proportional to loads of any size
+        # The mean over S is tested, as jumps are large at single places in any case. The limit is above 1, because
+        # under the same load jumps do not vanish with the thickness. Linear models are not tested: their results are
+        # proportional to loads of any size.
         closings = [FaceDisplacements.of(state, layer).mean_closing for state in states]
         if max(closings) > MIN_OVERLAP:
             faces = FaceDisplacements.of(states[int(np.argmax(closings))], layer)
@@ -179,22 +179,22 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
 
 
 def _jumps_tell_more(layer: SeamLayer, sublayers: list[RestingSublayer]) -> bool:
-    """Whether jumps say more of the pressure than free ends do, so that one warning is enough."""
+    """Whether jumps test the pressure of a layer better than its free ends do, so that one warning is enough."""
     of_one = layer.law.traits.linear and not layer.remembers and len(sublayers) == 1
     return of_one and sublayers[0].length < math.inf
 
 
 def _strain_layers(model: Model) -> list[SeamLayer]:
-    """The layers of an interface model whose laws are of strains, several times where parameters are functions."""
+    """Layers of an interface model whose laws depend on strains; several samples if parameters are functions."""
     return [s for layer in model.layers.values() if layer.thin_layer for s in layer.samples] if model.broken else []
 
 
 def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
-    """Slip along straight facets of a curved S that is resisted by the angles between the facets.
+    """Warning if straight facets of a curved S resist slip by the angles between them.
 
     A slip w opens the layer by w . (N - n), with the facet's normal n and the mean normal N of its neighbours at each
-    vertex. This adds the normal stiffness times the mean of |N - n|^2 to the tangential one. Angles above CORNER_ANGLE
-    are corners of S.
+    vertex. This adds the normal stiffness times the mean of |N - n|^2 to the tangential stiffness. Angles above
+    CORNER_ANGLE are corners of S.
     """
     if model.joint.degree > 1 or model.joint.planar:
         return
@@ -214,14 +214,13 @@ def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
 
 
 def _thickness_remarks(model: Model, seam_layer: SeamLayer, sublayers: list[RestingSublayer]) -> Iterator[Remark]:
-    """A layer thicker than a body, whose law is the start of a series in eps over its stresses' length; or a harder one.
+    """Warnings about a layer that is thicker than a body, harder than a body, or between plates that bend.
 
-    Order 0 leaves eps grad_S <u>, about eps t/E_body, out of a jump of about eps t/E_layer.
+    The law of a layer is the start of a series in eps over the length scale of its stresses. Order 0 neglects eps
+    grad_S <u>, about eps t/E_body, in a jump of about eps t/E_layer.
     """
-    height, layer = (
-        on_root(model.comm, lambda: min(seam_layer.sheet.heights)),
-        seam_layer.thin_layer,
-    )  # they take memory of all cells
+    # on one rank, as heights need memory for all cells
+    height, layer = on_root(model.comm, lambda: min(seam_layer.sheet.heights)), seam_layer.thin_layer
     assert layer
     if layer.eps > height:
         what = f"{seam_layer} is {layer.eps:.4g} thick, the thinner body {height:.4g} high"
@@ -247,7 +246,8 @@ def _thickness_remarks(model: Model, seam_layer: SeamLayer, sublayers: list[Rest
         and length > SLENDERNESS * 2 * mean
         and softest > 0
     ):
-        # two beams of one height under a half-wave of load; as one the lever of their forces is mean, not mean + eps
+        # two beams of equal height under a half-wave of load; without the thickness the lever of their forces is mean,
+        # not mean + eps
         slip = 2 * jump_stiffness(seam_layer)[1] * (length / math.pi) ** 2 / (softest * mean)
         error = 6 * slip / (1 + 4 * slip) * layer.eps / mean
         if error > MIN_STIFFNESS_ERROR / 2:
@@ -258,7 +258,7 @@ def _thickness_remarks(model: Model, seam_layer: SeamLayer, sublayers: list[Rest
 def _largest_tension(reduction: Applicability, state: State) -> float:
     """Largest pressure p (tension > 0) of a layer over its shear modulus, at the vertices of S. Collective.
 
-    0 if it has none that flows, or none that pulls.
+    It is 0 for a layer without pressure flow, and without tension.
     """
     p = state.fields.get(reduction.seam_layer.pressure_key) if reduction.seam_layer.has_pressure_flow else None
     if p is None:
@@ -271,9 +271,10 @@ def _largest_tension(reduction: Applicability, state: State) -> float:
 
 # ---------------------------------------------------------------- times of laws
 def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: float) -> None:
-    """Warn if planned steps are not well below the times of a law, before they are made. Collective.
+    """Warn, before a march, if planned steps are not well below a time constant of a law. Collective.
 
-    Steps count that begin within this time of the start or of a break of the data: later ones follow what is slow.
+    Only steps that begin within this time constant after the start or a break of the data are tested. Later steps
+    follow slow changes.
     """
     begun = [start, *(t for t in model.break_times if t > start)]
     steps = (
@@ -291,20 +292,20 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
 
 
 def warn_of_no_time(model: Model) -> None:
-    """Warn that a solve gives what a law that relaxes answers at once. Collective."""
+    """Warn that `solve` gives the instantaneous response of a law that relaxes. Collective."""
     for name, tau in _law_times(model)[:1]:
         what = f"{name} relaxes with the time {tau:.3g}, and a solve knows no time: this is the answer to sudden loads"
         model.warn("no time", f"{what} just after they have come; for a later one march(model, times), or give times")
 
 
 def _law_times(model: Model) -> list[tuple[str, float]]:
-    """Names of laws with a time each, where parameters are numbers."""
+    """Pairs of a law's name and one of its time constants, for laws whose parameters are numbers."""
     laws = [*model.body_laws.values(), *(law for layer in model.layers.values() for _, law in layer.law.sublayers)]
     return [(type(law.in_space).__name__, float(tau)) for law in laws if not law.fields for tau in law.own_times]
 
 
 def _step_error(x: float, theta: float) -> float:
-    """Error of exp(-t/tau) after about tau in steps x tau of the scheme."""
+    """Error of exp(-t/tau) at about t = tau, for steps of length x tau of the time scheme."""
     if x < MIN_STEP_RATIO:
         return 0.0
     n = max(1, round(1 / x))

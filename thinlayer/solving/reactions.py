@@ -1,4 +1,4 @@
-"""What holds a model: the forces and moments of supports, plates and rigid bases; whether every body is held."""
+"""Reactions of supports, plates and rigid bases, and the test whether every body is supported."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from thinlayer.errors import LooseBody
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, Part, TimeStep
 from thinlayer.system.ranks import destroy
 
-# Largest eigenvalue of a motion that supports allow, relative to the largest one, of the Gram matrix of the motions at
-# supports.
+# Supports allow a motion if its eigenvalue of the Gram matrix of motions at supports is at most this, relative to the
+# largest eigenvalue.
 ALLOWED_MOTION = 1e-10
-# Least stiffness against a rigid motion, relative to that of the bodies. Rounding of the forces moves a body by eps over
-# this ratio, relative to the displacements: here by a thousandth.
+# Least stiffness against a rigid motion, relative to the stiffness of the bodies. Rounding of the forces moves a body
+# by the machine epsilon over this ratio, relative to the displacements: here by a thousandth.
 RESISTED_MOTION = 1e3 * np.finfo(float).eps
 INDEPENDENCE_TOLERANCE = 1e-6  # least singular value of motions of a piece that are independent of each other
 
 
 class SupportReactions:
-    """Resultants of the forces of `Model.holders`. All methods are collective.
+    """Resultants of the reactions of `Model.holders`. All methods are collective.
 
     Args:
         model: the model.
@@ -46,16 +46,17 @@ class SupportReactions:
         self.model, self.parts = model, parts
 
     def _motions(self, rows: npt.NDArray[Any]) -> Array:
-        """The motions of `rigid` (m, k) in some displacements of this rank."""
+        """Values (m, k) of the k rigid motions about `Model.centre` at m displacements `rows` of this rank."""
         return motion_values(self.model.places, self.model.centre, rows)
 
     def at_end(self, r: PETSc.Vec, interval: TimeStep, loads_at: Callable[[float], PETSc.Vec]) -> Array:
         """Forces and moments (n, k) at the end of a step, about `Model.centre`.
 
-        They are linear in the forces of the step: what balances within it is the mean of the step's two ends.
+        The reactions in the balance of the step are a weighted mean: 1 - theta times the reactions at its beginning,
+        plus theta times the reactions at its end.
 
         Args:
-            r: nodal forces of the last evaluation of the parts, less loads.
+            r: nodal forces of the last evaluation of the parts, minus loads.
             interval: the step.
             loads_at: nodal forces of the loads at a time, a new vector.
         """
@@ -69,12 +70,12 @@ class SupportReactions:
         return np.asarray((now - (1 - theta) * before) / theta)
 
     def _of_ties(self, new: float, old: float, theta: float) -> Array:
-        """Given nodal forces of ties where forces balance, which are no reactions."""
+        """Loads (n,) on multi-point constraints in the balance of a step; they are not reactions."""
         loads = [share * self.model.constraints.loads_at(t) for t, share in ((new, theta), (old, 1 - theta)) if share]
         return np.asarray(sum(loads))
 
     def _resultants(self, r: PETSc.Vec, of_ties: Array, *, layers: bool = True) -> Array:
-        """Forces and moments for nodal forces r less loads; of layers on bases if asked for."""
+        """Forces and moments (n, k) of nodal forces r minus loads; of layers on rigid bases zero unless `layers`."""
         model, constraints = self.model, self.model.constraints
         by_supports = constraints.support_forces(r.array_r)
         rows = [constraints.of_supports(by_supports, self._motions)]
@@ -87,7 +88,7 @@ class SupportReactions:
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))
 
     def _of_layer(self, key: str, like: PETSc.Vec) -> Array:
-        """Force and moment (k,) on this rank of a layer in the last evaluation, its sublayers and pressure included."""
+        """This rank's force and moment (k,) of a layer in the last evaluation, with its sublayers and pressure."""
         starts = (f"{key}/", f"{key} ") if len(self.model.joint.seams) == 1 else (f"{key}/",)
         forces = like.duplicate()
         forces.set(0.0)
@@ -122,10 +123,11 @@ class RigidMotions:
 
     @cached_property
     def blocks(self) -> tuple[IntArray, scipy.sparse.csr_matrix]:
-        """(n,) numbers >= 1 of the blocks of this rank's displacements, for `ForceScale`, and which are within others.
+        """(n,) block number >= 1 of each displacement of this rank, and the blocks within others, see `ForceScale`.
 
-        A block is a piece of the bodies, and within it its nodes on S, seam by seam; or all meshed layers with their nodes
-        on the bodies, whose forces they bear. They are within each piece, which may have no other forces.
+        A block is a connected piece of the bodies, or its nodes on one seam, or all meshed layers. Meshed layers
+        include their nodes on the bodies, whose forces they bear. They count as within each piece, because a piece may
+        have no other forces.
         """
         model, V, joint = self.model, self.model.V, self.model.domain.joint
         pieces = (model.split_mesh if joint.band is None else cut_at_faces(joint)).pieces
@@ -134,7 +136,7 @@ class RigidMotions:
         in_layer = np.isin(
             joint.region, [joint.regions.index(name) for name in joint.band.regions] if joint.band else []
         )
-        pieces = np.where(in_layer, pieces[in_layer].min(initial=count), pieces)  # layers that meet are one
+        pieces = np.where(in_layer, pieces[in_layer].min(initial=count), pieces)  # all layers are one block
         of_cells = model.domain.on_cells(pieces)[: len(dofs)]
         for cells in (~in_layer, in_layer):
             here = model.domain.on_cells(cells)[: len(dofs)]
@@ -151,12 +153,13 @@ class RigidMotions:
         return 1 + np.searchsorted(every, of), scipy.sparse.block_diag([1.0, inside], format="csr")
 
     def _motions(self, rows: npt.NDArray[Any]) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-        """Motions (n, c), sparse: those of pieces in turn, then of plates, with those parts that supports prevent left out.
+        """Sparse motions (n, c) of pieces, then of plates, without components that supports prevent; and a matrix.
 
-        The second value, (c, c), is zero for sums of these that supports allow.
+        The matrix (c, c) is zero for combinations of motions that supports allow, see `Constraints.admissible`.
 
         Args:
-            rows: displacements of this rank, ascending, that get values; all do if constraints relate them.
+            rows: displacements of this rank, ascending, at which motions are evaluated; all, if constraints relate
+                them.
         """
         model, constraints = self.model, self.model.constraints
         n, rows = constraints.n, rows if constraints.T is None else np.arange(constraints.n)
@@ -169,7 +172,7 @@ class RigidMotions:
 
     @cached_property
     def _allowed(self) -> scipy.sparse.csc_matrix:
-        """(c, k) the motions that supports allow, as sums of `_motions`."""
+        """(c, k) coefficients, in the motions of `_motions`, of the k motions that supports allow."""
         gram = self._motions(np.unique(self.model.constraints.prescribed.conditions.indices))[1]
         each, touched = scipy.sparse.eye(gram.shape[0], format="csc"), gram.diagonal() > 0
         values, vectors = np.linalg.eigh(gram[touched][:, touched].toarray())
@@ -179,7 +182,7 @@ class RigidMotions:
         )
 
     def require_resisted(self, blocks: Sequence[Block]) -> None:
-        """Raise LooseBody if blocks of a tangent do not resist a motion that supports allow; destroys those not kept."""
+        """Raise LooseBody if tangent blocks do not resist a motion that supports allow; destroy blocks not kept."""
         allowed, comm = self._allowed, self.model.comm
         stiffness = scipy.sparse.csc_matrix((allowed.shape[0],) * 2)
         for block in blocks if allowed.shape[1] else ():
@@ -203,9 +206,9 @@ class RigidMotions:
         raise LooseBody(reason, motion, advice="add supports, or give the layer's law a stiffness in this direction")
 
     def _described(self, motions: Array) -> str:
-        """Words for the motions (pieces times per, k) of the piece that moves most in the last one."""
+        """Text on how the piece that moves most in the last of k motions can move; rows as in `_motions`."""
         d, pieces = self.model.joint.dim, len(self._names)
-        each = motions[: pieces * self._per].reshape(pieces, self._per, -1)  # those of plates come last
+        each = motions[: pieces * self._per].reshape(pieces, self._per, -1)  # motions of plates come last
         k = int(np.abs(each[..., -1]).max(axis=1).argmax())
         axes, shift = [*self.model.kinematics.translations(d)], np.zeros(d)
         shift[axes], turn = np.split(each[k, :, -1], [len(axes)])
@@ -226,7 +229,7 @@ class RigidMotions:
 
 
 def _is_definite(A: scipy.sparse.csc_matrix, least: float) -> bool:
-    """Whether all eigenvalues of the symmetric part of a matrix are larger, and so its singular values; or it has NaNs."""
+    """Whether all eigenvalues of the symmetric part of A, and so its singular values, exceed `least`; or A has NaNs."""
     if not np.isfinite(A.data).all():
         return True
     shifted = (A + A.T - 2 * least * scipy.sparse.eye(A.shape[0])).tocsc()

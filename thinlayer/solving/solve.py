@@ -1,4 +1,4 @@
-"""Solvers of a model, for one equilibrium or step after step."""
+"""`solve` for one equilibrium of a model, and `Solver` for step after step."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ from thinlayer.system.ranks import collect, errors_on_all, require_same
 SOFTENING_ADVICE = (
     "the stress of {} falls as jumps grow, with several equilibria; follow them from rest with march(model, times)"
 )
-FIRST_DECREMENT, MIN_DECREMENT = 0.5, 1 / 64  # decrements of the ease from one law to the next
-MAX_HOMOTOPY_SOLVES = 30  # number of solves after which eased laws give up
+FIRST_DECREMENT, MIN_DECREMENT = 0.5, 1 / 64  # decrements of the continuation parameter
+MAX_HOMOTOPY_SOLVES = 30  # number of solves after which a homotopy is given up
 FAIL_FAST: dict[str, OptionValue] = {"snes_max_it": 30, "snes_max_linear_solve_fail": 1}  # if another method follows
-HOMOTOPY_DIVERGENCE = 1e5  # displacements, relative to those of an elastic layer, at which no equilibrium is expected
+HOMOTOPY_DIVERGENCE = 1e5  # displacements, relative to an elastic layer's, above which no equilibrium is expected
 
 
 def solve(
@@ -65,29 +65,31 @@ def solve(
     method: str | None = None,
     like: State | None = None,
 ) -> State:
-    """Equilibrium of a model at a time; a layer with memory answers to the sudden load. Collective.
+    """Solve a model for its equilibrium at a time; laws with memory respond to a sudden load. Collective.
 
     Args:
         model: the model.
         t: the time of loads and supports.
-        options: PETSc options without prefix; they override our defaults. -thinlayer_NAME given to PETSc overrides both.
-        method: "linear" (default if every law is linear) or "newton". For contact laws "condensed" (to the displacements of
-            nodes on S; default on one rank while S is narrow), "multigrid" (default otherwise), "newton" (default if a body
-            is not linear, for a law of one's own, for periodic joints, and for seams in contact beside others) or
-            "relaxation" (the paper's, for comparison, not for networks).
-        like: a state of an interface model of the same joint, such as that of another load, thickness or law. Newton's
-            method begins at its displacements; under a contact law "condensed" and "multigrid" begin with its contact
-            status. Where that fails they begin at rest.
+        options: PETSc options without prefix; they override our defaults. -thinlayer_NAME given to PETSc overrides
+            both.
+        method: "linear" (default if every law is linear) or "newton". For contact laws there are four methods.
+            "condensed" condenses to the displacements of nodes on S; default on one rank if S has few nodes.
+            "multigrid" is the default otherwise. "newton" is the default if a body is not linear, for user-defined
+            laws, for periodic joints, and if only some seams are in contact. "relaxation" is the method of the paper,
+            for comparison, not for networks.
+        like: a state of an interface model of the same joint, for example with another load, thickness or law. Newton's
+            method begins at its displacements. Under a contact law "condensed" and "multigrid" begin with its contact
+            status. If that fails they begin at rest.
 
     Warns:
-        RangeWarning: an interface model, or its result, is outside the range of its law; strains of bodies are not small;
-            elements of bodies lock; a law relaxes (Maxwell), of which this is the answer to sudden loads just after they
-            have come. Each is said once of a model, or of its state at a time.
+        RangeWarning: an interface model, or its result, is outside the range of its law; strains of bodies are not
+            small; elements of bodies lock; a law relaxes (Maxwell), and the result is its response just after sudden
+            loads. Each warning is issued once for a model, or once for its state at a time.
 
     Raises:
-        SolveError: no convergence, or no unique solution; LooseBody if a body can be named that nothing holds.
-        InputError: unknown method, or a linear solve of a non-linear law; a PETSc option that the solver does not read; a
-            law without an instantaneous response; loads that are not finite; `like` of another joint.
+        SolveError: no convergence, or no unique solution; LooseBody if the test finds a body without support.
+        InputError: unknown method, or a linear solve of a non-linear law; a PETSc option that the solver does not read;
+            a law without an instantaneous response; loads that are not finite; `like` of another joint.
     """
     with Solver(model, options=options, method=method, like=like) as solver:
         with errors_on_all(model.comm):
@@ -103,14 +105,14 @@ def solve(
 
 
 class SolverChoices(TypedDict, total=False):
-    """What a march is told of its solver, by keyword: PETSc options and the method, see `solve`."""
+    """Keyword arguments of a march for its solver: PETSc options and the method, see `solve`."""
 
     options: Options | None
     method: str | None
 
 
 def comm_of(model: Any) -> MPI.Intracomm:
-    """Communicator of a model; the world if `model` is no model."""
+    """Communicator of a model; the default communicator if `model` is not a Model."""
     return model.comm if isinstance(model, Model) else default_comm()
 
 
@@ -128,13 +130,13 @@ SolveWay = tuple[str, dict[str, OptionValue]]  # a method, and PETSc options of 
 
 @dataclass(frozen=True)
 class SolveAttempt:
-    """One try of a step, as data.
+    """Description of one attempt at solving a step.
 
     Attributes:
-        name: for the log.
+        name: name for the log.
         way: the method, and PETSc options of its linear solver, without prefix.
         options: PETSc options of Newton's method, without prefix.
-        uses_homotopy: whether eased laws are solved first, beginning with an elastic one.
+        uses_homotopy: whether laws follow a homotopy, which begins with an elastic law.
     """
 
     name: str
@@ -144,7 +146,7 @@ class SolveAttempt:
 
 
 class Solver(AbstractContextManager["Solver"]):
-    """Solves a model step after step; keeps matrices, and their factors as long as they stay the same.
+    """Solver of a model for step after step; keeps matrices, and their factors as long as the matrices stay the same.
 
     Arguments and errors as in `solve`. Use it in a `with` statement, or call `close`.
 
@@ -175,14 +177,14 @@ class Solver(AbstractContextManager["Solver"]):
         traits = self.equations.traits
         self.yields, self.bounded = traits.bounded, traits.bounded or traits.releases
         self._warned = False  # whether the user was warned of a law that softens
-        self._solve_ways = self._ways_of(self.method)  # without those before one that has succeeded
+        self._solve_ways = self._ways_of(self.method)  # later without the ways that failed before one succeeded
         if method is None and self.method == "multigrid" and not (self._given or options_set()):
             self._solve_ways += self._ways_of("newton")
         self._finders = dict[str, EquilibriumSolver]()
         self._finder = self._finder_of(self.method)
 
     def _check(self) -> None:
-        """Raise an error unless the method suits the model."""
+        """Raise InputError unless the method suits the model."""
         allowed = ("newton", *METHODS) if self.model.contact else ("linear", "newton")
         if self.method in METHODS:
             check_method(self.model, self.method)
@@ -192,12 +194,12 @@ class Solver(AbstractContextManager["Solver"]):
             raise InputError("method='linear' cannot solve a non-linear law; use method='newton'")
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:  # an error may be that of one rank
+        if kind is None:  # an error may have occurred on one rank only, and `collect` is collective
             collect(self.equations.comm)
         self.close()
 
     def _ways_of(self, method: str) -> list[SolveWay]:
-        """A method with its linear solvers in turn."""
+        """A method, combined with each of its linear solvers in the order in which they are tried."""
         if method in METHODS:
             return [(method, {})]
         ways = [
@@ -207,7 +209,7 @@ class Solver(AbstractContextManager["Solver"]):
         return ways[:1] if is_set("ksp_type", self._given) or is_set("pc_type", self._given) else ways
 
     def _finder_of(self, method: str) -> EquilibriumSolver:
-        """The finder of a method, made when it is first needed."""
+        """Solver of a method, created at its first use."""
         if method not in self._finders:
             made = (
                 SOLVER_OF_METHOD[method](self.equations, self._like) if method in METHODS else self._equilibrium(method)
@@ -234,7 +236,7 @@ class Solver(AbstractContextManager["Solver"]):
         return self.equations.rest(t)
 
     def sudden(self, t: float) -> State:
-        """State under loads that come suddenly at a time, from rest. Collective; errors as in `solve`."""
+        """State under loads that are applied suddenly at a time, from rest. Collective; errors as in `solve`."""
         return self.step(self.rest(t), t)
 
     def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, keep_phases: bool = False) -> State:
@@ -246,8 +248,8 @@ class Solver(AbstractContextManager["Solver"]):
             old: the state before the step.
             t: time at the end of the step.
             theta: forces balance at old.t + theta (t - old.t).
-            thorough: whether eased laws are tried if Newton's method fails.
-            keep_phases: whether columns keep the phases of `old`; otherwise they switch and the equilibrium is found again
+            thorough: whether a homotopy is tried if Newton's method fails.
+            keep_phases: whether columns keep the phases of `old`. Otherwise they switch, and the step is solved again,
                 until all columns are in the phase of lowest energy.
         """
         start = time.perf_counter()
@@ -265,14 +267,13 @@ class Solver(AbstractContextManager["Solver"]):
         """State at the end of a step for which `step` has failed, by weak springs at all nodes. Collective.
 
         Raises:
-            NoEquilibrium: displacements run away as the springs soften. SolveError: no equilibrium was found.
+            NoEquilibrium: displacements grow without bound as the springs soften. SolveError: no convergence.
         """
         start = time.perf_counter()
         near = [attempt for attempt in self._attempts() if not attempt.uses_homotopy]
         self._log.info("t = %g: weak springs at all nodes are tried", t)
-        linear = (
-            self._solve_ways[0][1] or linear_solvers(self.model, self.equations.parts)[0]
-        )  # contact alone has none yet
+        # methods for contact have no options of a linear solver
+        linear = self._solve_ways[0][1] or linear_solvers(self.model, self.equations.parts)[0]
         springs = WeakSprings(self.equations, {**linear, **self._given})
 
         def follow(end: float) -> StepSolution:
@@ -283,13 +284,13 @@ class Solver(AbstractContextManager["Solver"]):
         seconds = time.perf_counter() - start
         try:
             return self._accept(solution.x, Report(self.method, solution.iterations, solution.residual, seconds))
-        except LooseBody:  # the loads may be at their limit itself: then displacements run away a little beyond it
-            with suppress(InputError):  # what is given as a table may end before
+        except LooseBody:  # the loads may be exactly at their limit: then slightly higher loads have no equilibrium
+            with suppress(InputError):  # tables of loads may end before this time
                 follow(2 * t - old.t)
             raise
 
     def _from_like(self, attempt: SolveAttempt, old: State) -> tuple[StepSolution, int] | None:
-        """Result of Newton's method from the displacements of the state that is like this one; None: there is none."""
+        """Solution by Newton's method from the displacements of `like`; None if `like` is not used, or if it fails."""
         if self._like is None or self.method != "newton" or self.model.contact:
             return None
         equations, start = self.equations, self.equations.vector()
@@ -303,7 +304,7 @@ class Solver(AbstractContextManager["Solver"]):
             return None
 
     def _accept(self, x: PETSc.Vec, report: Report) -> State:
-        """The state; warns, once, if the stress of a law falls that does not declare `softens`."""
+        """State of the solution x; warns, once, if the stress of a law falls although it does not declare `softens`."""
         state = self.equations.accept(x, report)
         falling = [] if self._warned else [*filter(None, self.equations.call_optional("undeclared_softening"))]
         for name, where in falling[:1]:
@@ -316,7 +317,7 @@ class Solver(AbstractContextManager["Solver"]):
 
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[SolveAttempt]:
-        """The attempts in turn: every way, then eased laws."""
+        """Attempts in the order in which they are tried: every method with its linear solvers, then a homotopy."""
         traits, contact, attempts = (
             self.equations.traits,
             CONTACT_OPTIONS if self.model.contact else {},
@@ -338,13 +339,13 @@ class Solver(AbstractContextManager["Solver"]):
         return attempts
 
     def _try_in_turn(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
-        """Result of the first attempt that succeeds, with the iterations of all; number of solves with eased laws.
+        """Solution of the first successful attempt, with the iterations of all, and the number of homotopy solves.
 
-        Ways that fail are dropped for all later steps if a later one succeeds.
+        A method and linear solver that fail are dropped for all later steps if a later attempt succeeds.
 
         Raises:
-            SolveError: all attempts failed; the error of the first attempt in the last way, or of eased laws if it names a
-                body that nothing holds.
+            SolveError: all attempts failed. It is the error of the first attempt with the last method and linear
+                solver, or a LooseBody of the homotopy.
         """
         why, errors = "", list[SolveError]()
         for attempt in attempts:
@@ -359,7 +360,7 @@ class Solver(AbstractContextManager["Solver"]):
             except SolveError as error:
                 why = f"{attempt.name} failed: {error.reason}"
                 if attempt.way == self._solve_ways[-1]:
-                    errors.append(error.with_traceback(None))  # which has this frame, that has the errors
+                    errors.append(error.with_traceback(None))  # else a reference cycle: error, traceback, frame, errors
             else:
                 self.method, self._solve_ways = attempt.way[0], self._solve_ways[self._solve_ways.index(attempt.way) :]
                 return replace(solution, iterations=solution.iterations + sum(len(e.residuals) for e in errors)), solves
@@ -369,9 +370,9 @@ class Solver(AbstractContextManager["Solver"]):
         raise errors.pop(0) from (errors.pop() if errors else None)
 
     def _try(self, attempt: SolveAttempt, start: PETSc.Vec | None = None) -> StepSolution:
-        """Result of an attempt, with our PETSc options and the user's, all of which must be read.
+        """Solution of an attempt, with our PETSc options and the user's, which must all be read.
 
-        If it fails with the factor of an earlier step, it is made again with a new one.
+        If it fails with the factor of an earlier step, it is repeated with a new factor.
         """
         began, ours = time.perf_counter(), {**attempt.way[1], **attempt.options}
         self._finder = self._finder_of(attempt.way[0])
@@ -391,13 +392,14 @@ class Solver(AbstractContextManager["Solver"]):
                 return solution
 
     def _through_eased_laws(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
-        """Lower the ease from 1, an elastic layer, to 0, the law itself; the result, and the number of solves.
+        """Lower the continuation parameter from 1 (elastic layer) to 0 (the law); return solution and number of solves.
 
-        The decrement of the ease is doubled after a solve that converges and halved after one that fails. Each solve starts
-        from the unknowns of the last that converged, with the strains and memory of the step.
+        Its decrement is doubled after a solve that converges and halved after a solve that fails. Each solve starts
+        from the unknowns of the last converged solve, with the strains and memory of the step.
 
         Raises:
-            SolveError: the solve of an eased law fails, or displacements run away; LooseBody if a body has been released.
+            SolveError: a solve with a homotopy law fails, or displacements grow without bound; LooseBody if a body has
+                been released.
         """
         reached, limit = self.equations.vector(), math.inf
         ease, lower, decrement, solves, spent = 1.0, 1.0, FIRST_DECREMENT, 0, 0

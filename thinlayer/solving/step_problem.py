@@ -1,4 +1,4 @@
-"""StepProblem: the balance of forces of a time step in a user's own script, for the user's own PETSc SNES."""
+"""StepProblem: the balance of forces of a time step in a user's script, for the user's own PETSc SNES."""
 
 from __future__ import annotations
 
@@ -29,41 +29,41 @@ from thinlayer.system.ranks import communicator, destroy, errors_on_all
 
 
 class StepProblem(PartSum):
-    """The balance of forces of a time step: a UFL form, terms of layers and bodies, parts, and prescribed displacements.
+    """Balance of forces of a time step: a UFL form, terms of layers and bodies, parts, and Dirichlet conditions.
 
-    It gives a PETSc SNES its function and its Jacobian. The user chooses the solvers and line searches::
+    It provides the residual and the Jacobian of a PETSc SNES. The user chooses the solvers and line searches::
 
         problem = StepProblem(R, u, bcs, terms)
         problem.attach(snes)
         for t in times:
-            problem.begin(dt)                       # from the state that was accepted last
+            problem.begin(dt)                       # from the last accepted state
             snes.solve(None, u.x.petsc_vec)
-            problem.accept()                        # keep the laws' internal values
+            problem.accept()                        # keep the internal variables of the laws
 
     Args:
-        form: virtual work of the other stresses less that of the loads, a UFL form of u, linear in a test function.
-        u: displacements of all bodies; their values when the problem is made are the first state.
-        bcs: Dirichlet conditions; their values are read at every residual.
-        terms: terms of laws on any UFL measure: of a layer (`BrokenMesh.layer`) or a body (`forms.work.body`). Laws with
-            memory or rate are compiled and run at quadrature points; the others are added to the form.
-        parts: further parts of the balance, such as a `ContactPart` or your own `thinlayer.parts.part.Part`, each with
-            another key. First they are asked for a tangent in a step of length 0, for its nonzero pattern; `destroy`
-            destroys them too.
+        form: UFL form of u, linear in a test function: virtual work of all other stresses minus the loads' work.
+        u: displacements of all bodies; their values at construction are the first state.
+        bcs: Dirichlet conditions; their values are read in every evaluation of the residual.
+        terms: terms of laws on any UFL measure: of a layer (`BrokenMesh.layer`) or a body (`forms.work.body`). Laws
+            with memory or rate are compiled and evaluated at quadrature points; the others are added to the form.
+        parts: further parts of the balance, such as a `ContactPart` or a user-defined `thinlayer.parts.part.Part`, each
+            with its own key. The constructor evaluates their tangents in a step of length 0, for the nonzero pattern;
+            `destroy` destroys the parts too.
 
     Attributes:
         state: displacements, time, memory and stored energies at the last accepted state. Keys of compiled terms are
             "layer", or "layer 1", "layer 2", ... in their order, and in bodies "body", or "body 1", ...
-        energies: key -> energies of a compiled term or further part at the last accepted state: stored; dissipated in all
-            steps; the time scheme's error of the balance of energy in all steps. NaN if a law declares no energy.
+        energies: key -> energies of a compiled term or further part at the last accepted state: stored; dissipated in
+            all steps; error of the time scheme in the energy balance of all steps. NaN if a law declares no energy.
         parts, traits, failed: as in `PartSum`; the first part is the form.
 
     Raises:
-        InputError: a law that needs its own pressure field;
-            a form that is not linear in one test function; conditions made on another space; a measure without
-            tags; a space without jumps across S; a part that is none, has unknowns of its own, or the key of another one.
+        InputError: a law that needs its own pressure field; a form that is not linear in one test function; conditions
+            on another space; a measure without tags; a space without jumps across S; an entry of `parts` that is not a
+            Part, has unknowns of its own, or has the key of another part.
     """
 
-    bc_dofs: Indices = np.empty(0, np.int32)  # prescribed displacements are equations among the others here
+    bc_dofs: Indices = np.empty(0, np.int32)  # empty: here the residual contains the Dirichlet conditions
 
     def __init__(
         self,
@@ -106,7 +106,7 @@ class StepProblem(PartSum):
         self._interval: TimeStep | None = None
 
     def _first_tangent(self) -> tuple[PETSc.Mat, ForceScale, float]:
-        """The tangent at the first state, and the form's stiffness as a scale of forces and at prescribed displacements."""
+        """Tangent at the first state, force scale of the form's stiffness, stiffness for rows of constrained dofs."""
         of_parts = [part.tangents(0.0) for part in self.parts]
         of_form = TangentMatrix(self.comm, self._matrix.sizes).fill(of_parts[0]).getDiagonal()
         tangent = self._matrix.fill([block for blocks in of_parts for block in blocks])
@@ -125,7 +125,7 @@ class StepProblem(PartSum):
 
     # ---------------------------------------------------------------- a step
     def attach(self, snes: PETSc.SNES) -> None:
-        """Give an SNES the residual and the Jacobian."""
+        """Set the residual and the Jacobian of an SNES."""
         snes.setFunction(self.residual, self._forces.duplicate())
         snes.setJacobian(self.jacobian, self._tangent)
 
@@ -140,10 +140,10 @@ class StepProblem(PartSum):
         self.begin_parts(self._interval)
 
     def residual(self, snes: PETSc.SNES | None, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Residual at displacements x: internal forces less loads; all NaN if a law fails.
+        """Write the residual at displacements x into `out`: internal forces minus loads; all NaN if a law fails.
 
-        For prescribed displacements it is the difference of x from them, times a stiffness of the form: line searches add
-        both kinds up.
+        At constrained dofs it is the difference of x from the prescribed values, times a stiffness of the form. The
+        stiffness makes both kinds of entries comparable, because line searches add them up.
         """
         if x.handle != self._u.x.petsc_vec.handle:
             self._u.x.array[: x.getLocalSize()] = x.array_r
@@ -154,10 +154,10 @@ class StepProblem(PartSum):
             out.set(np.nan)
 
     def jacobian(self, snes: PETSc.SNES | None, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        """Derivative of the residual at the displacements of its last call.
+        """Write the derivative of the residual at the displacements of its last call into P.
 
-        The rows of prescribed displacements are those of the identity times a stiffness, so that a Newton step meets the
-        prescribed values: the matrix is not symmetric.
+        Rows of constrained dofs are rows of the identity times a stiffness, so that a Newton step reaches the
+        prescribed values. The matrix is therefore not symmetric.
         """
         self._matrix.fill(self.blocks()).zeroRows(self._held_rows, self._stiffness)
         if P.handle != self._tangent.handle:
@@ -166,11 +166,11 @@ class StepProblem(PartSum):
             A.assemble()
 
     def accept(self) -> None:
-        """End the step at the displacements u: the next step begins with the internal variables there.
+        """End the step at the displacements u; the next step begins with the internal variables there.
 
         Raises:
-            SolveError: more than 1e-6 of the forces is out of balance, a law fails at u, or a column must change phase, see
-                `switch`.
+            SolveError: more than 1e-6 of the forces is out of balance, a law fails at u, or a column must change phase,
+                see `switch`.
         """
         x, moved = self._u.x.petsc_vec, float(self.state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
         self.residual(None, x, self._forces)
@@ -189,22 +189,22 @@ class StepProblem(PartSum):
         self._interval = None
 
     def _self_balanced(self) -> float:
-        """Forces of the form's stresses where they balance each other, as those of heat: its tangent times u."""
+        """Norm of the form's tangent times u: size of stresses that balance each other, such as thermal stresses."""
         of_form = TangentMatrix(self.comm, self._matrix.sizes).fill(self.parts[0].tangents(0.0))
         return float((of_form * self._u.x.petsc_vec).norm())
 
     def switch(self) -> bool:
-        """Change columns of laws with phases to the phase of lowest energy. True if any changes: solve the step again."""
+        """Change columns of laws with phases to the phase of lowest energy; on True, solve the step again."""
         self._evaluate(self._forces)
         return super().switch()
 
     def destroy(self) -> None:
-        """Free the matrices."""
+        """Free the matrices and destroy the parts."""
         destroy(*self.parts, self._matrix)
 
     # ---------------------------------------------------------------- within a step
     def _evaluate(self, out: PETSc.Vec) -> None:
-        """Write internal forces less loads, reactions included, at the displacements u."""
+        """Write internal forces minus loads at the displacements u, with reactions at constrained dofs."""
         if self._interval is None:
             if self.state.memory:
                 raise InputError("no step has begun: call begin(dt) before each solve")
@@ -213,7 +213,7 @@ class StepProblem(PartSum):
         self._sizes.append(float(out.norm()))
 
     def _prescribed(self) -> Array:
-        """Prescribed values at the held displacements."""
+        """Prescribed values of the constrained displacements."""
         prescribed = np.zeros(len(self._u.x.array))
         for bc in self._bcs:
             bc.set(prescribed)
@@ -221,7 +221,7 @@ class StepProblem(PartSum):
 
 
 def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
-    """Raise InputError if displacements cannot jump across the facets of a term inside the mesh. Collective."""
+    """Raise InputError if the space of u is continuous across the interior facets of a term. Collective."""
     if term.measure.integral_type() != "interior_facet":
         return
     sides = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in term.measure.subdomain_data())]).reshape(-1, 4)
@@ -232,7 +232,7 @@ def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
 
 
 def _check_arguments(parts: Sequence[Part], keys: set[str]) -> None:
-    """Raise InputError unless these are parts without unknowns of their own, with keys other than `keys`."""
+    """Raise InputError unless these are parts without own unknowns, with keys not in `keys`; add their keys."""
     for part in parts:
         require(isinstance(part, Part), "one of parts", part, "allowed: what derives from thinlayer.parts.part.Part")
         if isinstance(part, FieldPart):

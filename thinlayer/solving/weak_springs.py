@@ -1,9 +1,10 @@
-"""A way to an equilibrium on which Newton's method fails: weak springs at all nodes.
+"""Search for an equilibrium by weak springs at all nodes, where Newton's method fails.
 
-With springs k between all nodes and their old places, R(u) + k (u - u_0) = 0 has a solution even above the limit load, and
-Newton's method finds it easily while k is large. As k falls, u tends to the nearest equilibrium if there is one; otherwise
-u runs away, in the end as 1/k. For a layer with associated flow this is a theorem: R is monotone, |u - u_0| only grows as
-k falls, and no equilibrium is nearer (Brezis 1973, the regularisation of Yosida). For other layers it is an indication.
+Springs k between all nodes and their old places are added. Then R(u) + k (u - u_0) = 0 has a solution even above the
+limit load. Newton's method converges easily while k is large. As k falls, u tends to the nearest equilibrium if there
+is one. Otherwise u grows without bound, in the end as 1/k. For a layer with associated flow this is a theorem. There R
+is monotone, |u - u_0| only grows as k falls, and no equilibrium is nearer (Brezis 1973, the regularisation of Yosida).
+For other layers it is an indication.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from thinlayer.solving.part_sum import MIN_DIVISOR
 from thinlayer.solving.petsc import Options, chosen_options, solve_linear
 
 SpringResult = TypeVar("SpringResult")
-FIRST_STIFFNESS, MIN_STIFFNESS = 1.0, 1e-12  # of the springs, relative to the mean diagonal entry of K
-SOFTENING_FACTOR = 10.0  # stiffness of springs divided by that of the next ones
+FIRST_STIFFNESS, MIN_STIFFNESS = 1.0, 1e-12  # stiffness of the springs, over the mean diagonal entry of K
+SOFTENING_FACTOR = 10.0  # stiffness of springs over the stiffness of the next springs
 CONVERGED_GROWTH = 1.3  # growth of the distance per SOFTENING_FACTOR below which an equilibrium is near
-DIVERGED_DISTANCE = 30.0  # distance, relative to that of an elastic layer, that shows that there is no equilibrium
-MAX_DISTANCE = 1e6  # distance, relative to that of an elastic layer, at which the search ends
+DIVERGED_DISTANCE = 30.0  # distance, relative to an elastic layer's, above which there is no equilibrium
+MAX_DISTANCE = 1e6  # distance, relative to an elastic layer's, at which the search ends
 RESIDUAL_TOLERANCE = 1e-3  # residual of solutions with springs, relative to the forces of the springs
-MAX_NEWTON_STEPS, MAX_HALVINGS = 40, 6  # largest numbers of Newton's steps, and of trial lengths of one step
-COMPARED_RESIDUALS = 6  # number of last residuals, the largest of which bounds a new one
-MIN_DECREASE = 0.1  # relative decrease of the residual over the length of the step
+MAX_NEWTON_STEPS, MAX_HALVINGS = 40, 6  # largest numbers of Newton steps, and of trial lengths of one step
+COMPARED_RESIDUALS = 6  # number of last residuals, the largest of which a new residual must not exceed
+MIN_DECREASE = 0.1  # least relative decrease of the residual, over the length of the step
 
 
 class WeakSprings:
-    """Steps of a model with springs at all nodes. Collective. Arrays x (n,) are unknowns of this rank.
+    """Solver of steps of a model with springs at all nodes. Collective. Arrays x (n,) are unknowns of this rank.
 
     Args:
         equations: the equations of the model.
@@ -52,15 +53,15 @@ class WeakSprings:
         self._unit, self._stiffness = equations.mean_stiffness, 0.0
 
     def follow(self, rest: State, step: TimeStep, find: Callable[[PETSc.Vec], SpringResult]) -> SpringResult:
-        """Soften the springs until `find` succeeds without them; returns its result.
+        """Soften the springs until `find` succeeds without them; return its result.
 
         Args:
             rest: the state at rest.
-            step: from an equilibrium to the time of the wanted one.
+            step: the step from an equilibrium to the time of the next equilibrium.
             find: unknowns -> the equilibrium near them; raises SolveError.
 
         Raises:
-            NoEquilibrium: displacements run away. SolveError: no equilibrium was found.
+            NoEquilibrium: displacements grow without bound. SolveError: no equilibrium was found.
         """
         elastic = self._elastic_distance(rest, step)
         failed = [SolveError("weak springs have not led to an equilibrium")]
@@ -92,9 +93,9 @@ class WeakSprings:
                 try:
                     return find(self._x)
                 except SolveError as error:
-                    failed = [error.with_traceback(None)]  # as in `Solver`
+                    failed = [error.with_traceback(None)]  # as in `Solver._try_in_turn`
             self._stiffness /= softer
-            if distance > math.sqrt(softer) * before > 0:  # as if displacements grew in proportion to 1/k
+            if distance > math.sqrt(softer) * before > 0:  # extrapolate growth in proportion to 1/k
                 x = min(x, softer * x + (1 - softer) * self._start, key=self._residual)
         if distance >= DIVERGED_DISTANCE * elastic and not settled:
             raise NoEquilibrium(distance / elastic, self._shares(x))
@@ -104,7 +105,7 @@ class WeakSprings:
     def _elastic_distance(self, rest: State, step: TimeStep) -> float:
         """Norm of the displacements that the loads and supports of the step cause from rest, with an elastic layer.
 
-        The step has its own length dt, as laws with rate do not answer at once.
+        The step keeps its length dt, as laws with rate have no instantaneous response.
         """
         equations, r, d = self.equations, self._r, self._d
         equations.begin(TimeStep(rest, step.old.t, step.dt, 1.0))
@@ -131,7 +132,7 @@ class WeakSprings:
         return math.sqrt(self.equations.comm.allreduce(float(moved @ moved)))
 
     def _shares(self, x: Array) -> dict[str, float]:
-        """Shares of the seams in the squared jumps since the beginning, those along S halved in layers that yield."""
+        """Shares of the seams in the squared jumps since the start; jumps along S count half in layers that yield."""
         self._d.array[:] = x - self._start
         model, u, sums = self.equations.model, self.equations.configuration(self._d).u, {}
         for part in self.equations.parts:
@@ -139,13 +140,14 @@ class WeakSprings:
                 sums[part.key] = self.equations.comm.allreduce(float((part.error_measure(u) ** 2).sum()))
         of_seams = model.by_seam(sums)
         thin = {name: model.layers[name].thin_layer for name, square in of_seams.items() if square > 0}
-        squares = {name: of_seams[name] * (layer.eps if layer else 1.0) for name, layer in thin.items()}  # of jumps
+        # squared jumps
+        squares = {name: of_seams[name] * (layer.eps if layer else 1.0) for name, layer in thin.items()}
         whole = sum(squares.values())
         return {name: squares[name] / whole for name in sorted(squares, key=lambda name: -squares[name])}
 
     # ---------------------------------------------------------------- Newton's method
     def _residual(self, x: Array) -> float:
-        """Compute the residual with springs; its norm, each block's relative to the forces on it when the search began."""
+        """Compute the residual with springs; return its norm, each block relative to the forces on it at the start."""
         equations = self.equations
         self._x.array[:] = x
         equations.residual(self._x, self._r)
@@ -155,12 +157,12 @@ class WeakSprings:
         return float(np.linalg.norm(self._norms[1:] / np.maximum(self._forces[1:], MIN_DIVISOR)))
 
     def _is_solved(self, x: Array) -> bool:
-        """Whether the residual is small against the forces of the springs on each block."""
+        """Whether the residual is small relative to the forces of the springs, on each block."""
         springs = self._stiffness * self.equations.norms(x - self._start)
         return bool((self._norms <= np.maximum(RESIDUAL_TOLERANCE * springs, self.equations.target(self._x))).all())
 
     def _solve(self, x: Array) -> Array | None:
-        """The equilibrium with springs, from x on; None: it was not found."""
+        """Solve for the equilibrium with springs, starting from x; None without convergence."""
         sizes = [self._residual(x)]
         while len(sizes) <= MAX_NEWTON_STEPS and math.isfinite(sizes[-1]):
             A = self.equations.tangent()
@@ -174,7 +176,7 @@ class WeakSprings:
         return None
 
     def _search(self, x: Array, d: Array, most: float) -> tuple[Array, float]:
-        """The unknowns along d whose residual is below `most`, or else the smallest one tried, and the residual."""
+        """Line search along d; return unknowns with a residual below `most`, else with the least, and the residual."""
         best, at, length = math.inf, 0.0, 1.0
         for length in 0.5 ** np.arange(MAX_HALVINGS):
             size = self._residual(x + length * d)

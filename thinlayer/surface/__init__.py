@@ -1,1 +1,1 @@
-"""S as a mesh of its own, below all that asks what is there: norms, places, lines, pressures in excess."""
+"""S as a separate mesh: integrals, points, lines, and the excess pressure of interface laws."""

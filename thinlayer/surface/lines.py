@@ -1,4 +1,4 @@
-"""Lines on S by arc length: the pieces of seams in 2D, and where a plane cuts them in 3D."""
+"""Lines on S by arc length: the pieces of seams in 2D, and the cuts of seams by a plane in 3D."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from geometry.topology import BoolArray, IntArray, along, by_place, connected, i
 from thinlayer.system.table import Table
 
 Plane = tuple[Sequence[float], Sequence[float]]
-LINE_TOLERANCE = 1e-12  # difference of values, over the largest, and of places, over the size, that counts as none
-ARC_DEGREE = 8  # of the quadrature for the length of a curved facet
+LINE_TOLERANCE = 1e-12  # difference of values over the largest, or of coordinates over the size, that counts as zero
+ARC_DEGREE = 8  # quadrature degree for the length of a curved facet
 
 
 @dataclass(frozen=True)
 class Line:
     """Values along a line on S, the same on all ranks.
 
-    It has no branches and does not go beyond a tip, an end or a junction of its own seam. Where values jump, there are two
-    rows with the same s.
+    It has no branches, and ends at a tip, an end or a junction of its own seam. Where values jump, there are two rows
+    with the same s.
 
     Attributes:
         seam: name of the seam.
         s: (n,) arc length from the start of the line.
-        x: (n, d) places.
+        x: (n, d) coordinates.
         values: (n,), or (n, components) of a vector.
-        closed: whether it returns to its start; the last row is then the first one, at s = the length of the line.
+        closed: whether the line returns to its start; the last row then repeats the first one, at s = length.
     """
 
     seam: str
@@ -46,7 +46,7 @@ class Line:
         return float(self.s[-1])
 
     def crossings(self, level: float) -> Array:
-        """(k, d) places where values (n,) cross a level: the front of a phase, the end of a zone."""
+        """(k, d) points where values (n,) cross a level, such as the front of a phase or the end of a zone."""
         above = self.values - level
         k = np.flatnonzero(above[:-1] * above[1:] < 0)
         share = (above[k] / (above[k] - above[k + 1]))[:, None]
@@ -62,13 +62,13 @@ class Line:
 
 @dataclass(frozen=True)
 class Segments:
-    """Parts of lines, (m,) of them, with two ends each.
+    """m segments of lines, with two ends each.
 
     Attributes:
-        keys: (m, 2) number of what segments share that are joined.
-        x: (m, 2, d) places of the ends.
-        values: (m, 2, components).
-        lengths: (m,).
+        keys: (m, 2) numbers of the ends; segments are joined where they share a number.
+        x: (m, 2, d) coordinates of the ends.
+        values: (m, 2, components) values at the ends.
+        lengths: (m,) lengths of the segments.
     """
 
     keys: IntArray
@@ -77,12 +77,12 @@ class Segments:
     lengths: Array
 
     def lines(self, seam: str, size: float) -> list[Line]:
-        """The lines that they form, ordered by the places at which they start, then end (`by_place`).
+        """The lines that the segments form, ordered by their start points, then by their end points (`by_place`).
 
-        A line starts at the lower of its ends; a closed one at its lowest place, towards the lower of its neighbours.
+        A line starts at the lower of its ends. A closed line starts at its lowest point, towards the lower neighbour.
         """
         keys = np.unique(self.keys, return_inverse=True)[1].reshape(-1, 2)
-        is_end = np.bincount(keys.ravel())[keys] != 2  # lines end there
+        is_end = np.bincount(keys.ravel())[keys] != 2  # lines end where not exactly two segments meet
         keys[is_end] = keys.max(initial=-1) + 1 + np.arange(is_end.sum())
         _, first, ends = np.unique(keys, return_index=True, return_inverse=True)
         ends, x = ends.reshape(-1, 2), self.x.reshape(-1, self.x.shape[2])[first]
@@ -92,7 +92,7 @@ class Segments:
         return [lines[k] for k in by_place(both, size)]
 
     def _line(self, seam: str, segments: IntArray, ends: IntArray, x: Array, size: float) -> Line:
-        """The line of some segments, whose ends are given by the numbers of places x."""
+        """The line of some segments, whose `ends` are numbers of the points x."""
         places, ends = np.unique(ends[segments], return_inverse=True)
         ends, closed = ends.reshape(-1, 2), len(places) == len(segments)
         position = np.argsort(along(x[places], ends, size))[ends]
@@ -112,17 +112,17 @@ class Segments:
 
 
 def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plane | None) -> list[Line]:
-    """The lines of a seam.
+    """Lines of values on a seam: its pieces in 2D, its cuts by a plane in 3D.
 
     Args:
         joint: the joint.
         seam: name of the seam.
-        rows: (n,) positions of its facets among those of S.
-        values: (n, k) or (n, k, components) at their corners.
+        rows: (n,) positions of its facets in `joint.surface`.
+        values: (n, k) or (n, k, components) at the corners of the facets.
         plane: in 3D the plane that cuts S.
 
     Raises:
-        InputError: a plane in 2D, none in 3D, or one that is none.
+        InputError: a plane in 2D; in 3D no plane, or an invalid plane.
     """
     hint = "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
     require((plane is None) == (joint.dim == 2), "plane", plane, hint)
@@ -139,7 +139,7 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
 
 
 def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> Segments:
-    """Where a plane cuts facets in 3D, given by their nodes (n, k) and taken as straight; arguments as in `lines_on`."""
+    """Segments where a plane cuts facets in 3D; `nodes` (n, k) of facets, taken as straight; else as in `lines_on`."""
     if (both := finite_values(plane, (2, 3))) is None or not both[1].any():
         raise InputError(f"plane is {plane!r}; it needs (point, normal), three finite numbers each, not all zero")
     around = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
@@ -147,7 +147,7 @@ def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> 
     x = joint.points[ring]
     height = (x - both[0]) @ both[1] / np.linalg.norm(both[1])
     height[np.abs(height) <= LINE_TOLERANCE * joint.size] = 0.0
-    for above in (height >= 0, height > 0):  # a plane along facets: those on one side of it are cut, at their edges
+    for above in (height >= 0, height > 0):  # if facets lie in the plane, facets on one side are cut at their edges
         segments = _cut_polygon(ring, x, values, height, above)
         if len(segments.keys):
             return segments

@@ -1,4 +1,4 @@
-"""Which cells of a joint, or facets of S, contain given places."""
+"""Search for the cells of a joint, or facets of S, that contain points."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from geometry.joint import Joint
 from geometry.refusals import refuse
 from geometry.topology import BoolArray, IntArray, geometry_degree, is_tensor, lagrange, sum_by_number
 
-REFERENCE_TOLERANCE = 1e-9  # how far outside the reference entity a place may be that counts as in it
+REFERENCE_TOLERANCE = 1e-9  # distance from the reference entity at which a point still counts as inside
 EXTENDED_BODIES_HINT = "as bodies='extended' has the faces of bodies half a thickness away from S"
-MAX_BULGE = 0.5  # by how much of its size a curved entity may exceed the box around its nodes, at most
-MAX_NEWTON_STEPS = 30  # of Newton's method for places in entities that are not affine
+MAX_BULGE = 0.5  # largest distance, over its size, by which a curved entity may exceed the box around its nodes
+MAX_NEWTON_STEPS = 30  # limit of Newton iterations for reference coordinates in non-affine entities
 
 
 @dataclass(frozen=True)
 class LocatedPoints:
-    """The cells, or facets, that contain places: all of them, for a place on their boundary lies in several.
+    """Points, and all cells or facets that contain them; a point on a boundary lies in several.
 
     Attributes:
-        x: (n, d) the places.
-        point: (m,) number of the place, ascending.
+        x: (n, d) coordinates of the points.
+        point: (m,) number of the point, ascending.
         entity: (m,) number of a cell or facet that contains it.
         X: (m, k) its coordinates in the reference entity.
     """
@@ -39,15 +39,15 @@ class LocatedPoints:
 
     @classmethod
     def of(cls, kind: str, nodes: Array, x: Any) -> LocatedPoints:
-        """Those that contain places (n, d), or one place (d,), if any do.
+        """Locate points (n, d), or one point (d,), in entities; a point outside all entities has no row.
 
         Args:
             kind: type of the entities.
-            nodes: (m, a, d) places of their nodes.
-            x: the places.
+            nodes: (m, a, d) coordinates of their nodes.
+            x: the points.
 
         Raises:
-            InputError: no finite numbers of this shape.
+            InputError: x is no array of finite numbers with such a shape.
         """
         d, degree = nodes.shape[2], geometry_degree(kind, nodes.shape[1])
         if (query := finite_values(x, (d,), (-1, d))) is None or not query.size:
@@ -68,7 +68,11 @@ class LocatedPoints:
 
     @classmethod
     def in_cells(cls, joint: Joint, x: Any) -> LocatedPoints:
-        """The cells of a joint, inflated or not, that contain places; raises InputError as `of`, or if some are in none."""
+        """Locate points in the cells of a joint, inflated or not.
+
+        Raises:
+            InputError: as in `of`; a point is in no cell.
+        """
         located = cls.of(joint.cell_type, joint.cell_points, x)
         words = "{bad} of {all} places are in no cell of the mesh, the first at {at}"
         refuse(located.missing, located.x, words if joint.parted is None else f"{words}; {EXTENDED_BODIES_HINT}")
@@ -79,17 +83,17 @@ class LocatedPoints:
 
     @property
     def missing(self) -> BoolArray:
-        """(n,) which places none contains."""
+        """(n,) whether each point is in no entity."""
         return ~np.isin(np.arange(len(self.x)), self.point)
 
     def mean(self, values: Array) -> Array:
-        """(n, ...) means of values (m, ...) over the entities at each place."""
+        """(n, ...) means of values (m, ...) over the entities that contain each point."""
         counts = np.bincount(self.point, minlength=len(self.x))
         return np.asarray(sum_by_number(self.point, values, len(self.x)) / counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def _reference_points(kind: str, degree: int, nodes: Array, x: Array) -> Array:
-    """Places x (n, d) in the reference entities of those with nodes (n, a, d); outside them for places elsewhere."""
+    """Reference coordinates of points x (n, d) in entities with nodes (n, a, d); beyond the entity for outer points."""
     element = lagrange(kind, degree)
     X = np.tile(basix.geometry(basix.CellType[kind]).mean(axis=0), (len(x), 1))
     if not len(x):  # basix takes no empty arrays

@@ -1,4 +1,4 @@
-"""Stiffness of layers and their sublayers, and pressures in excess where a law on S lets no material flow along S."""
+"""Stiffness of layers and sublayers, and the excess pressure of laws on S that let no material flow along S."""
 
 from __future__ import annotations
 
@@ -20,23 +20,22 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 
-NEARLY_INCOMPRESSIBLE_LENGTH = (
-    0.5  # (nu = 3/8) a shorter length of the pressure, relative to eps, has no effect along S
-)
-INCOMPRESSIBLE_BULK_RATIO = 1e8  # bulk modulus that stands for incompressibility, relative to the tangent
+# length of the pressure, over the thickness, up to which it has no effect along S; the length of nu = 3/8
+NEARLY_INCOMPRESSIBLE_LENGTH = 0.5
+INCOMPRESSIBLE_BULK_RATIO = 1e8  # bulk modulus that represents incompressibility, relative to the tangent
 NEGLIGIBLE_MODULUS_RATIO = 1e-9  # modulus or stiffness, relative to others of the layer, that counts as zero
-MODULUS_RATIO_TOLERANCE = 1e-3  # relative change of lmbda/mu in time that counts as none
+MODULUS_RATIO_TOLERANCE = 1e-3  # relative change of lmbda/mu in time that counts as zero
 
 
 @dataclass(frozen=True)
 class RestingSublayer:
-    """One of the sublayers of a layer whose law is a `Stack`, or the whole layer.
+    """Moduli of one sublayer of a layer whose law is a `Stack`, or of the whole layer.
 
     Attributes:
         fraction: share of the layer's thickness.
-        lmbda, mu: Lame moduli at rest or, if lmbda/mu changes in time, under loads that have lasted; a stress.
+        lmbda, mu: Lame moduli at rest or, if lmbda/mu changes in time, after a duration of the loads; a stress.
         along: modulus of the sublayer as a sheet in the plane of S; a stress.
-        when: words for a warning that say how long loads last; "" at rest.
+        when: words for a warning that state this duration; "" at rest.
     """
 
     fraction: float
@@ -62,7 +61,7 @@ class RestingSublayer:
 
     @classmethod
     def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> RestingSublayer | None:
-        """A sublayer from the tangent C at rest; None if the law does not resist shear."""
+        """Make a sublayer from the tangent C of its law; None if the law does not resist shear."""
         lmbda, mu = average_lame(C)
         if law.traits.constrained and not law.parameters().get("lmbda"):
             volumetric = isotropic_tensor(np.abs(C).max() * INCOMPRESSIBLE_BULK_RATIO, 0.0)
@@ -71,7 +70,7 @@ class RestingSublayer:
 
 
 def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer]:
-    """The sublayers of a layer under loads that have lasted dt (0: at rest); [] if tangents are not known."""
+    """The sublayers of a layer after a duration dt of the loads (0: at rest); [] if tangents are unknown."""
     n, sublayers = layer.initial_tangents.n, layer.initial_tangents.sublayers
     later = layer.initial_tangents.over(dt) if dt > 0 else [None] * len(sublayers)
     resting: list[RestingSublayer] = []
@@ -88,12 +87,12 @@ def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer
 
 
 def acts_as_springs(sublayers: list[RestingSublayer]) -> bool:
-    """Whether strains along S cause no stress, as in springs: the traction then does not depend on the thickness."""
+    """Whether strains along S cause no stress, as in springs, so that the traction does not depend on the thickness."""
     return bool(sublayers) and all(sublayer.along <= NEGLIGIBLE_MODULUS_RATIO * sublayer.mu for sublayer in sublayers)
 
 
 def jump_stiffness(layer: SeamLayer) -> tuple[float, float]:
-    """Normal and least tangential stiffness of the layer at rest, per area; zeros if they are not known."""
+    """Normal and least tangential stiffness of the layer at rest, per area; zeros if unknown."""
     n, compliances = layer.initial_tangents.n, np.zeros(2)
     for fraction, _, C in layer.initial_tangents.sublayers:
         if C is None:
@@ -108,21 +107,21 @@ def jump_stiffness(layer: SeamLayer) -> tuple[float, float]:
     return float(normal), float(tangential)
 
 
-JUMP_ROUNDING = 1e-9  # rounding of jumps, relative to the displacements
+JUMP_ROUNDING = 1e-9  # rounding error of jumps, relative to the displacements
 Remark = tuple[str, str]  # key of a RangeWarning, and its message
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
-MIN_LAST_OPENING = 0.5  # least opening of the last state that is tested, relative to the largest one
-MIN_STIFFNESS_ERROR = 0.1  # relative error of a layer's stiffness from which on there is a warning
+MIN_LAST_OPENING = 0.5  # least opening of the last tested state, relative to the largest opening
+MIN_STIFFNESS_ERROR = 0.1  # relative error of a layer's stiffness above which there is a warning
 
 
 @dataclass(frozen=True)
 class FaceDisplacements:
-    """How the faces of a layer are displaced in a state, at the k corners of the n facets of its seam. Collective.
+    """Displacements of a layer's faces in a state, at the k corners of the n facets of its seam. Collective.
 
     Attributes:
-        surface: the seam.
-        state: of an interface model.
+        surface: the mesh of the seam.
+        state: state of an interface model.
         layer: the layer.
     """
 
@@ -132,7 +131,7 @@ class FaceDisplacements:
 
     @classmethod
     def of(cls, state: State, layer: SeamLayer) -> FaceDisplacements:
-        """Those of a layer by itself."""
+        """Face displacements of a layer, on its whole seam."""
         return cls(surface_of(state.model, layer.name), state, layer)
 
     @cached_property
@@ -142,17 +141,17 @@ class FaceDisplacements:
 
     @property
     def rounding(self) -> float:
-        """Rounding of jumps."""
+        """Rounding error of jumps, a length."""
         return JUMP_ROUNDING * float(np.abs(self.sides).max())
 
     @property
     def opening(self) -> FloatArray:
-        """(n, k) [u_N]."""
+        """(n, k) normal jump [u_N]."""
         return np.asarray(((self.sides[1] - self.sides[0]) * self.surface.corner_points.n).sum(axis=0))
 
     @property
     def slip_squared(self) -> FloatArray:
-        """(n, k) |w_T|^2 plus the square of the rounding of displacements."""
+        """(n, k) squared slip |w_T|^2 plus the square of the rounding error of jumps."""
         slip = self.sides[1] - self.sides[0] - self.opening * self.surface.corner_points.n
         return np.asarray((slip**2).sum(axis=0) + self.rounding**2)
 
@@ -163,13 +162,13 @@ class FaceDisplacements:
 
     @property
     def mean_closing(self) -> float:
-        """Mean closing over S; an opening counts as zero."""
+        """Mean of `closing` over the seam; an opening counts as zero."""
         surface = self.surface
         return float(surface.integral(surface.between(np.maximum(self.closing, 0))) / surface.integral(1.0))
 
     @property
     def stretching(self) -> FloatArray:
-        """(n, q) div_S <u>, of displacements that are linear between corners."""
+        """(n, q) div_S <u> of displacements that are linear between corners."""
         surface, mean = self.surface, self.sides.mean(axis=0)
         radius = self.state.model.kinematics.radius(surface.x.reshape(len(surface.x), -1).T)
         hoops = surface.between(mean[0]) / radius.reshape(surface.weights.shape)
@@ -178,11 +177,11 @@ class FaceDisplacements:
 
 @dataclass(frozen=True)
 class PressureExcess:
-    """How much a layer's law is too stiff, as it lets no material flow along S: its pressure p_0 is in excess of p.
+    """Relative errors of a law whose pressure p_0 exceeds the layer's p because it lets no material flow along S.
 
     Attributes:
         opening: int (p_0 - p) wb/int p wb: the law is 1 + opening times too stiff against openings.
-        work: the same excess over the work of the layer, int p wb + int mu/eps |w_T|^2, to which shear belongs.
+        work: excess work of the law over the work of the layer including shear, int p wb + int mu/eps |w_T|^2.
         traction: |p_0 - p| over the traction of the law, norms in L2(S).
     """
 
@@ -192,12 +191,12 @@ class PressureExcess:
 
     @property
     def reported(self) -> float:
-        """The excess that warnings are about: of openings, unless other tractions hide it; then of the work."""
+        """The excess that warnings report: `opening`, or `work` if p_0 - p is small against the traction."""
         return self.opening if self.traction > MIN_STIFFNESS_ERROR else self.work
 
 
 def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
-    """1 + opening of `pressure_excess`, 1 of a law with a pressure that flows; None of laws without it. Collective."""
+    """Factor 1 + opening of `pressure_excess`, or 1 if the law has flow along S; None if not applicable. Collective."""
     if state.model.applicability[layer.name].why_not("excess of pressure"):
         return None
     return (
@@ -208,18 +207,22 @@ def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
 
 
 def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> PressureExcess:
-    """Compare the pressure of the law with that of the layer, for the displacements found. Collective.
+    """Compare the pressures of the law and of the layer under the same face displacements. Collective.
 
-    With wb = [u_N] + eps div_S <u> the pressure of the law is p_0 = lmbda wb/eps, and the pressure p of the layer solves
+    Let wb = [u_N] + eps div_S <u>. The pressure of the law is p_0 = lmbda wb/eps. The pressure p of the layer is
+    continuous, of degree 1, and solves
 
-        (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through the others,
+        (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through other ends.
 
-    continuous and of degree 1; ends whose loss the law knows (edges="free") are among the others. Cells of size h may be
-    longer than the length delta of the fall, in which functions of degree 1 let flow out sqrt(1 + h^2/(12 delta^2)) times
-    too much. A resistance of the free ends makes up for that, so that the excess does not depend on h. On straight
-    facets of a curved S slip opens the layer at one end of a facet and closes it at the other, and the law resists that,
-    too: `work` has it, for the others p_0 is continuous like p. Openings as small as the rounding of
-    displacements count as none.
+    Free ends whose loss of stiffness the law contains (edges="free") count as other ends.
+
+    Cells of size h may be longer than the length delta over which p falls to zero. There functions of degree 1 have an
+    outflow that is sqrt(1 + h^2/(12 delta^2)) times too large. A resistance at the free ends corrects this, so that the
+    excess does not depend on h.
+
+    On straight facets of a curved S, slip opens the layer at one end of a facet and closes it at the other. The law
+    resists this too. It is included in `work`; for `opening` and `traction`, p_0 is continuous like p. Openings as
+    small as the rounding error of displacements count as zero.
     """
     if not layer.lmbda:
         return PressureExcess()
@@ -234,7 +237,7 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
     b = joined.T @ surface.sums(surface.moments(wb))
     volume = joined.T @ surface.mass(1 / stiff) @ joined
     whole = volume + joined.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ joined
-    if not b @ b:  # nor numbers whose squares are none
+    if not b @ b:  # also if the squares underflow
         return PressureExcess()
     rim = faces.state.model.applicability[faces.layer.name].neglected
     at_rim = surface.thickness(faces.layer, rim.vertices).mean(axis=1)
@@ -257,10 +260,12 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
 
 # ---------------------------------------------------------------- warnings
 def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[RestingSublayer]]) -> Iterator[Remark]:
-    """Where the pressure of a nearly incompressible layer falls to zero at free ends over a long length delta, in words.
+    """Yield a remark if the pressure of a nearly incompressible layer falls to zero at free ends over a long distance.
+
+    The distance is delta of `pressure_length`.
 
     Interface laws do not contain this effect. Between rigid faces a strip of half-width l carries only the share
-    1 - tanh(l/delta) delta/l of the load that the law gives; the largest factor is named.
+    1 - tanh(l/delta) delta/l of the load of the law. The remark states the largest factor.
 
     Args:
         model: the interface model.
@@ -294,14 +299,14 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
 def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
     """Length delta over which the pressure falls to zero at a free end of S, relative to the thickness of the layer.
 
-    All sublayers have one normal traction t. The layer opens by w = c t - B t'': c is the sum of their compliances, and
-    B t'' is the flow along S that a slope of t drives in nearly incompressible sublayers. The flow shears the other
-    sublayers. It also stretches them, as strains along S grow in proportion to the distance. delta^2 = B/c; for one
-    sublayer delta is its `length`. B is the minimum of a quadratic form of displacements along S, of degree 2 through
-    each sublayer.
+    All sublayers have the same normal traction t. The layer opens by w = c t - B t'': c is the sum of their
+    compliances, and B t'' is the flow along S that a slope of t drives in nearly incompressible sublayers. The flow
+    shears the other sublayers. It also stretches them, as strains along S grow in proportion to the distance. delta^2 =
+    B/c; for one sublayer delta is its `length`. B is the minimum of a quadratic form of displacements along S, of
+    degree 2 through each sublayer.
 
     Args:
-        sublayers: from below.
+        sublayers: the sublayers, from the lower to the upper face.
         width: length of the flow along S, relative to the thickness of the layer.
     """
     count = 2 * len(sublayers) + 1
@@ -313,20 +318,20 @@ def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
             b[at] += math.sqrt(ply.lmbda / (ply.lmbda + 2 * ply.mu)) * ply.fraction / 6 * np.array([1.0, 4.0, 1.0])
         else:
             A[at, at] += 3 / width**2 * max(ply.along, 0.0) * ply.fraction / 30 * STRETCH_MATRIX
-    inside = slice(1, -1)  # the bodies do not move
+    inside = slice(1, -1)  # the displacements of the faces are zero
     flow = float(b[inside] @ np.linalg.solve(A[inside, inside], b[inside]))
     return math.sqrt(flow / sum(ply.compliance for ply in sublayers))
 
 
 def stiffness_remark(seam_layer: SeamLayer, states: Sequence[State], start: float | None) -> Iterator[Remark]:
-    """How many times a law is too stiff for the openings found, against a layer whose pressure evens out along S, in words.
+    """Yield a remark if a law is too stiff for the openings of states, as the layer's pressure evens out along S.
 
-    Two states are tested: the one with the largest opening and the last one with at least half of it, as laws that creep
-    or relax become nearly incompressible with time.
+    Two states are tested: the state with the largest opening, and the last state with at least half of it. The second
+    test is needed because laws that creep or relax become nearly incompressible with time.
     """
     has_column = not states[0].model.applicability[seam_layer.name].why_not("excess of pressure")
     if not (has_column or seam_layer.law.traits.compiled or any(k.nearly for k in resting_sublayers(seam_layer))):
-        return  # tangents of others do not change
+        return  # tangents of other laws do not change in time
     openings = [float(np.abs(FaceDisplacements.of(state, seam_layer).opening).max()) for state in states]
     last = max(k for k, opening in enumerate(openings) if opening >= MIN_LAST_OPENING * max(openings))
     rows = []

@@ -1,4 +1,4 @@
-"""S as a mesh of its own: places, integrals, projections, lines, and values of functions on both sides, as numbers."""
+"""S as a separate mesh: points, integrals, projections, lines, and values of functions on both sides, as arrays."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ SIDE_NAMES = ("lower", "upper")
 
 
 class FacetPoints:
-    """Points on the facets of a surface, q on each of n.
+    """q points on each of n facets of a surface.
 
     Attributes:
         rows: (n,) positions of the facets on the surface.
-        points: (q, d - 1) or (n, q, d - 1) in the reference facet.
-        shapes: (n, q, k) values of the functions of degree 1 of the corners.
-        x, n: (d, n, q) places, and unit normals from the lower to the upper side.
-        weights: (n, q) of integrals over S, in axisymmetry over the whole revolution.
+        points: (q, d - 1) or (n, q, d - 1) coordinates in the reference facet.
+        shapes: (n, q, k) values of the shape functions of degree 1 of the corners.
+        x, n: (d, n, q) coordinates, and unit normals from the lower to the upper side.
+        weights: (n, q) weights of integrals over S; in axisymmetry over the whole revolution.
     """
 
     def __init__(self, surface: SurfaceMesh, rows: IntArray, points: Array, weights: Array | float = 1.0) -> None:
@@ -61,43 +61,47 @@ class FacetPoints:
 
     @cached_property
     def slopes(self) -> Array:
-        """(n, q, k, d) gradients along S of the functions of degree 1 of the corners."""
+        """(n, q, k, d) gradients along S of the shape functions of degree 1 of the corners."""
         to_x = np.linalg.pinv(np.moveaxis(self._along, 0, -1))
         return np.asarray(np.einsum("jfqa,fqjd->fqad", self._reference_slopes, to_x))
 
 
 def tabulated(element: Any, points: Array, count: int, derivatives: int = 0) -> Array:
-    """(1 or 1 + t, n, q, a) values, and slopes, of an element's functions at points (q, t) or (n, q, t) of n entities."""
+    """Values (1, n, q, a) of an element's functions at points (q, t), or (n, q, t), of n entities.
+
+    With one derivative the result is (1 + t, n, q, a): values, then slopes.
+    """
     table = element.tabulate(derivatives, points.reshape(-1, points.shape[-1]))[..., 0]
     table = table.reshape(len(table), *points.shape[:-1], -1)
     return np.broadcast_to(table if points.ndim == 3 else table[:, None], (len(table), count, *table.shape[-2:]))
 
 
 class SurfaceMesh:
-    """S of a joint, or one of its seams, as a mesh of its own, whole on every rank.
+    """S of a joint, or one of its seams, as a separate mesh, whole on every rank.
 
-    A field is an array with a value at each of q points of quadrature of each of n facets: (n, q), of vectors (d, n, q).
-    One that is constant on facets is (n, 1), and (m,) values at the nodes stand for the field that is linear between them.
-    A constant vector v is `np.reshape(v, (-1, 1, 1))` beside it: numpy would take a plain one along the points.
+    A field is an array with a value at each of q quadrature points of each of n facets: (n, q), for vectors (d, n, q).
+    A field that is constant on facets is (n, 1). Values (m,) at the nodes represent the field that is linear between
+    them. A constant vector v must have the shape of `np.reshape(v, (-1, 1, 1))`: numpy broadcasts (d,) along the
+    points.
 
     Args:
         model: a model of the joint.
-        seam: name of a seam; "S": all of them.
+        seam: name of a seam; "S": all seams.
 
     Attributes:
-        x, n: (d, n, q) places and unit normals, from the lower to the upper side.
-        weights: (n, q) of integrals: areas, in axisymmetry of the whole revolution.
-        quadrature: these points; `rule` has those of other degrees.
+        x, n: (d, n, q) quadrature points, and unit normals from the lower to the upper side.
+        weights: (n, q) weights of integrals: areas, in axisymmetry of the whole revolution.
+        quadrature: the quadrature points; `rule` returns the points of other degrees.
         rows: (n,) positions of the facets in `joint.surface_rows`.
         cells: (n, 2) numbers in the joint of the cells below (-1: a rigid base) and above.
-        corners: (n, k) their vertices in the joint.
-        faces: (2, n, a, d) places of their nodes in the cells below and above.
-        seams: (n,) names of their seams.
-        points: (q, d - 1) the points of quadrature in the reference facet.
-        shapes: (q, k) values at the points of the functions of degree 1 of the corners.
+        corners: (n, k) vertices of the facets in the joint.
+        faces: (2, n, a, d) coordinates of the facets' nodes in the cells below and above.
+        seams: (n,) name of each facet's seam.
+        points: (q, d - 1) quadrature points in the reference facet.
+        shapes: (q, k) values at these points of the shape functions of degree 1 of the corners.
 
     Raises:
-        InputError: no model, or an unknown seam.
+        InputError: not a model, or an unknown seam.
     """
 
     def __init__(self, model: Model, seam: str = S) -> None:
@@ -124,7 +128,7 @@ class SurfaceMesh:
         return f"{type(self).__name__}({self.model!r}, {self.seam!r})"
 
     def rule(self, degree: int) -> FacetPoints:
-        """The points of a quadrature rule on all facets."""
+        """The points of the quadrature rule of this degree on all facets."""
         if degree not in self._rules:
             self._rules[degree] = self.on_facets(*basix.make_quadrature(basix.CellType[self.kind], degree))
         return self._rules[degree]
@@ -140,10 +144,10 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- places
     def at(self, x: Any) -> tuple[LocatedPoints, FacetPoints]:
-        """The facets that contain places (n, d), or one (d,): all of them, and a point on each.
+        """All facets that contain points x (n, d), or one point (d,), and the points on these facets.
 
         Raises:
-            InputError: no finite numbers of this shape; places that are not on the surface.
+            InputError: no finite numbers of this shape; points that are not on the surface.
         """
         located = LocatedPoints.of(self.kind, self.faces.mean(axis=0), x)
         off = f"{{bad}} of {{all}} places are not on {self.seam}, the first at {{at}}"
@@ -151,10 +155,14 @@ class SurfaceMesh:
         return located, FacetPoints(self, located.entity, located.X[:, None])
 
     def on_side(self, located: LocatedPoints, side: str) -> LocatedPoints:
-        """Places in cells of the joint: those on the surface in the cells on one side alone, others in all of theirs.
+        """Keep, for points on the surface, only the cells on one side; other points keep all their cells.
+
+        Args:
+            located: points in cells of the joint.
+            side: "lower" or "upper".
 
         Raises:
-            InputError: no side; a rigid base, which has no cells below.
+            InputError: another side; a rigid base, which has no cells below.
         """
         require(side in SIDE_NAMES, "side", side, "allowed: lower, upper")
         count, on_s, wanted = len(self.joint.cells) + 1, [], np.empty(0, np.int64)
@@ -171,14 +179,14 @@ class SurfaceMesh:
         return located[of_side | ~np.isin(located.point, points)]
 
     def in_layer(self, x: Any, height: Any) -> Array:
-        """Places (n, d) in the mesh of a full model, at heights between the faces that places x of S have become.
+        """Points (n, d) in the meshed layer of a full model, at points x of S and heights between the faces.
 
         Args:
-            x: places on S, (n, d).
-            height: from -1/2 at the lower to 1/2 at the upper face, one or (n,).
+            x: points on S, (n, d).
+            height: from -1/2 at the lower to 1/2 at the upper face, one number or (n,).
 
         Raises:
-            InputError: a surface of another model; places off S.
+            InputError: the surface is not of a full model; points off S.
         """
         if not isinstance(self.model, FullModel):
             raise InputError(f"places in a meshed layer need a full model, not {self.model!r:.80}")
@@ -197,16 +205,16 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- states, and functions of models
     def displacements(self, state: State) -> Array:
-        """(2, d, n, q) displacements of the lower and of the upper side; zero of a rigid base. Collective.
+        """(2, d, n, q) displacements of the lower and of the upper side; zero on a rigid base. Collective.
 
         Raises:
-            InputError: no state, or one of another joint.
+            InputError: not a state, or a state of another joint.
         """
         self._require_same_joint(state)
         return self.sides(state.u, state.model, self.quadrature)
 
     def jump(self, state: State) -> Array:
-        """(d, n, q) [u] = u(upper) - u(lower). Collective."""
+        """(d, n, q) jump [u] = u(upper) - u(lower). Collective."""
         lower, upper = self.displacements(state)
         return np.asarray(upper - lower)
 
@@ -217,16 +225,16 @@ class SurfaceMesh:
             raise InputError("this state's model has another joint than the surface; build both from the same one")
 
     def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
-        """(2, m, n, q) values of a function of a model, below and above; zero of a rigid base. Collective."""
+        """(2, m, n, q) values of a model's function f (m,) below and above; zero on a rigid base. Collective."""
         element = f.function_space.ufl_element().basix_element
-        values = cell_values(f, model, self.cells[at.rows].clip(0))  # without meaning at a rigid base
+        values = cell_values(f, model, self.cells[at.rows].clip(0))  # not used below S on a rigid base
         out = np.zeros((2, f.function_space.dofmap.bs, *at.weights.shape))
         for side, here, _, X in self._in_cells(at):
             out[side][:, here] = np.moveaxis(tabulated(element, X, len(here))[0] @ values[here, side], -1, 0)
         return out
 
     def _in_cells(self, at: FacetPoints) -> Iterator[tuple[int, IntArray, IntArray, Array]]:
-        """Sides, numbers of facets, cells, and points in the reference cell, for each way a facet lies in its cell."""
+        """Yield side, facet numbers, cells and reference points, for each orientation of facets in their cells."""
         geometry = np.asarray(basix.geometry(basix.CellType[self.joint.cell_type]))
         for side, cells in enumerate(self.cells[at.rows].T):
             local = (self.joint.corners[cells][:, None] == self.corners[at.rows][..., None]).argmax(axis=2)
@@ -239,14 +247,14 @@ class SurfaceMesh:
 
     @cached_property
     def distance_to_ends(self) -> Array:
-        """(n, q) distances of the points from where S, or this seam of it, ends; infinite if it is closed."""
+        """(n, q) distances of the quadrature points from the ends of S, or of this seam; infinite if it is closed."""
         x = np.moveaxis(self.x, 0, -1)
         rim = Sheet(self.joint, self.seam).rim
         return rim.distance(self.joint.points, x.reshape(-1, len(self.x))).reshape(x.shape[:-1])
 
     # ---------------------------------------------------------------- integrals
     def _field(self, f: Any) -> Array:
-        """(..., n, q) a field; raises InputError."""
+        """Return f as a field (..., n, q); raise InputError if it is not a field."""
         try:
             if f is None:
                 raise TypeError
@@ -263,10 +271,10 @@ class SurfaceMesh:
             raise InputError(f"{what} is no field on S; {allowed}") from None
 
     def where(self, part: Where | float) -> Array:
-        """(n, q) weights of a part of S: of a field, or a numpy function of places x (d, n, q).
+        """(n, q) weights of a part of S, from a field or a numpy function of the coordinates x (d, n, q).
 
         Raises:
-            InputError: neither.
+            InputError: `part` is neither.
         """
         try:
             return self._field(part(self.x) if callable(part) else part)
@@ -275,7 +283,7 @@ class SurfaceMesh:
             raise InputError(wrong) from error
 
     def integral(self, f: Any) -> Any:
-        """Integral over S of a field: a float, of vectors an array (d,)."""
+        """Integral over S of a field: a float, or an array (d,) for a vector field."""
         total = (self._field(f) * self.weights).sum(axis=(-2, -1))
         return total if total.ndim else float(total)
 
@@ -284,9 +292,9 @@ class SurfaceMesh:
         return float(np.sqrt((self._field(f) ** 2 * self.where(where) * self.weights).sum()))
 
     def frame(self, f: Any) -> Array:
-        """(d, n, q) a vector field in the frame of S: tangential components, then the normal one.
+        """(d, n, q) components of a vector field in the frame of S: tangential components, then the normal component.
 
-        The tangents are those of `forms.tensors.layer_frame`: (n_2, -n_1) in 2D, its first and third axis in 3D.
+        The tangents are axes of `forms.tensors.layer_frame`: (n_2, -n_1) in 2D, the first and the third axis in 3D.
         """
         f, n = self._field(f), self.n
         if f.shape != n.shape:
@@ -297,7 +305,7 @@ class SurfaceMesh:
     # ---------------------------------------------------------------- nodes
     @cached_property
     def _numbered(self) -> tuple[IntArray, IntArray, IntArray]:
-        """`numbers`, `vertices` and `nodes`."""
+        """The values of `numbers`, `vertices` and `nodes`."""
         of_table = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
         at = (of_table[:, None] == self.corners[..., None]).argmax(axis=2)
         codes = np.take_along_axis(self.joint.pairs[self.rows], at, axis=1)
@@ -311,18 +319,19 @@ class SurfaceMesh:
     def numbers(self) -> IntArray:
         """(m,) numbers of the nodes (`Joint.pairs`): where seams meet, one for each pair of bodies at a vertex.
 
-        In order along S in 2D, piece after piece, else by the coordinates; each piece of S has one pair at each vertex.
+        In 2D they are ordered along S, piece after piece; in 3D by coordinates. Each piece of S has one pair at a
+        vertex.
         """
         return self._numbered[0]
 
     @property
     def places(self) -> Array:
-        """(m, d) places of the nodes."""
+        """(m, d) coordinates of the nodes."""
         return self.joint.points[self.vertices]
 
     @property
     def vertices(self) -> IntArray:
-        """(m,) vertices of the joint at the nodes, of those that periodic sides identify the first one."""
+        """(m,) vertex of the joint at each node; the first of the vertices that periodic sides identify."""
         return self._numbered[1]
 
     @property
@@ -331,7 +340,7 @@ class SurfaceMesh:
         return self._numbered[2]
 
     def find(self, numbers: IntArray) -> IntArray:
-        """Positions of nodes with these numbers."""
+        """Positions in `numbers` of the nodes with these numbers."""
         order = np.argsort(self.numbers)
         return order[np.searchsorted(self.numbers[order], numbers)]
 
@@ -358,12 +367,12 @@ class SurfaceMesh:
         return np.asarray(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
 
     def projected(self, moments: Array) -> Array:
-        """(m, ...) nodal values of moments (n, k, ...), integrals with the functions of degree 1."""
+        """(m, ...) nodal values of the L2 projection, from moments (n, k, ...) with the functions of degree 1."""
         total = self.sums(moments)
         return np.asarray(self._solver(total.reshape(len(total), -1))).reshape(total.shape)
 
     def lumped(self, moments: Array) -> Array:
-        """(m, ...) the same over the areas around nodes, as contact laws define tractions."""
+        """(m, ...) nodal values of moments by a lumped mass matrix, as contact laws define tractions."""
         return np.asarray((self.sums(moments).T / self.areas).T)
 
     @cached_property
@@ -376,7 +385,7 @@ class SurfaceMesh:
         return scipy.sparse.linalg.splu(self.mass()).solve
 
     def nodal(self, f: Any) -> Array:
-        """(m,) or (m, d): the L2 projection of a field to degree 1, at the nodes (`numbers`, `places`)."""
+        """L2 projection (m,) or (m, d) of a field to degree 1, at the nodes (`numbers`, `places`)."""
         return self.projected(self.moments(f))
 
     def at_points(self, nodal: Array) -> Array:
@@ -388,23 +397,23 @@ class SurfaceMesh:
         return np.asarray(of_corners @ self.shapes.T)
 
     def profile(self, f: Any) -> tuple[Array, Array]:
-        """Places (m, d) and values (m,) or (m, d) of a field, projected to degree 1, at the nodes (`numbers`)."""
+        """Coordinates (m, d) of the nodes, and nodal values (m,) or (m, d) of a field projected to degree 1."""
         return self.places, self.nodal(f)
 
     def along(self, f: Any, *, plane: Plane | None = None) -> list[Line]:
-        """Values of a field along the lines of S, by arc length: steps where it is constant on facets, else of degree 1.
+        """Values of a field along the lines of S, by arc length: steps if it is constant on facets, else of degree 1.
 
-        In 2D a line is a piece of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is where a
-        plane cuts a seam. Lines are ordered by seam, then by the place at which they start, the lower one of their ends by
-        the first coordinate, then by the next ones; a closed line starts at its lowest place and goes towards the lower of
-        its neighbours. Where values jump, as where another seam meets a line, there are two rows of one s.
+        In 2D a line is a piece of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is the cut
+        of a seam by a plane. Lines are ordered by seam, then by their start points. A line starts at its lower end, by
+        the first coordinate, then by the next ones. A closed line starts at its lowest point, towards the lower of its
+        neighbours. Where values jump, as at a junction with another seam, there are two rows with the same s.
 
         Args:
             f: the field.
             plane: in 3D a point of the plane and its normal, ((x, y, z), (n_x, n_y, n_z)).
 
         Raises:
-            InputError: no field; a plane in 2D, none in 3D, one that does not cut S.
+            InputError: f is not a field; a plane in 2D; in 3D no plane, or a plane that does not cut S.
         """
         values, lines = self.at_corners(f), list[Line]()
         for name in dict.fromkeys(self.seams.tolist()):
@@ -425,20 +434,20 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- layers
     def thickness(self, layer: SeamLayer, vertices: IntArray) -> Array:
-        """(...) thickness of a layer with a law of strains at vertices (...) of the joint."""
+        """Thickness (...) of a layer with a law of strains, at vertices (...) of the joint."""
         return np.asarray(
             float(layer.thin_layer.eps) * self.joint.relative_thickness(layer.thin_layer.profile, layer.name)[vertices]
         )
 
     def lengths(self, rim: Rim) -> Array:
-        """(n,) lengths of the ridges of a part of the rim; in a plane 1 at each, in axisymmetry that of its circle."""
+        """(n,) lengths of the ridges of a part of the rim; in plane models 1, in axisymmetry the circumference."""
         return np.asarray(rim.length * self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
 
 
 def surface_of(model: Model, seam: str) -> SurfaceMesh:
-    """A seam as a mesh, made once for a model."""
+    """The `SurfaceMesh` of a model's seam, made once and stored in the model."""
     kept: dict[str, SurfaceMesh] = vars(model).setdefault("surfaces", {})
     if seam not in kept:
         kept[seam] = SurfaceMesh(model, seam)
-        kept[seam].model = proxy(model)  # which has it
+        kept[seam].model = proxy(model)  # the model owns the mesh: no reference cycle
     return kept[seam]

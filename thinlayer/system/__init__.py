@@ -1,1 +1,1 @@
-"""What runs stand on: ranks that agree, files, tables, compiled code and its cache, what a run is made from."""
+"""Infrastructure of runs: agreement of ranks, files, tables, compiled code and its cache, descriptions of runs."""

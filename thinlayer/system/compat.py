@@ -1,6 +1,6 @@
 """Functions that hide the differences between DOLFINx 0.9 and 0.11 in spaces and forms.
 
-They try the signatures of the releases in turn, and do not ask for the version. Meshes: `geometry/domain.py`.
+They try the signatures of the releases in turn, and do not ask for the version. `geometry/domain.py` is for meshes.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def exterior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.ND
 
 
 def _entities(name: str, mesh: Any, entities: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
-    """Local cells or facets as integrals of a type have them, those of other ranks left out."""
+    """Integration entities of local cells or facets for an integral type; entities of other ranks are left out."""
     dim = mesh.topology.dim - (name != "cell")
     create_connectivity(mesh, dim)
     arguments = getattr(fem.IntegralType, name), getattr(mesh.topology, "_cpp_object", mesh.topology), entities
@@ -53,7 +53,7 @@ def _entities(name: str, mesh: Any, entities: npt.NDArray[np.int32]) -> npt.NDAr
 
 
 def by_domain(form: ufl.Form) -> dict[Any, list[Any]]:
-    """Integrals of a form by type, data and set of tags; integrals of one density over several tags are joined."""
+    """Integrals of a form by type, data and set of tags; equal integrands over several tags are joined."""
     joined: dict[Any, tuple[Any, list[Any]]] = {}
     for integral in form.integrals():
         for tag in np.atleast_1d(np.array(integral.subdomain_id(), object)).tolist():
@@ -70,10 +70,10 @@ def by_domain(form: ufl.Form) -> dict[Any, list[Any]]:
 
 
 def compiled(form: ufl.Form, maps: Any = None) -> fem.Form:
-    """Compile a form, whose measures may have any tags. Forms that differ in their tags alone have one code.
+    """Compile a form whose measures may have any tags; forms that differ only in their tags share one code.
 
-    The sets of tags are numbered instead, for each type of integral. DOLFINx itself refuses measures with different data,
-    and 0.9 loses integrals where tags overlap and degrees of quadrature differ.
+    In the code numbers replace the sets of tags, for each type of integral. DOLFINx itself refuses measures with
+    different data, and 0.9 loses integrals where tags overlap and degrees of quadrature differ.
     """
     numbered: dict[str, list[tuple[int, Any]]] = {}
     integrals = []
@@ -88,10 +88,10 @@ def compiled(form: ufl.Form, maps: Any = None) -> fem.Form:
                 rows = np.concatenate([np.empty(0, np.int32), *entities])
             ids = len(domain) + 1
             domain.append((ids, rows))
-        for integral in some:  # UFL would join integrals of one density and metadata over several numbers
+        for integral in some:  # UFL would join integrals with equal integrand and metadata over several numbers
             metadata = {**integral.metadata(), "part": str(ids)}
             integrals.append(integral.reconstruct(subdomain_id=ids, subdomain_data=domain, metadata=metadata))
-    entity_maps: Any = copy(maps or {})  # which DOLFINx leaves in a cycle with the form
+    entity_maps: Any = copy(maps or {})  # a copy: DOLFINx leaves it in a reference cycle with the form
     compiled_form = fem.form(ufl.Form(integrals), entity_maps=entity_maps)
     entity_maps.clear()
     return compiled_form
@@ -104,7 +104,7 @@ def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
 
 
 def create_submesh(mesh: Mesh, dim: int, entities: npt.NDArray[np.int32]) -> tuple[Mesh, Any, npt.NDArray[np.int32]]:
-    """Mesh of entities, entity maps for fem.form, and the entity of each of its cells. Collective."""
+    """Submesh of entities, its entity maps for fem.form, and the entity of each of its cells. Collective."""
     sub, entity_map = dolfinx.mesh.create_submesh(mesh, dim, entities)[:2]
     if hasattr(entity_map, "sub_topology_to_topology"):
         imap = sub.topology.index_map(sub.topology.dim)
@@ -117,25 +117,25 @@ def create_submesh(mesh: Mesh, dim: int, entities: npt.NDArray[np.int32]) -> tup
 
 
 def belongs_to(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
-    """Whether the degrees of freedom of a condition are those of a space, or of a component of it."""
-    space = bc.function_space  # of C++ in DOLFINx 0.9
+    """Whether a Dirichlet condition constrains degrees of freedom of this space or of one of its components."""
+    space = bc.function_space  # a C++ object in DOLFINx 0.9
     return bool(V._cpp_object.contains(getattr(space, "_cpp_object", space)))
 
 
-# ---------------------------------------------------------------- cycles of references, which keep meshes until Python's
-# collector meets them: long runs would end at MPI's limit of communicators
+# ---------------------------------------------------------------- reference cycles, which keep meshes alive until
+# Python's garbage collector runs: long runs would exceed MPI's limit of communicators
 def interpolate(f: fem.Function, values: Any) -> None:
-    """Interpolate a function of places, an expression or a function; DOLFINx leaves f in a cycle."""
+    """Interpolate a function of points, an Expression or a Function into f, without DOLFINx's reference cycle of f."""
     fem.Function.interpolate(proxy(f), values)
 
 
 @contextmanager
 def without_cycles() -> Iterator[None]:
-    """Free what a block leaves in cycles, as UFL's walkers over expressions do, which keep the functions in these."""
+    """Context that frees objects in reference cycles at its end; UFL's visitors leave functions in such cycles."""
     try:
         yield
     finally:
-        gc.collect(1)  # young objects alone, in less than a millisecond
+        gc.collect(1)  # young objects only, in less than a millisecond
 
 
 expand_derivatives = without_cycles()(ufl.algorithms.expand_derivatives)

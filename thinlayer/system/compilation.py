@@ -1,10 +1,10 @@
-"""Compiled forms and C sources, and their folder. It stays intact if compilations are killed or run at the same time.
+"""Folder of compiled forms and C sources, which stays intact if compilations are killed or run at the same time.
 
 FFCx compiles in this folder and uses a form's C file as a lock. If the process is killed, the lock stays, and every
-process that needs the form waits in vain. Here each compilation has a folder of its own, and its files are moved to the
-common folder when all are complete and on the disk: none is ever there in part. Other processes that need the same form
-wait for a lock that the operating system frees when its process ends. FFCx is changed for the whole process: forms that a
-script compiles by itself are kept in the same way.
+process that needs the form waits in vain. Here each compilation has its own folder. Its files are moved to the common
+folder when all are complete and on the disk, so that no file there is incomplete. Other processes that need the same
+form wait for a lock that the operating system frees when its process ends. FFCx is changed for the whole process: this
+also applies to forms that a script compiles itself.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from thinlayer.system.progress import report_call
 
 # Folder -> descriptor of its lock file. They are never closed, as that would free all locks of the process on the file.
 _LOCK_FILES: dict[Path, int] = {}
-# The head of a function of a C source that is not static and returns int or double.
+# Head of a function of a C source that is not static and returns int or double.
 EXPORTED_FUNCTION = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
-# Kind of an array -> that of its pointer; dtype.name would take 5 times as long.
+# Type character of an array -> C type of its pointer; dtype.name would take 5 times as long.
 C_ARRAY_TYPES = {"i": "int32_t[]", "l": "intptr_t[]", "?": "uint8_t[]", "d": "double[]"}
 
 
@@ -50,7 +50,7 @@ class SourceError(ThinlayerError, RuntimeError):
 
 
 def acquire(folder: Path, name: str) -> None:
-    """Make the folder, and wait until no other process compiles the library of this name.
+    """Make the folder, wait until no other process compiles the library of this name, and lock it.
 
     Raises:
         InputError: the folder cannot be made, or written.
@@ -71,7 +71,7 @@ def release(folder: Path, name: str) -> None:
 
 
 def _lock(folder: Path, name: str, how: int) -> None:
-    """Lock or free the byte of the folder's lock file that stands for the name."""
+    """Lock or free the byte of the folder's lock file that belongs to the name."""
     byte = int(hashlib.sha256(name.encode()).hexdigest()[:15], 16)
     with suppress(OSError):  # a file system without locks: a library may be compiled twice, and the last one is kept
         if folder not in _LOCK_FILES:
@@ -81,7 +81,7 @@ def _lock(folder: Path, name: str, how: int) -> None:
 
 @contextmanager
 def workshop(folder: Path, name: str) -> Iterator[Path]:
-    """An empty folder to compile in, for the process that has acquired the name; deletes those of killed processes."""
+    """Context with an empty folder for the process that acquired the name; deletes such folders of killed processes."""
     prefix = f".{name}.{os.getpid()}-"
     for old in folder.glob(f".{name}.*"):
         if not old.name.startswith(prefix):
@@ -91,17 +91,17 @@ def workshop(folder: Path, name: str) -> Iterator[Path]:
 
 
 def keep_file(made: Path, file: Path) -> None:
-    """Write a file to the disk and move it to where it is kept."""
+    """Flush a file to the disk and move it to its final path."""
     with made.open("rb") as written:
         os.fsync(written.fileno())
     made.replace(file)
 
 
 def load_library(library: Path) -> Any:
-    """The module of a compiled library.
+    """Load a compiled library as a module.
 
     Raises:
-        ImportError: a file that is no such library.
+        ImportError: the file is no such library.
     """
     loader = ExtensionFileLoader(library.name.split(".")[0], str(library))
     module = module_from_spec(ModuleSpec(loader.name, loader, origin=loader.path))
@@ -110,14 +110,15 @@ def load_library(library: Path) -> Any:
 
 
 def _mend_ffcx() -> None:
-    """Let FFCx look for a compiled form under our lock, and compile it in a folder of its own."""
+    """Make FFCx look for a compiled form under our lock, and compile it in its own folder."""
     find, build = ffcx_jit.get_cached_module, ffcx_jit._compile_objects
     parameters = inspect.signature(build)
 
     def kept(module_name: str, object_names: list[str], folder: Path) -> tuple[Any, Any]:
-        """(objects, module), or (None, None) where files are missing or broken.
+        """Return (objects, module) of a compiled form, or (None, None) if files are missing or broken.
 
-        FFCx itself would list the whole folder for each form; that takes longer than all the rest once it has thousands.
+        FFCx itself would list the whole folder for each form. With thousands of files that takes longer than all the
+        rest.
         """
         source, ready = (folder / f"{module_name}{end}" for end in (".c", ".c.cached"))
         for library in (folder / f"{module_name}{end}" for end in EXTENSION_SUFFIXES):
@@ -164,7 +165,7 @@ _mend_ffcx()
 
 
 def load_options() -> None:
-    """Read the options of FFCx and of DOLFINx's compiler now, without those in files of the working folder."""
+    """Read the options of FFCx and of DOLFINx's compiler now, and ignore option files in the working folder."""
     with tempfile.TemporaryDirectory() as empty, chdir(empty):
         ffcx.get_options()
         dolfinx.jit.get_options()
@@ -172,10 +173,10 @@ def load_options() -> None:
 
 # ---------------------------------------------------------------- C sources
 def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
-    """The module compiled from a C source. Its `lib` has all functions that return int or double and are not static.
+    """Compile a C source and return its module, whose `lib` has all non-static functions that return int or double.
 
-    Collective over `comm`: rank 0 compiles. With the default communicator each process compiles the module if it is not
-    there.
+    Collective over `comm`: rank 0 compiles. With the default communicator each process compiles the module. A module
+    that exists already is not compiled again.
 
     Raises:
         SourceError: the source cannot be read or compiled; on all ranks.
@@ -191,24 +192,24 @@ def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
     return _loaded(_file_of(source))
 
 
-own_library = functools.cache(library)  # of sources of the package, which do not change while it runs
+own_library = functools.cache(library)  # for sources of the package, which do not change while it runs
 _loaded = functools.cache(load_library)
 
 
 def pointers(library: Any, *arrays: np.ndarray) -> list[Any]:
-    """Pointers to arrays, made contiguous (outputs are), for a library in C, which reads them unchecked."""
+    """Pointers to arrays or their contiguous copies, for a C library without checks; outputs must be contiguous."""
     return [library.ffi.from_buffer(C_ARRAY_TYPES[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
 
 
 def _file_of(source: Path) -> Path:
-    """The file of a compiled source, in FFCx's folder; its name has a hash of the source and the files it includes."""
+    """Path of a source's library in FFCx's folder; its name has a hash of the source and the files it includes."""
     folder = Path(dolfinx.jit.get_options()["cache_dir"]).expanduser()
     name = hashlib.sha256(source_content(source) + cffi.__version__.encode()).hexdigest()[:16]
     return folder / f"thinlayer_{source.stem}_{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
 
 
 def _build(source: Path, file: Path) -> None:
-    """Compile a source, unless its library is there."""
+    """Compile a source unless its library exists."""
     if file.exists():
         return
     name = file.name.split(".")[0]

@@ -1,6 +1,6 @@
-"""What a run is made from, as nested data: two runs compare it, and tell by names where they differ.
+"""Description of what a run is made from, as nested data; two runs compare it and name their differences.
 
-A run is resumed if its numbers are the same and no file of your own that its functions stand in has changed.
+A run can be resumed if its numbers are the same and no user's file with its functions has changed.
 """
 
 from __future__ import annotations
@@ -34,38 +34,39 @@ from forms.base import PACKAGES, InputError
 
 Resume = bool | Literal["anyway"]
 CODE_KEY, FILE_KEY, CLASS_KEY, SAME_KEY = "(code)", "(file)", "(class)", "(same as)"
-MISSING_VALUE = object()  # in place of what only one of two descriptions has
-MAX_SHOWN_ARRAY = 24  # longest array that is shown; longer ones are hashed
+MISSING_VALUE = object()  # placeholder for a value that one of two descriptions lacks
+MAX_SHOWN_ARRAY = 24  # number of entries up to which arrays are shown; larger arrays are hashed
 MAX_SHOWN_DIFFERENCES = 4  # number of differences that a message names
 LIBRARY_FOLDERS = [Path(sysconfig.get_path("stdlib")), *(Path(__file__).parents[2] / name for name in PACKAGES)]
 OPAQUE_PACKAGES = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
 PROCESS_LABEL = f", known to process {uuid.uuid4().hex[:8]} alone"
 EXPANDED_TYPES = (dict, types.MappingProxyType, list, tuple, set, frozenset, np.ndarray, types.ModuleType)
-GENERATOR_TYPES = (  # what gives other numbers each time
+GENERATOR_TYPES = (  # types whose objects give other values each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
 )  # fmt: skip
 _OBJECT_COUNT = itertools.count(1)
 _OBJECT_NUMBERS: dict[
     int, tuple[Any, int]
-] = {}  # id -> reference to an object that only this process knows, and its number
-INCLUDED_FILE = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # a file in a preprocessor line
+] = {}  # id of an object that only this process knows -> reference to it, and its number
+INCLUDED_FILE = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # file in a preprocessor line
 
 
 def describe(value: Any) -> Any:
-    """A value as JSON that is the same in another process, on any number of ranks, if the value is.
+    """Return a description in JSON that is equal in another process, on any number of ranks, if the value is equal.
 
-    Numbers, texts, arrays and containers stand for themselves, whatever the order of a dict; dataclasses and other objects
-    for the data of a copy. Functions of the user stand for their bytecode, the hash of their file, and for what they close
-    over, have as defaults or attributes, and read elsewhere; own classes for their functions and files, own modules for
-    their files; those of libraries for their names. Anything else, such as an open file or a function on a mesh, differs
-    from all of another process. Files that a run reads, what a function imports itself, `sys.argv` and `os.environ` are
-    not described.
+    Numbers, texts, arrays and containers are described by their entries, whatever the order of a dict. Dataclasses and
+    other objects are described by the data of a copy. Users' functions are described by their bytecode, the hash of
+    their file, and the values that they read: closure variables, defaults, attributes and globals. Users' classes are
+    described by their functions and files, users' modules by their files. Functions, classes and modules of libraries
+    are described by their names. Any other object, such as an open file or a function on a mesh, differs from all
+    objects of another process. The description leaves out files that a run reads, modules that a function itself
+    imports, `sys.argv` and `os.environ`.
     """
     return _Describer().of(value)
 
 
 def code_of(description: Any, *, is_code: bool = True) -> Any:
-    """The part of a description that stays as functions collect values: their code, and the numbers they refer to."""
+    """Part of a description that stays as functions collect values: their code, and the numbers that they refer to."""
     if isinstance(description, dict):
         parts = {key: code_of(value, is_code=CODE_KEY in description) for key, value in description.items()}
         return {key: part for key, part in parts.items() if part not in (None, {}, [])}
@@ -75,9 +76,9 @@ def code_of(description: Any, *, is_code: bool = True) -> Any:
 
 
 def random_states(value: Any, *, shared: bool = False) -> list[Any]:
-    """The states of the generators of random numbers and iterators that a value refers to.
+    """States of the random number generators and iterators that a value refers to.
 
-    With `shared` also of those that `random` and `numpy.random` share with all, unless its code seeds them.
+    With `shared`, the global states of `random` and `numpy.random` are added, unless the value's code seeds them.
     """
     describer = _Describer()
     describer.of(value)
@@ -87,7 +88,7 @@ def random_states(value: Any, *, shared: bool = False) -> list[Any]:
 
 
 def differences(value: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
-    """Differences of two descriptions: path of names, and both values there, or `MISSING_VALUE`."""
+    """Yield each difference of two descriptions: path of names, and both values there or `MISSING_VALUE`."""
     if isinstance(value, list) and isinstance(other, list):
         value, other = ({f"{k}": entry for k, entry in enumerate(values)} for values in (value, other))
     if isinstance(value, dict) and isinstance(other, dict):
@@ -98,7 +99,7 @@ def differences(value: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[
 
 
 def differences_text(changes: list[tuple[tuple[str, ...], Any, Any]]) -> str:
-    """The first of these differences in words, each pair of values once."""
+    """Text of the first `MAX_SHOWN_DIFFERENCES` differences, with each pair of values once."""
     pairs = {(_short(value), _short(other)): ".".join(path) for path, value, other in reversed(changes)}
     words = [f"{path}: {value} there, {other} here" for (value, other), path in reversed(pairs.items())]
     return "; ".join(words[:MAX_SHOWN_DIFFERENCES]) + f"; and {len(words) - MAX_SHOWN_DIFFERENCES} more" * (
@@ -112,32 +113,32 @@ def _short(value: Any) -> str:
 
 
 def require_resume(resume: Any) -> None:
-    """Raise InputError unless this is a choice of whether a run is resumed."""
+    """Raise InputError unless `resume` is True, False or "anyway"."""
     if not (isinstance(resume, bool) or (isinstance(resume, str) and resume == "anyway")):
         raise InputError(f"resume is {resume!r}; allowed: True, False, and 'anyway' for a run that may be another one")
 
 
 def digest(value: Any) -> str:
-    """Hash, twelve digits, of a JSON value or of bytes."""
+    """Hash with twelve hexadecimal digits of a JSON value or of bytes."""
     text = value if isinstance(value, bytes) else json.dumps(value, sort_keys=True).encode()
     return hashlib.sha256(text).hexdigest()[:12]
 
 
 class _Describer:
-    """One description.
+    """Makes the description of one value.
 
     Attributes:
-        random: states of the generators of random numbers and iterators that it has met.
-        names: names that the code reads which it has met.
+        random: states of the random number generators and iterators met so far.
+        names: names that the code met so far reads.
     """
 
     def __init__(self) -> None:
         self.random: list[Any] = []
         self.names: set[str] = set()
-        self._places: dict[int, tuple[str, Any]] = {}  # id -> where it was met; the value is kept, and so its id
+        self._places: dict[int, tuple[str, Any]] = {}  # id -> path of first place; value, so that its id stays in use
 
     def of(self, value: Any, at: str = "") -> Any:
-        """A value that is met at this place; an object that is met again stands for the first place."""
+        """Describe a value met at the path `at`; an object met again is described by the path of its first place."""
         description = None if _is_own(type(value).__module__) else _plain(value)
         if description is not None or value is None:
             return description
@@ -146,7 +147,7 @@ class _Describer:
         self._places[id(value)] = at, value
         description = self._composed(value, at)
         frozen = getattr(getattr(type(value), "__dataclass_params__", None), "frozen", False)
-        if frozen or type(value) in EXPANDED_TYPES:  # two that are equal count as one that is there twice
+        if frozen or type(value) in EXPANDED_TYPES:  # one object in two places is like two equal objects
             del self._places[id(value)]
         return description
 
@@ -194,12 +195,12 @@ class _Describer:
         return {name: self.of(item, f"{at}.{name}") for name, item in sorted(texts.items(), key=lambda entry: entry[0])}
 
     def _copied(self, value: Any, at: str) -> Any:
-        """An object, by the data that a copy of it is made from."""
+        """Describe an object by the data from which a copy of it is made."""
         kind, top = type(value), type(value).__module__.partition(".")[0]
         if isinstance(value, ufl.core.expr.Expr) and not extract_domains(value):
             return f"{_name(kind)}, {compute_expression_signature(value, {})[:12]}"
         if value is np.random.mtrand._rand or value is random._inst or top == "mpi4py":
-            return _name(kind)  # their states are no part of what refers to them
+            return _name(kind)  # global objects: their states do not belong to the value
         try:
             parts = copyreg.dispatch_table.get(kind, lambda instance: instance.__reduce_ex__(4))(value)
         except Exception:  # it cannot be copied
@@ -210,7 +211,7 @@ class _Describer:
             return f"{_name(kind)} {parts}"
         make, args, state, *items = (*parts, None)[: max(len(parts), 3)]
         data = {CLASS_KEY: kind, "(made of)": [make, *args], "(items)": [[*item] for item in items if item is not None]}
-        for attributes in state if isinstance(state, tuple) else (state,):  # attributes, and those in slots
+        for attributes in state if isinstance(state, tuple) else (state,):  # of the dict and of slots
             data |= attributes if isinstance(attributes, dict) else {f"(state {len(data)})": attributes}
         return self._named(data, at)
 
@@ -229,7 +230,7 @@ class _Describer:
 
 
 def _number(value: Any) -> int:
-    """Number of an object in this process; objects are not kept alive for it, where they allow that."""
+    """Number of an object in this process; objects that allow weak references are not kept alive."""
     entry = _OBJECT_NUMBERS.get(id(value))
     if entry is None or entry[0]() is not value:
         reference = weakref.ref(value) if type(value).__weakrefoffset__ else lambda: value
@@ -238,7 +239,7 @@ def _number(value: Any) -> int:
 
 
 def _members(kind: type) -> dict[str, Any]:
-    """What counts of an own class: its functions, its file, and the content of a C source."""
+    """Members that identify a user-defined class: its functions, its file, and the content of its C source, if any."""
     functions = {name: _function_of(value) for name, value in vars(kind).items()}
     made = {name for name, f in functions.items() if f and name[:2] == "__" and f.__code__.co_filename == "<string>"}
     members: dict[str, Any] = {name: f for name, f in functions.items() if f and name not in made}  # not by dataclass
@@ -249,14 +250,14 @@ def _members(kind: type) -> dict[str, Any]:
 
 
 def _file_of(name: str | None) -> dict[str, str]:
-    """The name of a file of one's own, with the hash of its content, if there is one."""
+    """Name of a user's file with the hash of its content; empty for other and missing files."""
     file = Path(name or "")
     is_user_file = file.is_file() and _is_own_file(str(file))
     return {FILE_KEY: f"{file.name} {digest(file.read_bytes())}"} if is_user_file else {}
 
 
 def _function_of(value: Any) -> types.FunctionType | None:
-    """The Python function in a function, member of a class or cache; else None."""
+    """Return the Python function that a value is or wraps, as class members and caches do; None for other values."""
     while not isinstance(value, types.FunctionType):
         ready = type(value).__module__.partition(".")[0] in ("builtins", "functools")
         if not ready or value is None or isinstance(value, (type, types.MethodType, functools.partial)):
@@ -267,19 +268,19 @@ def _function_of(value: Any) -> types.FunctionType | None:
 
 
 def _codes(code: types.CodeType) -> list[types.CodeType]:
-    """A code and those of functions within it."""
+    """A code object, followed by the code objects of all functions within it."""
     return [code, *(inner for part in code.co_consts if isinstance(part, types.CodeType) for inner in _codes(part))]
 
 
 def _bytecode(code: Any) -> Any:
-    """Bytecode of a function as JSON, without file names and line numbers; of a constant its text."""
+    """Bytecode of a code object as JSON, without file names and line numbers; the text of a constant."""
     if isinstance(code, types.CodeType):
         return [code.co_code.hex(), [*code.co_names], [_bytecode(constant) for constant in code.co_consts]]
     return repr(sorted(code, key=repr) if isinstance(code, frozenset) else code)
 
 
 def _is_own(module: str) -> bool:
-    """Whether a module, by its name, is the user's own."""
+    """Whether the module of this name is a user's module."""
     top = module.partition(".")[0]
     if module == "__main__" or top in sys.stdlib_module_names:
         return module == "__main__"
@@ -295,7 +296,7 @@ def _is_own_file(file: str) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """A number or text as JSON; None for anything else."""
+    """A number or text, or the hash of bytes, as JSON; None for anything else."""
     if isinstance(value, (str, bool)):
         return value if isinstance(value, bool) else str(value)
     if isinstance(value, Integral) and abs(int(value)) > 1 / sys.float_info.epsilon:
@@ -311,9 +312,9 @@ def _name(kind: Any) -> str:
 
 # ---------------------------------------------------------------- C sources
 def source_content(source: Path) -> bytes:
-    """Content of a C source, and recursively of the files beside it that its preprocessor lines name.
+    """Content of a C source, and recursively of the files that its preprocessor lines name relative to it.
 
-    Nothing is preprocessed: a file counts even where a condition leaves it out.
+    Nothing is preprocessed: a file counts even if a condition excludes it.
 
     Raises:
         OSError: the source cannot be read. The compiler reports included files that cannot be read.

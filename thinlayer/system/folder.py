@@ -1,4 +1,4 @@
-"""Files that are whole or as they were, folders that one run at a time writes into, and files of earlier runs in them."""
+"""Files that are replaced as a whole, folders that one run at a time writes into, and files of earlier runs in them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NO_LOCK_ERRORS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # er
 # ---------------------------------------------------------------- whole files
 @contextmanager
 def replace_file(path: Path) -> Iterator[BinaryIO]:
-    """A file that replaces another one once it is complete on the disk; after an error nothing of it is left."""
+    """Context with a new file that replaces `path` once it is complete on the disk; after an error it is removed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.part")
     try:
@@ -56,10 +56,10 @@ def write_sealed(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
-    """The data of `write_sealed`.
+    """Read data that `write_sealed` wrote.
 
     Raises:
-        InputError: the file cannot be read, or is not as it was written.
+        InputError: the file cannot be read, or its hash is wrong.
     """
     try:
         content = dict(json.loads(path.read_text(encoding="utf-8")))
@@ -77,13 +77,13 @@ def _seal(content: Mapping[str, Any]) -> str:
 # ---------------------------------------------------------------- locks
 @contextmanager
 def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LOCK_FILE) -> Iterator[None]:
-    """Own a folder in a block: no other run may write into it. Collective.
+    """Context in which no other run may write into a folder. Collective.
 
     The folder is made if necessary, and removed again if it is empty at the end. The lock is the operating system's:
-    it ends with the process that holds it, however that ends.
+    it ends with the process that holds it, even if this is killed.
 
     Args:
-        folder: the folder; None: there is none.
+        folder: the folder; None: nothing is locked.
         comm: communicator whose rank 0 writes (default: the world).
         name: name of the lock file; runs that write different files of the folder use different names.
 
@@ -98,7 +98,7 @@ def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str
 
 @contextmanager
 def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> Iterator[None]:
-    """The same on one rank, which may wait for another run."""
+    """Context of `own_folder` on one rank; with `wait` it waits for another run instead of raising InputError."""
     made, file = [], -1
     try:
         try:
@@ -120,7 +120,7 @@ def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> I
 
 
 def _lock(path: Path, wait: bool) -> int:
-    """Open and lock a file; if a run that ends has removed it meanwhile, the one that is there then."""
+    """Open and lock a file, and return its descriptor; starts again if a run that ended has removed it meanwhile."""
     while True:
         with ExitStack() as stack:
             file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -132,7 +132,7 @@ def _lock(path: Path, wait: bool) -> int:
                 busy = f"another run ({who}) is writing into {str(path.parent)!r}"
                 raise InputError(f"{busy}; wait for it, or give another folder") from None
             except OSError as error:
-                if error.errno not in NO_LOCK_ERRORS:  # there runs go on without protection
+                if error.errno not in NO_LOCK_ERRORS:  # without locks nothing protects the folder
                     raise
             if os.fstat(file).st_nlink:
                 os.truncate(file, 0)
@@ -143,7 +143,7 @@ def _lock(path: Path, wait: bool) -> int:
 
 # ---------------------------------------------------------------- earlier runs
 def move_away(folder: Path, names: Iterable[str]) -> Path | None:
-    """Move files of an earlier run into folder/previous-N, N counting up; None: there are none."""
+    """Move files of an earlier run into a new folder previous-N and return it, N counting up; None without files."""
     there = [folder / name for name in names if (folder / name).exists()]
     if not there:
         return None

@@ -1,9 +1,9 @@
-"""What long work says, one rank for all: progress on standard error, and messages through Python's `logging`.
+"""Progress of long work on standard error, and messages through Python's `logging`; one rank prints for all.
 
-Progress is what is done, what is left, and the time it takes. On a terminal one line that changes, from 5 s on, gone when
-the work is done; elsewhere a line a minute, and one for a compilation of more than 5 s. Work within work is in one line.
-`logging.getLogger("thinlayer").setLevel("ERROR")` silences it. Messages are shown if the user asks for them:
-`logging.basicConfig(level="INFO")`, or `--verbose` on the command line.
+Progress names the work done, the work left, and the time for it. On a terminal it is one changing line, shown after 5 s
+and removed at the end. Elsewhere it is a line a minute, and a line for each compilation of more than 5 s. Nested work
+shares one line. `logging.getLogger("thinlayer").setLevel("ERROR")` silences progress. Messages are shown if the user
+asks for them: `logging.basicConfig(level="INFO")`, or `--verbose` on the command line.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from mpi4py import MPI
 
 from geometry.parallel import ResultType, default_comm
 
-MIN_TIMED_SHARE = 1e-3  # share from which on the time left is told
-# s before the first line and the next: on a terminal, else
+MIN_TIMED_SHARE = 1e-3  # completed share from which on the remaining time is shown
+# seconds before the first line, and between lines; True: on a terminal
 FIRST_REPORT_SECONDS, REPORT_SECONDS = {True: 5.0, False: 60.0}, {True: 0.2, False: 60.0}
 
 _SILENT_LOGGER = logging.Logger("thinlayer on other ranks", logging.CRITICAL + 1)
 
 
 def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
-    """The logger "thinlayer.PART" on rank 0 of a communicator (default: the world); on others one that says nothing.
+    """Logger "thinlayer.PART" on rank 0 of a communicator (default: the world); a silent logger on other ranks.
 
     Args:
         part: "solve" (what a solve tries), "march" (steps in time), "study" (what a study has done).
@@ -41,7 +41,7 @@ def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
 
 @dataclass(eq=False)
 class _Task:
-    """Some work: its share that is done, the share of what is being done, and words for that."""
+    """Work in progress: its name, the share done, the share of the present piece, and words for this piece."""
 
     what: str
     share: float = 0.0
@@ -50,7 +50,7 @@ class _Task:
 
 
 class ProgressReporter:
-    """Tells of the work in progress, one within the other; `stream` and `clock` as sys.stderr and time.monotonic."""
+    """Reports nested work in progress; `stream()` is the file to write to, `clock()` the time in seconds."""
 
     def __init__(self, stream: Callable[[], TextIO], clock: Callable[[], float]) -> None:
         self._stream, self._clock = stream, clock
@@ -60,7 +60,7 @@ class ProgressReporter:
 
     @contextmanager
     def telling(self, what: str) -> Iterator[Callable[..., None]]:
-        """A context, or decorator, of some work; it gives a function of the share that is done and of words for it."""
+        """Context or decorator of some work; yields a function that reports the share done and the present piece."""
         work = _Task(what)
         if not self._open:
             self._begun, self._shown = self._clock(), False
@@ -75,7 +75,7 @@ class ProgressReporter:
             self._tell()
             yield tell
         finally:
-            if work in self._open:  # else a generator that was left alone, after the work around it
+            if work in self._open:  # not if an abandoned generator is closed after the enclosing work
                 del self._open[self._open.index(work) :]
             if not self._open and self._shown and self._stream().isatty():
                 self._stream().write("\r\x1b[K")
@@ -83,7 +83,7 @@ class ProgressReporter:
 
     @contextmanager
     def telling_of_a_call(self, what: str) -> Iterator[None]:
-        """A context of one call that cannot tell how far it is: it is told of if it lasts, off a terminal too."""
+        """Context of one call without intermediate progress; it is reported once after 5 s, not only on a terminal."""
         with self.telling(what) as tell:
             timer = threading.Timer(FIRST_REPORT_SECONDS[True], tell, (0.0,), {"at_once": True})
             timer.daemon = True
@@ -94,7 +94,7 @@ class ProgressReporter:
                 timer.cancel()
 
     def track(self, items: Sequence[ResultType], what: str, label: str = "{}") -> Iterator[ResultType]:
-        """The items one after the other; words for the present one are label.format(item)."""
+        """Yield the items in turn and report progress; label.format(item) names the present item."""
         with self.telling(what) as tell:
             for k, item in enumerate(items):
                 tell(k / len(items), f"{k + 1} of {len(items)}, {label.format(item)}", 1 / len(items))
@@ -107,7 +107,7 @@ class ProgressReporter:
             return
         self._due, self._shown = now + REPORT_SECONDS[stream.isatty()], True
         words = [f"{work.what}: {work.now}" if work.now else work.what for work in self._open]
-        # the share of the whole, with those of the work within it; the work goes on as it did
+        # share of the outermost work, nested work included; the time left assumes the same pace
         share, width = 0.0, 1.0
         for work in self._open:
             share += width * work.share

@@ -1,6 +1,7 @@
-"""The ranks: their agreement on data and errors, messages between them, and the end of all if one alone has an error.
+"""Agreement of ranks on data and errors, messages between ranks, and the end of all if one rank alone has an error.
 
-DOLFINx and PETSc are not imported here: this comes first, so that ranks end whatever happens while those start.
+This module imports neither DOLFINx nor PETSc. It must be imported first, so that all ranks end if an error occurs while
+these start.
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ EQUAL_COMMUNICATORS = (MPI.IDENT, MPI.CONGRUENT)
 _COPIED_COMMS: list[MPI.Intracomm] = []
 _SPACES_OF_RANKS: list[
     tuple[ref[Any], Any]
-] = []  # of several ranks, and their index maps, which keep their communicators
-GRACE_SECONDS = 5.0  # s for all ranks with an error to finish printing it, before they are ended
-EXIT_STATUS = 1  # exit status if one rank alone has an error, as for any Python script; the command line has its own
+] = []  # function spaces on several ranks, and their index maps, which keep the communicators alive
+GRACE_SECONDS = 5.0  # s that a rank with an error waits for errors of all other ranks, before it ends them
+EXIT_STATUS = 1  # exit status if one rank alone has an error, as for any Python script; the command line sets another
 POLL_SECONDS = 1e-3  # s between two tests of a request
 MAX_SHOWN_CHARACTERS = 200  # number of characters shown where data differ
 MIN_WAIT_SECONDS = 60.0  # s that a rank with an error waits for the others at least
@@ -47,12 +48,13 @@ _NESTED_BLOCKS: Counter[int] = Counter()  # communicator -> number of nested blo
 def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
     """Context for code that each rank runs by itself, also users' code: an error on one rank is raised on all. Collective.
 
-    The code may make collective calls. If an error keeps a rank from a call that the others wait in, they never reach the
-    end of the block: the rank waits for PATIENCE, or for the time it has been in the block if that is longer, and then ends
-    all ranks.
+    The code may make collective calls. If an error keeps a rank from a call in which the others wait, they never reach
+    the end of the block. The rank then waits for `MIN_WAIT_SECONDS`, or for the time it has been in the block if that
+    is longer, and ends all ranks.
 
     Raises:
-        InputError: on some ranks an error occurred; it names the first of them. If all have one, each raises its own.
+        InputError: an error occurred on some ranks; it names the first of these. If all ranks have an error, each
+            raises its own.
     """
     comm = comm or default_comm()
     key, began = comm.py2f(), time.monotonic()
@@ -72,11 +74,11 @@ def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
             raise _raised_on_all(problem)
     finally:
         _NESTED_BLOCKS[key] -= 1
-        problem = None  # whose traceback has this frame
+        problem = None  # its traceback refers to this frame
 
 
 def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
-    """Every rank's error, once all ranks have reached the end of the same block.
+    """Text of every rank's error, or None, once all ranks have reached the end of the same block.
 
     Ranks in an inner block receive the errors there, and reach this block with errors of their own.
     """
@@ -98,12 +100,12 @@ def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, pat
 
 
 def require_same(comm: MPI.Intracomm | None, **data: Any) -> str:
-    """Hash of data that all ranks were given; raises InputError, on all ranks, if they differ. Collective.
+    """Return the hash of data, "" on one rank; raise InputError on all ranks if ranks have different data. Collective.
 
     Args:
         comm: communicator (default: the world).
         data: name -> value, see `thinlayer.system.fingerprint.describe`; the same names on all ranks.
-            What only one process knows, such as a function on a mesh, counts by its class.
+            Objects that only one process knows, such as a function on a mesh, are compared by class.
     """
     comm = comm or default_comm()
     if comm.size == 1:
@@ -135,10 +137,10 @@ def _raised_on_all(error: Exception) -> Exception:
 
 # ---------------------------------------------------------------- messages
 def communicator(mesh: Mesh) -> MPI.Intracomm:
-    """A communicator of the ranks of a mesh, which outlives it: this rank's, the world, else a copy. Collective.
+    """Communicator of a mesh's ranks that outlives the mesh: COMM_SELF, COMM_WORLD, or a copy. Collective.
 
-    The mesh's own communicator cannot be used: if it ever served a pickled collective, mpi4py 4.0 waits for itself when
-    Python's garbage collector frees the mesh amid another one.
+    The mesh's own communicator cannot be used. If it ever served a pickled collective call, mpi4py 4.0 waits for itself
+    when Python's garbage collector frees the mesh during another such call.
     """
     for comm in (MPI.COMM_SELF, MPI.COMM_WORLD, *_COPIED_COMMS):
         if MPI.Comm.Compare(mesh.comm, comm) in EQUAL_COMMUNICATORS:
@@ -148,11 +150,11 @@ def communicator(mesh: Mesh) -> MPI.Intracomm:
 
 
 def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
-    """Free PETSc objects that Python has dropped: objects of several ranks need a collective call.
+    """Free PETSc objects that Python no longer uses; on several ranks this needs a collective call.
 
     Args:
-        comm: the ranks.
-        used: a space on whose communicator objects are made, as on that of all earlier ones; it may be dropped before them.
+        comm: communicator of the ranks.
+        used: function space whose communicator is cleaned, too, from now on; it may be freed before its PETSc objects.
     """
     from petsc4py import PETSc
 
@@ -170,14 +172,14 @@ def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
 
 
 def destroy(*things: Any) -> None:
-    """Free objects of PETSc, or parts; None stands for one that was never made."""
+    """Destroy PETSc objects or parts; None is skipped."""
     for thing in things:
         if thing is not None:
             thing.destroy()
 
 
 def send(comm: MPI.Intracomm, rank: Array, rows: Array) -> Array:
-    """Send row k to rank[k]; returns the rows received, by the rank they came from. Collective."""
+    """Send row k to rank[k], and return the rows received, ordered by source rank. Collective."""
     return np.concatenate(comm.alltoall([rows[rank == r] for r in range(comm.size)]))
 
 
@@ -206,7 +208,7 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
     Args:
         comm: communicator.
         cells: (n,) original numbers of the cells whose values this rank holds.
-        values: function of places (m,) among these cells: their values (m, k).
+        values: function of indices (m,) into `cells` that returns values (m, k).
         wanted: (m,) original numbers of the cells whose values this rank wants.
 
     Returns:
@@ -222,7 +224,7 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
 
     def tell(asked: Array, _: Array) -> Array:
-        """Rank that holds each cell, and the cell's place there; -1 for cells that no rank holds."""
+        """Return (m, 2) the rank that holds each cell, and the cell's index there; -1 for cells that no rank holds."""
         out = np.full((len(asked), 2), -1)
         if len(rows):
             at = np.minimum(np.searchsorted(rows[:, 0], asked), len(rows) - 1)

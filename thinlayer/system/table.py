@@ -1,4 +1,4 @@
-"""Table: rows of numbers with names, written to a csv file one by one."""
+"""Table: rows of named numbers, each written to a csv file as soon as it is added."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ Row = dict[str, float | str | None]
 
 
 class ColumnError(InputError, KeyError):
-    """A column that a table does not have."""
+    """Error for a column that a table does not have, or that has texts where numbers are needed."""
 
 
 class Table:
-    """Rows with the same columns. On several ranks all have the same table, and rank 0 alone touches files.
+    """Rows with the same columns. On several ranks all have the same table, and only rank 0 reads and writes files.
 
     A csv file has no types: entries that `float` accepts are read back as numbers ("007" is 7), and "" as None.
 
     Attributes:
-        rows: the rows so far; None stands for an empty entry.
+        rows: the rows so far; None is an empty entry.
         path: csv file to which each row is written at once, or None.
     """
 
@@ -40,16 +40,16 @@ class Table:
         self.extend(rows)
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Add a row, and write the table to its file: on the disk before this returns. Collective, if there is a file.
+        """Add a row, and write the table to its file on the disk before returning. Collective, if there is a file.
 
         Raises:
-            InputError: other columns than the first row's, or a name of a column that is no text.
+            InputError: columns other than the first row's, or a name of a column that is no text.
             OSError: the file could not be written; on all ranks.
         """
         self.extend([row])
 
     def extend(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Add rows, and write the table once; else as `append`."""
+        """Add rows as `append` does, but write the file only once."""
         before = len(self.rows)
         for row in rows:
             if self.rows and list(row) != self.columns:
@@ -73,7 +73,7 @@ class Table:
         on_root(comm, lambda: self.put(Path(path)))
 
     def put(self, path: Path) -> None:
-        """Write all rows, on this rank."""
+        """Write all rows to a csv file, on this rank."""
         text = io.StringIO()
         writer = csv.writer(text)
         writer.writerow(self.columns)
@@ -83,7 +83,7 @@ class Table:
 
     @classmethod
     def of(cls, columns: Mapping[str, Any]) -> Table:
-        """A table from its columns, with as many entries each or one for all rows; InputError: other numbers."""
+        """Make a table from columns of equal length, or of one entry for all rows; InputError for other lengths."""
         entries = [np.atleast_1d(np.asarray(column, object)) for column in columns.values()]
         try:
             rows = zip(*np.broadcast_arrays(*entries), strict=True)
@@ -129,7 +129,7 @@ class Table:
         return list(self.rows[0]) if self.rows else []
 
     def orders(self, errors: str, of: str = "eps") -> list[float | None]:
-        """Observed order in each row, log(e_k-1/e_k)/log(h_k-1/h_k), of a column of errors e over one of sizes h.
+        """Observed order of convergence in each row, log(e_k-1/e_k)/log(h_k-1/h_k), from errors e and sizes h.
 
         None in the first row, and where one of the two errors is zero or no number. ColumnError: no such column.
         """
@@ -138,7 +138,7 @@ class Table:
         return [None, *(order if math.isfinite(order) else None for order in slopes.tolist())]
 
     def split(self, column: str) -> dict[Any, Table]:
-        """Each value of a column -> the rows that have it, in their order; ColumnError: no such column."""
+        """Return value of a column -> table of the rows with this value, in order; ColumnError: no such column."""
         values = dict.fromkeys(self._entries(column))
         return {value: Table(row for row in self if row[column] == value) for value in values}
 

@@ -1,4 +1,4 @@
-"""The version, words on standard output, and those of errors that end a run; imports nothing of MPI."""
+"""The version, printing to standard output, and messages of errors that end a run; imports nothing of MPI."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 
-VERSION = "1.0.0"  # of these packages; pyproject.toml reads it
+VERSION = "1.0.0"  # version of these packages; pyproject.toml reads it
 
 
 def version_of(package: str) -> str:
@@ -19,7 +19,7 @@ def version_of(package: str) -> str:
 
 
 def error_reason(error: BaseException) -> str:
-    """Words for an error that ends a run."""
+    """Message for an error that ends a run."""
     if isinstance(error, OSError):
         where = f" {str(error.filename)!r}" if error.filename else ""
         return f"a file{where} could not be written or read: {error.strerror or error}"
@@ -37,6 +37,6 @@ def print_safely(text: object) -> None:
 
 
 def two_columns(texts: Mapping[str, str]) -> str:
-    """Names and texts, in two columns."""
+    """Names and their texts as one text in two columns."""
     width = max(map(len, texts), default=0)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in texts.items())

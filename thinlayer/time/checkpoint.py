@@ -23,26 +23,23 @@ from thinlayer.system.table import Table
 
 TABLE_FILE = "table.csv"
 REACTIONS_KEY = "reactions"
-MEMORY_PREFIX, FIELD_PREFIX, STRESS_PREFIX = (
-    "memory ",
-    "field ",
-    "stress ",
-)  # prefixes of keys of parts in a state's file
-FILE_FORMAT = 2  # of the files: 2 since march.json has the numbers of states
-STATE_NUMBERS = ("t", "stored", "sudden", "prescribed_work", "dissipated")  # of a state, in march.json
+# prefixes of keys of parts in a state's file
+MEMORY_PREFIX, FIELD_PREFIX, STRESS_PREFIX = "memory ", "field ", "stress "
+FILE_FORMAT = 2  # format of the files: 2 since march.json has the numbers of states
+STATE_NUMBERS = ("t", "stored", "sudden", "prescribed_work", "dissipated")  # numbers of a state in march.json
 
 
 class Checkpoint:
     """The files of a march in a folder: march.json with the table so far and the pace, its states, and table.csv.
 
-    Values are ordered by the original numbers of their cells or facets of S, which do not depend on the distribution. Files
-    are replaced as a whole, states before march.json, which has their hashes, so that a killed run leaves valid files. All
-    methods are collective.
+    Values are ordered by the original numbers of their cells or facets of S, which do not depend on the distribution.
+    Files are replaced as a whole, and states before march.json, which has their hashes. So a killed run leaves valid
+    files. All methods are collective.
 
     Args:
         folder: folder of the files.
         equations: the equations of the model.
-        mark: JSON of the model's identity and of the choices of the march; only a march with the same is resumed.
+        mark: JSON of the model's identity and of the choices of the march; only a march with the same mark is resumed.
     """
 
     def __init__(self, folder: Path, equations: Equations, mark: dict[str, Any]) -> None:
@@ -72,7 +69,8 @@ class Checkpoint:
     def write(self, table: Table, states: Mapping[int, State], pace: Mapping[str, Any], first: int) -> None:
         """Write the states of the rows from `first` on, and replace the table.
 
-        Files of other states than those that are given are removed; if `first` is 0, those of an earlier march before.
+        Files of states that are not in `states` are removed. If `first` is 0, the files of an earlier march are removed
+        before.
 
         Raises:
             OSError: a file could not be written; on all ranks.
@@ -112,7 +110,7 @@ class Checkpoint:
         on_root(self.comm, write)
 
     def _gather(self, order: FileOrder, values: Array) -> Array:
-        """The rows (number, values...) of all ranks on rank 0, sorted by number, each number once."""
+        """The rows (number, values...) of all ranks on rank 0, sorted by number, without duplicates."""
         rows = np.column_stack([order.numbers.astype(float), order.ordered(values)])
         rows = np.concatenate(self.comm.gather(rows[: order.n_owned]) or [rows[:0]])
         return rows[np.unique(rows[:, 0], return_index=True)[1]]
@@ -121,7 +119,7 @@ class Checkpoint:
     def read(self, resume: Resume, last: int) -> tuple[Table, dict[int, State], dict[str, Any]] | None:
         """Table, states and pace of the march in the folder; None if there is none or `resume` is False.
 
-        With "anyway" it may be another march, and stays the one that it was begun as.
+        With "anyway" it may be another march, which keeps its own mark.
 
         Args:
             resume: as in `march`.
@@ -139,7 +137,7 @@ class Checkpoint:
         return table, {row: self._read_state(row) for row in sorted(map(int, self._states))[-last:]}, content["pace"]
 
     def _content(self, resume: Resume) -> dict[str, Any] | None:
-        """The content of march.json; on rank 0."""
+        """The content of march.json, on rank 0; None if there is no march or `resume` is False."""
         if not self.path.exists():
             if (self.folder / TABLE_FILE).exists():
                 raise InputError(
@@ -160,7 +158,7 @@ class Checkpoint:
         return content if resume else None
 
     def _read_state(self, row: int) -> State:
-        arrays: dict[str, Array] = {}  # on rank 0 alone
+        arrays: dict[str, Array] = {}  # on rank 0 only
 
         def load() -> tuple[dict[str, Any], list[str], Array | None]:
             about = self._states[str(row)]
@@ -193,7 +191,7 @@ class Checkpoint:
         return state
 
     def _wanted(self, row: int, rows: Array | None, numbers: IntArray, width: int) -> Array:
-        """The values (len(numbers), width) of these numbers on each rank, from rows (number, values...) on rank 0."""
+        """Values (len(numbers), width) with these numbers on each rank, from rows (number, values...) on rank 0."""
         rows = rows if rows is not None and rows.shape[1] == width + 1 else np.empty((0, width + 1))
         values = carry_cell_values(self.comm, rows[:, 0].astype(np.int64), lambda at: rows[at, 1:], numbers)
         if self.comm.allreduce(int(not np.isfinite(values).all())):
@@ -202,13 +200,13 @@ class Checkpoint:
 
 
 def _state_functions(state: State) -> dict[str, fem.Function]:
-    """The functions among what a state has, by their names in its file, except own unknowns of parts."""
+    """Functions of a state by their names in its file, except own unknowns of parts."""
     kept = [(key, memory) for key, memory in state.memory.items() if isinstance(memory, Mapping)]
     return {"u": state.u, **{f"{MEMORY_PREFIX}{key}/{name}": f for key, memory in kept for name, f in memory.items()}}
 
 
 def _state_values(state: State) -> dict[str, Array]:
-    """Values (n, v) of what a state has, by their names in its file; no copies."""
+    """Values (n, v) of a state by their names in its file; no copies."""
     arrays = {name: f.x.array.reshape(-1, f.function_space.dofmap.bs) for name, f in _state_functions(state).items()}
     arrays |= {FIELD_PREFIX + key: f.x.array[:, None] for key, f in state.fields.items()}
     arrays |= {MEMORY_PREFIX + key: kept for key, kept in state.memory.items() if not isinstance(kept, Mapping)}

@@ -1,4 +1,4 @@
-"""The loop of all marches: a controller says how long the next step is and how it is tried, a journal keeps the states."""
+"""The loop of all marches: a controller chooses length and attempts of each step, a journal keeps the states."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ from thinlayer.time.journal import Journal
 
 @dataclass(frozen=True)
 class StepAttempt:
-    """A way to make a step, as data.
+    """Description of one attempt at a step.
 
     Attributes:
-        name: for the log.
-        make: length -> the states of the step from the last one. It sets the pace of the next step; SolveError: it fails.
-        until: the attempt follows another one that failed if the step would be shortened to this length, or below.
+        name: name for the log.
+        make: length -> the states of the step from the last state. It sets the pace of the next step, and raises
+            SolveError if the step fails.
+        until: after a failed attempt, this attempt is made only if the step would be shortened to this length, or
+            below.
     """
 
     name: str
@@ -37,14 +39,14 @@ class StepAttempt:
 
 @dataclass(eq=False)
 class Controller(ABC):
-    """Decides the steps of a march.
+    """Controller of the steps of a march.
 
     Attributes:
         solver: solver of the model.
         journal: journal of the march.
         start: time of the first state.
-        targets: times after it at which steps must end.
-        near: difference of times that count as equal.
+        targets: times after `start` at which steps must end.
+        near: largest difference of times that count as equal.
         smallest: length below which a step is not shortened further.
     """
 
@@ -66,7 +68,7 @@ class Controller(ABC):
 
     @property
     def done(self) -> bool:
-        """Whether the march has come to its end."""
+        """Whether the march has reached its end."""
         return self._passed_times == len(self.targets)
 
     @property
@@ -85,7 +87,7 @@ class Controller(ABC):
     @property
     @abstractmethod
     def attempts(self) -> list[StepAttempt]:
-        """How a step is tried, in turn."""
+        """Attempts at a step, in the order in which they are made."""
 
     def shorter(self, length: float, error: SolveError) -> float:
         """The length to try after an error."""
@@ -93,10 +95,10 @@ class Controller(ABC):
 
     @abstractmethod
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
-        """The error of the march if the shortest step fails, from those of its attempts."""
+        """The error of the march if the shortest step fails, made from the errors of its attempts."""
 
     def error(self, what: str, advice: str = "") -> SolveError:
-        """An error of the march, with its history."""
+        """A SolveError of the march, with its history."""
         return SolveError(what, self.journal.history, advice=advice)
 
     # ---------------------------------------------------------------- the loop
@@ -104,8 +106,8 @@ class Controller(ABC):
         """March to the end. Collective; errors as in `march`.
 
         Args:
-            resume: whether to go on from what is in the journal's folder.
-            begun: the state to go on from, perhaps after the one before it; (): from rest.
+            resume: whether to continue the march in the journal's folder.
+            begun: initial state, with the previous state before it if that is known; (): from rest.
         """
         with report("march") as tell:
             if self.journal.read(resume):
@@ -122,7 +124,7 @@ class Controller(ABC):
         return self.journal.history
 
     def _begin(self) -> None:
-        """Find the first state. A state at rest is written later, with the first step."""
+        """Compute the first state. A state at rest is written later, with the first step."""
         if self.solver.equations.traits.rate:
             self.journal.note(self.solver.rest(self.start))
             return
@@ -138,7 +140,7 @@ class Controller(ABC):
             raise InputError(f"{where}, and is to end before, at t = {self.targets[-1]:g}")
 
     def _next(self) -> list[State]:
-        """The states of the next step, which is tried shorter and shorter until an attempt succeeds."""
+        """The states of the next step, which is shortened until an attempt succeeds."""
         length, t = self.length(), self.last.t
         while True:
             errors: list[SolveError] = []
@@ -150,7 +152,7 @@ class Controller(ABC):
                 try:
                     return attempt.make(length)
                 except SolveError as error:
-                    errors.append(error.with_traceback(None))  # as in `Solver`
+                    errors.append(error.with_traceback(None))  # as in `Solver._try_in_turn`
             shorter = self.shorter(length, errors[0])
             if shorter < max(self.smallest, np.finfo(float).tiny):
                 raise self.failure(length, errors) from errors[0]

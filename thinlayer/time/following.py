@@ -1,4 +1,4 @@
-"""Steps along an equilibrium path: to its end, also where loads turn back, or as long as it leads on in time."""
+"""Steps along an equilibrium path: to its end, even where loads turn back, or only as long as it leads on in time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ UNLIMITED_STEPS = 10**6
 
 @dataclass(eq=False)
 class ArcLengthController(Controller):
-    """Steps by arc length. Lengths are relative to that of the first step.
+    """Controller of steps by arc length. Lengths are relative to the length of the first step.
 
     Attributes:
         path: ends of the path and lengths of steps.
@@ -39,7 +39,7 @@ class ArcLengthController(Controller):
         super().__post_init__()
         self.smallest = self.path.smallest
         self._curve = EquilibriumPath(self.solver.equations, self.path.first, self.options)
-        self._aimed: State | None = None  # the state at which the path knows its direction
+        self._aimed: State | None = None  # the state at which the path's direction has been computed
 
     @property
     def done(self) -> bool:
@@ -67,7 +67,7 @@ class ArcLengthController(Controller):
         return min(pace.step or 1.0, path.largest)
 
     def _aim(self, *, anew: bool = False) -> None:
-        """Find the direction of the path at the last state; anew: with t increasing."""
+        """Compute the direction of the path at the last state; if `anew`, with t increasing."""
         self._curve.weight, self._aimed = self.journal.pace.weight, self.last
         self._curve.aim(None if anew else self.journal.before, self.last)
 
@@ -85,11 +85,11 @@ class ArcLengthController(Controller):
         return [ahead, corner] if self._curve.weight else [ahead]
 
     def _arc(self, length: float) -> float:
-        """Arc length of a step: that of the first step is 1 in u and 1 in t, but at first, when U is not known, 1 in t."""
+        """Arc length of a step: sqrt(2) for the first step, 1 in u and 1 in t; only 1 in t until U is known."""
         return length * math.sqrt(2.0) if self._curve.weight else length
 
     def _ahead(self, length: float) -> list[State]:
-        """A step, or one to the next target if that comes first."""
+        """The state after a step along the path, or at the next target if that comes first."""
         last, target, arc = self.last, self.target, self._arc(length)
         state = None
         if last.t + arc * self._curve.slope >= target - self.near:
@@ -104,7 +104,7 @@ class ArcLengthController(Controller):
         return self._checked(self._curve.step(self.last, self._arc(length), turn=True), length)
 
     def _checked(self, state: State, length: float) -> list[State]:
-        """The state, with the path's direction found there. SolveError: it may not be the next state of the path."""
+        """Compute the path's direction at a state; raise SolveError if it may not be the next state of the path."""
         self._curve.aim(self.last, state, check=True)
         factor = math.sqrt(WANTED_ITERATIONS / max(state.report.iterations, 1))
         self.journal.pace.step = length * min(max(factor, MIN_LENGTH_RATIO), MAX_LENGTH_RATIO)
@@ -117,10 +117,10 @@ class ArcLengthController(Controller):
 
 
 class PathToTimesController(ArcLengthController):
-    """Steps to given times along an equilibrium path, which end where the path turns back in time.
+    """Controller of steps to given times along an equilibrium path, until the path turns back in time.
 
-    Displacements of supports or loads control it. Steps along the path pass over no part of it: were they steps in time, a
-    step could end beyond a loop of the path. At break times of the data, which are targets, the path begins anew, with t
+    Displacements of supports or loads control the path. Steps along it pass over no part of it, whereas a step in time
+    could end beyond a loop of the path. At break times of the data, which are targets, the path begins anew, with t
     increasing.
     """
 
@@ -128,7 +128,7 @@ class PathToTimesController(ArcLengthController):
 
     @staticmethod
     def settings(start: float, times: Sequence[float]) -> ArcLength:
-        """Lengths of steps on a path to given times."""
+        """Settings of an arc-length path to given times."""
         lengths = np.diff([start, *times])
         first, largest = float(lengths[0]), float(lengths.max() / lengths[0])
         return ArcLength(times[-1], first, MIN_LENGTH, largest, steps=UNLIMITED_STEPS)
@@ -140,7 +140,7 @@ class PathToTimesController(ArcLengthController):
         super()._aim(anew=self._breaks(self.last.t))
 
     def _checked(self, state: State, length: float) -> list[State]:
-        """As in `ArcLengthController`. SolveError: beyond this state, or between the two, the path leads back in time."""
+        """Check as in `ArcLengthController`; raise SolveError if the path turns back in time up to this state."""
         states = super()._checked(state, length)
         self._turned = not (self._curve.slope > 0 and state.t > self.last.t)
         if self._turned:

@@ -1,4 +1,4 @@
-"""Journal: adds rows to the history of a march, observes, writes and reads them."""
+"""Journal: adds rows to the history of a march, evaluates observing functions, writes and reads files."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from thinlayer.time.checkpoint import Checkpoint
 
 Observers = Mapping[str, Callable[[State], float]]
 OBSERVER_HINT = "it must be a function of a state that returns a real number"
-# Largest relative difference of an observed value between ranks. Rounding is much smaller; values of one rank's part of the
-# mesh differ by more.
+# Largest relative difference of an observed value between ranks. Rounding is much smaller; values from one rank's part
+# of the mesh alone differ by more.
 OBSERVED_TOLERANCE = 1e-6
 
 
@@ -34,8 +34,8 @@ class Pace:
 
     Attributes:
         step: largest length of the next step; None: no limit.
-        largest: norms of displacements, jumps and forces to which errors of adaptive steps are relative: the largest ones
-            so far or, after rest, those at the end of the first step that was tried.
+        largest: norms of displacements, jumps and forces to which errors of adaptive steps are relative. They are the
+            largest norms so far or, after rest, the norms at the end of the first step that was tried.
         weight: weight 1/U^2 of displacements in the arc length of a path; 0 before its first step.
     """
 
@@ -46,7 +46,7 @@ class Pace:
 
 @dataclass(eq=False)
 class Journal:
-    """Keeps the accepted states of a march. All methods are collective.
+    """Record of the accepted states of a march. All methods are collective.
 
     Attributes:
         equations: the equations of the model.
@@ -56,7 +56,7 @@ class Journal:
         out: folder for the table and the files from which to resume; None: no files.
         history: the accepted states.
         pace: the pace of the next step; written with the states.
-        before: the state before the last, which tells the direction of a path.
+        before: the state before the last, which gives the direction of a path.
     """
 
     equations: Equations
@@ -74,16 +74,16 @@ class Journal:
         self.before: State | None = None
         self._files, self._written = None, 0
         if self.out:
-            # of observing functions it is known by what stays as they collect values
+            # the mark has only the code of observing functions, because the values that they collect change
             observed = {name: code_of(describe(function)) for name, function in self._observe.items()}
             mark = json.loads(json.dumps({**self.model.identity(), "observe": observed, **self.choices}))
             self._files = Checkpoint(self.out, self.equations, mark)
 
     def read(self, resume: Resume) -> bool:
-        """Take over the march in the folder. False: there is no march, or `resume` is False.
+        """Continue the march in the folder; return False if there is no march, or `resume` is False.
 
         Raises:
-            InputError: the folder has another march, or files that are damaged and to be resumed.
+            InputError: the folder has another march, or damaged files that are to be resumed.
         """
         saved_march = self._files.read(resume, 2 if self.keep == "last" else 0) if self._files else None
         if saved_march is None:
@@ -96,7 +96,7 @@ class Journal:
         return True
 
     def begin(self, states: Sequence[State]) -> None:
-        """Begin with the last of these states, which another march has found; the one before it tells the direction."""
+        """Begin with the last of these states of another march; the state before it gives the direction of a path."""
         self.note(states[-1])
         self.history.begun = True
         self.before = states[-2] if len(states) > 1 else None
@@ -129,7 +129,7 @@ class Journal:
         history.states[len(history) - 1] = state
 
     def _observed(self, name: str, state: State) -> float:
-        """The value of an observing function on rank 0. InputError: the function fails, or ranks find other values."""
+        """The value of an observing function on rank 0. InputError: the function fails, or ranks have other values."""
         place = f"observe[{name!r}] at t = {state.t:g}"
         try:
             with errors_on_all(self.model.comm):

@@ -1,4 +1,4 @@
-"""`march`: checks its arguments, chooses the controller of the steps, and estimates what planned steps leave."""
+"""`march`: checks its arguments, chooses the controller of the steps, and estimates the errors of planned steps."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ from thinlayer.time.stepping import (
 )
 
 WARN_STEP_ERROR = 0.02  # least error of the steps that leads to a warning
-MIN_HALVED_STEPS = 8  # planned steps whose number can be halved; fewer are made again as this many or more
-NO_DISSIPATION_SHARE = 1e-12  # dissipation over the work of the loads, that is none
+MIN_HALVED_STEPS = 8  # least number of planned steps that is halved; fewer are repeated as this many or more
+NO_DISSIPATION_SHARE = 1e-12  # dissipation over the work of the loads that counts as zero
 
 
 def march(
@@ -59,61 +59,65 @@ def march(
     resume: Resume = False,
     **solver: Unpack[SolverChoices],
 ) -> History:
-    """Follow a model in time, from rest just before `start`, or on from a state. Collective.
+    """Solve a model step by step in time, from rest just before `start` or from a state. Collective.
 
-    The loads may be sudden at `start`. If every law of the layer answers at once (elastic, Maxwell), the first accepted
-    state is this response, at `start`. With a rate (Kelvin-Voigt, Norton, a stack with one of them, own parts such as
-    inertia) the first state is at rest, and the response to sudden loads is in the first step. A step that fails is halved.
-    If a law or a part has a memory, steps also end at the breaks of `piecewise` data, and the table has rows for them.
+    The loads may be sudden at `start`. If every law of the layer has an instantaneous response (elastic, Maxwell), the
+    first accepted state is this response, at `start`. Other laws and parts have a rate: Kelvin-Voigt, Norton, a stack
+    with one of them, user-defined parts such as inertia. With them the first state is at rest, and the response to
+    sudden loads is in the first step. A step that fails is halved. If a law or a part has a memory, steps also end at
+    the breaks of `piecewise` data, and the table has rows for them.
 
-    A layer whose stress falls as jumps grow (`softens`) is followed along its path, in steps that are as short as the path
-    needs, as long as the path leads on in time: so displacements of supports take it beyond the largest load. Where it
-    turns back the march ends with a `TurningPoint`, and `march(error.history, ArcLength(...))` goes on.
+    A layer whose stress falls as jumps grow (`softens`) is followed along its equilibrium path, as long as the path
+    leads on in time. Steps are as short as the path needs. So displacements of supports take the layer beyond the
+    largest load. Where the path turns back the march ends with a `TurningPoint`. It can be continued by
+    `march(error.history, ArcLength(...))`.
 
-    A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows a local minimum of the energy until one of its columns has
-    a phase that is not the one of lowest energy. The march stops there. It keeps two states at the same t: before and after
-    this column and all columns that follow it have switched (`History.snaps`). If loads or temperatures are not linear in
-    time within a step, the march tests seven times within the step: a column may leave its phase of lowest energy and
-    return to it unnoticed between two of them. Switches by a sudden load at `start` are no snaps: the first state is the
-    one after them. Let loads grow from zero to see these snaps.
+    A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows a local minimum of the energy. A step ends at the time
+    when one of its columns is no longer in the phase of lowest energy. Two states are kept at this t: before and after
+    the switch of this column and of all columns that follow it (`History.snaps`). If loads or temperatures are not
+    linear in time within a step, the march tests seven times within the step. Between two of them a column may leave
+    its phase of lowest energy and return unnoticed. Switches under a sudden load at `start` are not snaps: the first
+    state is the state after them. Let loads grow from zero to see these snaps.
 
     Args:
-        begin: the model; or a history that keeps its last state, such as `error.history`, or a state that a solve or a
-            march has found: the march goes on from there, and its first row is this state.
-        times: ends of the steps, increasing, > start; or `Adaptive`; or `ArcLength`, to follow an equilibrium path, where
-            t is the parameter of loads and supports alone, and may go back. It starts from the sudden load at `start`;
-            from a history in the direction of its last step.
-        start: time of the first state (default: 0; that of a state is its own).
-        theta: forces balance at t + theta dt: 1 is backward Euler, order 1; 1/2 is the midpoint rule, order 2 (from rest
-            its first step is made of two steps of backward Euler, which damp the oscillation after a sudden load). Values
-            below 1 are allowed for laws that creep or relax and whose response to a sudden strain, if there is one, is
-            linear. Parameters that vary in time are taken at t + theta dt.
-        observe: name of a column -> function of a state that gives a number, the same on all ranks; evaluated at every
-            accepted state.
+        begin: the model; or a history that keeps its last state, such as `error.history`; or a state of a solve or
+            march. From a history or a state the march continues, and its first row is this state.
+        times: ends of the steps, increasing, > start; or `Adaptive`; or `ArcLength`, to follow an equilibrium path. On
+            a path t is only the parameter of loads and supports, and may decrease. The path starts from the sudden load
+            at `start`; from a history in the direction of its last step.
+        start: time of the first state (default: 0). It must not be set for a state or a history, which has its own
+            time.
+        theta: forces balance at t + theta dt. 1 is backward Euler, order 1; 1/2 is the midpoint rule, order 2. With
+            theta below 1, the first step from rest consists of two steps of backward Euler, which damp the oscillation
+            after a sudden load. Values below 1 are allowed for laws that creep or relax and whose response to a sudden
+            strain, if there is one, is linear. Parameters that vary in time are taken at t + theta dt.
+        observe: name of a column -> function of a state that returns a number, the same on all ranks; evaluated at
+            every accepted state.
         keep: "all": keep all states; "last": keep only the last one.
-        out: folder for table.csv and the files from which to resume, written at every accepted step. Only one march at a
-            time may use it, and none that goes on from a state.
-        resume: True: continue the march in `out`, if there is one; times may be added. Its numbers, names and mesh must be
-            the same, and no file of your own may have changed in which functions and laws stand. "anyway": continue it even
-            so. False: the files of the same march are replaced; files of another march are an error.
+        out: folder for table.csv and the files from which to resume, written at every accepted step. Only one march at
+            a time may use it, and no march that continues from a state.
+        resume: True: continue the march in `out`, if there is one; times may be added. Its numbers, names and mesh must
+            be the same, and no user's file with functions or laws may have changed. "anyway": continue it in spite of
+            such changes. False: the files of the same march are replaced; files of another march are an error.
         **solver: options and method of the solver, see `solve`.
 
     Warns:
-        RangeWarning: as in `solve`; for the states that are kept, once, at the end, of strains of bodies also where the
-            march fails. Planned steps leave an estimated error above 2 % (`History.step_errors`) under a law that is not
-            linear and has a history (yield, friction, damage): such marches are made again with half as many steps, of
-            less than eight as 8 to 14. Before the march: planned steps are not well below a relaxation or retardation
-            time of a law.
+        RangeWarning: as in `solve`, once, at the end, for the states that are kept. Warnings of strains of bodies are
+            issued also if the march fails. Planned steps leave an estimated error above 2 % (`History.step_errors`)
+            under a law that is not linear and has a history (yield, friction, damage). For the estimate such marches
+            are repeated with half as many steps; fewer than eight steps are repeated as 8 to 14. Before the march:
+            planned steps are not well below a relaxation or retardation time of a law.
 
     Raises:
-        InputError: times, theta, names or loads out of range, before the first solve; theta < 1 with a contact law, or a
-            law that yields, has phases, or answers at once and not linearly; files of another march in `out`; an `out` that
-            cannot be written, or that another march uses.
+        InputError: times, theta, names or loads out of range, before the first solve; theta < 1 with a contact law, or
+            a law that yields, has phases, or has a non-linear instantaneous response; files of another march in `out`;
+            an `out` that cannot be written, or that another march uses.
         OSError: a file could not be written; on all ranks.
         SolveError: the shortest step fails, too; accepted states are in `out` and in the error's `history`.
         TurningPoint: a layer softens, and the equilibria lead back in time.
-        LimitLoad: the same for a layer that yields, or for contact, if loads change and displacements run away as weak
-            springs at all nodes are softened; the error has the last loads with an equilibrium.
+        LimitLoad: the shortest step fails for a layer that yields, or for contact. Loads change in this step, and
+            displacements grow without bound as weak springs at all nodes are softened. The error has the last loads
+            with an equilibrium.
     """
     with errors_on_all(comm_of(getattr(begin, "model", begin))):
         model, begun = _initial_states(begin)
@@ -163,7 +167,7 @@ def march(
         except SolveError as error:
             warn_of_strains(list(error.history or ()))
             raise
-        each = [part.traits for part in equations.parts]  # phases that switch have steps of their own
+        each = [part.traits for part in equations.parts]  # laws that switch phases end steps at switches
         timed = any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in each)
         if timed and not on_path and not isinstance(times, Adaptive):
             warn_of_step_errors(controller, theta, begun)
@@ -172,7 +176,7 @@ def march(
 
 
 def _initial_states(begin: Any) -> tuple[Model, list[State]]:
-    """The model, and the states from which a march goes on: the last one, perhaps after the one before it."""
+    """Model, and initial states of a march: the last state, with the previous state before it if that is kept."""
     if isinstance(begin, History):
         return begin.model, [*filter(None, [begin.states.get(len(begin) - 2)]), begin.last]
     if isinstance(begin, State):
@@ -185,7 +189,7 @@ def _initial_states(begin: Any) -> tuple[Model, list[State]]:
 def planned_controller(
     solver: Solver, journal: Journal, start: float, ends: Sequence[float], theta: float
 ) -> PlannedStepsController:
-    """The controller of planned steps; with snaps where columns switch."""
+    """Controller of planned steps; with snaps if columns of a layer switch phases."""
     kind = SnapController if solver.equations.traits.switches else PlannedStepsController
     return kind(solver, journal, start, ends, theta)
 
@@ -209,18 +213,18 @@ def _check(model: Model, theta: float, keep: str, out: Any, resume: Resume, obse
     require(named or (out is None and not resume), "out", out, "it must be the name of a folder, and resume needs one")
 
 
-# ---------------------------------------------------------------- what planned steps leave undetermined
+# ---------------------------------------------------------------- errors of planned steps
 def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) -> None:
-    """Estimate the errors of planned steps at the end of a march, and warn of large ones. Collective.
+    """Estimate the errors of planned steps at the end of a march, and warn of large errors. Collective.
 
-    Laws that are not linear and have a history, as of yield, friction or damage, are marched again with half as many steps:
-    half as many solves again. Less than eight steps are made again as 8 to 14. Breaks of the data remain ends of steps. The
-    difference gives the error of the whole march to leading order; one halved step would tell what it adds alone. A march
-    that has dissipated nothing is not made again.
+    Marches with laws that are not linear and have a history (yield, friction, damage) are repeated with half as many
+    steps. This adds half as many solves. Fewer than eight steps are repeated as 8 to 14. Breaks of the data remain ends
+    of steps. The difference gives the error of the whole march to leading order; one halved step would only give its
+    own error. A march that has dissipated nothing is not repeated.
     """
     solver, history, n = done.solver, done.journal.history, len(done.targets)
     dissipated, supplied = (np.abs(np.array(history.table[name], float)).sum() for name in ("dissipated", "supplied"))
-    if dissipated <= NO_DISSIPATION_SHARE * supplied:  # not if a law does not declare its energy
+    if dissipated <= NO_DISSIPATION_SHARE * supplied:  # false for NaN, if a law declares no energy
         history.step_errors = dict.fromkeys(COMPARED_QUANTITIES, 0.0)
         return
     again = _halved_targets(done.targets, done.start, solver.model.break_times)
@@ -244,7 +248,7 @@ def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) 
 
 
 def _halved_targets(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:
-    """Every second target, counted from the end, and breaks; where few would be left, all steps in parts."""
+    """Every second target, counted from the end, and breaks; if too few would be left, all steps divided into parts."""
     last = len(targets) - 1
     coarse = [t for k, t in enumerate(targets) if (last - k) % 2 == 0 or t in breaks]
     if len(targets) >= MIN_HALVED_STEPS and 4 * len(coarse) <= 3 * len(targets):

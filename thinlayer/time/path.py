@@ -1,14 +1,15 @@
-"""Steps along an equilibrium path: displacements and load parameter t together, by arc length (Riks 1972, Wempner 1971).
+"""Steps along an equilibrium path: displacements and load parameter t, by arc length (Riks 1972, Wempner 1971).
 
 With residual R(u, t) a path has the direction (v, 1), where K v = -dR/dt and v follows the supports. A step of length s
-goes to the predictor P = (u, t) + s (direction), and from there by Newton's method to the equilibrium in the plane through
-P that is normal to the direction. The scalar product is du.dv/U^2 + dt ds/T^2, with units U of displacements and T of t.
-Turning points of t need no special treatment: K is nearly singular there and indefinite beyond, and the factorisation
-allows both.
+starts at the predictor P = (u, t) + s (direction). From there Newton's method leads to the equilibrium in the plane
+through P that is normal to the direction. The scalar product is du.dv/U^2 + dt ds/T^2, with units U of displacements
+and T of t. Turning points of t need no special treatment: K is nearly singular there and indefinite beyond, and the
+factorisation allows both.
 
 Where the tangent of a law jumps (a kink of the law), the path has a corner. It may be sharp: beyond a peak the path may
 fall steeply and lead almost all the way back. The plane through P then misses the path, however short the step. A step
-that turns takes the plane normal to the direction found at P instead, which is that of the branch beyond the corner.
+that turns uses another plane instead. It is normal to the path's direction at P, which is the direction of the branch
+beyond the corner.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from thinlayer.solving.petsc import Options, chosen_options, reason_name, solve_
 
 MAX_NEWTON_STEPS = 12  # largest number of Newton steps
 MAX_TURN_STEPS = 2  # the same for a step that turns: the branch beyond a corner is nearly straight
-# Largest distance of the equilibrium from the predictor, relative to the step; one farther away is on another path.
+# Largest distance of the equilibrium from the predictor, relative to the step; farther away it is on another path.
 MAX_PREDICTION_ERROR = 0.25
 MAX_TURN_ERROR = 3.0  # the same for a step that turns
 DIVERGED_DISTANCE = 9.0  # largest distance of Newton's iterates from the predictor, relative to the step
@@ -42,10 +43,10 @@ FORCE_CHANGE_TOLERANCE = 1e-7  # change of forces in a step, relative to the for
 
 
 class EquilibriumPath:
-    """Equilibria of a model along a path, one after the other. Collective.
+    """Successive equilibria of a model along a path. Collective.
 
-    A point of the path, and a direction, is an array (n + 1,): the unknowns of this rank, then t. Laws with memory start
-    from a state `last`, whether t increases or decreases.
+    A point of the path, and a direction, is an array (n + 1,): the unknowns of this rank, then t. Laws with memory
+    start from a state `last`, whether t increases or decreases.
 
     Args:
         equations: the equations of the model.
@@ -54,7 +55,8 @@ class EquilibriumPath:
 
     Attributes:
         weight: 1/U^2 of the arc length; 0 until U is known, so that the first step has a length in t only.
-        middle: middle of the times at which loads and supports are known; difference quotients step towards it.
+        middle: middle of the interval of times at which loads and supports are evaluated; difference quotients step
+            towards it.
     """
 
     def __init__(self, equations: Equations, unit: float, options: Options | None) -> None:
@@ -87,7 +89,9 @@ class EquilibriumPath:
 
     # ---------------------------------------------------------------- the balance of forces
     def _residual(self, last: State, point: Array) -> float | None:
-        """Compute the residual, zero at held unknowns, which the point gets; its relative size in equilibrium, else None.
+        """Compute the residual at a point; return its relative size in equilibrium, else None.
+
+        The point gets the prescribed values at constrained unknowns, where the residual is zero.
 
         Raises:
             SolveError: a law fails, or loads or supports are not finite at t.
@@ -112,7 +116,7 @@ class EquilibriumPath:
             raise SolveError(self.equations.failure())
 
     def _linearise(self, last: State, t: float) -> tuple[Array, Array]:
-        """Newton's step at fixed t, and the tangent of the path per unit of t, at the point of the last residual.
+        """Newton step at fixed t, and tangent of the path per unit of t, at the point of the last residual.
 
         Derivatives by t are difference quotients.
 
@@ -148,15 +152,15 @@ class EquilibriumPath:
 
     # ---------------------------------------------------------------- direction
     def aim(self, before: State | None, last: State, *, check: bool = False) -> None:
-        """Find the direction of the path at the state `last`.
+        """Compute the direction of the path at the state `last`.
 
-        It is tangent to the path and leads away from the state `before`. Without `before` t increases. If the tangent is
-        singular, the last increment is the direction.
+        It is tangent to the path and leads away from the state `before`. Without `before` t increases. If the tangent
+        is singular, the last increment is the direction.
 
         Args:
-            before: the state before `last`; None: there is none.
+            before: the state before `last`; None: `last` is the first state.
             last: the last state.
-            check: compare the direction with the one found at `before`.
+            check: whether to compare the direction with the direction at `before`.
 
         Raises:
             SolveError: the path turns between the states, or `last` is on another path; the old direction stays.
@@ -182,19 +186,20 @@ class EquilibriumPath:
         self._direction = direction
 
     def _crossing(self, last: State, direction: Array, length: float) -> float:
-        """Whether a direction is to be reversed beyond a kink of a law: > 0 no, < 0 yes, 0 if there is no kink.
+        """Whether a direction must be reversed beyond a kink of a law: > 0 no, < 0 yes, 0 if there is no kink.
 
-        The angle with the last increment, by which Crisfield (1981) chooses between two solutions and `aim` the sign of the
-        direction, does not tell at corners sharper than 90 degrees. R is continuous at a kink, so its derivatives
-        A = [K, dR/dt] on the two branches differ by c n', where n is the normal of the boundary between the branches.
-        The direction d_1 at the state `last` (A_1 d_1 = 0) crosses this boundary, and the path goes on along the direction
-        d_2 of the last linearisation (A_2 d_2 = 0) if d_2 crosses it in the same sense: (n.d_1)(n.d_2) > 0. As n is not
-        known, the forces (A_2 - A_1) d = c (n.d) are computed, and the result is their scalar product,
-        |c|^2 (n.d_1)(n.d_2). Forces as small as their errors count as zero.
+        The angle with the last increment does not decide this at corners sharper than 90 degrees. By this angle
+        Crisfield (1981) chooses between two solutions, and `aim` chooses the sign of the direction. R is continuous at
+        a kink. So its derivatives A = [K, dR/dt] on the two branches differ by c n'. Here n is the normal of the
+        boundary between the branches. The direction d_1 at the state `last` (A_1 d_1 = 0) crosses this boundary. Let
+        d_2 be the direction of the last linearisation (A_2 d_2 = 0). The path continues along d_2 if d_2 crosses the
+        boundary in the same sense: (n.d_1)(n.d_2) > 0. As n is not known, the forces (A_2 - A_1) d = c (n.d) are
+        computed for both directions. The result is their scalar product, |c|^2 (n.d_1)(n.d_2). Forces as small as their
+        errors count as zero.
 
         Args:
             last: the state before the kink.
-            direction: d_2, found at the last linearisation.
+            direction: d_2, of the last linearisation.
             length: length of the step.
         """
         equations, short = self.equations, PATH_QUOTIENT_STEP * length
@@ -218,7 +223,7 @@ class EquilibriumPath:
 
     # ---------------------------------------------------------------- steps
     def step(self, last: State, length: float, *, turn: bool = False) -> State:
-        """The equilibrium one step of this length farther on; with `turn`, a step through a corner within this length.
+        """The equilibrium after a step of this length; with `turn`, after a step through a corner within this length.
 
         Raises:
             SolveError: there is no equilibrium, or it is too far from the predictor.
@@ -226,7 +231,10 @@ class EquilibriumPath:
         return self._find(last, self._point(last) + length * self._direction, self._direction, length, turn)
 
     def solve_at_time(self, last: State, beyond: State | None, t: float) -> State:
-        """The equilibrium at time t, between the states `last` and `beyond` (None: the predictor). Errors as in `step`."""
+        """The equilibrium at time t, between the states `last` and `beyond` (None: the predictor).
+
+        Errors as in `step`.
+        """
         point, at_t = self._point(last), np.zeros_like(self._direction)
         at_t[-1] = 1.0
         onward = self._direction if beyond is None else self._point(beyond) - point
@@ -236,7 +244,7 @@ class EquilibriumPath:
         return self._find(last, target, at_t, self._size(increment), turn=False)
 
     def _find(self, last: State, target: Array, row: Array, length: float, turn: bool) -> State:
-        """The equilibrium in the plane normal to the row through the target."""
+        """Solve for the equilibrium in the plane through `target` that is normal to `row`."""
         begin, beyond, iterations, point = time.perf_counter(), 0.0, 0, target.copy()
         most, far = (
             (MAX_TURN_STEPS, MAX_TURN_ERROR * length) if turn else (MAX_NEWTON_STEPS, MAX_PREDICTION_ERROR * length)
@@ -262,7 +270,7 @@ class EquilibriumPath:
         return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - begin))
 
     def _turned(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:
-        """The direction found at the predictor, beyond a corner, and the distance of the plane normal to it from there."""
+        """Direction of the path at the predictor, beyond a corner, and distance of the plane normal to it."""
         row = self._unit_along(tangent)
         crossing = self._crossing(last, row, length)
         if crossing == 0:

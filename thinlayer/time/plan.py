@@ -1,4 +1,4 @@
-"""What a march is asked for: times, adaptive steps, or a path by arc length; and what models allow of it."""
+"""Plans of a march: times, adaptive steps, or a path by arc length; and which of them a model allows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from thinlayer.solving.solve import SOFTENING_ADVICE
 
 MAX_HALVINGS = 10  # largest number of times that a planned step is halved
 THETA_HINT = "theta = 1"  # the last words of errors
-MAX_SHORTENING = 1e6  # length of the first adaptive step relative to that of the shortest, by default
+MAX_SHORTENING = 1e6  # default length of the first adaptive step over the shortest
 NO_ERROR_MESSAGE = "Adaptive is for laws that depend on time; steps of {} have no error: give the times to stop at"
 NO_PATH_REASONS = {
     "releases": "{} is a contact law: march in time instead of ArcLength",
@@ -32,17 +32,17 @@ NO_PATH_REASONS = {
 class Adaptive:
     """Steps whose length follows an estimate of their error.
 
-    Each step is made once as a whole and once as two halves; the halves are accepted if displacements, the layer's jumps
-    and the bodies' forces differ by no more than the tolerance. Jumps of loads between these times go unnoticed: put the
-    times at which functions jump into `at`. The breaks of `piecewise` loads are added to them.
+    Each step is made once as a whole and once as two halves. The halves are accepted if displacements, the layer's
+    jumps and the bodies' forces differ by no more than the tolerance. Jumps of loads between these times are not
+    noticed: put the times at which functions jump into `at`. The breaks of `piecewise` loads are added to these times.
 
     Attributes:
         end: last time.
         first: length of the first step.
         tolerance: largest estimated error of a step. The error is the largest of three relative errors in L2 norms: of
             nodal displacements, of jumps (in a meshed layer strains), and of nodal forces of the bodies' stresses, with
-            reactions and tractions on the layer. They are relative to the largest values so far or, after rest, to those
-            at the end of the first step that is tried.
+            reactions and tractions on the layer. They are relative to the largest values so far or, after rest, to the
+            values at the end of the first step that is tried.
         at: times between start and end at which a step must end.
         smallest: length below which a step is not shortened further (default: first/1e6).
         largest: length of the longest step (default: no limit).
@@ -68,7 +68,7 @@ class Adaptive:
 
 
 def _require_numbers(plan: Adaptive | ArcLength, *positive: str, signed: tuple[str, ...]) -> None:
-    """Make attributes floats; raises InputError unless they are > 0, finite ones of either sign, or None by default."""
+    """Convert attributes to floats; raise InputError unless they are > 0, finite if in `signed`, or None by default."""
     for name in (*signed, *positive):
         value = getattr(plan, name)
         finite = is_finite(value) or (is_number(value) and name == "largest" and value == math.inf)
@@ -81,24 +81,24 @@ def _require_numbers(plan: Adaptive | ArcLength, *positive: str, signed: tuple[s
 
 @dataclass(frozen=True)
 class ArcLength:
-    """An equilibrium path of a model, followed by arc length; t is the parameter of loads and supports and may decrease.
+    """An equilibrium path of a model, followed by arc length; t is the parameter of loads and may decrease.
 
-    The path starts at the state of t = start, with t increasing, and goes on in the direction of its last increment.
-    Energies are not compared: stable and unstable equilibria are followed alike. Steps should be short compared with the
-    features of the path, as events within a step go unnoticed.
+    Supports depend on the parameter t too. The path starts at the state of t = start, with t increasing, and continues
+    in the direction of its last increment. Energies are not compared: stable and unstable equilibria are followed
+    alike. Steps should be short compared with the features of the path, as events within a step are not noticed.
 
-    The length of a step is sqrt(|du|^2/U^2 + dt^2/T^2), with the L2 norm of the change du of nodal displacements,
-    T = `first`, and U from the first step. Step lengths adapt to the number of Newton steps; steps that fail are halved.
-    `smallest` and `largest` are relative to the length of the first step.
+    The length of a step is sqrt(|du|^2/U^2 + dt^2/T^2). Here |du| is the L2 norm of the change of nodal displacements,
+    T is `first`, and U follows from the first step. Step lengths adapt to the number of Newton steps; steps that fail
+    are halved. `smallest` and `largest` are relative to the length of the first step.
 
     Attributes:
         end: time > start at which the march ends; the last step ends there.
         first: change of t in the first step, > 0.
         smallest: length below which a step is not shortened further (default: 1e-6).
         largest: length of the longest step (default: 1; longer steps may pass over loops of the path).
-        steps: largest number of steps; a longer path is a SolveError.
-        back: time < start below which the march ends, too. Without it a path that comes back to start - (end - start) is
-            a SolveError. Loads and supports are evaluated at such times.
+        steps: largest number of steps; a longer path raises a SolveError.
+        back: time < start below which the march ends, too. Without it a path that comes back to start - (end - start)
+            raises a SolveError. Loads and supports are evaluated at such times.
 
     Raises:
         InputError: values out of range.
@@ -143,7 +143,7 @@ def ends_of_steps(times: Times, start: float, breaks: Iterable[float] = ()) -> l
     Breaks that differ from other times only by rounding are left out.
 
     Raises:
-        InputError: no times, or such as do not increase from `start`; steps that are lost in rounding.
+        InputError: no times, or times that are not finite numbers or do not increase from `start`.
     """
     if isinstance(times, ArcLength):
         return [times.end]
@@ -168,14 +168,14 @@ def ends_of_steps(times: Times, start: float, breaks: Iterable[float] = ()) -> l
 
 
 def load_durations(times: Times, start: float, ends: Sequence[float]) -> list[float]:
-    """Durations, at the first, a middle (logarithmic mean) and the last time, of loads that are sudden at `start`."""
+    """Durations of loads that are sudden at `start`: until the first, a middle (geometric mean) and the last time."""
     first, last = ends[0] - start, ends[-1] - start
     first = min(first, times.first) if isinstance(times, Adaptive) else first
     return list(dict.fromkeys([first, math.sqrt(first * last), last]))
 
 
 def is_divisible(start: float, end: float) -> bool:
-    """Whether the two halves of a step are not lost in rounding."""
+    """Whether a step is so long that its two halves are not lost in rounding."""
     return start < (start + end) / 2 < end
 
 
@@ -183,8 +183,8 @@ def is_divisible(start: float, end: float) -> bool:
 def require_in_time(equations: Equations, times: Times, theta: float, ends: list[float]) -> None:
     """Raise InputError unless a model can be marched in time. Collective.
 
-    With theta < 1 laws at points that creep or relax may be of any kind; others say `linear`, and their parameters do not
-    change in time.
+    With theta < 1, compiled laws that creep or relax may be non-linear. Other laws must declare `linear`, and
+    parameters of compiled laws must not change in time.
 
     Args:
         equations: the equations of the model.
@@ -213,7 +213,7 @@ def require_path(equations: Equations, times: Times, theta: float, method: str |
 
     Args:
         equations: the equations of the model.
-        times, theta, method: as in `march`; a path in time is that of a layer which softens.
+        times, theta, method: as in `march`; other times than `ArcLength` mean a layer that softens.
     """
     if isinstance(times, Adaptive):
         equations.refuse({"softens": f"march with Adaptive: {SOFTENING_ADVICE}"})

@@ -1,4 +1,4 @@
-"""Steps in time: planned, adaptive, or from snap to snap; they are shortened if they fail, and seek limits of loads."""
+"""Steps in time: planned, adaptive, or from snap to snap; they are shortened if they fail, and look for limit loads."""
 
 from __future__ import annotations
 
@@ -22,17 +22,16 @@ from thinlayer.solving.history import TIME_TOLERANCE
 from thinlayer.time.controller import Controller, StepAttempt
 from thinlayer.time.plan import MAX_HALVINGS, MAX_SHORTENING, Adaptive, is_divisible
 
-# Least size of jumps to which errors are relative, as a share of the displacements; rounding is smaller.
+# Least size of jumps to which errors are relative, over the displacements; rounding is smaller.
 MIN_JUMP_SHARE = 1e-6
 COMPARED_QUANTITIES = ("displacements", "jumps", "forces")
-LOAD_TOLERANCE = 1e-12  # relative change of loads that counts as none
+LOAD_TOLERANCE = 1e-12  # relative change of loads that counts as zero
 SAFETY_FACTOR = 0.9  # factor on the length of an adaptive step that its error allows
 MIN_LENGTH_RATIO, MAX_LENGTH_RATIO = 0.2, 3.0  # bounds of the ratio of the lengths of two adaptive steps
 SPRING_STEP_RATIO = 8.0  # ratio of the lengths of two steps by weak springs
-MAX_SPRING_STEP = (
-    16  # longest step by weak springs, in lengths of the adaptive step that failed: it may be far from a limit
-)
-REMAINDER_SHARE = 1e-3  # what is left before a target, relative to a step, that the step takes along
+# longest step by weak springs, in lengths of the adaptive step that failed: it may be far from a limit
+MAX_SPRING_STEP = 16
+REMAINDER_SHARE = 1e-3  # remainder before a target, relative to a step, that the step includes
 TIME_ROUNDING = 8 * 2.0**-52  # relative tolerance of the time of a snap
 EXCESS_PROBES = 8  # number of equal parts of a step at whose ends the excess is tested if loads are not linear in time
 NO_LIMIT_HINT = (
@@ -42,7 +41,7 @@ NO_LIMIT_HINT = (
 
 @dataclass(eq=False)
 class PlannedStepsController(Controller):
-    """Steps that end at the targets, or are halved on the way.
+    """Controller of steps that end at the targets, or earlier if longer steps fail.
 
     Attributes:
         theta: forces balance at t + theta dt.
@@ -54,7 +53,7 @@ class PlannedStepsController(Controller):
         super().__post_init__()
         self.smallest = float(np.diff([self.start, *self.targets]).min()) / 2**MAX_HALVINGS * (1 - TIME_TOLERANCE)
         self._failed_at = math.inf  # earliest end of a failed step that the march has not reached
-        self._run_away = math.inf  # earliest time at which displacements ran away
+        self._run_away = math.inf  # earliest time at which displacements grew without bound
 
     def length(self) -> float:
         return min(self.journal.pace.step or math.inf, self.target - self.last.t)
@@ -64,7 +63,7 @@ class PlannedStepsController(Controller):
 
     @property
     def attempts(self) -> list[StepAttempt]:
-        """Eased laws are tried if no step has failed, after a step that has used them, and in the shortest step."""
+        """Attempts at a step; with a homotopy if no step has failed, after its use, and in the shortest step."""
         thorough = self._failed_at == math.inf or self.last.report.homotopy_steps > 0
         first = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
         more = StepAttempt("Newton's method, with eased laws,", partial(self._step, thorough=True), self.smallest)
@@ -87,7 +86,7 @@ class PlannedStepsController(Controller):
         return bool((changes > LOAD_TOLERANCE * sizes).any())
 
     def _resultant(self, t: float) -> list[float]:
-        """Sum of the loads on the bodies at time t, those of rigid plates included, (d,)."""
+        """Resultant (d,) of the loads on the bodies and on rigid plates at time t."""
         model, loads = self.solver.model, self.solver.equations.loads_at(t)
         translations = [*model_motions(model, PLANE_STRAIN).values()][: model.joint.dim]
         return [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
@@ -107,7 +106,7 @@ class PlannedStepsController(Controller):
         return states
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
-        """States of a step; where theta is another one than that of the march, after rest, in two halves."""
+        """States of a step; in two halves if `theta` is not the march's, as in the first step from rest."""
         return self._chain(old, [end] if theta == self.theta else [(old.t + end) / 2, end], theta, thorough)
 
     def _chain(self, old: State, ends: Sequence[float], theta: float, thorough: bool) -> list[State]:
@@ -115,14 +114,14 @@ class PlannedStepsController(Controller):
         return [*states][1:]
 
     def _set_pace(self, length: float, end: float) -> None:
-        """Let the step after one of some length, to its end, be as long as may be."""
+        """Set the largest length of the next step, after a step of a length that ended at the time `end`."""
         if end >= self._failed_at:
             self._failed_at = math.inf
         grows = self._failed_at == math.inf or not self.solver.bounded
         self.journal.pace.step = None if end == self.target else length * (2 if grows else 1)
 
     def _regularised_step(self, length: float) -> list[State]:
-        """A step by weak springs, as far as may be. NoEquilibrium: on the way displacements ran away."""
+        """Make a step by weak springs, as long as possible. NoEquilibrium: displacements grew without bound."""
         old, end, t = self.last, self._end(length), self._farthest(length)
         failed = SolveError("weak springs have not led to an equilibrium")
         if old.t < self._run_away < t:
@@ -132,24 +131,24 @@ class PlannedStepsController(Controller):
                 return self._regularised_state(self.solver.solve_regularised(old, t, self.theta))
             except NoEquilibrium as error:
                 failed, self._run_away = error, t
-            except SolveError as error:  # displacements that ran away at a later time still show a limit before it
+            except SolveError as error:  # displacements that grew without bound later still show a limit before
                 failed = failed if isinstance(failed, NoEquilibrium) else error
             if t <= end:
                 raise failed
             t = max(old.t + (t - old.t) / SPRING_STEP_RATIO, end)
 
     def _farthest(self, length: float) -> float:
-        """The latest time at which an equilibrium is sought by weak springs."""
+        """The latest time at which weak springs look for an equilibrium."""
         return self.target
 
     def _regularised_state(self, state: State) -> list[State]:
-        """The state that was found by weak springs, as that of a step."""
+        """The states of a step by weak springs, from its last state; sets the pace."""
         self._set_pace(state.t - self.last.t, state.t)
         return [state]
 
 
 class _StepTooLarge(SolveError):
-    """The estimated error of a step is above the tolerance, and below it if the step is shortened by the factor."""
+    """The estimated error of a step is above the tolerance; `factor` times its length is expected to meet it."""
 
     def __init__(self, factor: float) -> None:
         super().__init__("its estimated error stays above the tolerance")
@@ -158,7 +157,7 @@ class _StepTooLarge(SolveError):
 
 @dataclass(eq=False)
 class AdaptiveController(PlannedStepsController):
-    """Steps as long as their error allows: each is made once as a whole, and once as two halves, which are its states.
+    """Controller of steps as long as their error allows. Each step is made as a whole and as two halves, its states.
 
     Attributes:
         settings: tolerance and lengths.
@@ -176,10 +175,11 @@ class AdaptiveController(PlannedStepsController):
         return length * error.factor if isinstance(error, _StepTooLarge) else super().shorter(length, error)
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
-        """The halves; after rest, errors are relative to the values at the end of the first step tried, accepted or not.
+        """The states of the two halves; raises _StepTooLarge if the estimated error is above the tolerance.
 
-        A quantity that grows from zero as a power of time has a constant relative error in its first step, however short
-        the step. A quantity is at rest if its norm is less than the tolerance times that at the end of the step.
+        After rest, errors are relative to the values at the end of the first step tried, accepted or not. Reason: a
+        quantity that grows from zero as a power of time has a constant relative error in its first step, however short.
+        A quantity is at rest if its norm is less than the tolerance times its norm at the end of the step.
         """
         whole = self.solver.step(old, end, theta, thorough)
         halves = self._chain(old, [(old.t + end) / 2, end], theta, thorough)
@@ -198,7 +198,7 @@ class AdaptiveController(PlannedStepsController):
         return halves
 
     def _set_pace(self, length: float, end: float) -> None:
-        """As the error allows; a step that the target cuts short does not limit the next one."""
+        """Set the length that the error allows; a step that the target cuts short does not limit the next step."""
         step, planned = length * self._factor, self.journal.pace.step or 0.0
         super()._set_pace(length, end)
         self.journal.pace.step = min(max(step, planned) if end == self.target else step, self.settings.largest)
@@ -211,15 +211,15 @@ class AdaptiveController(PlannedStepsController):
 
 
 class SnapController(PlannedStepsController):
-    """Planned steps of a layer whose columns switch their phases."""
+    """Controller of planned steps of a layer whose columns switch their phases."""
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
         """States of a step: at every snap the state just before it and the state after it, then the state at the end.
 
         A snap has no duration: both its states have the same t. The energy that layer and bodies lose in it is
-        `dissipated`. If loads, supports and parameters are linear in time within the step, the first switch is found (steps
-        end at the breaks of piecewise data). Otherwise a column may be missed whose phase is not the one of lowest energy
-        only for a while, see `EXCESS_PROBES`. Collective; errors as in `solve`.
+        `dissipated`. If loads, supports and parameters are linear in time within the step, the first switch is found
+        (steps end at the breaks of piecewise data). Otherwise a column that leaves its phase of lowest energy only for
+        a while may be missed, see `EXCESS_PROBES`. Collective; errors as in `solve`.
 
         Raises:
             SolveError: the methods `excess` and `switched` of a law disagree.
@@ -227,9 +227,9 @@ class SnapController(PlannedStepsController):
         solver, states = self.solver, [old]
         while True:
             old = states[-1]
-            # With fixed phases driving forces are linear in time if loads, supports and parameters are (bodies are taken to
-            # be linear). The excess is the largest of their sizes, so it is convex: if positive within the step, also at
-            # its end.
+            # With fixed phases driving forces are linear in time if loads, supports and parameters are (bodies are
+            # assumed linear). The excess is the largest of their sizes, so it is convex in time. Therefore, if it is
+            # positive within the step, it is positive at the end.
             convex = old.t == end or solver.equations.linear_in_time(old.t, end)
             probes = () if convex else (old.t + (end - old.t) * k / EXCESS_PROBES for k in range(1, EXCESS_PROBES))
             bound = next((t for t in probes if self._kept(old, t)[1] > 0), end)
@@ -240,9 +240,8 @@ class SnapController(PlannedStepsController):
             if t > old.t:
                 old, _ = self._kept(old, t)
                 states.append(old)
-                if (
-                    self._kept(old, t)[1] <= -EXCESS_TOLERANCE
-                ):  # Newton's tolerance may make the excess smaller from the new start
+                # from the new start Newton's tolerance may make the excess smaller
+                if self._kept(old, t)[1] <= -EXCESS_TOLERANCE:
                     continue
             after = solver.step(old, t)
             if solver.equations.excess > 2 * EXCESS_TOLERANCE:
@@ -254,7 +253,7 @@ class SnapController(PlannedStepsController):
                 return states[1:]
 
     def _kept(self, old: State, t: float) -> tuple[State, float]:
-        """The state at a time with the phases of another one, and the excess of its columns."""
+        """The state at a time with the phases of `old`, and the excess of its columns above the tolerance."""
         state = self.solver.step(old, t, keep_phases=True)
         return state, self.solver.equations.excess - 2 * EXCESS_TOLERANCE
 
@@ -275,12 +274,13 @@ class SnapController(PlannedStepsController):
 
 
 class ErrorEstimate:
-    """Compares a step with its two halves. All methods are collective.
+    """Error estimate that compares a step with its two halves. All methods are collective.
 
     Three quantities are compared in L2 norms:
 
     - the displacements of nodes;
-    - the strains of the layer at its points; on S these are jumps over the thickness, under a contact law jumps at nodes;
+    - the strains of the layer at its points; on S these are jumps over the thickness, under a contact law jumps at
+      nodes;
     - the nodal forces of the bodies' stresses, which change with reactions of supports and tractions on the layer.
 
     Displacements are not enough: a layer may relax under bodies that hardly move, and a jump may be small compared with
@@ -292,12 +292,11 @@ class ErrorEstimate:
 
     def __init__(self, equations: Equations) -> None:
         self._equations, self.comm = equations, equations.comm
-        self._unit = float(
-            np.sqrt(sum(equations.call_optional("unit_jump_measure")))
-        )  # norm of strains for a unit jump, about
+        # approximate norm of strains for a unit jump
+        self._unit = float(np.sqrt(sum(equations.call_optional("unit_jump_measure"))))
 
     def shares(self, other: State, state: State, largest: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
-        """Differences of two states in the three quantities, over their norms in the second one, or over `largest`."""
+        """Differences (3,) of two states in the quantities, over the norms in the second or, if larger, `largest`."""
         ends = [self._quantities(end_state) for end_state in (other, state)]
         differences = self._norms([b - a for a, b in zip(*ends, strict=True)])
         sizes = np.maximum(self._norms(ends[1]), largest)

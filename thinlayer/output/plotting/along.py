@@ -19,9 +19,9 @@ from thinlayer.output.plotting.picture import Picture, finish_picture
 from thinlayer.output.surface import Surface
 from thinlayer.surface.lines import Plane
 
-COMPONENT_STYLES = ("-", "--", ":")  # of the normal component and of the tangential ones
+COMPONENT_STYLES = ("-", "--", ":")  # line styles of the normal component and of the tangential components
 PANEL_INCHES = (5.2, 2.5)  # width and height of a panel, inches; the first is shared by all seams
-LOW_PANEL_INCHES = 1.7  # height of a panel where there are three or more, inches
+LOW_PANEL_INCHES = 1.7  # height of a panel in pictures with three or more rows, inches
 
 
 def along(
@@ -35,15 +35,16 @@ def along(
     stress: str = "",
     log: bool = False,
 ) -> Picture:
-    """Fields on S against arc length: a row for each, a column for each seam, its lines one after the other.
+    """Draw fields on S against arc length: a row for each field, a column for each seam, its lines one after the other.
 
     Collective; all ranks have the picture.
 
     Args:
         surface: S, or a seam.
-        fields: label of a row -> field, or -> {label of a case: field}: numbers, or vectors in the frame of S; names, as
-            of statuses, are drawn by `on_surface`. Or states, label -> state, or one state: their traction and jump. Or
-            contact, as `Surface.contact` returns it, one or several in the same way: p, t_T, u_T and opening.
+        fields: what is drawn. Fields: label of a row -> field, or -> {label of a case: field}, numbers or vectors in
+            the frame of S (`on_surface` draws fields of names). States: label -> state, or one state, of which traction
+            and jump are drawn. Contact: label -> result of `Surface.contact`, or one result, of which p, t_T, u_T and
+            opening are drawn.
         plane: in 3D a point and the normal of the plane that cuts S (`Surface.along`).
         save: name of a file to save the picture to, .png, .svg or .pdf.
         title: text over the picture.
@@ -51,7 +52,7 @@ def along(
         log: whether scales of numbers are logarithmic, on both sides of zero.
 
     Raises:
-        InputError: no surface, no state or field; errors of `Surface.along`. OSError: the picture could not be written.
+        InputError: not a surface, state or field; errors of `Surface.along`. OSError: the picture could not be written.
     """
     require(isinstance(surface, Surface), "along: surface", surface, "give Surface(limit.model)")
     units = [f" ({unit})" if unit else "" for unit in (stress, length)]
@@ -75,7 +76,7 @@ def along(
 
 
 def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, np.ndarray]]:
-    """Label of a row -> label of a case -> field; of pinned nodes the force is the support's, and left out."""
+    """Label of a row -> label of a case -> field; without forces at pinned nodes, which supports exert."""
     cases = dict(fields) if isinstance(fields, Mapping) else {"": fields}
     if not cases:
         raise InputError("along: there is nothing to draw")
@@ -99,7 +100,7 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
 
 
 class _Row:
-    """One row of the picture: the lines of each case."""
+    """One row of panels: the lines of each case."""
 
     def __init__(self, surface: Surface, label: str, cases: Mapping[str, np.ndarray], plane: Plane | None) -> None:
         self.label = label
@@ -112,14 +113,14 @@ class _Row:
         return max(line.values.shape[1] if line.values.ndim > 1 else 1 for (line, *_) in self.lines.values())
 
     def draw(self, axes: Axes, seam: str) -> None:
-        """Lines of a seam, one line after the other."""
+        """Draw the lines of a seam, one after the other."""
         for number, lines in enumerate(self.lines.values()):
             start = 0.0
             for line in lines:
                 if line.seam == seam:
                     if start and not number:
                         axes.axvline(start, color="0.7", linewidth=0.8)
-                    components = np.roll(np.atleast_2d(line.values.T), 1, axis=0)  # the normal one is the last
+                    components = np.roll(np.atleast_2d(line.values.T), 1, axis=0)  # the normal component was last
                     styles = COMPONENT_STYLES if len(components) > 1 else (LINE_STYLES[number % len(LINE_STYLES)],)
                     for style, component in zip(styles, components, strict=False):
                         axes.plot(start + line.s, component, linestyle=style, color=COLOURS[number % len(COLOURS)])
@@ -128,7 +129,7 @@ class _Row:
 
 
 def _legend(figure: Picture, rows: list[_Row], dim: int) -> None:
-    """Components of vectors, and cases."""
+    """Draw a legend of vector components and cases."""
     handles, vectors = list[Any](), any(row.components > 1 for row in rows)
     if vectors:
         names = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]

@@ -17,17 +17,18 @@ from thinlayer.system.table import Table
 
 Lines = Mapping[str, tuple[Any, Any]]  # label -> (x, y)
 Range = tuple[float, float] | None
-StyleChoice = str | Sequence[str] | Mapping[str, str] | None  # for all curves, in turn, or by label
-# Of curves, in turn: colours that no eye confuses (Okabe and Ito), line styles and markers for grey prints.
+StyleChoice = str | Sequence[str] | Mapping[str, str] | None  # one for all curves, several in turn, or by label
+# Styles of curves, in turn: colours for colour-blind readers (Okabe and Ito); line styles and markers for grey prints.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 LINE_STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-SYMLOG_RANGE = 1e-3  # values over the largest that are seen on a logarithmic axis of both signs
+SYMLOG_RANGE = 1e-3  # smallest visible value, over the largest, on an axis that is logarithmic on both sides of zero
+# sizes in a legend, inches: width of a letter, width of the line and the margins of an entry, height of a row
 LETTER_INCHES, SAMPLE_INCHES, ROW_INCHES = (
     0.075,
     0.75,
     0.21,
-)  # inches: a letter in a legend, what stands before it, the height of a row
+)
 ERROR_COLUMNS = {"traction": "error_traction", "jump": "error_jump"}  # label -> column of a sweep's table
 
 
@@ -68,7 +69,7 @@ def rates(
             label = f"{case}: {name}" if case else name
             lines[label] = data["eps"], data[column]
             styles[label] = MARKERS[k % len(MARKERS)] + ("--" if k % 2 else "-")
-            colours[label] = COLOURS[(j if len(tables) > 1 else k) % len(COLOURS)]  # one for each case
+            colours[label] = COLOURS[(j if len(tables) > 1 else k) % len(COLOURS)]  # one colour for each case
     eps, lowest = min(lines.values(), key=lambda line: float(line[1][-1]))
     slope = f"slope {reference:g}"
     lines[slope] = eps, 0.6 * lowest[-1] * (eps / eps[-1]) ** reference
@@ -99,23 +100,23 @@ def curves(
     columns: int = 3,
     levels: Mapping[str, Sequence[str]] | None = None,
 ) -> Picture:
-    """Draw curves, in one panel or in several, with one legend below; those of the same label look the same.
+    """Draw curves, in one panel or in several, with one legend below; curves with the same label have the same style.
 
     Args:
         lines: label -> (x, y), as many numbers each; or title of a panel -> {label: (x, y)}.
         xlabel: label of the x axes, units included.
-        ylabel: of the y axes, units included, or title of a panel -> label.
+        ylabel: label of the y axes, units included; or title of a panel -> label.
         title: title of the picture.
         save: name of a file to save the picture to, .png, .svg or .pdf.
-        styles, colours: matplotlib's styles ("o--") and colours (default: all differ), one for all curves, some in turn, or
-            label -> one.
+        styles, colours: matplotlib's styles ("o--") and colours (default: all differ): one for all curves, several in
+            turn, or label -> style or colour.
         log: axes that are logarithmic, "x", "y" or "xy".
-        xlim, ylim: range of the axes, or title of a panel -> range (default: the whole curves).
+        xlim, ylim: range of the axes, or title of a panel -> range (default: the whole range of the curves).
         columns: number of panels in a row.
         levels: title of a panel -> names of the values 0, 1, ... of y, in place of numbers.
 
     Raises:
-        InputError: no mapping. ValueError: x and y of a line are not as many numbers.
+        InputError: `lines` is no mapping. ValueError: x and y of a line have different lengths.
     """
     require(isinstance(lines, Mapping), "curves", lines, "give {label: (x, y)}, or {title: {label: (x, y)}}")
     several = bool(lines) and all(isinstance(entry, Mapping) for entry in lines.values())
@@ -129,7 +130,7 @@ def curves(
     dashes, drawn = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Any]()
     for axes, (panel, part) in zip(panels, parts.items(), strict=True):
         for label, line in part.items():
-            # points alone are open: they do not hide one another
+            # points without a line are open markers, which do not hide one another
             look: dict[str, Any] = {"ms": 6, "mfc": "none"} if styles.get(label) in MARKERS else {"ms": 4}
             (drawn[label],) = axes.plot(*line, styles.get(label, "-"), color=colours[label], label=label, **look)
             if label not in styles:
@@ -157,7 +158,7 @@ def fraction(x: float) -> str:
 
 
 def _of_panel(setting: Any, panel: str) -> Any:
-    """What is given for a panel."""
+    """The value of a setting for a panel."""
     return setting.get(panel) if isinstance(setting, Mapping) else setting
 
 
@@ -168,7 +169,7 @@ def _by_label(labels: Iterable[str], chosen: StyleChoice) -> dict[str, str]:
 
 
 def _panels(number: int, columns: int) -> tuple[Picture, list[Axes]]:
-    """A picture with so many sets of axes."""
+    """A picture with `number` sets of axes in rows of at most `columns`."""
     columns = min(columns, number)
     rows = -(-number // columns)
     size = 1.0 if columns > 2 else 1.4
@@ -177,12 +178,12 @@ def _panels(number: int, columns: int) -> tuple[Picture, list[Axes]]:
 
 
 def logarithmic(axes: Axes, low: float, high: float) -> None:
-    """A logarithmic axis on both sides of zero, with ticks at powers of ten that do not lie on one another."""
+    """Make the y axis logarithmic on both sides of zero, with ticks at powers of ten that do not overlap."""
     if not (largest := max(-low, high)) > 0:
         return
     top = math.floor(math.log10(largest))
     powers = [10.0**k for k in range(top + int(math.log10(SYMLOG_RANGE)) + 1, top + 1)]
     axes.set_yscale("symlog", linthresh=powers[0], linscale=0.5)
     axes.set_yticks([*(-power for power in reversed(powers)), 0.0, *powers])
-    axes.set_ylim(1.5 * min(low, 0.0), 1.5 * max(high, 0.0))  # ticks alone would leave a half empty
+    axes.set_ylim(1.5 * min(low, 0.0), 1.5 * max(high, 0.0))  # the ticks' range leaves a half empty for one sign
     axes.minorticks_off()

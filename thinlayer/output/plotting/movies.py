@@ -22,7 +22,7 @@ from thinlayer.system.progress import track
 
 GIF_SUFFIX, MP4_SUFFIX = ".gif", ".mp4"
 FRAME_DPI = 120
-MAX_FRAME_RATE = 50  # frames per second: a gif counts hundredths of a second
+MAX_FRAME_RATE = 50  # frames per second, as a gif counts in hundredths of a second
 
 
 def movie(
@@ -36,12 +36,13 @@ def movie(
 ) -> Path:
     """Write a movie of a march: a frame for each state that the history keeps, with its time. Collective.
 
-    All frames have one window, one factor of the displacements and one range of colours. Frames follow each other at one
-    pace, whatever the steps of the march. A notebook shows the file by IPython's `Image` (gif) or `Video` (mp4).
+    All frames have the same window, factor of the displacements and range of colours. All frames have the same
+    duration, whatever the time steps of the march. A notebook shows the file by IPython's `Image` (gif) or `Video`
+    (mp4).
 
     Args:
         solution: a history, or states of one model, in order.
-        view: how it is seen.
+        view: view of the structure.
         save: file, .gif or .mp4. An mp4 needs ffmpeg, from the package imageio-ffmpeg or on the PATH.
         per_second: number of frames per second.
         title, time_unit: text over the frames; unit of the time there.
@@ -71,7 +72,7 @@ def movie(
         if title:
             figure.suptitle(title)
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # every frame has the layout of the first
+        figure.set_layout_engine("none")  # keep the layout of the first frame
         writer: AbstractMovieWriter = (
             PillowWriter(per_second) if path.suffix == GIF_SUFFIX else FFMpegWriter(per_second)
         )
@@ -99,7 +100,7 @@ def _states(solution: object) -> list[State]:
 
 
 def _ffmpeg() -> str:
-    """Where ffmpeg is; raises InputError if it is missing."""
+    """Path of ffmpeg; raise InputError if it is missing."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
 

@@ -18,11 +18,12 @@ from forms.base import require
 from geometry.parallel import on_root
 from thinlayer.system.folder import replace_file
 
+# text width of a page, inches; dots per inch of a saved picture after scaling it down to this width if it is wider
 PAGE_WIDTH, SAVED_DPI = (
     6.7,
     300,
-)  # inches, of a page's text; dots per inch of a picture that is set as wide, or of one less wide
-# Text stays text, and files of the same picture are the same.
+)
+# Text remains text in vector files, and equal pictures give equal files.
 VECTOR_STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "thinlayer",
@@ -38,12 +39,12 @@ NOTEBOOK_SETTINGS: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
 class Picture(Figure):
     """A matplotlib figure, made without pyplot, so that scripts and notebooks keep their backend.
 
-    A notebook displays it where it is the last value of a cell, or by IPython's `display`; `savefig` and all else is
-    matplotlib's. Symbols in its texts, such as "eps", "t_T" and "10^3", are drawn as mathematics.
+    A notebook displays it if it is the last value of a cell, or by IPython's `display`. `savefig` and all other methods
+    are matplotlib's. Symbols in its texts, such as "eps", "t_T" and "10^3", are drawn as mathematics.
     """
 
     def draw(self, renderer: RendererBase) -> None:
-        """Draw it, its symbols as mathematics."""
+        """Draw the figure, with symbols in texts as mathematics."""
         for text in self.findobj(Text):
             text.set_text(symbols(text.get_text()))
         super().draw(renderer)
@@ -54,7 +55,7 @@ class Picture(Figure):
         return buffer.getvalue()
 
     def show(self, warn: bool = True) -> None:
-        """Open the picture in a window and wait until it is closed; for scripts where there is a screen."""
+        """Open the picture in a window and wait until it is closed; for scripts with a screen."""
         from matplotlib import pyplot
 
         manager = pyplot.figure().canvas.manager
@@ -66,7 +67,7 @@ class Picture(Figure):
 
 
 def symbols(text: str) -> str:
-    """A text with its symbols as mathematics: "eps", "t_T", "10^3", "L^2"; a text that has mathematics stays as it is."""
+    """Write symbols of a text, "eps", "t_T", "10^3", "L^2", as mathematics; a text that contains "$" is unchanged."""
     if "$" in text:
         return text
     text = re.sub(rf"\b({GREEK_LETTERS})(?=\b|_)", r"\\\1", text).replace(r"\eps", r"\varepsilon")
@@ -77,7 +78,7 @@ FigureType = TypeVar("FigureType", bound=Figure)
 
 
 def finish_picture(figure: FigureType, save: str | Path | None, title: str = "") -> FigureType:
-    """Give a picture its title and save it, if asked to. Collective: rank 0 writes."""
+    """Set the title of a picture, and save it unless `save` is None. Collective: rank 0 writes."""
     if title:
         figure.suptitle(title, fontsize=11)
     if save is not None:
@@ -86,7 +87,7 @@ def finish_picture(figure: FigureType, save: str | Path | None, title: str = "")
 
 
 def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | Path | None) -> Picture | None:
-    """The picture that rank 0 draws, and saves if asked to; None on other ranks. Collective."""
+    """Draw a picture on rank 0, save it unless `save` is None, and return it; None on other ranks. Collective."""
     pictures: list[Picture] = []
     on_root(comm, lambda: pictures.append(draw()))
     if save is not None:
@@ -95,12 +96,13 @@ def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | 
 
 
 def save_picture(figure: Figure, save: str | Path) -> None:
-    """Save a picture on this rank. A file of this name is replaced only when the new one is complete.
+    """Save a picture on this rank. A file of this name is replaced only when the new file is complete.
 
-    Curves in .svg and .pdf are vectors. Images have 300 dots per inch where the picture is set 170 mm wide, or less wide.
+    Curves in .svg and .pdf are vectors. Images have 300 dots per inch on a page, where the picture is at most 170 mm
+    wide.
 
     Raises:
-        InputError: the name is that of a folder. ValueError: it has an ending that matplotlib does not know.
+        InputError: `save` is the name of a folder. ValueError: matplotlib does not know the ending of the name.
         OSError: the file could not be written.
     """
     require(isinstance(save, (str, Path)), "save", save, "it must be the name of a picture, or None")

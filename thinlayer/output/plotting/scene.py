@@ -1,4 +1,4 @@
-"""Scenes: deformed structures, where their viewer stands, the window, the factor of displacements, the range of colours."""
+"""Scenes: deformed structures with a direction of view, a window, a factor of displacements and a range of colours."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from forms.base import Array, InputError, require
 
-if not os.environ.get("DISPLAY"):  # without an X server VTK otherwise tries one first, and warns
+if not os.environ.get("DISPLAY"):  # without an X server VTK would try to use one, and warn
     os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
 
 import numpy as np
@@ -43,12 +43,12 @@ PLAIN_BODY_STYLE: dict[str, Any] = {"color": "#ece5da", "lighting": False}
 OUTLINE_STYLE: dict[str, Any] = {"color": "#6b6256", "line_width": 2, "lighting": False}
 SURFACE_STYLE: dict[str, Any] = {"scalars": "rgb", "rgb": True, "line_width": 12, "lighting": False}
 COLOUR_BAR_STYLE: dict[str, Any] = {"orientation": "horizontal", "aspect": 40, "shrink": 0.6, "pad": 0.02}
-PLACE_DECIMALS = 9  # of places over the structure's size
+PLACE_DECIMALS = 9  # decimals of coordinates, over the structure's size, that distinguish nodes
 
 SUBDIVISION_LEVEL = 3  # subdivision level of curved cells
-SHARP_ANGLE_DEGREES = 30.0  # angle (degree) between faces whose common edge is drawn
-SPLIT_FACTOR = 0.999  # factor of displacements that keeps the two sides of S apart, so that VTK does not merge them
-CUT_OFFSET = 1e-3  # distance of a cut from the middle, over the structure's size: not along the faces of a grid
+SHARP_ANGLE_DEGREES = 30.0  # least angle between faces whose common edge is drawn, degrees
+SPLIT_FACTOR = 0.999  # factor of displacements that separates the two sides of S, so that VTK does not merge them
+CUT_OFFSET = 1e-3  # distance of a cut from the middle, over the structure's size, so that it avoids faces of cells
 
 Window = tuple[float, float, float, float]
 PANEL_INCHES = 4.6  # width of a structure in a picture, inches
@@ -56,20 +56,20 @@ PANEL_INCHES = 4.6  # width of a structure in a picture, inches
 
 @dataclass(frozen=True)
 class View:
-    """How structures are seen in pictures; checked on every rank.
+    """View of structures in pictures; checked on every rank.
 
     Attributes:
-        component: of the displacement that colours show: "size", "x", "y" or "z".
+        component: component of the displacement that colours show: "size", "x", "y" or "z".
         scale: factor of the displacements (default: the largest is a twentieth of the structure).
-        unit: of the displacements, for the colour bar.
-        zoom: (left, right, bottom, top) part to show, in deformed coordinates: in 2D (x_min, x_max, y_min, y_max), in 3D
-            lengths to the right and up on the picture, from where the origin is.
-        towards: in 3D the direction from the structure to the viewer, (3,) (default: the viewer stands in front, z > 0, to
-            the right and above). y points up on the picture; from right above, -z does.
-        cut: in 3D whether to leave out the half in front of the middle in z, to see S inside.
+        unit: unit of the displacements, for the colour bar.
+        zoom: (left, right, bottom, top) of the window, in deformed coordinates: in 2D (x_min, x_max, y_min, y_max), in
+            3D distances from the origin to the right and up in the picture.
+        towards: in 3D the direction from the structure to the viewer, (3,) (default: the viewer is in front, z > 0, to
+            the right and above). y points up in the picture; in a view from directly above, -z points up.
+        cut: in 3D whether to leave out the half in front of the middle in z, to show S inside.
 
     Raises:
-        InputError: a scale that is no finite number, a window that is none.
+        InputError: a scale that is no finite number, an invalid window.
     """
 
     component: str = "size"
@@ -90,10 +90,10 @@ class DeformedShape:
     """A deformed structure to draw.
 
     Attributes:
-        regions: region number -> its cells, the layer's last, with point data "u", a component of the displacement,
-            "moved", (n, 3) how far the deformed points are from the undeformed ones, and "double", 1 for nodes on S.
+        regions: region number -> its cells, the layer's last. Point data are "u", a component of the displacement,
+            "moved", (n, 3) the drawn displacement, and "double", 1 for nodes on S.
         base: facets of the rigid base; None between two bodies.
-        plane: of the cut, as `clip` takes it; None: all of the structure is there.
+        plane: plane of the cut, as arguments of `clip`; None: the structure is not cut.
     """
 
     regions: dict[int, pyvista.UnstructuredGrid]
@@ -102,9 +102,9 @@ class DeformedShape:
 
     @classmethod
     def of(cls, grid: VtkGrid, component: str, scale: float, cut: Sequence[float] | None = None) -> DeformedShape:
-        """The structure with displacements times a scale; cut: without the half to which this unit vector points."""
+        """The structure with displacements times `scale`, without the half to which the unit vector `cut` points."""
         mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
-        # times pi: no sum of halves is half-way between two of these digits
+        # the factor pi avoids coordinates half-way between two decimals, which rounding errors would separate
         places = np.round(np.pi / np.ptp(grid.points) * grid.points, PLACE_DECIMALS)
         _, place, count = np.unique(places, axis=0, return_inverse=True, return_counts=True)
         double = (count[place.ravel()] > 1).astype(float)
@@ -131,7 +131,7 @@ class DeformedShape:
 
     @property
     def values(self) -> Array:
-        """(n,) "u" at `points`; not a number on the base."""
+        """(n,) "u" at `points`; NaN on the base."""
         values = np.concatenate([part["u"] for part in self.regions.values()])
         return np.pad(values, (0, 0 if self.base is None else self.base.n_points), constant_values=np.nan)
 
@@ -142,11 +142,11 @@ def outer_surface(mesh: pyvista.UnstructuredGrid) -> pyvista.PolyData:
 
 
 def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
-    """Outlines of a surface, and where it has sharp edges before it deforms, at their deformed places."""
+    """Outlines of a surface, and edges that are sharp before deformation, in their deformed positions."""
     still = surface.copy()
     still.points -= SPLIT_FACTOR * surface["moved"]
     if not surface.n_lines:
-        still = still.compute_normals(point_normals=False)  # turns faces alike, for their angles
+        still = still.compute_normals(point_normals=False)  # orients faces consistently, for their angles
     lines = still.extract_feature_edges(SHARP_ANGLE_DEGREES, manifold_edges=False, non_manifold_edges=False)
     if lines.n_cells:
         lines.points += SPLIT_FACTOR * lines["moved"]
@@ -154,7 +154,7 @@ def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
 
 
 def _axes(dim: int, view: View) -> Array:
-    """(3, 3) unit vectors to the right, upwards and towards the viewer; raises InputError for a view in 2D, or none."""
+    """Unit vectors (3, 3) to the right, upwards and towards the viewer; raise InputError for an invalid direction."""
     if dim == 2 and (view.towards is not None or view.cut):
         raise InputError("towards and cut are for three-dimensional structures")
     towards = finite_values(DEFAULT_VIEWS[dim] if view.towards is None else view.towards, (3,))
@@ -168,14 +168,14 @@ def _axes(dim: int, view: View) -> Array:
 
 @dataclass(frozen=True)
 class Scene:
-    """One view of several grids: of structures side by side, or of one in time.
+    """One view of several grids: of structures side by side, or of one structure in time.
 
     Attributes:
-        view: what was asked for.
+        view: the requested view.
         axes: (3, 3) unit vectors to the right, upwards and towards the viewer.
-        factor: of the displacements.
+        factor: factor of the drawn displacements.
         window: left, right, bottom, top on the screen.
-        limits: of the colours.
+        limits: smallest and largest value of the colours.
     """
 
     view: View
@@ -186,10 +186,10 @@ class Scene:
 
     @classmethod
     def of(cls, grids: Sequence[VtkGrid], view: View) -> Scene:
-        """The view in which all grids can be seen.
+        """The scene in which all grids are visible.
 
         Raises:
-            InputError: unknown component, no direction, view or cut in 2D, nothing in the window.
+            InputError: an unknown component, an invalid direction, a direction or cut in 2D, nothing in the window.
         """
         axes = _axes(grids[0].dim, view)
         largest = max(np.linalg.norm(grid.u, axis=1).max() for grid in grids)
@@ -211,7 +211,7 @@ class Scene:
         return DeformedShape.of(grid, self.view.component, self.factor, front)
 
     def panels(self, count: int) -> tuple[Picture, list[Axes]]:
-        """A picture with places for so many structures side by side."""
+        """A picture with axes for `count` structures side by side."""
         x0, x1, y0, y1 = self.window
         figure = Picture(
             figsize=(PANEL_INCHES * count, PANEL_INCHES * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained"
@@ -237,9 +237,10 @@ class Scene:
         return f"displacements drawn {self.factor:.3g} times".replace("drawn 1 times", "as they are")
 
     def image(self, grid: VtkGrid, on_s: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
-        """Image of a structure; edges and outlines of bodies black, of the layer's parts red, the base grey.
+        """Image of a structure; edges and outlines of bodies are black, of the layer's parts red, and the base is grey.
 
-        With meshes on S, with point data "rgb", bodies have no colours, and in 3D outlines alone.
+        With meshes `on_s`, which have point data "rgb", bodies are not coloured, and in 3D only their outlines are
+        drawn.
         """
         shape, (right, up, towards) = self.shape(grid), self.axes
         x0, x1, y0, y1 = self.window
@@ -292,7 +293,7 @@ def _range(x: Array) -> tuple[float, float]:
 
 
 def _window(zoom: Any) -> Window:
-    """The four numbers of a window; raises InputError."""
+    """The four numbers of a window; raise InputError if they are invalid."""
     sides = finite_values(zoom, (4,))
     if sides is None or not (sides[0] < sides[1] and sides[2] < sides[3]):
         raise InputError(f"zoom is {zoom!r}; it needs (left, right, bottom, top), left < right and bottom < top")

@@ -23,34 +23,35 @@ from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, Scene, View
 from thinlayer.output.surface import Surface
 
 SurfaceField = np.ndarray | Callable[[Surface, State], np.ndarray]
-STATUS_COLOURS = {  # also apart as greys, where they occur together
+STATUS_COLOURS = {  # statuses that occur together also differ as greys
     "elastic": "#bcc3ca", "stick": "#0072B2", "sliding": "#D55E00", "crushed": "#7b1113", "torn": "#CC79A7",
     "open": "#56B4E9", "separated": "#56B4E9", "pinned": "#009E73", "bonded": "#7f5539",
     "no layer": "#111111", "no contact law": "#c9c9c9",
 }  # fmt: skip
-NAN_COLOUR = "#c9c9c9"  # colour of what is no number
+NAN_COLOUR = "#c9c9c9"  # colour of NaN
 DEFAULT_VIEW = View()
 
 
 def deformed(
     states: Mapping[str, State] | State, view: View = DEFAULT_VIEW, *, save: str | Path | None = None, title: str = ""
 ) -> Picture | None:
-    """Deformed structures side by side, coloured by displacement, with the layer (or the jump across S) visible.
+    """Draw deformed structures side by side, coloured by displacement, with the layer (or the jump across S) visible.
 
-    The meshed layer has red outlines, a rigid base is grey. Three-dimensional structures are seen in parallel projection.
+    The meshed layer has red outlines, a rigid base is grey. Three-dimensional structures are drawn in parallel
+    projection.
 
     Args:
         states: label -> state, or one state. Collective.
-        view: how it is seen, `View(zoom=..., unit="mm")`.
+        view: view of the structures, such as `View(zoom=..., unit="mm")`.
         save: PNG file; None: it is not saved.
         title: text over the picture.
 
     Returns:
-        The picture on rank 0, which has the fields; None on other ranks.
+        The picture on rank 0, which gathers the fields; None on other ranks.
 
     Raises:
-        InputError: what is no state, no name of a file, unknown component, no direction, a direction or cut in 2D,
-            nothing in the window.
+        InputError: not a state, not the name of a file, an unknown component, an invalid direction, a direction or cut
+            in 2D, nothing in the window.
         OSError: the picture could not be written; on all ranks.
     """
     panels = _panels(states, "deformed")
@@ -68,14 +69,14 @@ def on_surface(
     quantity: str = "",
     log: bool = False,
 ) -> Picture | None:
-    """Deformed structures side by side, with the colours of a field on S. Collective.
+    """Draw deformed structures side by side, with the colours of a field on S. Collective.
 
     Args:
         states: label -> state, or one state.
         field: numbers or names, at points (n, q), facets (n, 1) or nodes (m,) of `Surface(state.model, seam)`; or a
             function that returns them, such as `Surface.status` or `lambda surface, state: surface.contact(state).p`.
-        view: how it is seen; no component, no unit.
-        seam: name of a seam; "S": all of them.
+        view: view of the structures; its component and unit are ignored.
+        seam: name of a seam; "S": all seams.
         save: PNG file; None: it is not saved.
         title: text over the picture.
         quantity: name of the field, for the legend.
@@ -85,7 +86,7 @@ def on_surface(
         The picture on rank 0, None on other ranks.
 
     Raises:
-        InputError: no state, no scalar field on S; what `deformed` refuses. OSError: the picture could not be written.
+        InputError: not a state, no scalar field on S; errors of `deformed`. OSError: the picture could not be written.
     """
     panels = _panels(states, "on_surface")
     surfaces, fields, sides = dict[str, Surface](), dict[str, np.ndarray](), dict[str, tuple[Array, Array]]()
@@ -119,7 +120,7 @@ def on_surface(
 
 
 def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
-    """Label -> state; raises InputError."""
+    """Label -> state; raise InputError if an entry is no state, or there is no entry."""
     panels = dict(states) if isinstance(states, Mapping) else {"": states}
     if not panels:
         raise InputError(f"{what}: there is no state to draw")
@@ -137,7 +138,7 @@ Legend = Callable[[Scene, Picture, list[Axes]], None]
 def _side_by_side(
     panels: Mapping[str, State], view: View, image: Image, legend: Legend, title: str, save: str | Path | None
 ) -> Picture | None:
-    """The images of states, with one legend, on rank 0. Collective."""
+    """Draw images of states side by side, with one legend; returns the picture on rank 0. Collective."""
     grids = {label: grid for label, state in panels.items() if (grid := gather_grid(state))}
 
     def draw() -> Picture:
@@ -155,7 +156,7 @@ def _side_by_side(
 
 
 def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[str, np.ndarray]]:
-    """For fields of names those that occur, and their positions in this list; for numbers [], and the fields."""
+    """List of the names in fields of names, and fields of positions in this list; [] and the fields for numbers."""
     if not any(f.dtype.kind == "U" for f in fields.values()):
         return [], dict(fields)
     if wrong := [f.shape for f in fields.values() if f.ndim > 1 and f.shape[-1] != 1]:
@@ -166,7 +167,7 @@ def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[st
 
 
 def colour_of(name: str, names: list[str]) -> str:
-    """Colour of one of the names that occur."""
+    """Colour of a name in the list of all names in a picture."""
     return STATUS_COLOURS.get(name) or COLOURS[names.index(name) % len(COLOURS)]
 
 
@@ -174,7 +175,7 @@ class _Colours:
     """Colours of numbers, or of positions in a list of names.
 
     Attributes:
-        of_numbers: the map of numbers; None for names.
+        of_numbers: colour map of numbers; None for names.
     """
 
     def __init__(self, names: list[str], values: Array, *, log: bool) -> None:
@@ -197,7 +198,7 @@ class _Colours:
     def __call__(self, values: Array) -> npt.NDArray[np.uint8]:
         """(..., 3) colours of values."""
         if self.of_numbers:
-            flat = self.of_numbers.to_rgba(np.ma.masked_invalid(values.ravel()))  # it takes (n, k, 4) for an image
+            flat = self.of_numbers.to_rgba(np.ma.masked_invalid(values.ravel()))  # (n, k, 4) would count as an image
             rgb = flat[:, :3].reshape(*values.shape, 3)
         else:
             rgb = self._of_names[values.astype(int)]
@@ -205,7 +206,7 @@ class _Colours:
 
 
 def _meshes(colours: _Colours, values: Array, lower: Array, upper: Array) -> list[pyvista.PolyData]:
-    """S between its sides (n, k, d), with "rgb" of values (n, k) at the corners: in 2D lines, and what opens."""
+    """Meshes of S between its sides (n, k, d), with "rgb" of values (n, k) at corners: in 2D lines and opened areas."""
     k, d = lower.shape[1:]
     ring = [0, 1, 3, 2] if k == 4 else [*range(k)]
     middle, values = ((lower + upper) / 2)[:, ring], values[:, ring]
@@ -222,7 +223,7 @@ def _meshes(colours: _Colours, values: Array, lower: Array, upper: Array) -> lis
 
 
 def _corner_points(values: Array) -> Array:
-    """(n, k, p, ...) at the p points of the part of a facet around each corner, from values (n, k, ...) at the corners."""
+    """Values (n, k, p, ...) at p points of the part of a facet around each corner, from corner values (n, k, ...)."""
     centre = np.broadcast_to(values.mean(axis=1, keepdims=True), values.shape)
     after = (values + np.roll(values, -1, axis=1)) / 2
     parts = [values, centre] if values.shape[1] == 2 else [values, after, centre, np.roll(after, 1, axis=1)]

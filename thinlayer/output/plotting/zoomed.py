@@ -1,4 +1,4 @@
-"""Pictures of stresses inside a layer at its free end, from the layer by itself, beside those of a meshed layer."""
+"""Pictures of stresses inside a layer at its free end, from a layer subproblem, compared with a meshed layer."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.output.plotting.picture import Picture, drawn_on_root
 from thinlayer.output.zooming import CORNER_EXCLUSION, Zoom
 
-STRESS_COMPONENTS = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # of stresses in the axes of an end: inward, n
+STRESS_COMPONENTS = {"N": (1, 1), "T": (0, 1), "S": (0, 0)}  # indices of stresses in the axes of an end: inward, n
 COMPONENT_LABELS = {"N": "normal traction t_N", "T": "shear traction t_T", "S": "stress along S"}
 GRID_POINTS = (121, 61)  # along S and through the thickness
-MAX_HEIGHT = 0.495  # heights that are drawn
-CLIPPED_SHARE = 0.02  # share of the largest values beyond the range of colours: those at corners
+MAX_HEIGHT = 0.495  # largest drawn height, over the thickness
+CLIPPED_SHARE = 0.02  # share of values beyond each end of the range of colours, as values at corners are extreme
 
 
 def zoomed(
@@ -30,20 +30,20 @@ def zoomed(
     title: str = "",
     stress: str = "",
 ) -> Picture | None:
-    """A stress in the layer near a free end, and on lines through it; in 2D. Collective; rank 0 has the picture.
+    """Draw a stress in the layer near a free end, as a map and along lines; in 2D. Collective; rank 0 has the picture.
 
     Args:
         zoom: the zoom.
-        full: that of the meshed layer, to compare with.
+        full: zoom of the meshed layer, to compare with; None: no comparison.
         end: number of the end in `zoom.ends`.
-        width: length of the part of the layer that is drawn, over the thickness, > 0.
-        component: "N", "T" or "S": normal traction, shear traction (of axes inward along S and along n), stress along S.
+        width: length of the drawn part of the layer, over the thickness, > 1/16.
+        component: "N", "T" or "S": normal traction, shear traction (axes: inward along S, and n), stress along S.
         save: PNG file; None: it is not saved.
         title: text over the picture.
         stress: unit of stresses, for the labels.
 
     Raises:
-        InputError: 3D, no zoom, no such end, component or width. OSError: the file could not be written.
+        InputError: a 3D model, not a zoom, no such end, component or width. OSError: the file could not be written.
     """
     for candidate in (zoom,) if full is None else (zoom, full):
         require(isinstance(candidate, Zoom), "zoomed: a zoom", candidate, "give Zoom(state)")
@@ -54,7 +54,7 @@ def zoomed(
         raise InputError("zoomed: pictures of ends are for two dimensions; in 3D take zoom.stress")
     require(end in range(len(zoom.ends)), "zoomed: end", end, f"S has {len(zoom.ends)} free ends")
     (at, (start, *_)), axes = zoom.ends[end], zoom.ends[end][0].axes
-    # finer towards the end and the faces, but not at corners, where stresses are infinite
+    # the grid is finer towards the end and the faces, but excludes corners, where stresses are infinite
     d = CORNER_EXCLUSION + (width - CORNER_EXCLUSION) * (1 - np.cos(np.linspace(0, np.pi / 2, GRID_POINTS[0])))
     D, Y = np.meshgrid(d, MAX_HEIGHT * np.sin(np.linspace(-np.pi / 2, np.pi / 2, GRID_POINTS[1])))
     x, height = start - D.ravel()[:, None] * zoom.eps * at.m, Y.ravel()

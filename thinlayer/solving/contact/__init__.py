@@ -1,1 +1,1 @@
-"""Finders of equilibria under contact laws: condensed, multigrid and the relaxation of the paper."""
+"""Solvers under contact laws: condensed, multigrid and the relaxation of the paper."""

@@ -1,4 +1,4 @@
-"""Bodies condensed to their displacements in contact, one by one, by MUMPS's Schur complements. On one rank."""
+"""Static condensation of bodies to their displacements in contact, by Schur complements of MUMPS. On one rank."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from thinlayer.system.ranks import destroy
 
 Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]  # row starts, columns and entries of a sparse matrix
 C_SOURCE = Path(__file__).with_name("triangle.c")
-MAX_JOINT_UNKNOWNS = 100  # number of kept unknowns from which pieces are factorised apart from the next ones
+MAX_JOINT_UNKNOWNS = 100  # about the number of kept unknowns of pieces that are factorised together
 FRONT_SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
 BAND_LAYERS = 4.0  # thickness of the bands in which that front moves, in layers of cells
 SAMPLE_NODES = 64  # number of nodes whose edges show the diagonals of the cells
@@ -32,8 +32,8 @@ MUMPS_OPTIONS: dict[str, OptionValue] = {
     **{name: DIRECT_OPTIONS[name] for name in ("mat_mumps_icntl_35", "mat_mumps_cntl_7")},
 }
 
-SMALL_PIECE_NODES = 1000  # number of nodes of pieces for which MUMPS estimates its workspace too small
-SMALL_PIECE_OPTIONS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 200}  # percentage of workspace more than estimated
+SMALL_PIECE_NODES = 1000  # number of nodes of pieces below which MUMPS underestimates its workspace
+SMALL_PIECE_OPTIONS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 200}  # additional workspace in per cent
 
 
 class FactorError(ThinlayerError, RuntimeError):
@@ -41,17 +41,17 @@ class FactorError(ThinlayerError, RuntimeError):
 
 
 class Condensation:
-    """A stiffness condensed to some unknowns, a few connected pieces at a time.
+    """Schur complement of a stiffness on some unknowns, computed for a few connected pieces at a time.
 
     PETSc options mat_mumps_NAME are read under our prefix.
 
     Args:
         A: row starts, columns and entries of the stiffness without supports, symmetric, of N nodes in d x d blocks.
-        is_fixed: (N d,) unknowns that supports prescribe; beside its diagonal their stiffness is left out.
+        is_fixed: (N d,) mask of constrained unknowns; of their stiffness only the diagonal is used.
         kept: (c,) the unknowns that stay, ascending.
         x: (N, d) places of the nodes.
         normal: (d,) mean normal of S.
-        bodies: how many there are; up to two are factorised at once.
+        bodies: number of bodies; up to two are factorised at once.
 
     Attributes:
         stiffness: (c, c) condensed stiffness, dense if all pieces are factorised at once.
@@ -77,19 +77,19 @@ class Condensation:
             self.stiffness = self._factors[0].complement
         else:
             complements = scipy.sparse.block_diag([factor.complement for factor in self._factors], format="csr")
-            complements.eliminate_zeros()  # between pieces
+            complements.eliminate_zeros()  # zeros between pieces
             back = np.argsort(np.concatenate(self._own))
             self.stiffness = complements[back][:, back]
 
     def condense(self, b: Array) -> Array:
-        """Forces (c,) on the kept unknowns, for forces b on all."""
+        """Condensed forces (c,) on the kept unknowns, for forces b on all unknowns."""
         out = np.empty(len(self._kept))
         for indices, factor in zip(self._own, self._factors, strict=True):
             out[indices] = factor.condense(b)
         return out
 
     def expand(self, b: Array, kept: Array, out: Array) -> None:
-        """Write all unknowns into `out`, under forces b on all, from the kept ones (c,)."""
+        """Write all unknowns into `out`, for forces b on all unknowns, from the values (c,) of the kept unknowns."""
         out[self._kept] = kept
         for factor in self._factors:
             factor.expand(b, out)
@@ -101,11 +101,11 @@ class Condensation:
 
 
 def oblique_order(x: Array, normal: Array, A: Rows) -> IntArray:
-    """Nodes, body by body and band by band away from S, in the order of a front oblique to S; x are places relative to S.
+    """Order of nodes: by side of S, then by bands parallel to S, then by a front oblique to S; x are relative to S.
 
-    With a Schur complement MUMPS orders by minimum degree and decides ties by the numbers. On grids bad numbers cost twice
-    the work; these come close to the best ordering without a complement. The front follows the diagonals of the cells.
-    Bands keep neighbours close in memory, which makes the factor faster.
+    With a Schur complement MUMPS orders by minimum degree, and in equal cases by the numbers. On grids bad numbers cost
+    twice the work. These come close to the best ordering without a complement. The front follows the diagonals of the
+    cells. Bands keep neighbours close in memory, which makes the factor faster.
     """
     indptr, indices, d = *A[:2], x.shape[1]
     some = np.linspace(0, len(x) - 1, min(len(x), SAMPLE_NODES)).astype(int)
@@ -123,12 +123,12 @@ def oblique_order(x: Array, normal: Array, A: Rows) -> IntArray:
 
 
 class SchurFactor:
-    """Factor of pieces of a stiffness, with springs at the kept unknowns, so that it is definite whatever holds it.
+    """Factor of pieces of a stiffness, with springs at the kept unknowns, so that it is definite without supports.
 
     Args:
         A, is_fixed, d: as in `Condensation`.
         nodes: (n,) the nodes of the pieces, in the order in which MUMPS gets them.
-        kept: (c,) their unknowns that stay.
+        kept: (c,) the kept unknowns of the pieces.
 
     Attributes:
         complement: (c, c) Schur complement, without the springs.
@@ -173,7 +173,7 @@ class SchurFactor:
         return np.asarray(self.complement @ kept + self._springs * kept)
 
     def condense(self, b: Array) -> Array:
-        """Forces (c,) on the kept unknowns, for forces b on all of the whole."""
+        """Condensed forces (c,) on the kept unknowns, for forces b on all unknowns of all pieces."""
         if not len(self._kept):
             return np.empty(0)
         self._factor.setMumpsIcntl(26, 1)  # solve for the kept unknowns only
@@ -182,7 +182,7 @@ class SchurFactor:
         return self._condensed
 
     def expand(self, b: Array, out: Array) -> None:
-        """Write the pieces' unknowns into `out`, which has the kept ones; b is that of the last `condense`."""
+        """Write the pieces' unknowns into `out`, which has the kept unknowns; b as in the last `condense`."""
         moved, kept = b[self._unknowns], out[self._all_kept]
         if len(kept):
             moved[self._kept] += self._forces(kept) - self._condensed
@@ -190,7 +190,7 @@ class SchurFactor:
         out[self._all_kept] = kept  # a stiff layer would magnify their rounding
 
     def _solve(self, b: Array) -> Array:
-        """MUMPS's solution in its order; a sparse right-hand side is declared as such, which is faster."""
+        """Solution by MUMPS, in its order; a sparse right-hand side is passed in sparse form, which is faster."""
         places = np.flatnonzero(b)
         if not len(places):  # MUMPS fails for an empty sparse right-hand side
             return np.zeros_like(b)
@@ -214,7 +214,7 @@ class SchurFactor:
 
 
 def _upper_triangle(A: Rows, is_fixed: BoolArray, d: int, nodes: IntArray) -> Rows:
-    """The upper triangle of the rows and columns of some nodes, in their order; MUMPS does not read the rest.
+    """Upper triangle of the rows and columns of some nodes, in the order of the nodes; MUMPS does not read the rest.
 
     C takes .05 s of 2.4 s of a contact solve with 512 squares, scipy.sparse .3 s.
     """

@@ -1,6 +1,7 @@
 """Contact condensed to the nodes of S: Newton's method with Gauss-Seidel sweeps for their displacements. On one rank.
 
-Jumps are no unknowns here: around a junction they depend on each other, and so their condensed stiffness is singular.
+The unknowns are displacements, not jumps. Around a junction jumps depend on each other, so that their condensed
+stiffness is singular.
 """
 
 from __future__ import annotations
@@ -26,23 +27,23 @@ from thinlayer.solving.part_sum import MACHINE_EPSILON, MIN_DIVISOR, STATE_TOLER
 from thinlayer.system.ranks import destroy
 
 NEWTON_TOLERANCE = 1e-11  # residual at which Newton's method stops, relative to the forces
-COARSE_TOLERANCE = 1e-3  # the same in coarser systems
+COARSE_TOLERANCE = 1e-3  # residual at which it stops in coarser systems
 MAX_COARSEST_LINES = 100  # largest number of lines between nodes of a system that is not coarsened
-MAX_COARSE_RATIO = 0.75  # largest number of pairs of a coarser system, relative to all; seams of one cell have no fewer
+MAX_COARSE_RATIO = 0.75  # largest number of pairs of a coarser system, relative to all; seams of one cell keep all
 STALLED_TOLERANCE = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
-SUMMATION_FACTOR = 10.0  # rounding of the condensed stiffness, relative to that of its largest entry, per sqrt(node)
+SUMMATION_FACTOR = 10.0  # rounding of the condensed stiffness over rounding of its largest entry, per sqrt(node)
 FIRST_SWEEPS = 4  # number of sweeps before each of the first Newton steps
 DOUBLING_STEPS = 6  # number of Newton steps after which the sweeps double with every step, and steps may be shortened
 MAX_SWEEPS = 32  # largest number of sweeps before a Newton step
 MAX_NEWTON_STEPS = 30
-LONG_STEP_RATIO = 1e5  # length of a step over the first displacements, as where nothing holds a body
-MAX_LONG_STEPS = 4  # in turn, after which the search ends
-MAX_LENGTH_TRIALS = 12  # largest number of trials of a step's length
-WORK_RATIO = 0.1  # work along a step at its end, relative to that at its beginning, that ends the search of its length
+LONG_STEP_RATIO = 1e5  # a long step over the initial displacements, as for a body without supports
+MAX_LONG_STEPS = 4  # largest number of successive long steps
+MAX_LENGTH_TRIALS = 12  # largest number of trials of a line search
+WORK_RATIO = 0.1  # work along a step at its end, relative to that at its beginning, at which a line search ends
 
 
 class CondensedContact(ContactSolver):
-    """The finder for one seam or a network of them, any number of which meet.
+    """Solver for one seam, or for a network of seams, any number of which may meet.
 
     The bodies are condensed to the displacements of all nodes in contact, body by body, once. A small system is left.
     """
@@ -53,7 +54,7 @@ class CondensedContact(ContactSolver):
 
     @cached_property
     def _condensation(self) -> Condensation:
-        """The bodies, condensed to the displacements of nodes in contact; held ones are decoupled."""
+        """The bodies, condensed to the displacements of nodes in contact; constrained displacements are decoupled."""
         pairs, K, model = self.pairs, self.equations.K, self.equations.model
         x, bodies = model.V.tabulate_dof_coordinates()[:, : pairs.d], int(model.split_mesh.pieces.max()) + 1
         normal = pairs.weights @ pairs.frames[:, -1]
@@ -76,7 +77,7 @@ class CondensedContact(ContactSolver):
             hint = "is every body supported, or does it meet S in more than a point?"
             raise SolveError(f"contact: {error}; {hint}") from error
         u, kept_held = self.x.array_r[pairs.dofs], ~pairs.free.ravel()
-        b[equations.bc_dofs] = 0.0  # decoupled; what supports prescribe is put back in the end
+        b[equations.bc_dofs] = 0.0  # decoupled; prescribed displacements are restored at the end
         g = condensation.condense(b)
         g[kept_held] = (condensation.stiffness.diagonal() * u)[kept_held]
         self._given = equations.residual_norms(equations.external)
@@ -93,7 +94,7 @@ class CondensedContact(ContactSolver):
         return len(residuals) - 1, relative
 
     def _relative(self, r: Array, forces: Array, u: Array) -> float:
-        """Norm of the residual r at nodes in contact, relative to the forces on each block, see `ForceScale`."""
+        """Largest norm of the residual r at nodes in contact relative to the forces on its block, see `ForceScale`."""
         of, count, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
         of_pairs, of_r = (np.sqrt(np.bincount(of, v * v, count)) for v in (forces, r))
         scale.update_stresses(np.maximum(self._given, of_pairs))
@@ -107,15 +108,16 @@ class CondensedContact(ContactSolver):
 
 
 class CondensedSystem:
-    """stiffness u + forces of pairs = g, by Newton's method from the solution of a system with half as many nodes.
+    """Solver of stiffness u + forces of pairs = g by Newton's method, started from a system with half as many nodes.
 
-    Gauss-Seidel sweeps, node by node with all pairs of a node, precede each Newton step, more of them as steps go on. Later
-    steps are shortened if the forces do work against their ends: first ones may let residuals grow.
+    Gauss-Seidel sweeps, node by node with all pairs of a node, precede each Newton step. Their number grows with the
+    number of steps. Later steps are shortened if the residual does positive work at their end. In the first steps
+    residuals may grow.
 
     Args:
         stiffness: (n d, n d) condensed stiffness of the bodies.
         pairs: the pairs, and their n nodes.
-        x: (pairs, d) places.
+        x: (pairs, d) places of the pairs.
         lines: (m, 2) pairs that are neighbours along S; if they are few there is no coarser system.
     """
 
@@ -126,7 +128,7 @@ class CondensedSystem:
 
     @cached_property
     def _blocks(self) -> scipy.sparse.bsr_matrix:
-        """The stiffness as sweeps read it."""
+        """The stiffness in blocks, as the sweeps read it."""
         A, d, n = self._stiffness, self.pairs.d, len(self.pairs.nodes)
         if not isinstance(A, np.ndarray):
             return A.tobsr((d, d))
@@ -135,14 +137,14 @@ class CondensedSystem:
 
     @cached_property
     def _rounding(self) -> float:
-        """Rounding of the forces for unit displacements."""
+        """Rounding errors of the forces for unit displacements."""
         springs = self.pairs.bonded()[0]
         largest = max(float(matrix.diagonal().max(initial=0.0)) for matrix in (self._stiffness, springs))
         return MACHINE_EPSILON * SUMMATION_FACTOR * math.sqrt(len(self.pairs.nodes)) * largest
 
     @cached_property
     def _coarser(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
-        """The system for every second pair along S, and the matrix from its displacements to these; None: no smaller."""
+        """System of every second pair along S, and the matrix that interpolates its displacements; None: no smaller."""
         if len(self._lines) <= MAX_COARSEST_LINES:
             return None
         chosen, shares, lines = every_second(self._x, self._lines)
@@ -151,14 +153,14 @@ class CondensedSystem:
         few = self.pairs.some(chosen, shares.T @ self.pairs.weights)
         pair, side = np.nonzero(self.pairs.ends >= 0)
         node, first = np.unique(self.pairs.ends[pair, side], return_index=True)
-        rows = shares[pair[first]]  # where a node is in several pairs, these are ends of curves, and chosen
+        rows = shares[pair[first]]  # if a node is in several pairs, these are ends of curves, which are all chosen
         columns = few.ends[rows.indices, side[first].repeat(np.diff(rows.indptr))]
         P = scipy.sparse.csr_matrix((rows.data, columns, rows.indptr), shape=(len(node), len(few.nodes)))
         P = scipy.sparse.kron(P, scipy.sparse.eye(self.pairs.d), format="csr")
         return CondensedSystem(P.T @ self._stiffness @ P, few, self._x[chosen], lines), P
 
     def start(self, g: Array) -> Array:
-        """Displacements from which Newton's method starts: those of the coarser system, or with bonded springs."""
+        """Initial displacements for Newton's method: interpolated from the coarser system, or with bonded springs."""
         if self._coarser is not None:
             system, P = self._coarser
             try:
@@ -171,11 +173,11 @@ class CondensedSystem:
         return self._linear_solve(springs, g - forces)
 
     def _residual(self, u: Array, g: Array) -> Array:
-        """Forces of bodies and pairs, less g; zero at held displacements."""
+        """Forces of bodies and pairs, minus g; zero at constrained displacements."""
         return np.asarray(self._stiffness @ u + self.pairs.forces(self.pairs.separation(u)) - g)
 
     def _linear_solve(self, more: scipy.sparse.csr_matrix, b: Array) -> Array:
-        """x with (stiffness + more) x = b; not finite if the matrix is singular."""
+        """Solve (stiffness + more) x = b; x is not finite if the matrix is singular."""
         A = self._stiffness
         if isinstance(A, np.ndarray):
             try:
@@ -188,9 +190,9 @@ class CondensedSystem:
         pc = PETSc.PC().create(PETSc.COMM_SELF)
         pc.setOperators(matrix)
         pc.setType("lu")
-        pc.setFactorSolverType("mumps")  # blocks of bricks are dense, which SuperLU does not use
+        pc.setFactorSolverType("mumps")  # unlike SuperLU it makes use of the dense blocks of bodies
         pc.setFactorSetUpSolverType()
-        pc.getFactorMatrix().setMumpsIcntl(14, 100)  # as in `DIRECT`: spare memory in per cent
+        pc.getFactorMatrix().setMumpsIcntl(14, 100)  # as in `DIRECT_OPTIONS`: spare memory in per cent
         x, right = matrix.createVecs()
         right.array = b
         pc.setUp()
@@ -202,7 +204,7 @@ class CondensedSystem:
     def newton(
         self, u: Array, g: Array, relative: Callable[[Array, Array, Array], float], tolerance: float = NEWTON_TOLERANCE
     ) -> tuple[Array, tuple[float, ...]]:
-        """Displacements, from u, and the residuals before each Newton step and after the last, relative to the forces."""
+        """Solve from u; return displacements, and relative residuals before each Newton step and after the last."""
         residuals, pairs, long_steps, far = list[float](), self.pairs, 0, LONG_STEP_RATIO * np.abs(u).max(initial=0.0)
         while True:
             forces = pairs.forces(pairs.separation(u))
@@ -225,7 +227,7 @@ class CondensedSystem:
             u = u + (self._length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
 
     def _stalls(self, residuals: list[float], u: Array, forces: Array) -> bool:
-        """Whether the residual is as small as rounding lets it be."""
+        """Whether the residual hardly falls, and is as small as rounding allows."""
         if len(residuals) < 3 or residuals[-1] <= residuals[-2] / 2:
             return False
         share = self._rounding * float(np.abs(u).max(initial=0.0)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
@@ -259,15 +261,16 @@ def _without_scaling(r: Array, forces: Array, u: Array) -> float:
 
 
 def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_matrix, IntArray]:
-    """Every second of places (n, 2) along the curves that lines (m, 2) form, their ends and branches.
+    """Choose every second of places (n, 2) along the curves that lines (m, 2) form, with all ends and branches.
 
     Returns:
-        Their numbers (k,), ascending; the shares (n, k) by which a place lies between them; lines of them.
+        Numbers (k,) of the chosen places, ascending; weights (n, k) that interpolate from them; lines between them.
     """
     chosen = np.bincount(lines.ravel(), minlength=len(x)) != 2
     chosen[along(x, lines, float(np.ptp(x)))[::2]] = True
     place, other = np.concatenate([lines, lines[:, ::-1]]).T
-    chosen |= np.bincount(place, chosen[other], len(x)) < 2  # a ring of an odd number may begin and end in between
+    # a ring with an odd number of places may begin and end with places that are not chosen
+    chosen |= np.bincount(place, chosen[other], len(x)) < 2
     kept, number = np.flatnonzero(chosen), np.cumsum(chosen) - 1
     between = chosen[other] & ~chosen[place]
     place, other = place[between], other[between]

@@ -1,4 +1,4 @@
-"""What all finders of equilibria under contact laws have in common."""
+"""Common base of all solvers under contact laws."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from thinlayer.system.ranks import destroy
 
 
 class ContactSolver(EquilibriumSolver):
-    """Steps of a model of linear bodies in contact. Collective.
+    """Solver of steps of linear bodies in contact. Collective.
 
-    A method finds u with A u + (nodal forces of the contact laws) = b, where A and b hold the displacements of supports.
+    A method solves A u + (nodal forces of the contact laws) = b, where A and b contain the Dirichlet conditions.
 
     Args:
         equations: the equations of the model.
-        like: a state of a model of the same joint, from which the first step begins; None: that before the step.
+        like: a state of a model of the same joint, from which the first step begins; None: the state before the step.
 
     Attributes:
         equations, comm: the equations and their communicator.
         parts: the contact laws with their pairs of nodes.
-        is_fixed: (N,) displacements of this rank that supports prescribe.
-        x: displacements: what a step begins with, then its result.
+        is_fixed: (N,) mask of the constrained displacements of this rank.
+        x: displacements: initial values of a step, then its solution.
     """
 
     def __init__(self, equations: Equations, like: State | None) -> None:
@@ -41,7 +41,7 @@ class ContactSolver(EquilibriumSolver):
 
     @cached_property
     def A(self) -> PETSc.Mat:
-        """The bodies' stiffness with supports."""
+        """The bodies' stiffness with Dirichlet conditions."""
         A = self.equations.K.copy()
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.equations.apply_bcs(A)
@@ -49,7 +49,7 @@ class ContactSolver(EquilibriumSolver):
         return A
 
     def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
-        """Displacements at the end of the step, from those of `start`, of the state that is like it, or before the step.
+        """Solve for the displacements at the end of the step, from `start`, the state `like`, or the old state.
 
         Raises:
             SolveError: no convergence.
@@ -59,7 +59,7 @@ class ContactSolver(EquilibriumSolver):
         if start is not None:
             start.copy(x)
         elif self._like is not None:
-            u = displacements_of(self._like, equations.model)  # owns the vector
+            u = displacements_of(self._like, equations.model)  # must live as long as its vector
             u.x.petsc_vec.copy(x)
         else:
             equations.put_state(equations.interval.old, x)
@@ -77,10 +77,10 @@ class ContactSolver(EquilibriumSolver):
 
     @abstractmethod
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Change x, which has the supports' displacements, to those of the equilibrium; steps, and the relative residual.
+        """Solve for x in place, from values with prescribed displacements; return the steps and the relative residual.
 
         Args:
-            has_guess: whether the jumps of x are a guess; otherwise nothing has moved.
+            has_guess: whether the jumps of x are an initial guess; otherwise they are zero.
         """
 
     def relative_residual(self) -> float:

@@ -1,4 +1,4 @@
-"""The tangent of a contact problem: the nodes of S with their stiffness, a multigrid hierarchy, and products in blocks."""
+"""Tangent of a contact problem: stiffness of the nodes of S, a multigrid hierarchy, and products in blocks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX, convert_to_blocks, lean_products
 from thinlayer.system.ranks import destroy
 
-SUPERLU_OPTIONS: dict[str, Any] = {  # of SuperLU: diagonal unless small, and columns in an order for such pivots
+SUPERLU_OPTIONS: dict[str, Any] = {  # diagonal pivots unless small, and a column order for such pivots
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.01,
     "options": {"SymmetricMode": True},
@@ -24,24 +24,23 @@ SUPERLU_OPTIONS: dict[str, Any] = {  # of SuperLU: diagonal unless small, and co
 SWEEPS_PER_STEP = 4  # number of Gauss-Seidel sweeps before a Newton step, if sweeps are due
 NODE_STIFFNESS = 3.0  # stiffness of a node of S, relative to its area times E/h; an upper estimate
 MAX_K_N, MAX_K_T = 10.0, 1.0  # largest stiffness of springs in the hierarchy, relative to E/h
-MIN_STIFFNESS = 1e-3  # least stiffness of springs in the hierarchy, relative to E/h, for bodies that nothing else holds
-CHANGED_NODE_SHARE = (
-    0.1  # share of the nodes of S whose springs change by half or more upon which the hierarchy changes, too
-)
+MIN_STIFFNESS = 1e-3  # least stiffness of springs in the hierarchy, relative to E/h, for bodies without supports
+# the hierarchy changes if the springs of more than this share of the nodes of S change by more than half
+CHANGED_NODE_SHARE = 0.1
 
 
 class ContactTangent:
-    """The tangent of a contact problem and its preconditioner, as contexts of a PETSc matrix and a PETSc PC.
+    """Tangent of a contact problem and its preconditioner, as contexts of a PETSc matrix and a PETSc PC.
 
-    No rank gathers anything of the others: each factorises the rows of its own nodes of S.
+    Each rank factorises the rows of its own nodes of S, without data of other ranks.
 
-    Both act on vectors that are zero at held displacements. Both multiply with the hierarchy's matrix in blocks; the
+    Both act on vectors that are zero at constrained dofs. Both multiply with the hierarchy's matrix in blocks. The
     tangent adds the difference between the tangents of S and the springs of the hierarchy.
 
     Args:
         A: stiffness of the bodies with supports.
-        nodes: all pairs of nodes whose upper one this rank has.
-        pairs: those pairs, with the contact laws and the nodes that this rank solves for.
+        nodes: all pairs whose upper node this rank owns.
+        pairs: the same pairs, with their contact laws and the nodes that this rank solves for.
         equations: the equations of the model.
         start: (n, d) expected jumps, which choose the springs of the hierarchy; None: bonded.
     """
@@ -63,12 +62,12 @@ class ContactTangent:
         self._build(equations)
 
     def _stiffness_beside(self) -> Array:
-        """(n,) E/h of the softer side of S. Collective."""
+        """(n,) stiffness E/h (modulus over size of cells) of the softer side of S. Collective."""
         nodes, diagonal = self.nodes, self._A.getDiagonal()
         above = diagonal.array_r.reshape(-1, nodes.dim)[nodes.upper].mean(axis=1)
         below = nodes.lower_side(diagonal).mean(axis=1)
         diagonal.destroy()
-        softer = np.where(below > 0, np.minimum(above, below), above)  # below a rigid base there is none
+        softer = np.where(below > 0, np.minimum(above, below), above)  # a rigid base has no stiffness here
         return np.asarray(softer / (NODE_STIFFNESS * nodes.weights))
 
     def _clipped(self, start: Array | None) -> Array:
@@ -84,7 +83,7 @@ class ContactTangent:
         return out
 
     def _build(self, equations: Equations) -> None:
-        """Build the hierarchy."""
+        """Build the hierarchy from the bodies' stiffness and the springs."""
         added, pattern = self.nodes.stiffness(self._springs), PETSc.Mat.Structure
         M, based = self._A.copy(), self.nodes.lower is None
         M.axpy(1.0, added, pattern.SUBSET_NONZERO_PATTERN if based else pattern.DIFFERENT_NONZERO_PATTERN)
@@ -107,9 +106,9 @@ class ContactTangent:
                 convert_to_blocks(self._cycle.getMGSmoother(level).getOperators()[0])
 
     def follow(self, jumps: Array | None) -> None:
-        """Change the springs of the hierarchy to those at jumps (n, d), None: bonded, if many are others. Collective.
+        """Update the springs of the hierarchy to jumps (n, d), None: bonded, if many springs change. Collective.
 
-        With the springs of another status an iteration reduces the residual much less.
+        With the springs of another contact status an iteration reduces the residual much less.
         """
         new, comm = self._clipped(jumps), self.nodes.comm
         others = (np.abs(new - self._springs) > self._springs / 2).any(axis=(1, 2))
@@ -121,26 +120,26 @@ class ContactTangent:
         for level in reversed(range(self._cycle.getMGLevels())):
             matrix = self._cycle.getMGSmoother(level).getOperators()[0]
             matrix.axpy(1.0, change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-            if level:  # the pattern stays, and with it what a product knows of its own
+            if level:  # the pattern stays the same, so that the symbolic product can be used again
                 product = self._changes.get(level)
                 change = self._changes[level] = change.ptap(self._cycle.getMGInterpolation(level), result=product)
         springs.destroy()
         self._springs = new
 
     def linearise(self, tangents: Array) -> None:
-        """Use these tangents (n, d, d) of the law from now on."""
+        """Set the tangents (n, d, d) of the law, and factorise the rows of this rank's nodes of S."""
         self._tangents = tangents
         if len(self.pairs.nodes):
             self._local = splu((self._near + self.pairs.stiffness(tangents)).tocsc(), **SUPERLU_OPTIONS)
 
     def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """y = tangent times x."""
+        """Compute y = tangent times x."""
         self._matrix.mult(x, y)
         self.nodes.add_forces(np.einsum("nij,nj->ni", self._tangents - self._springs, self.nodes.jump(x)), y)
         y.array[self.bc_dofs] = 0.0
 
     def apply(self, _: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """z = a cycle of multigrid, then a solve for the nodes of S of this rank with all other displacements fixed."""
+        """Compute z by a multigrid cycle, then a solve for this rank's nodes of S with all other unknowns fixed."""
         self._cycle.apply(r, z)
         z.array[self.bc_dofs] = 0.0
         t = np.einsum("nij,nj->ni", self._tangents, self.nodes.jump(z))
@@ -150,7 +149,7 @@ class ContactTangent:
             z.array[self.pairs.dofs] += self._local.solve(left)
 
     def sweep(self, u: PETSc.Vec, residual: PETSc.Vec, turned: Array) -> None:
-        """Gauss-Seidel sweeps, in place, over the nodes of S of this rank.
+        """Run Gauss-Seidel sweeps in place over the nodes of S of this rank.
 
         Args:
             u: displacements.

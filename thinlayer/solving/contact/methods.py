@@ -1,4 +1,4 @@
-"""Which finder of equilibria under contact laws is for which model."""
+"""Choice of the solver under contact laws for a model."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ SOLVER_OF_METHOD: dict[str, type[ContactSolver]] = {
     "relaxation": ContactRelaxation,
 }
 METHODS = tuple(SOLVER_OF_METHOD)
-MAX_CONDENSED = {2: 4000, 3: 1200}  # dimension -> largest number of displacements at S for which it is the default
+MAX_CONDENSED = {2: 4000, 3: 1200}  # dimension -> number of displacements at S up to which "condensed" is the default
 
 
 def default_method(model: Model) -> str:
     """The default method for a contact model.
 
-    "newton" for bodies that are not linear, laws without sweeps, periodic joints, and seams without contact between others;
-    "condensed" on one rank if S has few displacements, in networks at each body; else "multigrid".
+    "newton" for bodies that are not linear, user-defined laws, periodic joints, and if only some seams are in contact.
+    "condensed" on one rank if S, or in a network S of each body, has few displacements. Else "multigrid".
     """
     joint = model.joint
     both = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
@@ -49,12 +49,12 @@ def _is_network(model: Model) -> bool:
 
 
 def _is_linear(model: Model) -> bool:
-    """Whether the unknowns are displacements with a constant, symmetric stiffness, by forms alone, beside contact."""
+    """Whether, except for contact, unknowns are displacements with a constant, symmetric stiffness of forms alone."""
     added = all(part.has_work and part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
     traits = [p.law.traits for p in model.terms if p.proportional]
     return (
         added
-        and model.constraints.T is None  # else the unknowns are others
+        and model.constraints.T is None  # else the unknowns are not the displacements
         and len(traits) == len(model.terms)
         and all(law_traits.symmetric and not (law_traits.constrained or law_traits.compiled) for law_traits in traits)
     )
@@ -67,7 +67,7 @@ def check_method(model: Model, method: str) -> None:
 
 
 def _why_unsuited(model: Model, method: str) -> str:
-    """Why one of METHODS does not suit the model; "" if it does."""
+    """Reason why one of METHODS does not suit the model; "" if it does."""
     custom_laws = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
     if model.contact is None:
         return "is for contact laws; the model has none"

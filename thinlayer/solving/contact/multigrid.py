@@ -1,4 +1,4 @@
-"""Contact on a wide S, in three dimensions and on several ranks: Newton's method, Krylov, one multigrid hierarchy."""
+"""Contact on a large S, in three dimensions and on several ranks: Newton's method, Krylov, one multigrid hierarchy."""
 
 from __future__ import annotations
 
@@ -33,19 +33,18 @@ from thinlayer.system.compilation import library
 from thinlayer.system.ranks import destroy
 
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
-SlidingState = tuple[
-    npt.NDArray[np.int8], Array
-]  # status of nodes (n,), and their tangential jumps less slip (n, d - 1)
+# status of nodes (n,), and their tangential jumps minus slip (n, d - 1)
+SlidingState = tuple[npt.NDArray[np.int8], Array]
 
 NEWTON_TOLERANCE = 1e-10  # residual of the law at which Newton's method stops, relative to the forces
 LOOSE_REDUCTIONS: Reductions = (0.5, 0.4)  # for a start whose status is wrong at many nodes
-STRICT_REDUCTIONS: Reductions = (0.05, 0.1)  # for a prediction, and in the last attempt
-EXPECTED_RESIDUAL_RATIO = (
-    3.0  # largest residual after a Newton step without sweeps, relative to the target of its linear solve
-)
-LARGE_RESIDUAL = 3e-5  # residual, relative to given forces, above which the rounding of a body far away is no force
+STRICT_REDUCTIONS: Reductions = (0.05, 0.1)  # for a start from a guess, and in the last attempt
+# largest residual after a Newton step without sweeps, relative to the target of its linear solve
+EXPECTED_RESIDUAL_RATIO = 3.0
+# residual, relative to the external forces, above which forces of bodies that moved far away are no reference
+LARGE_RESIDUAL = 3e-5
 MIN_REDUCTION = 0.05  # least factor by which a linear solve after sweeps reduces a residual below the forces
-LAST_SOLVE_TARGET = 0.7  # target of the last linear solve, relative to the tolerance
+LAST_SOLVE_TARGET = 0.7  # target of the last linear solve, relative to NEWTON_TOLERANCE
 
 HIERARCHY_OPTIONS: dict[str, OptionValue] = {
     k: v for k, v in MULTIGRID_OPTIONS.items() if k not in (*DIRECT_OPTIONS, "ksp_max_it")
@@ -63,16 +62,16 @@ NEWTON_OPTIONS: dict[str, OptionValue] = {
 
 
 class MultigridContact(ContactSolver):
-    """Newton's method by SNES, FGMRES and one algebraic multigrid hierarchy, for seams that may meet. Collective.
+    """Solver by Newton's method (SNES), FGMRES and one multigrid hierarchy, for seams that may meet. Collective.
 
-    The hierarchy is built for the bodies with symmetric, clipped springs on S, in the first solve, and kept until `close`;
-    its springs change with the status of S.
-    FGMRES uses the exact tangent, which is not symmetric where S slides. Its preconditioner is a cycle of multigrid, then
-    an exact solve for the nodes of S on each rank. If the status of a node has changed, Gauss-Seidel sweeps over the nodes
-    of S, on each rank alone, precede a Newton step. If the jumps to start from mislead it, it starts from bonded nodes.
+    The algebraic hierarchy is built for the bodies with symmetric, clipped springs on S, in the first solve, and kept
+    until `close`. Its springs change with the contact status of S. FGMRES uses the exact tangent, which is not
+    symmetric where S slides. Its preconditioner is a cycle of multigrid, then an exact solve for the nodes of S on each
+    rank. If the status of a node has changed, Gauss-Seidel sweeps over the nodes of S, on each rank alone, precede a
+    Newton step. If Newton's method fails from the initial jumps, it starts again from bonded nodes.
 
-    PETSc options under our prefix: snes_ and ksp_ for Newton's method, pc_ and mg_ for the hierarchy. Tolerances of linear
-    solves are chosen here unless ksp_rtol is set.
+    PETSc options under our prefix: snes_ and ksp_ for Newton's method, pc_ and mg_ for the hierarchy. Tolerances of
+    linear solves are chosen here unless ksp_rtol is set.
     """
 
     def __init__(self, equations: Equations, like: State | None) -> None:
@@ -84,7 +83,11 @@ class MultigridContact(ContactSolver):
         self._forces = equations.vector()
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """As in `ContactSolver`. SolveError: no convergence, for instance without an equilibrium."""
+        """Solve as in `ContactSolver`.
+
+        Raises:
+            SolveError: no convergence, for instance without an equilibrium.
+        """
         history: list[float] = []
         nodes, old = self.nodes, self.equations.interval.old.u.x.petsc_vec
         start = nodes.separation(self.x) if has_guess else None
@@ -126,15 +129,15 @@ class MultigridContact(ContactSolver):
         )
 
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
-        """Write the residual at u, zero at held displacements; returns its norm relative to the forces.
+        """Write the residual at u, zero at constrained dofs, into `out`; return its norm relative to the forces.
 
-        It is scaled so that AIM is the residual at which `ForceScale` lets solvers stop.
+        It is scaled so that NEWTON_TOLERANCE is the residual at which solvers stop by `ForceScale`.
         """
         equations = self.equations
         equations.residual(u, out)
         out.array[equations.bc_dofs] = 0.0
         norms, forces = equations.norms(out.array_r), equations.target(u) / SOLVER_TOLERANCE
-        if norms[0] > LARGE_RESIDUAL * self._largest:  # the large forces of a body far away are only rounding
+        if norms[0] > LARGE_RESIDUAL * self._largest:  # large forces of a body that moved far away are only rounding
             forces = np.minimum(forces, self._largest)
         return float((norms / np.maximum(forces, MIN_DIVISOR)).max())
 
@@ -150,7 +153,7 @@ class _NewtonRun:
     """One run of SNES.
 
     Attributes:
-        residuals: relative to the forces, before the first and after each step.
+        residuals: residuals relative to the forces, before the first and after each step.
     """
 
     def __init__(self, finder: MultigridContact, tangent: ContactTangent, reductions: Reductions) -> None:
@@ -164,7 +167,7 @@ class _NewtonRun:
         self._set_rtol = not is_set("ksp_rtol", {})
 
     def run(self, u: PETSc.Vec, start: Array | None) -> int:
-        """Solve from u, in place, first with the tangent at the jumps `start` (None: bonded); returns PETSc's reason."""
+        """Solve from u, in place, first with the tangent at the jumps `start` (None: bonded); return PETSc's reason."""
         finder, self._start = self.finder, start
         u.array[self.bc_dofs] = finder.equations.prescribed
         f = self._f = u.duplicate()
@@ -208,7 +211,7 @@ class _NewtonRun:
         return reason.CONVERGED_FNORM_ABS if self._h <= NEWTON_TOLERANCE else False
 
     def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
-        """Before a Newton step: sweep if the last step has changed the status or not reduced the residual as expected."""
+        """Choose sweeps before a Newton step if the last step changed the status or reduced the residual too little."""
         self._swept = False
         if step:
             w = self.nodes.separation(snes.getSolution())
@@ -218,7 +221,7 @@ class _NewtonRun:
             self._left = ksp.getResidualNorm() / snes.getFunctionNorm()
 
     def _sweep(self, _: PETSc.SNES, u: PETSc.Vec, __: PETSc.Vec | None) -> None:
-        """Gauss-Seidel sweeps over the nodes of S, on each rank alone, if they are due. `_f` is the residual at u."""
+        """Run Gauss-Seidel sweeps over the nodes of S, on each rank alone, if chosen; `_f` is the residual at u."""
         self._known = not self._swept
         if self._swept:
             self.tangent.sweep(u, self._f, self._turn)
@@ -235,7 +238,7 @@ class _NewtonRun:
             snes.getKSP().setTolerances(rtol=share)
 
     def _begin(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
-        """Tangents of the first step; f becomes the residual of the law linearised at the jumps to start from."""
+        """Tangents of the first step; f becomes the residual of the law linearised at the initial jumps."""
         pairs, w, s = self.pairs, self.nodes.separation(u), self._start
         if s is None:
             tangents = pairs.bonded_tangents()
@@ -276,8 +279,8 @@ def sliding_state(pairs: ContactPairs, w: Array) -> SlidingState:
 def turned_jumps(pairs: ContactPairs, w: Array, at: SlidingState | None) -> Array:
     """Changes (n, d) of the jumps that make nodes stick whose slip direction has reversed since the last tangents.
 
-    A sliding node has no stiffness of its own along its slip. If it should stick, Newton's method can move it to and fro
-    for ever, and sweeps do not stop that.
+    A sliding node has no contact stiffness along its slip. If it should stick, Newton's method can move it back and
+    forth for ever, and sweeps do not stop that.
     """
     out = np.zeros_like(w)
     if at is None:

@@ -1,4 +1,4 @@
-"""The nodes in contact of one rank and all their pairs, whatever their seams: tractions, tangents and sweeps."""
+"""Contact nodes of one rank and their pairs, on all seams: tractions, tangents and sweeps."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ NodalLaw = ContactLaw | ContactHomotopy
 
 
 class ContactPairs:
-    """Pairs of nodes in contact. A node may be in several, as their upper or lower one.
+    """Pairs of nodes in contact. A node may be the upper or the lower node of several pairs.
 
     Args:
         parts: the contact laws, each with its pairs.
-        is_fixed: (N,) displacements of this rank that supports prescribe.
+        is_fixed: (N,) mask of the constrained displacements of this rank.
         first: global number of this rank's first node.
-        shared: numbers on this rank of nodes that are left out, as they are in pairs of other ranks too.
+        shared: local numbers of nodes that are left out because pairs of other ranks have them too.
 
     Attributes:
-        nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending; of `some`: their numbers in all.
-        dofs: (n d,) their displacements.
-        free: (n, d) components that are not held.
-        ends: (pairs, 2) upper and lower node, as numbers in `nodes`; -1: the rigid base, or a node that is not here.
+        nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending; in a result of `some` they are
+            indices of `nodes` of all pairs.
+        dofs: (n d,) local numbers of the nodes' displacements.
+        free: (n, d) mask of components that are not constrained.
+        ends: (pairs, 2) upper and lower node, as indices of `nodes`; -1: the rigid base, or a node that is left out.
         d: dimension.
     """
 
@@ -54,7 +55,7 @@ class ContactPairs:
         self._join(pairs, ~is_fixed.reshape(-1, self.d))
 
     def some(self, chosen: IntArray, weights: Array) -> ContactPairs:
-        """Those pairs (k,), with areas (k,), and their nodes."""
+        """The pairs of numbers `chosen` (k,), with areas `weights` (k,), and their nodes."""
         few = copy(self)
         few.frames, few.gaps, few.weights = self.frames[chosen], self.gaps[chosen], weights
         few._part, few._of_part = self._part[chosen], self._of_part[chosen]
@@ -62,7 +63,7 @@ class ContactPairs:
         return few
 
     def _join(self, pairs: IntArray, free: BoolArray) -> None:
-        """Number the nodes of pairs (n, 2); -1: none."""
+        """Number the nodes of pairs (n, 2) of nodes, and set their matrices; -1: no node."""
         self.nodes, place = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)
         self.nodes = self.nodes[1:]
         self.ends, self.free = place[1:].reshape(-1, 2) - 1, free[self.nodes]
@@ -72,7 +73,7 @@ class ContactPairs:
         self._by_node = self._sorted_by_node()
 
     def _jump_matrix(self) -> scipy.sparse.csr_matrix:
-        """(pairs d, n d) from displacements to jumps in the pairs' frames."""
+        """(pairs d, n d) matrix from displacements to jumps in the pairs' frames."""
         pair, side = np.nonzero(self.ends >= 0)
         blocks = self.frames[pair] * np.where(side, -1.0, 1.0)[:, None, None]
         begins = np.searchsorted(pair, np.arange(len(self.ends) + 1))
@@ -80,7 +81,7 @@ class ContactPairs:
         return scipy.sparse.bsr_matrix((blocks, self.ends[pair, side], begins), shape=shape).tocsr()
 
     def _sorted_by_node(self) -> tuple[npt.NDArray[np.int32], ...]:
-        """The pairs of each node, one node after the other, as the sweeps read them."""
+        """Pairs of each node, node after node, in the format of the sweeps in C."""
         pair, side = np.nonzero(self.ends >= 0)
         node = self.ends[pair, side]
         order = np.lexsort((pair, node))
@@ -94,15 +95,18 @@ class ContactPairs:
         return np.concatenate([of_part(part.now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
 
     def separation(self, u: Array) -> Array:
-        """(pairs, d) jumps, and initial gaps along the normal, in the pairs' frames at displacements (n d,)."""
+        """(pairs, d) jumps plus initial gaps along the normal, in the pairs' frames, at displacements (n d,)."""
         return np.asarray((self.jumps @ u).reshape(-1, self.d) + self.gaps)
 
     def forces(self, w: Array) -> Array:
-        """(n d,) forces of the pairs at jumps (pairs, d), to be added to those of the bodies; zero at held components."""
+        """(n d,) nodal forces of the pairs at jumps (pairs, d); zero at constrained components.
+
+        They are to be added to the internal forces of the bodies.
+        """
         return self.on_nodes(self.tractions(w))
 
     def on_nodes(self, t: Array) -> Array:
-        """(n d,) forces of tractions (pairs, d) on the nodes, zero at held components."""
+        """(n d,) nodal forces of tractions (pairs, d), zero at constrained components."""
         return np.where(self.free.ravel(), self._to_nodes @ (t * self.weights[:, None]).ravel(), 0.0)
 
     def tangent(self, w: Array) -> scipy.sparse.csr_matrix:
@@ -126,7 +130,7 @@ class ContactPairs:
         return self._gathered(lambda law, w, slip: law.status(w, slip), w)
 
     def bonded(self) -> tuple[scipy.sparse.csr_matrix, Array]:
-        """Stiffness of springs that neither open nor slide, and their forces on nodes at rest, by slip and gaps."""
+        """Stiffness of springs that neither open nor slide, and their nodal forces at rest due to slip and gaps."""
         D, rest = self.bonded_tangents(), self.offsets(self.gaps)
         return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, rest))
 
@@ -144,7 +148,7 @@ class ContactPairs:
         return scipy.sparse.csr_matrix((blocks.ravel(), places), shape=(len(self.dofs),) * 2)
 
     def offsets(self, w: Array) -> Array:
-        """Jumps (pairs, d) less the slip."""
+        """Jumps (pairs, d) minus the slip."""
         return self._gathered(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
 
     def sweep(
@@ -156,9 +160,9 @@ class ContactPairs:
         rest: Array | None = None,
         moves: BoolArray | None = None,
     ) -> int:
-        """Gauss-Seidel sweeps, in place: each node finds the balance of its forces while all others rest.
+        """Run Gauss-Seidel sweeps in place: each node moves to the balance of its forces while all others are fixed.
 
-        Held components rest too.
+        Constrained components are fixed too.
 
         Args:
             stiffness: (n, n) blocks of the bodies' stiffness.
@@ -166,10 +170,10 @@ class ContactPairs:
             u: (n d,) displacements.
             sweeps: number of sweeps.
             rest: (pairs, d) jumps where all u are zero; None: initial gaps.
-            moves: (n,) nodes that move; None: all.
+            moves: (n,) mask of nodes that move; None: all.
 
         Returns:
-            How often a node was not solved; it keeps the best u that was found.
+            Number of solves of a node that failed; the node then keeps the best u of this solve.
         """
         rest = self.gaps if rest is None else rest
         laws = self._gathered(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), rest)

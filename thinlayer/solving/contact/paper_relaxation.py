@@ -1,4 +1,4 @@
-"""The relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component. On one rank."""
+"""Relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component. On one rank."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from thinlayer.solving.petsc import PREFIX
 from thinlayer.system.compilation import own_library, pointers
 
 SWEEPS_PER_TEST = 256  # number of sweeps between two tests of the increments
-MIN_STAGNANT_SWEEPS = 2048  # least number of sweeps of a relaxation that stagnates
+MIN_STAGNANT_SWEEPS = 2048  # number of sweeps from which on stagnation is tested
 DIVERGENCE_GROWTH = 1e8  # growth of the changes, relative to the largest of the first sweeps, that means divergence
-STAGNATION_RATIO = 0.999  # ratio of the least increments of the later and the earlier half of all sweeps: stagnation
-TOLERANCE_REDUCTION = 1.5  # the tolerance of increments over the next one, where forces do not balance yet
-HELD_DIAGONAL = 1e20  # diagonal entry of held components of contact nodes, relative to the mean stiffness
+STAGNATION_RATIO = 0.999  # stagnation: ratio of the least increments of the later and the earlier half of all sweeps
+TOLERANCE_REDUCTION = 1.5  # divisor of the tolerance of increments if forces do not balance yet
+HELD_DIAGONAL = 1e20  # diagonal entry of constrained components of contact nodes, relative to the mean stiffness
 AXIS_TOLERANCE = 1e-9  # largest difference of the axes of S from coordinate axes
-RELAXATION_OPTIONS = {  # name -> default and bound
+RELAXATION_OPTIONS = {  # name -> default and upper bound
     "omega": (1.7, 2),
     "omega_contact": (1.0, 2),
     "tolerance": (1e-12, 1e-3),
@@ -42,9 +42,9 @@ class SeamSystem:
     """A u + (contact forces) = b, where the dofs of contact nodes are jumps in the axes of S.
 
     Attributes:
-        A: stiffness; rows of held dofs are those of the identity.
+        A: stiffness; rows of constrained dofs have a diagonal entry only.
         b: (N,) forces.
-        contact: (n, d) dofs of the contact nodes: tangential ones, then the normal one, positive if S opens.
+        contact: (n, d) dofs of the contact nodes: tangential dofs, then the normal dof, positive if S opens.
         weights: (n,) areas (lengths in two dimensions) of the nodes.
         law: the law.
         slip: (n, d - 1) slip at the beginning of the step.
@@ -65,7 +65,7 @@ class Relaxation:
     Attributes:
         u: (N,) the last iterate.
         converged: whether the increments met their tolerance.
-        increments: (sweeps,) Euclidean norm of the change of u in each sweep, relative to that of u.
+        increments: (sweeps,) Euclidean norm of the change of u in each sweep, relative to the norm of u.
     """
 
     u: Array
@@ -83,22 +83,22 @@ def relax(
     tolerance: float = 1e-8,
     max_sweeps: int = 100_000,
 ) -> Relaxation:
-    """The relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component over all N dofs.
+    """Run the relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component over all N dofs.
 
-    With the diagonal a, the remainder r of the row, the weight b and the threshold rho of a node, its normal component
-    becomes r / a if that opens S, else r / (a + b K_N). Its tangential component becomes r / (a + b K_T) if it sticks, else
-    (r -+ b rho) / a; in three dimensions both tangential components are found together, on a disc. Unlike in the paper
-    thresholds follow the pressure within the sweeps, and omega is 1 at contact nodes: the same omega everywhere fails for
-    many meshes and stiffnesses.
+    A contact node has the weight b and the threshold rho; its row has the diagonal a and the remainder r. Its normal
+    component becomes r / a if that opens S, else r / (a + b K_N). Its tangential component becomes r / (a + b K_T) if
+    it sticks, else (r -+ b rho) / a. In three dimensions both tangential components are computed together, on a disc.
+    Unlike in the paper thresholds follow the pressure within the sweeps, and omega is 1 at contact nodes. The same
+    omega everywhere fails for many meshes and stiffnesses.
 
     Args:
         system: the equations.
         u: (N,) first iterate, not changed; None: zero.
-        order: (N,) dofs in the order of a sweep; both tangential dofs of a node are swept at the place of the first of
-            them. None: in the order of the numbers, but at contact nodes the normal component first.
+        order: (N,) dofs in the order of a sweep. Both tangential dofs of a node are swept at the first of their places.
+            None: in the order of the numbers, except that contact nodes begin with the normal component.
         omega: relaxation factor of the other dofs.
         omega_contact: relaxation factor of the contact dofs.
-        tolerance: of the increment of a sweep, as in `Relaxation.increments`.
+        tolerance: largest increment of a converged sweep, as in `Relaxation.increments`.
         max_sweeps: largest number of sweeps.
 
     Returns:
@@ -131,7 +131,7 @@ def relax(
 
 
 def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices:
-    """The steps of a sweep, coded as sweeps.c reads them."""
+    """The steps of a sweep, in the code that sweeps.c reads."""
     place = np.arange(count) if order is None else np.argsort(order)
     normal, tangential = place[contact[:, -1]].astype(float), place[contact[:, :-1]].min(axis=1).astype(float)
     if order is None:
@@ -143,12 +143,13 @@ def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices
 
 
 class ContactRelaxation(ContactSolver):
-    """The paper's relaxation over all displacements, for one seam; it begins at rest.
+    """Solver by the paper's relaxation over all displacements, for one seam; it begins at rest.
 
-    At contact nodes the unknowns are the jumps in the axes of S, gaps included, instead of the upper side's displacements.
+    At contact nodes the unknowns are the jumps in the axes of S, gaps included, instead of the upper side's
+    displacements.
 
-    PETSc options thinlayer_relaxation_NAME: omega (1.7), omega_contact (1), tolerance of the increments (1e-12), max_sweeps
-    (200000).
+    PETSc options thinlayer_relaxation_NAME: omega (1.7), omega_contact (1), tolerance of the increments (1e-12),
+    max_sweeps (200000).
     """
 
     has_homotopy = False
@@ -174,7 +175,7 @@ class ContactRelaxation(ContactSolver):
         return (rows[:, None] * d + np.arange(d)).ravel().astype(np.int32)
 
     def _change(self) -> scipy.sparse.csr_matrix:
-        """Matrix from the unknowns (jumps and other displacements) to all displacements, where there are no gaps."""
+        """Matrix from the unknowns (jumps and other displacements) to all displacements, for zero gaps."""
         nodes, n = self.part.nodes, len(self.is_fixed)
         upper, others = nodes.dofs, np.setdiff1d(np.arange(n), nodes.dofs)
         rows = [others, np.repeat(upper, nodes.dim, axis=1).ravel()]
@@ -188,7 +189,9 @@ class ContactRelaxation(ContactSolver):
         return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """As in `ContactSolver`; the steps are sweeps until increments meet their tolerance, and more may follow.
+        """Solve as in `ContactSolver`; the steps are sweeps until increments first meet their tolerance.
+
+        More sweeps follow with smaller tolerances if the forces do not balance yet.
 
         Raises:
             SolveError: no convergence; its residuals are the increments of the sweeps.
@@ -245,7 +248,7 @@ def _options() -> dict[str, Any]:
 
 
 def _held_components(frames: Array, is_fixed: BoolArray) -> BoolArray:
-    """Held components (n, d) of jumps in the axes of S."""
+    """Mask (n, d) of constrained components of jumps, in the axes of S."""
     along = np.abs(frames)
     aligned = (np.abs(along - np.rint(along)) < AXIS_TOLERANCE).all(axis=(1, 2))
     if (~aligned & is_fixed.any(axis=1) & ~is_fixed.all(axis=1)).any():
