@@ -81,5 +81,5 @@ def test_former_methods_are_deprecated():
     model = Structure(block(1.0, 1.0, 0.5), body=LinearElastic(1.0, 2.0), supports={}).interface(
         ThinLayer(LinearElastic(0.3, 0.2), 0.1)
     )
-    with pytest.warns(DeprecationWarning, match="use model.coordinates.coefficient"):
+    with pytest.warns(DeprecationWarning, match="Coordinates.given is deprecated since thinlayer 1.1; use coefficient"):
         assert model.coordinates.given(2.5, "a load", ()).at_time(0.0) == 2.5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from mpi4py import MPI
 
@@ -52,6 +52,22 @@ def former_names(module: str, now: Mapping[str, Any]) -> Callable[[str], Any]:
         return now[name]
 
     return find
+
+
+class FormerNames:
+    """Attributes under their deprecated names of version 1.0.
+
+    Attributes:
+        former_names: old name -> new name.
+    """
+
+    former_names: ClassVar[Mapping[str, str]] = {}
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self.former_names:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        deprecated(f"{type(self).__name__}.{name}", "1.1", self.former_names[name])
+        return getattr(self, self.former_names[name])
 
 
 @dataclass(frozen=True)

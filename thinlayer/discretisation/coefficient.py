@@ -30,7 +30,7 @@ from geometry.refusals import place_text as at_place
 from geometry.refusals import require_known
 from thinlayer.discretisation.mesh_functions import inflation_shift, places_in_cells, sampled_function
 from thinlayer.discretisation.time_functions import Clock, TimeConstant, time_constants
-from thinlayer.errors import deprecated
+from thinlayer.errors import FormerNames
 from thinlayer.system.compat import interpolate, interpolation_points, ufl_replace
 
 Value = float | Callable[[Expr, Expr], Expr]
@@ -47,7 +47,7 @@ NUMPY_HINT = (
 
 
 @dataclass(frozen=True)
-class Coordinates:
+class Coordinates(FormerNames):
     """Arguments of users' functions: the time and the place, for kept bodies in the joint before inflating.
 
     Attributes:
@@ -59,6 +59,7 @@ class Coordinates:
         planned: break times that the last march has read; empty before the first march.
     """
 
+    former_names = {"given": "coefficient"}
     mesh: Mesh
     x: Expr
     clock: Clock
@@ -103,12 +104,6 @@ class Coordinates:
                 why = f"given after a march has begun, and changes its slope at t = {late[0]:g}, where no step ends"
                 raise InputError(f"{what} is {why}; a part gives it in check(model)")
         return self.cache[key]
-
-    def __getattr__(self, name: str) -> Any:
-        if name != "given":
-            raise AttributeError(f"Coordinates have no attribute {name!r}")
-        deprecated("model.coordinates.given", "1.1", "model.coordinates.coefficient")
-        return self.coefficient
 
     def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
         """Traction (d,) in UFL on facets with the outward normal n; errors as in `coefficient`."""

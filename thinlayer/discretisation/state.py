@@ -31,11 +31,12 @@ from thinlayer.discretisation.rigid_motions import (
 )
 from thinlayer.discretisation.supports import Place, is_part
 from thinlayer.discretisation.time_functions import TimeLevel
+from thinlayer.errors import FormerNames
 from thinlayer.system.ranks import carry_cell_values
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(FormerNames):
     """Method, iterations and residual of a solve.
 
     Attributes:
@@ -47,6 +48,7 @@ class Report:
             Newton's method failed.
     """
 
+    former_names = {"eased": "homotopy_steps"}
     method: str
     iterations: int
     residual: float

@@ -17,7 +17,7 @@ from thinlayer.discretisation.layer import Bond, Layers, ThinLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
-from thinlayer.errors import RangeWarning
+from thinlayer.errors import FormerNames, RangeWarning
 from thinlayer.estimating.estimate import estimate
 from thinlayer.estimating.goals import Goal
 from thinlayer.estimating.result import ESTIMATED_FIELDS, Estimate
@@ -38,7 +38,7 @@ MAX_STEPS = 40  # largest number of steps in search of a thickness that is thin 
 
 
 @dataclass(frozen=True)
-class ThinEnough:
+class ThinEnough(FormerNames):
     """The thickness below which a layer's mesh may be dropped.
 
     Attributes:
@@ -51,6 +51,7 @@ class ThinEnough:
         bonded: whether the layer is ignored altogether.
     """
 
+    former_names = {"found": "at_tolerance"}
     eps: float
     tolerance: float
     quantity: str
