@@ -16,7 +16,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 PACKAGES = ("forms", "geometry", "thinlayer")
 # optional module -> the extra of pyproject.toml that installs it
-OPTIONAL_DEPENDENCIES = {"matplotlib": "pictures", "pyvista": "pictures", "gmsh": "meshes", "meshio": "meshes"}
+OPTIONAL_PACKAGES = {"matplotlib": "pictures", "pyvista": "pictures", "gmsh": "meshes", "meshio": "meshes"}
 
 
 class ThinlayerError(Exception):
@@ -40,7 +40,7 @@ def require(good: object, what: str, value: object, wanted: str) -> None:
 
 
 def import_optional(name: str) -> ModuleType:
-    """Import a module of `OPTIONAL_DEPENDENCIES`, or a module of these packages that imports one of them.
+    """Import a module of `OPTIONAL_PACKAGES`, or a module of these packages that imports one of them.
 
     Raises:
         InputError: the optional dependency is not installed. The message names the extra that installs it.
@@ -48,12 +48,10 @@ def import_optional(name: str) -> ModuleType:
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
-        missing = (error.name or "").partition(".")[0]
-        if missing not in OPTIONAL_DEPENDENCIES:
+        module = (error.name or "").partition(".")[0]
+        if module not in OPTIONAL_PACKAGES:
             raise
-        raise InputError(
-            f"{missing} is not installed: pip install 'thinlayer[{OPTIONAL_DEPENDENCIES[missing]}]'"
-        ) from error
+        raise InputError(f"{module} is not installed: pip install 'thinlayer[{OPTIONAL_PACKAGES[module]}]'") from error
 
 
 def unknown_name_message(kind: str, name: object, allowed: Iterable[str]) -> str:

@@ -218,9 +218,8 @@ def _real(value: Any) -> float:
 
 PROBE_STRAIN = 1e-6 * np.array([1.0, -0.7, 0.4, 0.5, -0.3, 0.6])  # too small to yield; norms have no derivative at 0
 COUPLING_TOLERANCE = 1e-9  # share of a traction, or component of a unit normal, below which it counts as zero
-EIGENVALUE_TOLERANCE = (
-    1e-6  # a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
-)
+# a negative eigenvalue beyond this share of the tangent's largest entry is not a rounding error
+EIGENVALUE_TOLERANCE = 1e-6
 LONG_TIME_STEP = 1e30  # length of a time step in which rates are practically zero
 
 
@@ -321,12 +320,10 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
     """
     if C is None or not np.isfinite(C).all():
         return
-    A, what = (
-        (C[np.ix_(slots, slots)], "(of C)") if n is None else (acoustic_tensor(C, n), "across the layer (of n.C.n)")
-    )
+    A, of = (C[np.ix_(slots, slots)], "(of C)") if n is None else (acoustic_tensor(C, n), "across the layer (of n.C.n)")
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
     if lowest < -EIGENVALUE_TOLERANCE * size:
-        details = f"the smallest eigenvalue {what} is {lowest:.4g}, the largest entry of C {size:.4g}; allowed: >= 0"
+        details = f"the smallest eigenvalue {of} is {lowest:.4g}, the largest entry of C {size:.4g}; allowed: >= 0"
         remedy = "Check the signs of the stress and of the parameters (real ones)"
         raise InputError(f"{type(law).__name__}: the stiffness at rest is negative, {details}. {remedy}")
 
@@ -352,9 +349,7 @@ def in_plane_modulus(C: Array, n: Array) -> float:
     """
     normal = np.pad(n, (0, 3 - len(n)))
     frame = np.linalg.svd(normal[None])[2]  # first row: n
-    along = frame[1:] if len(n) == 3 else np.array([[n[1], -n[0], 0.0]])
+    axes = frame[1:] if len(n) == 3 else np.array([[n[1], -n[0], 0.0]])
     out = np.array([symmetric_mandel((np.outer(normal, a) + np.outer(a, normal)) / 2) for a in frame])
-    condensed = C - (out @ C).T @ np.linalg.pinv(out @ C @ out.T) @ (out @ C)
-    return float(
-        np.mean([symmetric_mandel(np.outer(a, a)) @ condensed @ symmetric_mandel(np.outer(a, a)) for a in along])
-    )
+    reduced = C - (out @ C).T @ np.linalg.pinv(out @ C @ out.T) @ (out @ C)
+    return float(np.mean([symmetric_mandel(np.outer(a, a)) @ reduced @ symmetric_mandel(np.outer(a, a)) for a in axes]))

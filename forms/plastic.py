@@ -212,10 +212,8 @@ class MohrCoulombMonodirectional(Plastic):
         return ufl.conditional(ufl.gt(b, 0), 2 * excess * d / (b + root), (root - b) / (2 * a))
 
     def stress(self, step: Step) -> Expr:
-        plastic = self._trial(step) - 2 * self.mu * self._flow(step)[0]
-        return (1 - self.elastic_fraction) * plastic + self.elastic_fraction * lame_stress(
-            self.lmbda, self.mu, step.mid
-        )
+        stress = self._trial(step) - 2 * self.mu * self._flow(step)[0]
+        return (1 - self.elastic_fraction) * stress + self.elastic_fraction * lame_stress(self.lmbda, self.mu, step.mid)
 
     def advance(self, step: Step) -> dict[str, Expr]:
         flow, slip = self._flow(step)

@@ -13,9 +13,8 @@ from forms.tensors import Expr, jump_strain, three_dimensional
 
 LawType = TypeVar("LawType")  # a law of strains, `forms.law.BulkLaw`
 GAUSS_HEIGHTS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
-LOCKING_RATIO = (
-    12.0  # lmbda/mu at which linear displacements through the layer raise the jump's error of order 1 by a third
-)
+# lmbda/mu at which linear displacements through the layer raise the jump's error of order 1 by a third
+LOCKING_RATIO = 12.0
 
 
 @dataclass(frozen=True)

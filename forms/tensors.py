@@ -34,9 +34,8 @@ def jump_strain(w: Expr, n: Expr) -> Expr:
 
 MANDEL_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 SQRT2 = 2.0**0.5
-MANDEL_BASIS = np.array(
-    [np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL_PAIRS]
-)  # (6, 3, 3) symmetric tensors of norm 1
+# (6, 3, 3) symmetric tensors of norm 1
+MANDEL_BASIS = np.array([np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL_PAIRS])
 MANDEL_BASIS = (MANDEL_BASIS + MANDEL_BASIS.swapaxes(1, 2)) / np.linalg.norm(
     MANDEL_BASIS + MANDEL_BASIS.swapaxes(1, 2), axis=(1, 2), keepdims=True
 )

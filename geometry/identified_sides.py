@@ -58,12 +58,8 @@ class Periods:
             message = f"the sides {first!r} and {second!r} do not match any more at {{at}}"
             refuse(mismatch > DISTANCE_TOLERANCE * size, points[pair[:, 0]], message)
         master = self.masters(len(points))
-        identified = np.bincount(master, minlength=len(master))[master] > 1
-        refuse(
-            identified[seams].all(axis=1),
-            points[seams],
-            f"a seam lies on the periodic boundary, at {{at}}: {CUT_ADVICE}",
-        )
+        tied = np.bincount(master, minlength=len(master))[master] > 1
+        refuse(tied[seams].all(axis=1), points[seams], f"a seam lies on the periodic boundary, at {{at}}: {CUT_ADVICE}")
         nodes = corners[:, np.array(basix.topology(basix.CellType[cell_type])[1])].reshape(-1, 2)
         names = " and ".join(f"{first!r} and {second!r}" for first, second in self.sides)
         narrow = f"a periodic cell needs three cells or more between its sides ({names}); use a finer mesh near {{at}}"

@@ -33,9 +33,8 @@ from geometry.topology import (
 
 Profile = Callable[[FloatArray], FloatArray]
 
-PLANAR_TOLERANCE = (
-    1e-5  # largest difference of unit normals of a planar S: coordinates in files may have only seven digits
-)
+# largest difference of unit normals of a planar S: coordinates in files may have only seven digits
+PLANAR_TOLERANCE = 1e-5
 
 
 def _digest(*arrays: IntArray) -> str:

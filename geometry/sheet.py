@@ -23,9 +23,8 @@ from geometry.topology import (
 
 QUADRILATERAL_TRIANGLES = ((0, 1, 2), (1, 3, 2))  # corners of the two triangles of a quadrilateral
 CLOSED_NORMAL_LENGTH = 0.1  # length of the mean unit normal below which S counts as closed
-CORNER_COSINE = (
-    0.7  # cosine of the least angle between straight ends that meet; at smaller angles the end counts as curved
-)
+# cosine of the least angle between straight ends that meet; at smaller angles the end counts as curved
+CORNER_COSINE = 0.7
 
 
 def vectors_from_segments(x: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:

@@ -31,7 +31,7 @@ from thinlayer import (
     thin_enough,
 )
 from thinlayer.estimating import thickness
-from thinlayer.estimating.result import GoalError, _goal_sentence
+from thinlayer.estimating.result import GoalError, _goal_text
 from thinlayer.estimating.thickness import _search
 
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
@@ -189,10 +189,10 @@ def test_goals_that_are_zero(data, goal, joint):
 
 def test_a_goal_that_equilibrium_gives_does_not_change():
     fixed, clear = GoalError(1.0, 1.0 + 1e-13, 2.0), GoalError(1.0, 1.02, 2.0)
-    assert (fixed.relative, _goal_sentence("it", fixed)) == (0.0, "no change in it")
-    assert (clear.at_most, _goal_sentence("it", clear)) == (pytest.approx(0.02 / 1.02), "2 % in it")
+    assert (fixed.relative, _goal_text("it", fixed)) == (0.0, "no change in it")
+    assert (clear.at_most, _goal_text("it", clear)) == (pytest.approx(0.02 / 1.02), "2 % in it")
     wide = GoalError(1.0, 1.02, 2.0, lower=0.98, upper=1.05)
-    assert (wide.between, _goal_sentence("it", wide)) == ((0.0, pytest.approx(1 / 21)), "between 0 % and 4.8 % in it")
+    assert (wide.between, _goal_text("it", wide)) == ((0.0, pytest.approx(1 / 21)), "between 0 % and 4.8 % in it")
 
 
 def test_flow_of_a_uniform_layer_does_not_change():

@@ -12,7 +12,7 @@ import pytest
 
 import geometry
 import thinlayer
-from forms.base import OPTIONAL_DEPENDENCIES, InputError
+from forms.base import OPTIONAL_PACKAGES, InputError
 from tests.documents import CLONE
 from tests.refused import refused
 from thinlayer.errors import deprecated
@@ -39,10 +39,10 @@ def test_dependencies_are_the_same_for_conda(file):
 
 
 def test_a_missing_extra_is_named_before_anything_is_computed(tmp_path, monkeypatch, capsys):
-    assert all(any(spec.startswith(name) for spec in EXTRA[extra]) for name, extra in OPTIONAL_DEPENDENCIES.items())
+    assert all(any(spec.startswith(name) for spec in EXTRA[extra]) for name, extra in OPTIONAL_PACKAGES.items())
     for name in [module for module in sys.modules if module.startswith(("thinlayer.output.plotting", "studies."))]:
         monkeypatch.delitem(sys.modules, name)
-    for name in OPTIONAL_DEPENDENCIES:
+    for name in OPTIONAL_PACKAGES:
         monkeypatch.setitem(sys.modules, name, None)
     assert main(["run", "fig6_stratified", "--out", str(tmp_path / "out")]) == 2
     assert "matplotlib is not installed: pip install 'thinlayer[pictures]'" in capsys.readouterr().err

@@ -42,7 +42,7 @@ from forms.stations import Faces, Station, pressure_stations
 from forms.tensors import Expr, three_dimensional
 
 OPENING_STRIP_LENGTH = 3.0  # largest length, over the thickness, of the strip that is weaker against openings
-LINEAR_PRESSURE_LENGTH = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
+MIN_LINEAR_LENGTH = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,7 @@ class EndStrips:
         pressure grows linearly over many thicknesses. Narrow S or soft bodies can prevent this. Then the flow within
         5 thicknesses is closer to the flow in an infinite layer, and the strip of the resistance is left out.
         """
-        return (
-            self if self.resistance.c >= 0 or length >= LINEAR_PRESSURE_LENGTH else replace(self, resistance=EndStrip())
-        )
+        return self if self.resistance.c >= 0 or length >= MIN_LINEAR_LENGTH else replace(self, resistance=EndStrip())
 
 
 def _of_shear(end: FreeEnd) -> EndStrip:

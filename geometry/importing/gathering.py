@@ -18,7 +18,7 @@ from geometry.joint import Joint
 from geometry.parallel import default_comm, on_root
 from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
 
-DEFAULT_REGION = "BODY"  # region of all cells if there are no cell tags
+BODY = "BODY"  # region of all cells if there are no cell tags
 TagNames = Mapping[str, Sequence[int]]  # name -> dimension of the tagged entities, then their tags
 
 
@@ -34,10 +34,7 @@ def gather_joint(
     except Exception as error:
         mine = error  # the other ranks must not wait
     parts = comm.gather(mine) or []
-    return on_root(
-        comm,
-        partial(_joint_of_parts, parts, names, None if cell_tags is not None else {DEFAULT_REGION: [0]}, scale, sides),
-    )
+    return on_root(comm, partial(_joint_of, parts, names, None if cell_tags is not None else {BODY: [0]}, scale, sides))
 
 
 class _Part(NamedTuple):
@@ -100,7 +97,7 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[Indi
     return np.asarray(tags.indices), np.asarray(tags.values, np.int64)
 
 
-def _joint_of_parts(parts: list[Any], names: Any, whole: Any, scale: float, sides: SideArguments) -> Joint:
+def _joint_of(parts: list[Any], names: Any, whole: Any, scale: float, sides: SideArguments) -> Joint:
     """The joint of all ranks' parts; nodes are sorted by their places, cells by their nodes."""
     for part in parts:
         if isinstance(part, Exception):

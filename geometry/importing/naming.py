@@ -108,11 +108,9 @@ class FileCells:
         if len(pairs):
             x = self.points[pairs[pairs[:, 0].argmin(), 0]]
             where = f"pairs of nodes at the same place, the first at {place_text(x)}: the cells there are not connected"
-            ways = "gmsh: BooleanFragments or Coherence before meshing, removeDuplicateNodes after it"
-            remedy = (
-                f"let bodies share their nodes ({ways}), or draw gaps that stay unbonded wider than {NODE_TOLERANCE:g}"
-            )
-            raise InputError(f"{len(pairs)} {where}; {remedy} of the mesh")
+            how = "gmsh: BooleanFragments or Coherence before meshing, removeDuplicateNodes after it"
+            fix = f"let bodies share their nodes ({how}), or draw gaps that stay unbonded wider than {NODE_TOLERANCE:g}"
+            raise InputError(f"{len(pairs)} {where}; {fix} of the mesh")
 
     def facets_among(self, vertices: IntArray) -> FacetTable:
         """Facets of the cells that have a whole facet among `vertices`; cells are numbered as in `nodes`."""

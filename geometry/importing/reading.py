@@ -219,11 +219,9 @@ def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, 
         return {}
     kind = FACET_TYPES[cells.type]
     blocks = [block for block in mesh.cells if block.dim == cells.points.shape[1] - 1]
-    alien = [block.type for block in blocks if not block.type.startswith(MESHIO_FACETS[kind])]
-    if alien:
-        raise InputError(
-            f"the file has {alien[0]} facets, but its {cells.type} cells have {MESHIO_FACETS[kind]} facets"
-        )
+    odd = [block.type for block in blocks if not block.type.startswith(MESHIO_FACETS[kind])]
+    if odd:
+        raise InputError(f"the file has {odd[0]} facets, but its {cells.type} cells have {MESHIO_FACETS[kind]} facets")
     number = np.full(len(mesh.points), -1, np.int64)
     number[cells.used] = np.arange(len(cells.used))
     rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)

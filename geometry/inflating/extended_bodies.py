@@ -21,9 +21,7 @@ CORNER_ERROR = 0.02  # relative error of a thickness beyond which a body has no 
 CG_TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic motion
 
 
-def face_motion(
-    joint: Joint, copies: NodeCopies, given_up: tuple[FloatArray, FloatArray]
-) -> tuple[IntArray, FloatArray]:
+def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, FloatArray]) -> tuple[IntArray, FloatArray]:
     """Copies of the nodes of S on bodies, and the motion (n, d) of each copy into its body.
 
     The motion d is the smallest with n . d = g for each facet of S around the copy, where n points into the body. With
@@ -32,7 +30,7 @@ def face_motion(
     Args:
         joint: the joint before inflating.
         copies: copies of its nodes.
-        given_up: g for the body below and for the body above, (n_S, k) at the nodes of each facet: the thickness that
+        depths: g for the body below and for the body above, (n_S, k) at the nodes of each facet: the thickness that
             the body gives up.
 
     Raises:
@@ -42,7 +40,7 @@ def face_motion(
     upper, there = joint.node_normals, joint.surface_cells[:, 0] >= 0
     at = np.concatenate([copies.above, copies.below[there]])
     normals = np.concatenate([upper, -upper[there]])
-    g = np.concatenate([given_up[1], given_up[0][there]])
+    g = np.concatenate([depths[1], depths[0][there]])
     face_nodes, first, index = np.unique(at, return_index=True, return_inverse=True)
     index = index.reshape(at.shape)
     x = joint.points[np.concatenate([joint.surface, joint.surface[there]]).ravel()[first]]
@@ -86,11 +84,9 @@ def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]
         cells: (n_cells, k) nodes of its cells; where bodies have parted, each copy counts the faces of its own body.
     """
     table, outer = joint.table, joint.outer_rows
-    normals = facet_normals(joint.points, table.nodes(outer, joint.cells, joint.cell_type), joint.cell_type)
+    m = facet_normals(joint.points, table.nodes(outer, joint.cells, joint.cell_type), joint.cell_type)
     nodes, size = table.nodes(outer, cells, joint.cell_type), int(cells.max()) + 1
-    return sum_by_number(nodes, normals[..., :, None] * normals[..., None, :], size), np.bincount(
-        nodes.ravel(), minlength=size
-    )
+    return sum_by_number(nodes, m[..., :, None] * m[..., None, :], size), np.bincount(nodes.ravel(), minlength=size)
 
 
 def extended_motion(

@@ -97,13 +97,13 @@ def inflate(
     copied = _motion(joint, copies, layers.thickness, bodies, fixed)
     moved, below = posts.between(copied)
     motion = np.concatenate([copied, moved])
-    footprint = np.concatenate([np.arange(len(joint.points)), copies.new, below])
+    foot = np.concatenate([np.arange(len(joint.points)), copies.new, below])
 
     bands, names = _bands(joint, posts, footing, layers)
     between = _BandCells(joint.cells[:0], joint.region[:0], bands.director[:0])
     if meetings:
-        filled = junction_cells(joint, posts, meetings, copied, footprint[: len(copied)])
-        motion, footprint = np.concatenate([motion, filled.values]), np.concatenate([footprint, filled.nodes])
+        filled = junction_cells(joint, posts, meetings, copied, foot[: len(copied)])
+        motion, foot = np.concatenate([motion, filled.values]), np.concatenate([foot, filled.nodes])
         between = _junctions(joint, posts, footing, meetings, layers.claims, filled)
     owners = np.unique(between.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
@@ -112,23 +112,21 @@ def inflate(
     askew = between.region[askew_cells[:, 0, 0]]
     first = len(joint.regions) + sum(map(len, names.values()))
 
-    used = np.zeros(len(footprint), bool)
+    used = np.zeros(len(foot), bool)
     for some in (copies.cells, bands.cells, between.cells):
         used[some] = True
     number = np.where(used, np.cumsum(used) - 1, -1)
-    footprint, motion = footprint[used], motion[used]
-    points, copies = joint.points[footprint] + motion, copies.renumbered(number)
+    foot, motion = foot[used], motion[used]
+    points, copies = joint.points[foot] + motion, copies.renumbered(number)
     in_layers = number[np.concatenate([bands.cells, between.cells])]
     cells = np.concatenate([copies.cells, in_layers])
     _check_cells(joint, points, cells, len(bands.cells))
     corners = in_layers[:, : joint.corners.shape[1]]
-    facets, faces = moved_facets(joint, copies, layers, corners, len(bands.cells), footprint)
+    facets, faces = moved_facets(joint, copies, layers, corners, len(bands.cells), foot)
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     aligned = tuple(name for name, seam in shared.items() if seams.index(seam) not in askew)
     director = np.concatenate([bands.director, np.where(askew_cells, np.eye(joint.dim)[1], between.director)])
-    band = InflatedBand(
-        layers.eps, bodies, regions, names, shared, aligned, faces, joint, joint.points[footprint], director
-    )
+    band = InflatedBand(layers.eps, bodies, regions, names, shared, aligned, faces, joint, joint.points[foot], director)
     region = np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, between.region)])
     opened = Joint(points, cells, joint.cell_type, region, joint.regions + regions, facets, joint.seams, band)
     return with_periods_of(opened, periods) if periods else opened

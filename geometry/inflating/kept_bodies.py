@@ -60,9 +60,8 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
 
     contradictory = "the layers around the bodies at {at} ask for motions that contradict one another"
     due, mean = (wanted[at] * n).sum(axis=1), (np.bincount(at, eps) / np.bincount(at))[at]
-    shallow = np.where(
-        np.abs(eps - mean) > FLAT_GAP_TOLERANCE * mean, FLAT_GAP_TOLERANCE, CURVED_GAP_TOLERANCE
-    )  # layers of several thicknesses get the strict tolerance
+    # layers of several thicknesses get the strict tolerance
+    shallow = np.where(np.abs(eps - mean) > FLAT_GAP_TOLERANCE * mean, FLAT_GAP_TOLERANCE, CURVED_GAP_TOLERANCE)
     for jump, least, allowed, reason in (
         (wanted[at], eps, shallow, "S is not planar, as at {at}"),
         (T[ends[:, 1]] - T[ends[:, 0]], due, FLAT_GAP_TOLERANCE, contradictory),

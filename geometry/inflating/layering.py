@@ -39,12 +39,10 @@ def value_by_seam(
     return {name: value[name] if name in value else default[0] for name in joint.seams}
 
 
-def check_layering(cells_through: int, bodies: str) -> None:
-    """Raise InputError unless cells_through >= 1 and `bodies` is "kept" or "extended"."""
+def check_layering(n_cells: int, bodies: str) -> None:
+    """Raise InputError unless n_cells >= 1 and `bodies` is "kept" or "extended"."""
     require_known("way to make room for the layer (bodies=...)", bodies, BODY_CHOICES)
-    require(
-        is_integer(cells_through, 1), "cells_through", cells_through, "the layer needs a whole number >= 1 of cells"
-    )
+    require(is_integer(n_cells, 1), "cells_through", n_cells, "the layer needs a whole number >= 1 of cells")
 
 
 @dataclass(frozen=True)
@@ -124,7 +122,7 @@ def check_junctions(joint: Joint, posts: NodeLines, layers: Layering) -> None:
 
 
 def moved_facets(
-    joint: Joint, copies: NodeCopies, layers: Layering, cells: IntArray, n_bands: int, footprint: IntArray
+    joint: Joint, copies: NodeCopies, layers: Layering, cells: IntArray, n_bands: int, foot: IntArray
 ) -> tuple[dict[str, IntArray], tuple[str, ...]]:
     """Facet sets of the inflated joint, and the names of the sets between bodies and layers.
 
@@ -134,7 +132,7 @@ def moved_facets(
         layers: the layers.
         cells: vertices of the layers' cells, cells of bands first.
         n_bands: number of cells of bands.
-        footprint: node of S below or above each node.
+        foot: node of S below or above each node.
     """
     filled, order = layers.with_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
     above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))
@@ -153,7 +151,7 @@ def moved_facets(
     outer = table.cells[:, 1] < 0
     outer[table.index(np.concatenate([above[filled], below[filled]]))] = False
     sides, of_band = table.vertices[outer], table.cells[outer, 0] < n_bands
-    stands = footprint[sides]
+    stands = foot[sides]
     below_sides, upright = keys_of_ridges(stands, joint.dim - 1), (stands == stands[:, :1]).all(axis=1)
     for name, facets in joint.facets.items():
         if name in joint.seams:

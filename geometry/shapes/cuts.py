@@ -104,11 +104,9 @@ class CutRectangle(Shape):
         distance = np.linalg.norm(vectors, axis=2)
         distance[distance <= 2 * near] = np.inf
         point, line = np.unravel_index(distance.argmin(), distance.shape)
-        at, least = points[point] - vectors[point, line] / 2, distance[point, line]
-        touch = (
-            f"{what} nearly touch each other or a side at {{at}}: {least:.3g}, less than {MIN_LINE_DISTANCE:g} cells"
-        )
-        refuse(least < MIN_LINE_DISTANCE * size, at[None], f"{touch} of size {size:g}; {remedy}")
+        at, gap = points[point] - vectors[point, line] / 2, distance[point, line]
+        touch = f"{what} nearly touch each other or a side at {{at}}: {gap:.3g}, less than {MIN_LINE_DISTANCE:g} cells"
+        refuse(gap < MIN_LINE_DISTANCE * size, at[None], f"{touch} of size {size:g}; {remedy}")
         return self
 
 

@@ -19,7 +19,7 @@ from geometry.seam import S, Seam
 from geometry.shapes.sizing import (
     CELL_TYPES_OF_DIM,
     DEFAULT_CELLS_ACROSS,
-    MIN_CELL_SIZE_RATIO,
+    MIN_SIZE_RATIO,
     Grading,
     MeshOptions,
     gmsh,
@@ -128,13 +128,11 @@ class Shape(ABC):
         gmsh's tolerances are absolute lengths. Lengths are therefore scaled by a power of 1000 so that the largest is
         between 1 and 1000. The mesh is then the same in nm, mm, m and km.
         """
-        largest = max(self.lengths.values())
-        require_width("the thinnest part", self.extent.thinnest, largest)
-        if self.cells.h is None and self.sizes[0] < MIN_CELL_SIZE_RATIO * largest:
-            raise InputError(
-                f"the default cell size h is {self.sizes[0]:g}; give h, from {MIN_CELL_SIZE_RATIO * largest:g} on"
-            )
-        digits = UNIT_DECADES * floor(log10(largest) / UNIT_DECADES)
+        size = max(self.lengths.values())
+        require_width("the thinnest part", self.extent.thinnest, size)
+        if self.cells.h is None and self.sizes[0] < MIN_SIZE_RATIO * size:
+            raise InputError(f"the default cell size h is {self.sizes[0]:g}; give h, from {MIN_SIZE_RATIO * size:g} on")
+        digits = UNIT_DECADES * floor(log10(size) / UNIT_DECADES)
         return self.scaled(10.0**-digits)._build(10.0**digits)
 
     def _build(self, unit: float) -> Joint:

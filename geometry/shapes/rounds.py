@@ -96,12 +96,10 @@ class Rings(Prism):
     @property
     def extent(self) -> SizeLengths:
         """Lengths for cell sizes that are small enough to follow a circle at any radius."""
-        thinnest = min(self.interface - self.inner, self.outer - self.interface, self.depth or self.outer)
-        radius = "sqrt(x*x + y*y)"
-        distance = f"abs({radius} - {float(self.interface)!r})"
-        return SizeLengths(
-            thinnest, max(self.angle * self.interface, self.depth or 0.0), distance, f"{MAX_CELL_ANGLE!r} * {radius}"
-        )
+        thin = min(self.interface - self.inner, self.outer - self.interface, self.depth or self.outer)
+        r = "sqrt(x*x + y*y)"
+        to_s = f"abs({r} - {float(self.interface)!r})"
+        return SizeLengths(thin, max(self.angle * self.interface, self.depth or 0.0), to_s, f"{MAX_CELL_ANGLE!r} * {r}")
 
     def draw_plane(self) -> Drawing:
         """Draw rings between spokes; the spokes of INNER end at S, where the spokes of OUTER begin.

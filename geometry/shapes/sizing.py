@@ -17,7 +17,7 @@ DEFAULT_CELLS_ACROSS = {2: 10, 3: 5}  # default number of cells across the thinn
 ARRANGEMENTS = ("Left", "Right", "AlternateLeft", "AlternateRight")
 COUNT_DECIMALS = 9  # decimals to which numbers of cells are rounded, so that they do not depend on the unit of length
 MIN_LENGTH_RATIO = 1e-6  # least length of a shape over its largest: gmsh merges points closer than 1e-8
-MIN_CELL_SIZE_RATIO = 1e-5  # smallest cell size allowed, over the size of the shape
+MIN_SIZE_RATIO = 1e-5  # smallest cell size allowed, over the size of the shape
 
 
 class _Gmsh:
@@ -98,7 +98,7 @@ class MeshOptions:
         largest = max(lengths.values())
         for what, value in lengths.items():
             require_width(what, value, largest)
-        smallest = MIN_CELL_SIZE_RATIO * largest
+        smallest = MIN_SIZE_RATIO * largest
         for what, size in {"h": self.h, "h_S": self.h_S, "h_ends": self.h_ends}.items():
             allowed = size is None or (is_finite(size) and smallest <= size <= largest)
             require(allowed, f"cell size {what}", size, f"allowed: {smallest:g} to {largest:g}")

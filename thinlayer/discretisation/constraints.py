@@ -219,9 +219,7 @@ class Constraints:
         at = A.indptr[self._single]
         self._columns, self._coefficient = A.indices[at] - self.first, A.data[at]
         self._groups = _connected_rows(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
-        fixed = np.concatenate(
-            [self._columns, *(self._owned(group.columns[: group.rank])[1] for group in self._groups)]
-        )
+        fixed = np.concatenate([self._columns, *(self._owned(g.columns[: g.rank])[1] for g in self._groups)])
         slots = np.concatenate([*self.masters.values(), np.empty(0, np.int64)]) - self.first
         self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, slots)).astype(np.int32)
 

@@ -68,9 +68,7 @@ class FullModel(Model):
         if (thickest := max(eps.values(), default=0.0)) > MAX_THICKNESS * self.joint.size:
             sizes = f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}"
             raise InputError(f"{sizes}: their shape is lost in rounding; is eps in the unit of the mesh?")
-        profile, fractions = (
-            {name: getattr(layer, of) for name, layer in thin.items()} for of in ("profile", "fractions")
-        )
+        profile, fractions = ({k: getattr(layer, of) for k, layer in thin.items()} for of in ("profile", "fractions"))
         shapes: dict[str, Any] = {"profile": profile, "fractions": fractions, "cells_through": self._cells_through}
         shapes |= {"bodies": self._bodies, "junctions": (*first, *thin), "gaps": tuple(gaps)}
         inflated = on_root(self.structure.comm, lambda: inflate(self.joint, eps, **shapes))

@@ -149,12 +149,8 @@ class InterfaceModel(Model):
     @property
     def remarks(self) -> list[str]:
         """Sentences for the log: whether free ends of layers of order 1 are corrected."""
-        ordered = [
-            reduction
-            for reduction in self.applicability.values()
-            if reduction.seam_layer.thin_layer and reduction.seam_layer.thin_layer.order
-        ]
-        return [f"free ends of {reduction.seam_layer}: {reduction.free_end_text}" for reduction in ordered]
+        ordered = [r for r in self.applicability.values() if r.seam_layer.thin_layer and r.seam_layer.thin_layer.order]
+        return [f"free ends of {r.seam_layer}: {r.free_end_text}" for r in ordered]
 
     def shifts(self) -> FloatArray | None:
         """Shifts as in `Model`, by layers of order 1 between bodies that meet on S; other laws ignore the thickness."""

@@ -174,9 +174,7 @@ class InitialTangents:
 
     def __init__(self, law: BulkLaw, n: Array) -> None:
         self.law, self.n, self._over = law, n, dict[float, list[Array | None]]()
-        self.sublayers = [
-            (share, material, declared_or_computed_tangent(material, n)) for share, material in law.sublayers
-        ]
+        self.sublayers = [(a, material, declared_or_computed_tangent(material, n)) for a, material in law.sublayers]
 
     def over(self, dt: float) -> list[Array | None]:
         """Tangents of the sublayers under loads that have lasted dt > 0; None if unknown, or the tangent at rest."""

@@ -180,21 +180,17 @@ class Model(ABC):
                 self.constraints = self._constrained()
             require_support(names, resistance_matrices(self, resistances))
 
-    def _lay(self, layer: Layers, check: Callable[[], Any]) -> Any:
+    def _lay(self, data: Layers, check: Callable[[], Any]) -> Any:
         """Set the layers of the seams and return the result of a check of them. Collective."""
-        structure = self.structure
-        with errors_on_all(structure.comm):
-            self.on_seams: dict[str, SeamContent] = value_by_seam(self.joint, layer, "layer")
+        setup = self.structure
+        with errors_on_all(setup.comm):
+            self.on_seams: dict[str, SeamContent] = value_by_seam(self.joint, data, "layer")
             layers = {name: value for name, value in self.on_seams.items() if not isinstance(value, Gap | Bond | None)}
-            self.layers = {name: SeamLayer(name, content, structure) for name, content in layers.items()}
-            self.contacts = {name: seam_layer.contact for name, seam_layer in self.layers.items() if seam_layer.contact}
-            self.applicability = {
-                name: Applicability(seam_layer, self._bodies) for name, seam_layer in self.layers.items()
-            }
+            self.layers = {name: SeamLayer(name, content, setup) for name, content in layers.items()}
+            self.contacts = {name: layer.contact for name, layer in self.layers.items() if layer.contact}
+            self.applicability = {name: Applicability(layer, self._bodies) for name, layer in self.layers.items()}
             checked = check()
-        self.data_hash = structure.data_hash + require_same(
-            structure.comm, model=self.name, layer=layer, options=self._options
-        )
+        self.data_hash = setup.data_hash + require_same(setup.comm, model=self.name, layer=data, options=self._options)
         return checked
 
     def _given(self, name: str) -> Expr | None:
@@ -224,10 +220,7 @@ class Model(ABC):
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         volume = self.volume_degree(law)
         each = {key: forms.body(law, measure, self.kinematics, volume) for key, measure in cells.items()}
-        return [
-            checked_term(replace(term, key=key, prescribed_strain=strain), self.V, self.origin)
-            for key, term in each.items()
-        ]
+        return [checked_term(replace(p, key=k, prescribed_strain=strain), self.V, self.origin) for k, p in each.items()]
 
     def _terms_of_layers(self) -> list[forms.Term]:
         terms = [checked_term(term, self.V, self.origin) for term in self._layer_terms()]
@@ -474,9 +467,7 @@ class Model(ABC):
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Sum values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
-        return {
-            name: sum(value for key, value in values.items() if layer.owns_key(key)) for name, layer in several.items()
-        }
+        return {name: sum(v for key, v in values.items() if layer.owns_key(key)) for name, layer in several.items()}
 
     def bc_dofs_in(self, V: fem.FunctionSpace) -> Indices:
         """Degrees of freedom of a space (local, unrolled, with ghosts) on which supports and plates act. Collective.

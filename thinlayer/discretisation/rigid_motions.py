@@ -26,15 +26,10 @@ from thinlayer.discretisation.supports import Place
 from thinlayer.discretisation.time_functions import TimeLevel
 
 Resistance = Callable[[Sequence[fem.Function]], Array]
-ROTATION_PLANES = {
-    2: ((0, 1, 1.0),),
-    3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0)),
-}  # plane (i, j) and sense of each rotation
+# plane (i, j) and sense of each rotation
+ROTATION_PLANES = {2: ((0, 1, 1.0),), 3: ((1, 2, 1.0), (0, 2, -1.0), (0, 1, 1.0))}
 # (k, d, d) matrices W of unit rotations: displacements W x, in 3D e_k x x
-ROTATION_GENERATORS = {
-    2: np.array([[[0.0, -1.0], [1.0, 0.0]]]),
-    3: np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2),
-}
+UNIT_ROTATIONS = {2: np.array([[[0.0, -1.0], [1.0, 0.0]]]), 3: np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)}
 MIN_RELATIVE_EIGENVALUE = 1e-10  # least eigenvalue of the supports' Gram matrix of rigid motions, over its largest one
 # coordinates over the size of the structure, or force components over the largest one, that are shown as zero
 COMPONENT_TOLERANCE = 1e-12
@@ -48,7 +43,7 @@ def motion_count(dim: int) -> int:
 def motion_fields(x: npt.NDArray[Any], about: Array) -> Array:
     """Displacements (n, d, k) at places x (n, d) of unit translations and rotations about a point."""
     n, d = x.shape
-    shifts, turns = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", ROTATION_GENERATORS[d], x - about)
+    shifts, turns = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", UNIT_ROTATIONS[d], x - about)
     return np.concatenate([shifts, turns], axis=2)
 
 
@@ -72,7 +67,7 @@ def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
     """Return a constant (k,), and the sum of the motions of `motion_fields` with these factors as a UFL vector (d,)."""
     x, d = ufl.SpatialCoordinate(mesh), len(about)
     motion = fem.Constant(mesh, np.zeros(motion_count(d)))
-    arm, turns = x - ufl.as_vector(about.tolist()), enumerate(ROTATION_GENERATORS[d].tolist())
+    arm, turns = x - ufl.as_vector(about.tolist()), enumerate(UNIT_ROTATIONS[d].tolist())
     turned = (motion[d + k] * ufl.dot(ufl.as_matrix(turn), arm) for k, turn in turns)
     return motion, sum(turned, ufl.as_vector([motion[i] for i in range(d)]))
 
@@ -111,12 +106,10 @@ def model_motion_values(model: Any, rows: npt.NDArray[Any], kinematics: Kinemati
 def model_motions(model: Any, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
     """Return the motions of `scaled_motions` as displacements of a model, by name. Collective."""
     values = model_motion_values(model, np.arange(model.places.size), kinematics)
-    motions = {
-        name: fem.Function(model.V) for name in scaled_motions(model.domain.joint, kinematics or model.kinematics)
-    }
-    for f, column in zip(motions.values(), values.T, strict=True):
+    modes = {name: fem.Function(model.V) for name in scaled_motions(model.domain.joint, kinematics or model.kinematics)}
+    for f, column in zip(modes.values(), values.T, strict=True):
         f.x.array[:] = column
-    return motions
+    return modes
 
 
 def resistance_matrices(model: Any, resistances: Sequence[Resistance]) -> Array:
@@ -167,7 +160,7 @@ class Resultant:
     def at(self, about: Sequence[float] | Array) -> Resultant:
         """Return the same resultant with the moment about another point (d,)."""
         point = require_point(about, len(self.force))
-        moment = self.force @ ROTATION_GENERATORS[len(point)] @ (self.about - point)
+        moment = self.force @ UNIT_ROTATIONS[len(point)] @ (self.about - point)
         return Resultant(self.force, self.moment + (moment if len(moment) > 1 else moment[0]), point)
 
     def __add__(self, other: Resultant) -> Resultant:

@@ -78,15 +78,11 @@ def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interf
     Raises:
         InputError: it is not known how the force is distributed over the faces there.
     """
-    reduction = model.applicability[layer.name]
-    loose = ridge_keys(reduction.loose.vertices)
+    r = model.applicability[layer.name]
+    loose = ridge_keys(r.loose.vertices)
     for load in SideLoad.of(model, layer):
-        if (
-            layer.has_pressure_flow
-            or reduction.weights is None
-            or not np.isin(ridge_keys(load.rim.vertices), loose).all()
-        ):
-            refused = None if layer.has_pressure_flow else reduction.why_not("ends")
+        if layer.has_pressure_flow or r.weights is None or not np.isin(ridge_keys(load.rim.vertices), loose).all():
+            refused = None if layer.has_pressure_flow else r.why_not("ends")
             why = "a support holds the side" if not refused else refused.reason
             why = "its pressure of order 1 is zero at free ends" if layer.has_pressure_flow else why
             reason = f"the {load.what} acts on the side of {layer}, and how it reaches the faces is not known: {why}"

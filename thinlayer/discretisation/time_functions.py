@@ -212,14 +212,12 @@ class PiecewiseLinear:
     def __call__(self, t: Any) -> Any:
         """Return the value at t, a number or a UFL expression; a list of components unless the table is scalar."""
         if is_number(t) or isinstance(t, ufl.constantvalue.RealValue | ufl.constantvalue.Zero):
-            columns = [*map(float, self.at(float(t)))]
+            y = [*map(float, self.at(float(t)))]
         else:
             t = ufl.as_ufl(t)
             now = _time(t)
-            columns = (
-                [self._lines(c, t) for c in self.columns.T] if now is None else [*TimeConstant(now.mesh, now, t, self)]
-            )
-        return columns[0] if self.scalar else columns
+            y = [self._line(c, t) for c in self.columns.T] if now is None else [*TimeConstant(now.mesh, now, t, self)]
+        return y[0] if self.scalar else y
 
     def at(self, t: float) -> Array:
         """Values (columns,) at a time."""
@@ -229,7 +227,7 @@ class PiecewiseLinear:
             return np.full(self.columns.shape[1], np.nan)
         return np.array([np.interp(t, self.times, column) for column in self.columns.T])
 
-    def _lines(self, column: Array, t: Expr) -> Expr:
+    def _line(self, column: Array, t: Expr) -> Expr:
         """UFL expression of one column at an argument that also depends on the place."""
         times, steps = [*map(float, self.times)], map(float, np.diff(column) / np.diff(self.times))
         inside = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))

@@ -138,10 +138,8 @@ def estimate(
         if not math.isfinite(at.estimate):
             raise SolveError(f"estimate: {name} is not finite where a law fails", advice=MESH_REMEDY)
         if at.lower - at.upper > slack + FIXED_GOAL_SHARE * scale:
-            contradiction = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
-            raise SolveError(
-                f"estimate: the bounds of {name} contradict each other: {contradiction}", advice=MESH_REMEDY
-            )
+            conflict = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
+            raise SolveError(f"estimate: the bounds of {name} contradict each other: {conflict}", advice=MESH_REMEDY)
     traction, jump = relative_errors(total)
     seconds, by = time.perf_counter() - start, (first, theirs, weights)
     return Estimate(

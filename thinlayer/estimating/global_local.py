@@ -46,12 +46,12 @@ ITERATE_TOLERANCE = 1e-10  # relative difference of two iterates that counts as 
 RESULTANT_TOLERANCE = 1e-9  # resultant of the forces on a layer, over the sum of their sizes, that counts as rounding
 COUPLE_REDUCTION = 0.01  # largest resultant that couples leave, over the resultant that counts as rounding
 NEW_AXIS_SHARE = 0.1  # share of a resultant along no earlier axis above which a couple is added
-MAX_NEWTON_STEPS, MAX_CONJUGATE_STEPS = 20, 30  # largest numbers of Newton steps, and of conjugate steps in each
+MAX_NEWTON_STEPS, MAX_CG_STEPS = 20, 30  # largest numbers of Newton steps, and of conjugate steps in each
 GAIN_TOLERANCE = 1e-20  # gain of a step, over the work of the forces on the layers, that counts as rounding
 RELATIVE_RESIDUAL = 1e-3  # largest final residual, over the residual of the interface law
 MISSING_FORCE_SHARE = 1e-4  # part of the largest final residual, over the forces on the faces
-MAX_WIDTH_OVER_ROUNDING = 1e3  # width of bounds over their rounding below which they are narrow in any case
-MIN_CONJUGATE_GAIN = 1e-3  # gain of a conjugate step over the gain of its Newton step at which conjugate steps end
+MAX_WIDTH_RATIO = 1e3  # width of bounds over their rounding below which they are narrow in any case
+MIN_CG_GAIN = 1e-3  # gain of a conjugate step over the gain of its Newton step at which conjugate steps end
 ENERGY_TOLERANCE = 1e-6  # gain of a Newton step over the gain of all steps at which Newton's method ends
 DEFAULT_WIDTH = 0.05  # default width of bounds over the change at which steps end
 
@@ -105,9 +105,7 @@ class GoalBounds:
 
     def is_narrow(self, value: float, share: float) -> bool:
         """Whether the width is at most a share of the change from `value`, or little more than rounding."""
-        return self.upper - self.lower <= max(
-            share * abs(self.estimate - value), MAX_WIDTH_OVER_ROUNDING * self.rounding
-        )
+        return self.upper - self.lower <= max(share * abs(self.estimate - value), MAX_WIDTH_RATIO * self.rounding)
 
 
 class GlobalLocal:
@@ -141,19 +139,19 @@ class GlobalLocal:
         self._couples: list[tuple[Array, Array]] = []
 
     # ---------------------------------------------------------------- the interface model
-    def _function(self, u: Array) -> fem.Function:
+    def _field(self, u: Array) -> fem.Function:
         return set_owned_values(fem.Function(self.model.V), u)
 
     def _missing_forces(self, u: Array) -> Array:
         """Loads (m,) minus the forces of all parts except the layers' laws, at displacements (m,)."""
-        others = self.adjoint.forces(self._others, self.state, self._function(u), self.adjoint.interval)
+        others = self.adjoint.forces(self._others, self.state, self._field(u), self.adjoint.interval)
         return np.asarray(self._loads - others)
 
     def _face_forces(self, forces: Array) -> Array:
         """Forces on the faces, from nodal forces (m,)."""
         return self.layers.on_free(self.layers.at_faces(forces))
 
-    def _linear_resistance(self, d: Array) -> Array:
+    def _resistance(self, d: Array) -> Array:
         """Linearised forces (m,) of all parts except the layers' laws, at small displacements (m,)."""
         self._x.array[:] = d
         out = self._x.duplicate()
@@ -165,7 +163,7 @@ class GlobalLocal:
     def _displacements_under(self, r: Array) -> tuple[Array, Array]:
         """Displacements of the interface model under face forces r, and the forces of its bodies on the layers."""
         d = self.adjoint.displacements(*self.layers.of_faces(r))
-        return d, r - self._face_forces(self._linear_resistance(d))
+        return d, r - self._face_forces(self._resistance(d))
 
     def _with_couples(self, u: Array, F: Array, load: Array, values: Array) -> BodyEquilibrium:
         """Iterate with couples on the faces, so that its forces F and the loads on the layers have no resultants.
@@ -197,33 +195,27 @@ class GlobalLocal:
 
     def _resultant(self, iterate: BodyEquilibrium) -> tuple[float, float]:
         """Largest resultant of the forces on the layers, and the resultant that counts as rounding."""
-        forces, layers = iterate.F + iterate.load, self.layers
+        total, layers = iterate.F + iterate.load, self.layers
         rounding = ROUNDING_SHARE * float(np.abs(layers.K.diagonal()).sum() * np.abs(iterate.v).max())
-        return np.abs(layers.R.T @ forces).max(initial=0.0), RESULTANT_TOLERANCE * float(
-            np.abs(forces).sum()
-        ) + rounding
+        return np.abs(layers.R.T @ total).max(initial=0.0), RESULTANT_TOLERANCE * float(np.abs(total).sum()) + rounding
 
     # ---------------------------------------------------------------- iterates
     def first(self) -> BodyEquilibrium:
         """First iterate: the state."""
         u = self.state.u.x.array[: self.n].copy()
-        iterate = self._with_couples(
-            u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.values
-        )
-        self._start = iterate.F
-        return self._linearised(iterate)
+        first = self._with_couples(u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.values)
+        self._start = first.F
+        return self._linearised(first)
 
     def weights(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
         """Nodal weights q (m,) of a goal at the displacements of this rank, and its adjoint solution z."""
         q, g = goal.dual(self.adjoint)
         if self.model.linear and goal.is_linear(self.model):
             self.adjoint.require_dual(goal, q, g, layers=bool(goal.in_layers(self.layers)[0].any()))
-        loads = q.array_r[: self.n].copy()
+        b = q.array_r[: self.n].copy()
         z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
         with self._transposed():
-            return loads, self._with_couples(
-                z, self._face_forces(loads - self._linear_resistance(z)), *goal.in_layers(self.layers)
-            )
+            return b, self._with_couples(z, self._face_forces(b - self._resistance(z)), *goal.in_layers(self.layers))
 
     @contextmanager
     def _transposed(self) -> Iterator[None]:
@@ -247,23 +239,21 @@ class GlobalLocal:
         """Residual r = F - (E u - l) on the faces."""
         return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.values)
 
-    def step(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
+    def step(self, old: BodyEquilibrium) -> BodyEquilibrium:
         """Iterate after a conjugate-gradient step towards the structure with meshed layers."""
-        layers, r, no = self.layers, self.residual(iterate), np.zeros_like(iterate.v)
+        layers, r, no = self.layers, self.residual(old), np.zeros_like(old.v)
         d, F = self._displacements_under(r)
         new = self._with_couples(d, F, no, no)
         d, v, F = new.u, new.v, new.F - r
         Kd = layers.dirichlet_reactions(v, no, no) - F
-        for p, v_p, F_p, Kp in iterate.directions:
+        for p, v_p, F_p, Kp in old.directions:
             c = (v_p @ Kd) / (v_p @ Kp)
             d, v, F, Kd = d - c * p, v - c * v_p, F - c * F_p, Kd - c * Kp
         if not (size := v @ Kd) > 0:  # the residual is zero
-            return iterate
+            return old
         a = (r @ v) / size
-        directions, gained = (*iterate.directions, (d, v, F, Kd)), iterate.gained + float(a * (r @ v))
-        return replace(
-            iterate, u=iterate.u + a * d, v=iterate.v + a * v, F=iterate.F + a * F, directions=directions, gained=gained
-        )
+        directions, gained = (*old.directions, (d, v, F, Kd)), old.gained + float(a * (r @ v))
+        return replace(old, u=old.u + a * d, v=old.v + a * v, F=old.F + a * F, directions=directions, gained=gained)
 
     def _linearised(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """The iterate, after the layers have been linearised there."""
@@ -277,7 +267,7 @@ class GlobalLocal:
         missing = self._missing_forces(iterate.u)
         missing[self.layers.of_faces(iterate.F)[0]] = 0.0
         d = self.adjoint.displacements(np.arange(self.n), missing)
-        v, F = iterate.v + self.layers.at_faces(d), iterate.F - self._face_forces(self._linear_resistance(d))
+        v, F = iterate.v + self.layers.at_faces(d), iterate.F - self._face_forces(self._resistance(d))
         return replace(iterate, u=iterate.u + d, v=v, F=F, gained=iterate.gained + self._work(missing, d))
 
     def _work(self, forces: Array, d: Array) -> float:
@@ -285,19 +275,17 @@ class GlobalLocal:
         constraints = self.equations.constraints
         forces = constraints.forces(forces).copy()
         forces[constraints.bc_dofs] = 0.0
-        return self._product(forces, constraints.unknowns(d))
+        return self._dot(forces, constraints.unknowns(d))
 
     def newton_step(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """Newton step for layers with non-linear laws: conjugate steps with their tangent, then a line search."""
         aim = self._equilibrate_bodies(iterate)
-        for _ in range(MAX_CONJUGATE_STEPS):
+        for _ in range(MAX_CG_STEPS):
             before, aim = aim.gained, self.step(aim)
-            if aim.gained - before <= MIN_CONJUGATE_GAIN * (aim.gained - iterate.gained):
+            if aim.gained - before <= MIN_CG_GAIN * (aim.gained - iterate.gained):
                 break
         else:
-            too_far = (
-                f"estimate: the interface law is too far from its layer: {MAX_CONJUGATE_STEPS} steps hardly lead to it"
-            )
+            too_far = f"estimate: the interface law is too far from its layer: {MAX_CG_STEPS} steps hardly lead to it"
             raise SolveError(too_far, advice=MESH_REMEDY)
         du, dv, new = aim.u - iterate.u, aim.v - iterate.v, iterate
 
@@ -332,7 +320,7 @@ class GlobalLocal:
         not_found = f"estimate: the structure with its layers is not found in {MAX_NEWTON_STEPS} of Newton's steps"
         raise SolveError(f"{not_found}, at t = {self.state.t:g}", advice=MESH_REMEDY)
 
-    def _product(self, a: Array, b: Array) -> float:
+    def _dot(self, a: Array, b: Array) -> float:
         """Scalar product of vectors (m,), over all ranks."""
         return float(self.model.comm.allreduce(float(a @ b)))
 
@@ -364,55 +352,44 @@ class GlobalLocal:
             between = layers.bregman_divergence(layers.equilibrate_dirichlet(layers.at_faces(u)), borne)
         except SolveError:
             return None
-        in_bodies = self._product(du, self._linear_resistance(du)) / 2
+        in_bodies = self._dot(du, self._resistance(du)) / 2
         lower, upper = (in_bodies + part for part in between)
         return GoalBounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
 
     def is_near(
-        self,
-        iterate: BodyEquilibrium,
-        values: Mapping[str, float],
-        goal_bounds: Mapping[str, GoalBounds],
-        width: float | None,
+        self, last: BodyEquilibrium, values: Mapping[str, float], bounds: Mapping[str, GoalBounds], width: float | None
     ) -> bool:
         """Whether bounds are narrow, and energy and forces of the residual small relative to the steps; see `run`."""
         if width is None:
             return True
-        narrow, share = (
-            all(bounds.is_narrow(values[name], width) for name, bounds in goal_bounds.items()),
-            min(width, DEFAULT_WIDTH),
-        )
-        if not narrow or self.gap(iterate) > share**2 * iterate.gained:
+        narrow, share = all(b.is_narrow(values[name], width) for name, b in bounds.items()), min(width, DEFAULT_WIDTH)
+        if not narrow or self.gap(last) > share**2 * last.gained:
             return False
         # a small energy may hide large forces, as in incompressible layers
-        return norm(self.residual(iterate)) <= share * norm(iterate.F - self._start) + MISSING_FORCE_SHARE * norm(
-            iterate.F
-        )
+        return norm(self.residual(last)) <= share * norm(last.F - self._start) + MISSING_FORCE_SHARE * norm(last.F)
 
     # ---------------------------------------------------------------- goals
-    def bounds(self, at_rest: float, q: Array, iterate: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
+    def bounds(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
         """Bounds of a goal with a value at rest, weights q (m,) on this rank, and z.load in the layers. Collective.
 
         Raises:
             SolveError: forces on the layers are not in equilibrium.
         """
-        r, r_z = self.residual(iterate), self.residual(z)
-        self._require_balance(iterate)
+        r, r_z = self.residual(last), self.residual(z)
+        self._require_balance(last)
         self._require_balance(z)
         (moved, work), (_, work_z) = map(self.layers.compliance, (r, r_z))
         half = math.sqrt(work) * math.sqrt(work_z) / 2 if max(work, work_z) < math.inf else math.inf
-        estimate = self.goal_estimate(at_rest, q, iterate, z)
+        estimate = self.goal_estimate(at_rest, q, last, z)
         middle = float(estimate + r_z @ moved / 2)
-        rounding = float(self.equations.scale.rounding(np.abs(iterate.v).max())[0]) * math.sqrt(self._product(z.u, z.u))
+        rounding = float(self.equations.scale.rounding(np.abs(last.v).max())[0]) * math.sqrt(self._dot(z.u, z.u))
         return GoalBounds(estimate, middle - half, middle + half, rounding)
 
-    def goal_estimate(self, at_rest: float, q: Array, iterate: BodyEquilibrium, z: BodyEquilibrium) -> float:
+    def goal_estimate(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> float:
         """Value of a goal, corrected by the residual on S times the weights; arguments as in `bounds`. Collective."""
-        layers, w, w_z = self.layers, self.inside(iterate), self.inside(z)
-        of_bodies = self._product(q, self.equations.constraints.unknowns(iterate.u)) + self._product(
-            z.u, self._missing_forces(iterate.u)
-        )
-        return float(at_rest + of_bodies + z.load @ w - w_z @ (layers.K @ w - iterate.load))
+        layers, w, w_z = self.layers, self.inside(last), self.inside(z)
+        bulk = self._dot(q, self.equations.constraints.unknowns(last.u)) + self._dot(z.u, self._missing_forces(last.u))
+        return float(at_rest + bulk + z.load @ w - w_z @ (layers.K @ w - last.load))
 
     def work_of_laws(self, u: fem.Function, z: BodyEquilibrium, *, bonded: bool = False) -> Array:
         """Work (m,) of the laws at u in weights z, minus the loads' work on them, distributed over displacements.
@@ -425,13 +402,11 @@ class GlobalLocal:
             pulls[self.equations.constraints.bc_dofs] = 0.0
             return z.u * pulls
         adjoint.forces(self._laws, self.state, u, adjoint.interval)
-        return adjoint.work(self._laws, Configuration(self._function(z.u), self.state.t)) - z.u * adjoint.layer_loads
+        return adjoint.work(self._laws, Configuration(self._field(z.u), self.state.t)) - z.u * adjoint.layer_loads
 
-    def states(self, iterate: BodyEquilibrium) -> tuple[State, State]:
+    def states(self, last: BodyEquilibrium) -> tuple[State, State]:
         """States of the interface model and of its layers at an iterate."""
-        return replace(self.state, u=self._function(iterate.u)), self.layers.state(
-            self.layers.equilibrate_dirichlet(iterate.v)
-        )
+        return replace(self.state, u=self._field(last.u)), self.layers.state(self.layers.equilibrate_dirichlet(last.v))
 
     def run(
         self, goals: Mapping[str, Goal], values: Mapping[str, float], bounds: dict[str, GoalBounds], width: float | None

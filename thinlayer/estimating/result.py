@@ -245,16 +245,14 @@ class Estimate:
     @cached_property
     def sentences(self) -> list[str]:
         """The estimate in sentences."""
-        errors = _fields_sentence(self.traction, self.jump) + [
-            _goal_sentence(name, goal) for name, goal in self.goals.items()
-        ]
+        errors = _fields_text(self.traction, self.jump) + [_goal_text(name, goal) for name, goal in self.goals.items()]
         sentences = [f"{self.dropped}: {', '.join(errors)}"]
         for name, error in self.layers.items():
             where = f" {name}" if len(self.layers) > 1 else ""
             if math.isnan(error.traction):
                 sentences.append(f"the layer{where} bears no traction")
             elif where:
-                sentences.append(f"{name}: {', '.join(_fields_sentence(error.traction, error.jump))}")
+                sentences.append(f"{name}: {', '.join(_fields_text(error.traction, error.jump))}")
         cells = f"for these cells of the bodies, and {self._layers.through} cells through the layer"
         return [*sentences, cells, *self.caveats]
 
@@ -265,12 +263,12 @@ class Estimate:
         return f"Estimate({self})"
 
 
-def _fields_sentence(traction: float, jump: float) -> list[str]:
+def _fields_text(traction: float, jump: float) -> list[str]:
     pairs = (("traction", traction), ("jump", jump))
     return [f"{_percent(error)} in {name}" for name, error in pairs if math.isfinite(error)]
 
 
-def _goal_sentence(name: str, goal: GoalError) -> str:
+def _goal_text(name: str, goal: GoalError) -> str:
     if goal.zero or goal.fixed:
         return f"{name} is zero" if goal.zero else f"no change in {name}"
     if goal.bounded and goal.upper - goal.lower > DEFAULT_WIDTH * abs(goal.change):

@@ -23,20 +23,11 @@ from thinlayer.output.tractions import LawPoints, law_points
 BODIES_BLOCK, LAYER_BLOCK, SURFACE_BLOCK = "bodies", "layer", "S"
 VTK_TENSOR_ORDER = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # VTK's order of symmetric tensors: XX, YY, ZZ, XY, YZ, XZ
 STRESS, VON_MISES = "stress", "von Mises"
-VTK_POLY_LINE = 4  # VTK cell type, straight between nodes, as ParaView does not integrate over curved lines
+POLY_LINE = 4  # VTK cell type, straight between nodes, as ParaView does not integrate over curved lines
 CONTACT_CODES = {NO_CONTACT_STATUS: -1} | {name: code for code, name in enumerate(CONTACT_STATUSES)}
 STATUS_CODES = {name: code for code, name in enumerate(STATUSES)}
 # names of fields; internal variables with these names get the prefix "internal"
-RESERVED_FIELDS = (
-    "u",
-    STRESS,
-    VON_MISES,
-    "region",
-    "seam",
-    "status",
-    "traction",
-    "jump",
-)
+RESERVED_FIELDS = ("u", STRESS, VON_MISES, "region", "seam", "status", "traction", "jump")
 
 
 def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | None:
@@ -156,9 +147,7 @@ def _part(mesh: pyvista.UnstructuredGrid, chosen: BoolArray) -> pyvista.Unstruct
 
 
 # ---------------------------------------------------------------- S
-def _surface_block(
-    state: State, model: InterfaceModel, of_facets: Mapping[str, Array]
-) -> pyvista.UnstructuredGrid | None:
+def _surface_block(state: State, model: InterfaceModel, means: Mapping[str, Array]) -> pyvista.UnstructuredGrid | None:
     """The facets of S, in the joint's order; None on other ranks. Collective.
 
     Each facet has its own nodes. Point data are "traction", "jump", "normal", "u_upper", "u_lower", their mean "u" (to
@@ -170,7 +159,7 @@ def _surface_block(
     Args:
         state: a state of the model, or of another model of the same joint; then there are no statuses and contact data.
         model: an interface model.
-        of_facets: name -> means (n_S, components), on rank 0.
+        means: name -> means (n_S, components), on rank 0.
     """
     joint, d, surface, same_model = model.joint, model.joint.dim, Surface(model), state.model is model
     lower, upper = surface.displacements(state)
@@ -184,10 +173,8 @@ def _surface_block(
     to_nodes = np.linalg.pinv(lagrange(surface.kind, degree).tabulate(0, surface.points)[0, :, :, 0])
     at = {name: np.einsum("nq,dfq->fnd", to_nodes, f) for name, f in fields.items()}
     n, k = at["x"].shape[:2]
-    kind, in_vtk = (
-        (vtk_type(surface.kind, k), vtk_order(surface.kind, k)) if d == 3 else (VTK_POLY_LINE, np.r_[0, 2:k, 1])
-    )
-    cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, in_vtk]]).ravel()
+    kind, order = (vtk_type(surface.kind, k), vtk_order(surface.kind, k)) if d == 3 else (POLY_LINE, np.r_[0, 2:k, 1])
+    cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, order]]).ravel()
     block = pyvista.UnstructuredGrid(cells, np.full(n, kind), _three_components(at.pop("x")))
     block.point_data.update(_nodal_data(at, d))
     block.cell_data["seam"] = joint.seam_numbers
@@ -204,7 +191,7 @@ def _surface_block(
         slip[codes < 0] = np.nan
         block.point_data.update({"contact": codes.ravel(), "slip": _three_components(slip)})
         block.field_data["contact codes"] = _legend(CONTACT_CODES)
-    block.cell_data.update(of_facets)
+    block.cell_data.update(means)
     return block
 
 

@@ -92,16 +92,12 @@ def compare(
 
 def _too_stiff(state: State, seam: str) -> dict[str, float]:
     """Values "too_stiff" of the layers to which it applies, "too_stiff NAME" if there are several seams. Collective."""
-    several = len(state.model.joint.seams) > 1
+    many = len(state.model.joint.seams) > 1
     layers = {
         name: layer for name, layer in state.model.layers.items() if seam in (S, name) and not layer.has_pressure_flow
     }
-    factors = {name: times_too_stiff(state, layer) for name, layer in layers.items()}
-    return {
-        f"too_stiff {name}" if several else "too_stiff": factor
-        for name, factor in factors.items()
-        if factor is not None
-    }
+    ratios = {name: times_too_stiff(state, layer) for name, layer in layers.items()}
+    return {f"too_stiff {name}" if many else "too_stiff": ratio for name, ratio in ratios.items() if ratio is not None}
 
 
 def _state_at(result: Solution, at: float | None) -> State:

@@ -17,28 +17,11 @@ from thinlayer.discretisation.state import State
 from thinlayer.system.compat import interpolate
 
 # nodes of a mirrored tetrahedron of degree 2, in VTK's order; the first four: degree 1
-TET_ORDER = (
-    1,
-    0,
-    2,
-    3,
-    4,
-    6,
-    5,
-    8,
-    7,
-    9,
-)
+TET_ORDER = (1, 0, 2, 3, 4, 6, 5, 8, 7, 9)
 
 # VTK's numbers of cells of degree 1, and of any degree
 LINEAR_TYPES = {"interval": 3, "triangle": 5, "quadrilateral": 9, "tetrahedron": 10, "hexahedron": 12}
-LAGRANGE_TYPES = {
-    "interval": 68,
-    "triangle": 69,
-    "quadrilateral": 70,
-    "tetrahedron": 71,
-    "hexahedron": 72,
-}
+LAGRANGE_TYPES = {"interval": 68, "triangle": 69, "quadrilateral": 70, "tetrahedron": 71, "hexahedron": 72}
 
 
 def vtk_type(cell_type: str, n_nodes: int) -> int:

@@ -45,11 +45,9 @@ def contact_forces(state: State) -> fem.Function:
     model, forces = state.model, fem.Function(state.model.V)
     for name, law in model.contacts.items():
         nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)
-        out = nodes.zero()
-        nodes.add_forces(
-            -law.traction(nodes.separation(state.u.x.petsc_vec), state.memory[model.layers[name].key]), out
-        )
-        forces.x.array[: out.getLocalSize()] += out.array_r
-        destroy(nodes, out)
+        b = nodes.zero()
+        nodes.add_forces(-law.traction(nodes.separation(state.u.x.petsc_vec), state.memory[model.layers[name].key]), b)
+        forces.x.array[: b.getLocalSize()] += b.array_r
+        destroy(nodes, b)
     forces.x.scatter_forward()
     return forces

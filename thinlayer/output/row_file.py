@@ -28,7 +28,7 @@ GENERATOR_MESSAGE = (
     "case, np.random.default_rng(int(case['seed']))"
 )
 FILE_FORMAT = 1  # version of the file's format
-RESUME_ADVICE = "give another name, remove it, or resume='anyway'"
+RESUME_HINT = "give another name, remove it, or resume='anyway'"
 
 
 class RowFile:
@@ -66,15 +66,11 @@ class RowFile:
         content, name = read_sealed(self.path), str(self.path)
         self._changing, self._drawn = {*map(tuple, content["changing"])}, content["drawn"]
         changes = differences(content["made from"], self._made_from)
-        other = [change for change in changes if _changed_path(*change) not in self._changing]
+        new = [change for change in changes if _changed_path(*change) not in self._changing]
         if self._drawn and resume != "anyway":
-            raise InputError(
-                f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR_MESSAGE}; {RESUME_ADVICE}"
-            )
-        if other and resume != "anyway":
-            raise InputError(
-                f"{name!r} is the table of another {self._kind} ({differences_text(other)}); {RESUME_ADVICE}"
-            )
+            raise InputError(f"{name!r} cannot be resumed: its rows were drawn from {GENERATOR_MESSAGE}; {RESUME_HINT}")
+        if new and resume != "anyway":
+            raise InputError(f"{name!r} is the table of another {self._kind} ({differences_text(new)}); {RESUME_HINT}")
         self._rows = content["rows"]
         return [*self._rows]
 

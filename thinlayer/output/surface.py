@@ -52,12 +52,8 @@ class Surface(SurfaceMesh):
         if not model.bonds:
             return self.at_points(layer_tractions(self, state))
         bonded = np.isin(self.seams, model.bonds)
-        reaction = self.reaction(state)
-        return (
-            reaction
-            if bonded.all()
-            else np.where(bonded[:, None], reaction, self.at_points(layer_tractions(self, state)))
-        )
+        R = self.reaction(state)
+        return R if bonded.all() else np.where(bonded[:, None], R, self.at_points(layer_tractions(self, state)))
 
     def reaction(self, state: State) -> Array:
         """(d, n, q) traction whose nodal forces are the bodies' reactions on both sides, linear on each facet.

@@ -86,7 +86,5 @@ def _with_orders(rows: Mapping[float, Row]) -> Table:
     table = Table(rows[e] for e in sorted(rows, reverse=True))
     orders = {order: table.orders(error) for order, error in zip(ORDER_COLUMNS, ERROR_COLUMNS[1:], strict=True)}
     for k, row in enumerate(table.rows):
-        table.rows[k] = (
-            {name: row[name] for name in ERROR_COLUMNS} | {name: orders[name][k] for name in ORDER_COLUMNS} | row
-        )
+        table.rows[k] = {key: row[key] for key in ERROR_COLUMNS} | {key: orders[key][k] for key in ORDER_COLUMNS} | row
     return table

@@ -33,7 +33,7 @@ from thinlayer.pointwise.quadrature import Quadrature
 from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
 
 UNNAMED_MEMORY = "memory"  # name of the internal values of a law that does not name them
-_MODEL_QUADRATURES: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
+_QUADRATURES: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +91,10 @@ def law_points(state: State) -> Iterator[LawPoints]:
     """Yield the points of all laws of a state, bodies first, then layers, without contact laws. Collective."""
     model = state.model
     keys = {id(q.term): key for key, q in model.quadratures.items()}
-    if model not in _MODEL_QUADRATURES:
-        compiled = {id(q.term): q for q in model.quadratures.values()}
-        _MODEL_QUADRATURES[model] = [
-            compiled.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms
-        ]
-    for base, term, quadrature in zip(model.terms, state.bodies + state.layers, _MODEL_QUADRATURES[model], strict=True):
+    if model not in _QUADRATURES:
+        of_term = {id(q.term): q for q in model.quadratures.values()}
+        _QUADRATURES[model] = [of_term.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms]
+    for base, term, quadrature in zip(model.terms, state.bodies + state.layers, _QUADRATURES[model], strict=True):
         yield LawPoints(state, term, quadrature, keys.get(id(base), ""))
 
 

@@ -185,10 +185,8 @@ class Zoom:
         ends, pairs = straight_ends(free, self._one.sheet), []
         every = points[np.unique(free.vertices)]
         for end in ends:
-            others = [
-                other.adjoins(every) & (other.distance(every) <= SINGLE_END_DISTANCE * self.eps) for other in ends
-            ]
-            x = every[end.has(every) & (np.sum(others, axis=0) == 1)]
+            near = [other.adjoins(every) & (other.distance(every) <= SINGLE_END_DISTANCE * self.eps) for other in ends]
+            x = every[end.has(every) & (np.sum(near, axis=0) == 1)]
             if len(x):
                 pairs.append((end, x[np.argsort(x @ end.along)]))
         return pairs

@@ -47,12 +47,10 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
     """
     parts: list[Part] = [*_form_parts(model, model.layer_terms, "forms"), *_compiled_parts(model, model.layer_terms)]
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
-        largest = _largest_at_rest(model, bodies or parts)
+        scale = _largest_at_rest(model, bodies or parts)
         joint = model.domain.joint  # its vertices are those of the mesh; `model.joint` is the joint before inflating
         masters = joint.masters if joint.periods else None
-        parts += [
-            PressurePart(model.V, p, largest, model.origin, _free_vertices(model, p), masters) for p in constrained
-        ]
+        parts += [PressurePart(model.V, p, scale, model.origin, _free_vertices(model, p), masters) for p in constrained]
     for name, law in model.contacts.items():
         parts.append(ContactPart(law, ContactSurface.of(model, name), bc_dofs, model.layers[name].key))
     return parts

@@ -26,7 +26,7 @@ from thinlayer.pointwise.quadrature import MeshOrigin
 from thinlayer.system.ranks import destroy
 
 ASYMMETRY_TOLERANCE = 1e-8  # skew part of a tangent, relative to its size, that still counts as rounding error
-PARAMETER_TOLERANCE = 1e-12  # relative difference of parameters at several times that counts as rounding error
+CHANGE_TOLERANCE = 1e-12  # relative difference of parameters at several times that counts as rounding error
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a step at which parameters are sampled for changes in time
 
 
@@ -223,16 +223,14 @@ class CompiledPart(Part):
         """Whether the parameters of each sublayer change in time, sampled at `times` and between them. Collective."""
         points = self.points
         points.at_time(times[0])
-        first = points.material.of_sublayers
-        change = np.zeros(len(first), int)
+        old = points.material.of_sublayers
+        vary = np.zeros(len(old), int)
         for a, b in pairwise(times if points.material.varies else ()):
             for share in (*SAMPLE_FRACTIONS, 1.0):
                 points.at_time(a + share * (b - a))
                 now = points.material.of_sublayers
-                change |= [
-                    not np.allclose(*both, rtol=PARAMETER_TOLERANCE, atol=0.0) for both in zip(first, now, strict=True)
-                ]
-        return np.asarray(self.comm.allreduce(change) > 0)
+                vary |= [not np.allclose(*both, rtol=CHANGE_TOLERANCE, atol=0.0) for both in zip(old, now, strict=True)]
+        return np.asarray(self.comm.allreduce(vary) > 0)
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
         if self._in_body:

@@ -50,14 +50,11 @@ class CompiledLaw:
         Raises:
             InputError: a law of another kind, or parameters of another shape.
         """
-        if (
-            _code_identities(law) != _code_identities(self.law)
-            or [len(numbers) for numbers in _parameter_numbers(law)] != self._counts.tolist()
-        ):
+        if _identities(law) != _identities(self.law) or [len(p) for p in _parameters(law)] != self._counts.tolist():
             raise InputError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
         self._current = law
         if not law.traits.varies:
-            self.parameters = np.concatenate(_parameter_numbers(law))
+            self.parameters = np.concatenate(_parameters(law))
 
     @property
     def varies(self) -> bool:
@@ -157,11 +154,11 @@ def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
     return varying
 
 
-def _code_identities(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
+def _identities(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
     """Class and choices of each sublayer, which determine its compiled code."""
     return [(type(sublayer), repr(sublayer.choices())) for _, sublayer in law.sublayers]
 
 
-def _parameter_numbers(law: BulkLaw) -> list[Array]:
+def _parameters(law: BulkLaw) -> list[Array]:
     """Parameters (n_k,) of each sublayer k."""
     return [sublayer.parameter_values() for _, sublayer in law.sublayers]

@@ -17,7 +17,7 @@ from forms.tensors import MANDEL_BASIS, MANDEL_PAIRS, Expr, mandel_vector
 from forms.work import Term
 from thinlayer.pointwise.columns import Switching
 from thinlayer.pointwise.compiled_law import CompiledLaw
-from thinlayer.pointwise.quadrature import TRACE_COMPONENTS, MeshOrigin, Quadrature, add_distributed, assemble_matrix
+from thinlayer.pointwise.quadrature import TRACE_SLOTS, MeshOrigin, Quadrature, add_distributed, assemble_matrix
 from thinlayer.system.ranks import destroy, errors_on_all
 
 # size of a tangent below which underflow may have lost digits
@@ -306,6 +306,4 @@ class MeanVolume(Projection):
             centred = x - x.mean(axis=1, keepdims=True)
             size = np.abs(centred).max(axis=(1, 2), keepdims=True, initial=0)
             basis = np.concatenate([basis, centred / size], axis=2)
-        super().__init__(
-            points, [(points.cells, basis)], np.full((len(TRACE_COMPONENTS),) * 2, 1 / len(TRACE_COMPONENTS))
-        )
+        super().__init__(points, [(points.cells, basis)], np.full((len(TRACE_SLOTS),) * 2, 1 / len(TRACE_SLOTS)))

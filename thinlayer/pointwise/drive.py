@@ -113,17 +113,13 @@ def drive(
         """History of the steps so far; `states[0]` is the state at rest."""
         rows: Any = states[1:]
 
-        def column(name: str, *shape: int) -> Array:
+        def data(name: str, *shape: int) -> Array:
             return np.array([getattr(row, name) for row in rows], float).reshape(len(rows), *shape)
 
-        w, traction, stress = (
-            column("w", len(normal)),
-            column("traction", len(normal)),
-            mandel_tensors(column("stress", 6)),
-        )
-        energies = column("energies", 3) if law.traits.has_energy else np.full((len(rows), 3), np.nan)
-        memory = column("memory", point.material.memory)
-        return PointHistory(normal, column("t"), w, traction, stress, memory, energies, np.array(parts, int))
+        w, traction, stress = (data("w", len(normal)), data("traction", len(normal)), mandel_tensors(data("stress", 6)))
+        energies = data("energies", 3) if law.traits.has_energy else np.full((len(rows), 3), np.nan)
+        memory = data("memory", point.material.memory)
+        return PointHistory(normal, data("t"), w, traction, stress, memory, energies, np.array(parts, int))
 
     for k, (jumps_given, goal) in enumerate(path):
         try:

@@ -19,10 +19,7 @@ MAX_NEWTON_STEPS, MAX_HALVINGS = 60, 25  # limits of Newton iterations, and of t
 MIN_STEP_FRACTION = 2.0**-10  # smallest fraction of a step that is tried
 MAX_NULL_STEP = 2.0**25  # longest step along a null vector of a singular tangent, relative to the elastic step
 # relative error of tractions: target; largest accepted error if Newton's method stagnates
-TRACTION_TOLERANCE, STAGNATION_TOLERANCE = (
-    1e-12,
-    1e-9,
-)
+TRACTION_TOLERANCE, STAGNATION_TOLERANCE = (1e-12, 1e-9)
 
 
 class MaterialPointState(NamedTuple):

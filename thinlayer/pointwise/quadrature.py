@@ -28,7 +28,7 @@ from thinlayer.pointwise.columns import Columns
 from thinlayer.system.compat import compiled, create_submesh
 from thinlayer.system.ranks import communicator
 
-TRACE_COMPONENTS = (0, 1, 2)  # Mandel components whose sum is the trace
+TRACE_SLOTS = (0, 1, 2)  # Mandel components whose sum is the trace
 MEASURE_OF_INTEGRAL = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "dS"}
 
 
@@ -179,7 +179,7 @@ class Quadrature:
         """Mandel components that strains may have here; the others are zero."""
         e_0, of_strains = self.term.prescribed_strain, self.term.kinematics.slots(self.dim)
         if self.term.volume is not None:
-            of_strains = (*of_strains, *TRACE_COMPONENTS)
+            of_strains = (*of_strains, *TRACE_SLOTS)
         of_given = [k for k, pair in enumerate(MANDEL_PAIRS) if e_0 is not None and not isinstance(e_0[pair], Zero)]
         return sorted({*of_strains, *of_given})
 
@@ -327,13 +327,11 @@ def assemble_values(form: fem.Form | None, count: int) -> Any:
     return values
 
 
-def add_distributed(
-    density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, out: PETSc.Vec, maps: Any = None
-) -> None:
+def add_distributed(density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, b: PETSc.Vec, maps: Any = None) -> None:
     """Add the integral of a density to the first displacement component at nodes, distributed by shape functions.
 
     On S these are the shape functions of the upper side. As they add up to one, the entries add up to the integral.
     """
     v = ufl.TestFunction(V)
     v = v("+") if measure.integral_type() == "interior_facet" else v
-    add_assembled_forces(out, compiled(density * v[0] * measure, maps))
+    add_assembled_forces(b, compiled(density * v[0] * measure, maps))

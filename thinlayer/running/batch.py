@@ -22,7 +22,7 @@ from thinlayer.system.folder import lock_folder
 from thinlayer.system.progress import report
 from thinlayer.system.version import print_safely
 
-STATUS_WORDS = {OK: "all checks hold", CHECK_FAILED: "a check fails", UNFINISHED: "not finished"}
+EXIT_TEXT = {OK: "all checks hold", CHECK_FAILED: "a check fails", UNFINISHED: "not finished"}
 LOG_SUFFIX = ".log"
 POLL_SECONDS = 0.1  # s between looks at the processes
 
@@ -116,7 +116,7 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
     )
     cores = len(os.sched_getaffinity(0)) if at_a_time is None else at_a_time
     require(cores >= 1, "studies at a time, -j", cores, "allowed: 1 or more")
-    waiting, statuses = sorted(jobs, key=lambda job: -job.seconds), [OK]
+    waiting, codes = sorted(jobs, key=lambda job: -job.seconds), [OK]
     running: dict[Job, tuple[subprocess.Popen[bytes] | None, float]] = {}
     with lock_folder(out, ".batch"), report("studies") as tell, ExitStack() as ends:
         ends.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, signal.default_int_handler))
@@ -124,18 +124,14 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
             for job in waiting[: cores - len(running)]:
                 waiting.remove(job)
                 running[job] = job.start(ends), time.monotonic()
-            for job, (process, start) in [*running.items()]:
-                if process is None or process.poll() is not None:
+            for job, (child, start) in [*running.items()]:
+                if child is None or child.poll() is not None:
                     del running[job]
-                    statuses.append(job.status())
-                    spent = (
-                        f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG_SUFFIX}" if process else "done before"
-                    )
-                    print_safely(
-                        f"{len(statuses) - 1} of {len(jobs)}  {job.folder.name}: {STATUS_WORDS[statuses[-1]]} ({spent})"
-                    )
-            now = f"{len(statuses) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
+                    codes.append(job.status())
+                    took = f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG_SUFFIX}" if child else "done before"
+                    print_safely(f"{len(codes) - 1} of {len(jobs)}  {job.folder.name}: {EXIT_TEXT[codes[-1]]} ({took})")
+            now = f"{len(codes) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
             left, whole = (sum(job.seconds for job in some) for some in ([*waiting, *running], jobs))
             tell(1 - left / whole, now)
             time.sleep(POLL_SECONDS)
-    return max(statuses)
+    return max(codes)

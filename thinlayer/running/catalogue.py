@@ -13,9 +13,7 @@ from typing import Any
 
 STUDIES_FOLDER = Path(__file__).parents[2] / "studies"
 BENCHMARKS_FOLDER = STUDIES_FOLDER.parent / ".ci/benchmarks"  # only in a clone
-STUDY_LISTS = [
-    path for path in (STUDIES_FOLDER / "data/studies.toml", BENCHMARKS_FOLDER / "studies.toml") if path.exists()
-]
+STUDY_LISTS = [p for p in (STUDIES_FOLDER / "data/studies.toml", BENCHMARKS_FOLDER / "studies.toml") if p.exists()]
 # group -> study -> seconds, see `Study`
 STUDY_GROUPS: dict[str, dict[str, list[float]]] = tomllib.loads(
     "\n".join(path.read_text(encoding="utf-8") for path in STUDY_LISTS)

@@ -121,13 +121,11 @@ def _draw(record: Record, case: DescribedCase, name: str, estimate: Estimate) ->
             record.say(f"  {goal}: {shares}")
         path, length = record.path(f"{stem}.png"), case.description.units[0] if case.description.units else ""
         shown = goal.replace("$", r"\$")  # a plain dollar sign, no formula
-        quantity, surface = f"change of {shown}, per area of S", Surface(estimate.better.model)
+        label, surface = f"change of {shown}, per area of S", Surface(estimate.better.model)
         if surface.joint.dim == 2:
-            plotting.along(surface, {quantity: density}, save=path, length=length, log=True)
+            plotting.along(surface, {label: density}, save=path, length=length, log=True)
         else:
-            plotting.on_surface(
-                estimate.better, density, plotting.View(scale=0.0), save=path, quantity=quantity, log=True
-            )
+            plotting.on_surface(estimate.better, density, plotting.View(scale=0.0), save=path, quantity=label, log=True)
 
 
 def _near_ends(estimate: Estimate, goal: str, density: Array) -> str:

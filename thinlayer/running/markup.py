@@ -15,7 +15,7 @@ from forms.base import InputError
 
 DATA_FOLDER = Path(__file__).parents[2] / "studies" / "data"  # data of the paper's page, and names of signs
 SIGN_ENTITIES: dict[str, str] = tomllib.loads((DATA_FOLDER / "signs.toml").read_text(encoding="utf-8"))
-COMBINING_ACCENTS = {"bar": "\u0304", "dot": "\u0307"}
+ACCENTS = {"bar": "\u0304", "dot": "\u0307"}
 MARKUP_PATTERN = re.compile(r"\$([^$]+)\$|`([^`]+)`|\*\*([^*]+)\*\*|\[([^\]]+)\]\(([^)\s]+)\)")
 
 
@@ -45,14 +45,10 @@ def formula_of(tex: str) -> str:
         text = SIGN_ENTITIES.get(match[1][1:], match[1]) if match[1][0] == "\\" else match[1]
         return f"<i>{text}{match[2]}</i>" if len(text) == 1 and text.isalpha() else text
 
-    done = re.sub(
-        r"\\(bar|dot)\s*\{?(\\[a-z]+|\w)\}?", lambda match: match[2] + COMBINING_ACCENTS[match[1]], html.escape(tex)
-    )
+    done = re.sub(r"\\(bar|dot)\s*\{?(\\[a-z]+|\w)\}?", lambda match: match[2] + ACCENTS[match[1]], html.escape(tex))
     done = re.sub(r"(\\[A-Za-z]+|\\.|&\w+;|[A-Za-z-])([\u0304\u0307]?)", sign, done.replace("-", "\\-"))
     for raised, tag in (("_", "sub"), (r"\^", "sup")):
         done = re.sub(rf"{raised}(?:\{{([^{{}}]*)\}}|(<i>.*?</i>|.))", rf"<{tag}>\1\2</{tag}>", done)
-    if left := re.search(r"[\\{}]\w*", done):
-        raise InputError(
-            f"the formula {tex!r} has {left[0]!r}: no name of {DATA_FOLDER / 'signs.toml'}, no simple group"
-        )
+    if m := re.search(r"[\\{}]\w*", done):
+        raise InputError(f"the formula {tex!r} has {m[0]!r}: no name of {DATA_FOLDER / 'signs.toml'}, no simple group")
     return done

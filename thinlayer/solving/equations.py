@@ -75,23 +75,19 @@ class Equations(PartSum):
         added = [part for addition in model.parts if (part := addition.part(model)) is not None]
         self._own_parts = [*self.layers, *added]
         super().__init__([*kept.bodies, *self._own_parts])
-        self._layout = UnknownLayout(
-            self.comm, {DISPLACEMENT_KEY: self.u, **{part.key: part.field for part in self.with_own}}
-        )
+        self._layout = UnknownLayout(self.comm, {DISPLACEMENT_KEY: self.u, **{p.key: p.field for p in self.with_own}})
         kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
         self.factor = kept.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENT_KEY]
         self._T = self._layout.widened(self.constraints.T)
         self._product: PETSc.Mat | None = None
         self.bc_dofs = self._prescribed(None)[0].astype(np.int32)
-        diagonal = diagonal_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
-        self._rigid = RigidMotions(model, float(diagonal.norm()))
+        diag = diagonal_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
+        self._rigid = RigidMotions(model, float(diag.norm()))
         (self.block_of, self.within), self.last_body = self._rigid.blocks, [None, *kept.bodies][-1]
         self.n_blocks = self.within.shape[0]
-        self.scale = ForceScale(
-            self.norms(diagonal.array_r), max([0.0, *self.call_optional("cancelling")]), self.within
-        )
-        self.mean_stiffness = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
+        self.scale = ForceScale(self.norms(diag.array_r), max([0.0, *self.call_optional("cancelling")]), self.within)
+        self.mean_stiffness = float(diag.norm(PETSc.NormType.NORM_1)) / diag.getSize()
         self._reactions = SupportReactions(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
         self.homotopy_parameter, self._relative_residual = 0.0, 0.0
@@ -332,19 +328,16 @@ class Equations(PartSum):
         Raises:
             SolveError: x is no equilibrium, even if the solver converged. LooseBody: parts released a body.
         """
-        out, old = self.vector(), self.vector()
+        out, x0 = self.vector(), self.vector()
         self.residual(x, out)
         self.require_equilibrium(out)
         if self.traits.releases:
             self.require_unique(out)
         self._require_bounded_jumps()
-        self.put_state(self.interval.old, old)
-        bc_forces, before = out.array_r[self.bc_dofs], self.interval.old.u.x.array
-        moved, change = (
-            x.array_r[self.bc_dofs] - old.array_r[self.bc_dofs],
-            (self.u.x.array - before)[: self.n_displacements],
-        )
-        works = bc_forces @ x.array_r[self.bc_dofs], bc_forces @ moved + self.loads.array_r @ change
+        self.put_state(self.interval.old, x0)
+        bc_forces, u0 = out.array_r[self.bc_dofs], self.interval.old.u.x.array
+        moved, du = x.array_r[self.bc_dofs] - x0.array_r[self.bc_dofs], (self.u.x.array - u0)[: self.n_displacements]
+        works = bc_forces @ x.array_r[self.bc_dofs], bc_forces @ moved + self.loads.array_r @ du
         prescribed_work, supplied = map(float, self.comm.allreduce(np.array(works)))
         outcomes, end = self.end_parts(self.u, self.interval.t)
         end = replace(end, reactions=self.reactions())

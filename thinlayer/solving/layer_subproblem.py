@@ -38,7 +38,7 @@ NEWTON_TOLERANCE = 1e-9  # relative change by a Newton step, in the energy norm,
 MIN_STEP_RATIO, MAX_SHORTENINGS = 0.1, 8  # least ratio of successive lengths of a step, and number of such reductions
 WORK_SUBSTEPS = 32  # number of substeps of the line between two displacements over which work is summed
 MAX_WORK_DIFFERENCE = 0.01  # largest relative difference of the work of face forces and the energy of their response
-INDEPENDENCE_TOLERANCE = 1e-9  # least singular value of independent motions, over the largest
+RANK_TOLERANCE = 1e-9  # least singular value of independent motions, over the largest
 
 
 class DirichletLayers:
@@ -61,7 +61,7 @@ class DirichletLayers:
         self.model, self.K = model, scipy.sparse.csr_matrix((0, 0))
         self._equations = equations = Equations(model)  # on this rank only: freed with the layers
         self._x, self._out = equations.vector(), equations.vector()
-        self._displacements, n = equations.n_displacements, self._x.getLocalSize()
+        self._n_u, n = equations.n_displacements, self._x.getLocalSize()
         self.forces, self.values, self._at_sides = np.zeros(n), np.zeros(n), np.zeros(n, bool)
         self._at_sides[equations.bc_dofs] = True
         self.begin(self.rest(t), t)
@@ -90,10 +90,7 @@ class DirichletLayers:
         """Begin a step from a configuration of the layers to a time, and linearise at its start."""
         equations = self._equations
         equations.begin(TimeStep(old, t, t - old.t, 1.0))
-        self.forces[: self._displacements], self.values[equations.bc_dofs] = (
-            equations.loads.array_r,
-            equations.prescribed,
-        )
+        self.forces[: self._n_u], self.values[equations.bc_dofs] = equations.loads.array_r, equations.prescribed
         equations.put_state(old, self._x)
         self.linearise(self._x.array_r.copy())
 
@@ -152,9 +149,9 @@ class DirichletLayers:
             self.linearise(w)
             d = np.zeros_like(w)
             first = factor().solve(forces - self.residual(w), d)
-            rounding = ROUNDING_SHARE * np.abs(w[: self._displacements]).max(initial=0.0)
+            rounding = ROUNDING_SHARE * np.abs(w[: self._n_u]).max(initial=0.0)
             if first <= max(NEWTON_TOLERANCE**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
-                if factor().negative_pivots > self._inside[self._displacements :].sum():  # one for each pressure
+                if factor().negative_pivots > self._inside[self._n_u :].sum():  # one for each pressure
                     raise SolveError(
                         "the layer by itself softens: its stress falls as strains grow", advice=MESH_REMEDY
                     )
@@ -167,7 +164,7 @@ class DirichletLayers:
     def motion_of(self, place: Place, direction: Array) -> Array:
         """(n,) motion g of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
         out = np.zeros(len(self.load))
-        out[: self._displacements] = -self.model.constraints.dual_to_resultant(self.model.holder_rows(place), direction)
+        out[: self._n_u] = -self.model.constraints.dual_to_resultant(self.model.holder_rows(place), direction)
         return out
 
     def in_refined_cells(self, w: Array, fine: DirichletLayers) -> Array:
@@ -179,10 +176,10 @@ class DirichletLayers:
         X = divided.in_parents(interpolation_points(V))
         shapes = element.tabulate(0, X.reshape(-1, d))[0, :, :, 0].reshape(*X.shape[:2], -1)
         parent_dofs = self.model.V.dofmap.list[_local_cells(self.model, self.model.domain.joint)[divided.parent]]
-        nodal = w[: self._displacements].reshape(-1, d)[parent_dofs]
+        nodal = w[: self._n_u].reshape(-1, d)[parent_dofs]
         values = np.einsum("iq,nqk,nkd->nid", element.interpolation_matrix, shapes, nodal)
         out = np.zeros(len(fine.load))
-        out[: fine._displacements].reshape(-1, d)[V.dofmap.list] = values[fine.model.domain.original_cells]
+        out[: fine._n_u].reshape(-1, d)[V.dofmap.list] = values[fine.model.domain.original_cells]
         return out
 
 
@@ -231,26 +228,24 @@ class LayerSubproblem(DirichletLayers):
         """Work (k,) of the stresses at w in the strains of z, minus the loads' work, distributed over displacements."""
         self.residual(w)
         strained, nodal_work = fem.Function(self.model.V), fem.Function(self.model.V)
-        strained.x.array[:] = z[: self._displacements]
+        strained.x.array[:] = z[: self._n_u]
         for part in self._equations.layers:
             if hasattr(part, "add_work_in"):
                 part.add_work_in(strained, nodal_work.x.petsc_vec)
-        return np.asarray(nodal_work.x.array - (z * self.forces)[: self._displacements])
+        return np.asarray(nodal_work.x.array - (z * self.forces)[: self._n_u])
 
     def _motions(self, free: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Orthonormal motions without energy (n, m), and a mask (n,) of m unknowns that fix them."""
         model, pins, null_spaces = self.model, np.zeros(len(free), bool), []
         motions = model_motions(model).values()
         rigid = np.zeros((len(free), len(motions)))
-        rigid[: self._displacements] = np.column_stack([motion.x.array[: self._displacements] for motion in motions])
+        rigid[: self._n_u] = np.column_stack([motion.x.array[: self._n_u] for motion in motions])
         count, piece = connected_components(self.K, directed=False)
         for k in range(count):
             mine = np.flatnonzero(piece == k)
             some = rigid[mine]
-            some = some @ scipy.linalg.null_space(
-                np.vstack([some[~free[mine]], 0 * some[:1]]), rcond=INDEPENDENCE_TOLERANCE
-            )
-            some = scipy.linalg.orth(some, rcond=INDEPENDENCE_TOLERANCE) if some.any() else some[:, :0]
+            some = some @ scipy.linalg.null_space(np.vstack([some[~free[mine]], 0 * some[:1]]), rcond=RANK_TOLERANCE)
+            some = scipy.linalg.orth(some, rcond=RANK_TOLERANCE) if some.any() else some[:, :0]
             _, _, order = scipy.linalg.qr(some[free[mine]].T, pivoting=True)
             pins[mine[free[mine]][order[: some.shape[1]]]] = True
             null_spaces.append(np.zeros((len(free), some.shape[1])))

@@ -99,14 +99,12 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
     if any(isinstance(part, PressurePart) for part in parts):
         if chosen in MULTIGRID_TYPES:
             raise InputError(f"pc_type {chosen} cannot solve for the pressures of a layer, too; use pc_type fieldsplit")
-        factorising = [direct, {**direct, **LENIENT_OPTIONS}]
+        attempts = [direct, {**direct, **LENIENT_OPTIONS}]
         unsuited = [part.key for part in parts if isinstance(part, FieldPart) and not part.on_S]
         if chosen == "fieldsplit" and unsuited:
             others = f"the unknowns {unsuited[0]!r} are others (of a meshed layer, a plate or a mean stress)"
             raise InputError(f"pc_type fieldsplit is for displacements and pressures on S; {others}")
-        return (
-            [FIELD_SPLIT_OPTIONS, *factorising] if chosen == "fieldsplit" or (large and not unsuited) else factorising
-        )
+        return [FIELD_SPLIT_OPTIONS, *attempts] if chosen == "fieldsplit" or (large and not unsuited) else attempts
     iterative = {**MULTIGRID_OPTIONS, "ksp_type": "cg" if model.symmetric else "gmres"}
     if chosen in MULTIGRID_TYPES:
         return [iterative]

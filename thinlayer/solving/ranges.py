@@ -67,16 +67,13 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
     for layer in _strain_layers(model):
         for key, remark in _model_remarks(model, layer, lasting):
             model.warn(key, remark, layer.name)
-    for name, reduction in model.applicability.items() if model.broken else ():
-        if reduction.seam_layer.has_pressure_flow and reduction.is_coarse.any():
-            delta, largest = (
-                reduction.pressure_lengths[reduction.is_coarse].min(),
-                reduction.loose[reduction.is_coarse].depth.max(),
-            )
-            what = f"the pressure of {reduction.seam_layer} falls to zero at free ends over delta = {delta:.3g}"
+    for name, r in model.applicability.items() if model.broken else ():
+        if r.seam_layer.has_pressure_flow and r.is_coarse.any():
+            delta, largest = r.pressure_lengths[r.is_coarse].min(), r.loose[r.is_coarse].depth.max()
+            what = f"the pressure of {r.seam_layer} falls to zero at free ends over delta = {delta:.3g}"
             remedy = "it is not set to zero there, as if they were held; make cells there shorter"
             model.warn("coarse ends", f"{what}, and cells there are up to {largest:.3g} long: {remedy}", name)
-        if refused := reduction.why_not("sides"):
+        if refused := r.why_not("sides"):
             model.warn(refused.key, f"{refused.reason}: what it bears is left out; {refused.remedy}", name)
 
 
@@ -213,45 +210,38 @@ def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
         yield "facets", f"{what}: a slip along S opens the layer there, which {effect} by the mesh alone; {remedy}"
 
 
-def _thickness_remarks(model: Model, seam_layer: SeamLayer, sublayers: list[RestingSublayer]) -> Iterator[Remark]:
+def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSublayer]) -> Iterator[Remark]:
     """Warnings about a layer that is thicker than a body, harder than a body, or between plates that bend.
 
     The law of a layer is the start of a series in eps over the length scale of its stresses. Order 0 neglects eps
     grad_S <u>, about eps t/E_body, in a jump of about eps t/E_layer.
     """
     # on one rank, as heights need memory for all cells
-    height, layer = on_root(model.comm, lambda: min(seam_layer.sheet.heights)), seam_layer.thin_layer
-    assert layer
-    if layer.eps > height:
-        what = f"{seam_layer} is {layer.eps:.4g} thick, the thinner body {height:.4g} high"
+    height, thin_layer = on_root(model.comm, lambda: min(layer.sheet.heights)), layer.thin_layer
+    assert thin_layer
+    if thin_layer.eps > height:
+        what = f"{layer} is {thin_layer.eps:.4g} thick, the thinner body {height:.4g} high"
         remedy = "mesh the layer (structure.full), or check eps"
         yield "thick", f"{what}: the interface law is for thicknesses well below that of the bodies; {remedy}"
-    if layer.order == 1 or not sublayers or any(C is None for C in model.structure.bodies_at_rest):
+    if thin_layer.order == 1 or not sublayers or any(C is None for C in model.structure.bodies_at_rest):
         return
-    softest = min(
-        in_plane_modulus(C, seam_layer.initial_tangents.n) for C in model.structure.bodies_at_rest if C is not None
-    )
+    softer = min(in_plane_modulus(C, layer.initial_tangents.n) for C in model.structure.bodies_at_rest if C is not None)
     hardest = max(sublayer.along for sublayer in sublayers)
-    if hardest > softest > 0:
-        what = f"{seam_layer} is {hardest / softest:.3g} times as hard as the softer body (moduli in the plane of S)"
+    if hardest > softer > 0:
+        what = f"{layer} is {hardest / softer:.3g} times as hard as the softer body (moduli in the plane of S)"
         remedy = "use order=1, mesh the layer (structure.full), or check its parameters"
         yield "hard", f"{what}: its jump is less than what order 0 leaves out; {remedy}"
     length, mean = (
-        float(np.ptp(seam_layer.sheet.joint.points[seam_layer.sheet.vertices], axis=(0, 1)).max()),
-        np.mean(seam_layer.sheet.heights),
+        float(np.ptp(layer.sheet.joint.points[layer.sheet.vertices], axis=(0, 1)).max()),
+        np.mean(layer.sheet.heights),
     )
-    if (
-        len(seam_layer.sheet.heights) == 2
-        and seam_layer.sheet.planar
-        and length > SLENDERNESS * 2 * mean
-        and softest > 0
-    ):
+    if len(layer.sheet.heights) == 2 and layer.sheet.planar and length > SLENDERNESS * 2 * mean and softer > 0:
         # two beams of equal height under a half-wave of load; without the thickness the lever of their forces is mean,
         # not mean + eps
-        slip = 2 * jump_stiffness(seam_layer)[1] * (length / math.pi) ** 2 / (softest * mean)
-        error = 6 * slip / (1 + 4 * slip) * layer.eps / mean
+        slip = 2 * jump_stiffness(layer)[1] * (length / math.pi) ** 2 / (softer * mean)
+        error = 6 * slip / (1 + 4 * slip) * thin_layer.eps / mean
         if error > MIN_STIFFNESS_ERROR / 2:
-            what = f"{seam_layer} joins plates {mean:.4g} high, and order 0 has them meet on S, without its thickness"
+            what = f"{layer} joins plates {mean:.4g} high, and order 0 has them meet on S, without its thickness"
             yield "plates", f"{what} between: if they bend, they do so about {error:.2g} too much; use order=1"
 
 

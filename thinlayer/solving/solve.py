@@ -203,21 +203,18 @@ class Solver(AbstractContextManager["Solver"]):
         if method in METHODS:
             return [(method, {})]
         ways = [
-            (method, options)
-            for options in linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._given))
+            (method, ksp) for ksp in linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._given))
         ]
         return ways[:1] if is_set("ksp_type", self._given) or is_set("pc_type", self._given) else ways
 
     def _finder_of(self, method: str) -> EquilibriumSolver:
         """Solver of a method, created at its first use."""
         if method not in self._finders:
-            made = (
-                SOLVER_OF_METHOD[method](self.equations, self._like) if method in METHODS else self._equilibrium(method)
-            )
+            made = SOLVER_OF_METHOD[method](self.equations, self._like) if method in METHODS else self._newton(method)
             self._finders[method] = made
         return self._finders[method]
 
-    def _equilibrium(self, method: str) -> NewtonSolver:
+    def _newton(self, method: str) -> NewtonSolver:
         own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
         advice = "a march from less (loads may have a limit)" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
         if self.model.contact:
@@ -318,25 +315,19 @@ class Solver(AbstractContextManager["Solver"]):
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[SolveAttempt]:
         """Attempts in the order in which they are tried: every method with its linear solvers, then a homotopy."""
-        traits, contact, attempts = (
-            self.equations.traits,
-            CONTACT_OPTIONS if self.model.contact else {},
-            list[SolveAttempt](),
-        )
+        has, contact, out = self.equations.traits, CONTACT_OPTIONS if self.model.contact else {}, list[SolveAttempt]()
         newton = (
-            NEWTON_OPTIONS
-            | (YIELDING_OPTIONS if self.yields else SINGULAR_OPTIONS if traits.singular else {})
-            | contact
+            NEWTON_OPTIONS | (YIELDING_OPTIONS if self.yields else SINGULAR_OPTIONS if has.singular else {}) | contact
         )
         for method, linear in self._solve_ways:
             name = ", ".join(filter(None, (method, str(linear.get("pc_type", "")))))
             options = newton if method == "newton" else FAIL_FAST if len(self._solve_ways) > 1 else {}
-            attempts.append(SolveAttempt(name, (method, linear), options))
-        last = attempts[-1]
-        if traits.has_homotopy and self._finder.has_homotopy:
+            out.append(SolveAttempt(name, (method, linear), options))
+        last = out[-1]
+        if has.has_homotopy and self._finder.has_homotopy:
             options = {**last.options, **(CONTACT_HOMOTOPY_OPTIONS if contact else {})}
-            attempts.append(replace(last, name="eased laws", options=options, uses_homotopy=True))
-        return attempts
+            out.append(replace(last, name="eased laws", options=options, uses_homotopy=True))
+        return out
 
     def _try_in_turn(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
         """Solution of the first successful attempt, with the iterations of all, and the number of homotopy solves.
@@ -354,9 +345,7 @@ class Solver(AbstractContextManager["Solver"]):
             if why:
                 self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, why)
             try:
-                solution, solves = (
-                    self._through_eased_laws(attempt) if attempt.uses_homotopy else (self._try(attempt, start), 0)
-                )
+                solution, solves = self._try_eased(attempt) if attempt.uses_homotopy else (self._try(attempt, start), 0)
             except SolveError as error:
                 why = f"{attempt.name} failed: {error.reason}"
                 if attempt.way == self._solve_ways[-1]:
@@ -391,7 +380,7 @@ class Solver(AbstractContextManager["Solver"]):
                 self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *done)
                 return solution
 
-    def _through_eased_laws(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
+    def _try_eased(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
         """Lower the continuation parameter from 1 (elastic layer) to 0 (the law); return solution and number of solves.
 
         Its decrement is doubled after a solve that converges and halved after a solve that fails. Each solve starts

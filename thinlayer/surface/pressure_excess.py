@@ -24,7 +24,7 @@ from thinlayer.surface.surface_mesh import SurfaceMesh, surface_of
 NEARLY_INCOMPRESSIBLE_LENGTH = 0.5
 INCOMPRESSIBLE_BULK_RATIO = 1e8  # bulk modulus that represents incompressibility, relative to the tangent
 NEGLIGIBLE_MODULUS_RATIO = 1e-9  # modulus or stiffness, relative to others of the layer, that counts as zero
-MODULUS_RATIO_TOLERANCE = 1e-3  # relative change of lmbda/mu in time that counts as zero
+MODULUS_TOLERANCE = 1e-3  # relative change of lmbda/mu in time that counts as zero
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,7 @@ def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer
         if C is None and C_later is None:
             return []
         rest, then = (None if tangent is None else RestingSublayer.of(a, law, tangent, n) for tangent in (C, C_later))
-        if then and not (
-            rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=MODULUS_RATIO_TOLERANCE)
-        ):
+        if then and not (rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=MODULUS_TOLERANCE)):
             then = replace(then, when=f" under loads that last {dt:.4g}")
         resting += [sublayer for sublayer in (then or rest,) if sublayer]
     return resting

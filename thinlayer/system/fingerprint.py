@@ -36,7 +36,7 @@ Resume = bool | Literal["anyway"]
 CODE_KEY, FILE_KEY, CLASS_KEY, SAME_KEY = "(code)", "(file)", "(class)", "(same as)"
 MISSING_VALUE = object()  # placeholder for a value that one of two descriptions lacks
 MAX_SHOWN_ARRAY = 24  # number of entries up to which arrays are shown; larger arrays are hashed
-MAX_SHOWN_DIFFERENCES = 4  # number of differences that a message names
+MAX_CHANGES = 4  # number of differences that a message names
 LIBRARY_FOLDERS = [Path(sysconfig.get_path("stdlib")), *(Path(__file__).parents[2] / name for name in PACKAGES)]
 OPAQUE_PACKAGES = ("basix", "dolfinx", "petsc4py", "ufl")  # packages whose objects differ from one process to the next
 PROCESS_LABEL = f", known to process {uuid.uuid4().hex[:8]} alone"
@@ -45,9 +45,8 @@ GENERATOR_TYPES = (  # types whose objects give other values each time
     np.random.Generator, np.random.BitGenerator, np.random.RandomState, np.random.SeedSequence, random.Random, Iterator,
 )  # fmt: skip
 _OBJECT_COUNT = itertools.count(1)
-_OBJECT_NUMBERS: dict[
-    int, tuple[Any, int]
-] = {}  # id of an object that only this process knows -> reference to it, and its number
+# id of an object that only this process knows -> reference to it, and its number
+_OBJECT_NUMBERS: dict[int, tuple[Any, int]] = {}
 INCLUDED_FILE = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # file in a preprocessor line
 
 
@@ -99,12 +98,10 @@ def differences(value: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[
 
 
 def differences_text(changes: list[tuple[tuple[str, ...], Any, Any]]) -> str:
-    """Text of the first `MAX_SHOWN_DIFFERENCES` differences, with each pair of values once."""
+    """Text of the first `MAX_CHANGES` differences, with each pair of values once."""
     pairs = {(_short(value), _short(other)): ".".join(path) for path, value, other in reversed(changes)}
     words = [f"{path}: {value} there, {other} here" for (value, other), path in reversed(pairs.items())]
-    return "; ".join(words[:MAX_SHOWN_DIFFERENCES]) + f"; and {len(words) - MAX_SHOWN_DIFFERENCES} more" * (
-        len(words) > MAX_SHOWN_DIFFERENCES
-    )
+    return "; ".join(words[:MAX_CHANGES]) + f"; and {len(words) - MAX_CHANGES} more" * (len(words) > MAX_CHANGES)
 
 
 def _short(value: Any) -> str:
@@ -151,41 +148,38 @@ class _Describer:
             del self._places[id(value)]
         return description
 
-    def _composed(self, value: Any, at: str) -> Any:
-        kind, function = type(value), _function_of(value)
+    def _composed(self, obj: Any, at: str) -> Any:
+        kind, function = type(obj), _function_of(obj)
         if function is not None:
             return self._function(function, at)
-        if isinstance(value, types.MethodType):
-            return self._named({CODE_KEY: "method", "(function)": value.__func__, "self": value.__self__}, at)
-        if isinstance(value, functools.partial):
-            parts = {CODE_KEY: "partial", "(function)": value.func, "(arguments)": value.args}
-            return self._named(parts | value.keywords, at)
-        if isinstance(value, types.ModuleType):
-            return {CODE_KEY: f"module {value.__name__}"} | _file_of(getattr(value, "__file__", None))
-        if isinstance(value, type):
-            bases = [base for base in value.__mro__ if _is_own(base.__module__)]
+        if isinstance(obj, types.MethodType):
+            return self._named({CODE_KEY: "method", "(function)": obj.__func__, "self": obj.__self__}, at)
+        if isinstance(obj, functools.partial):
+            parts = {CODE_KEY: "partial", "(function)": obj.func, "(arguments)": obj.args}
+            return self._named(parts | obj.keywords, at)
+        if isinstance(obj, types.ModuleType):
+            return {CODE_KEY: f"module {obj.__name__}"} | _file_of(getattr(obj, "__file__", None))
+        if isinstance(obj, type):
+            bases = [base for base in obj.__mro__ if _is_own(base.__module__)]
             members = {f"{base.__qualname__}{k or ''}": _members(base) for k, base in enumerate(bases)}
-            return self._named(members, at) if value in bases else _name(value)
+            return self._named(members, at) if obj in bases else _name(obj)
         if kind is np.ndarray:
-            if value.dtype.kind in "biuf" and value.size > MAX_SHOWN_ARRAY:
-                return f"{value.dtype.name} {value.shape}, {digest(np.ascontiguousarray(value).tobytes())}"
-            return self.of(value.tolist(), at)
+            if obj.dtype.kind in "biuf" and obj.size > MAX_SHOWN_ARRAY:
+                return f"{obj.dtype.name} {obj.shape}, {digest(np.ascontiguousarray(obj).tobytes())}"
+            return self.of(obj.tolist(), at)
         if kind in (dict, types.MappingProxyType):
-            return self._named(value, at)
+            return self._named(obj, at)
         if kind in (list, tuple):
-            return [self.of(item, f"{at}.{k}") for k, item in enumerate(value)]
+            return [self.of(item, f"{at}.{k}") for k, item in enumerate(obj)]
         if kind in (set, frozenset):
-            return sorted((self.of(item, at) for item in value), key=digest)
+            return sorted((self.of(item, at) for item in obj), key=digest)
         if (getattr(getattr(kind, "identity", None), "__module__", None) or "").partition(".")[0] in PACKAGES:
-            return self.of(value.identity(), at)
-        if dataclasses.is_dataclass(value):
-            return self._named(
-                {CLASS_KEY: kind} | {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}, at
-            )
-        description = self._copied(value, at)
-        if isinstance(value, GENERATOR_TYPES) or any(
-            base.__name__ == "QMCEngine" for base in kind.__mro__
-        ):  # of scipy.stats
+            return self.of(obj.identity(), at)
+        if dataclasses.is_dataclass(obj):
+            return self._named({CLASS_KEY: kind} | {f.name: getattr(obj, f.name) for f in dataclasses.fields(obj)}, at)
+        description = self._copied(obj, at)
+        # QMCEngine is of scipy.stats
+        if isinstance(obj, GENERATOR_TYPES) or any(base.__name__ == "QMCEngine" for base in kind.__mro__):
             self.random.append(description)
         return description
 

@@ -32,13 +32,12 @@ if TYPE_CHECKING:
 Array = npt.NDArray[Any]
 EQUAL_COMMUNICATORS = (MPI.IDENT, MPI.CONGRUENT)
 _COPIED_COMMS: list[MPI.Intracomm] = []
-_SPACES_OF_RANKS: list[
-    tuple[ref[Any], Any]
-] = []  # function spaces on several ranks, and their index maps, which keep the communicators alive
+# function spaces on several ranks, and their index maps, which keep the communicators alive
+_SPACES_OF_RANKS: list[tuple[ref[Any], Any]] = []
 GRACE_SECONDS = 5.0  # s that a rank with an error waits for errors of all other ranks, before it ends them
 EXIT_STATUS = 1  # exit status if one rank alone has an error, as for any Python script; the command line sets another
 POLL_SECONDS = 1e-3  # s between two tests of a request
-MAX_SHOWN_CHARACTERS = 200  # number of characters shown where data differ
+MAX_CHARACTERS = 200  # number of characters shown where data differ
 MIN_WAIT_SECONDS = 60.0  # s that a rank with an error waits for the others at least
 _NESTED_BLOCKS: Counter[int] = Counter()  # communicator -> number of nested blocks that this rank is in
 
@@ -120,9 +119,7 @@ def require_same(comm: MPI.Intracomm | None, **data: Any) -> str:
                 full = [json.loads(text) for text in comm.allgather(texts[name])]
                 same = (), full[0], full[rank]  # True and 1.0 are equal
                 path, *both = next(differences(full[0], full[rank]), same)
-                here, there = (
-                    "nothing" if value is MISSING_VALUE else json.dumps(value)[:MAX_SHOWN_CHARACTERS] for value in both
-                )
+                here, there = ("nothing" if obj is MISSING_VALUE else json.dumps(obj)[:MAX_CHARACTERS] for obj in both)
                 at = f"{'.'.join(path)} is " if path else ""
                 what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
                 raise _raised_on_all(InputError(f"{what}; give all ranks the same"))

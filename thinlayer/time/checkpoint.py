@@ -21,7 +21,7 @@ from thinlayer.system.folder import hash_of, read_sealed, replace_file, write_se
 from thinlayer.system.ranks import carry_cell_values
 from thinlayer.system.table import Table
 
-TABLE_FILE = "table.csv"
+CSV_FILE = "table.csv"
 REACTIONS_KEY = "reactions"
 # prefixes of keys of parts in a state's file
 MEMORY_PREFIX, FIELD_PREFIX, STRESS_PREFIX = "memory ", "field ", "stress "
@@ -84,7 +84,7 @@ class Checkpoint:
 
     def _forget(self) -> None:
         """Remove the files of an earlier march; the table first, as march.json says to which march it belongs."""
-        for file in (self.folder / TABLE_FILE, self.path, *self._files()):
+        for file in (self.folder / CSV_FILE, self.path, *self._files()):
             file.unlink(missing_ok=True)
 
     def _write_table(self, table: Table, states: Mapping[int, State], pace: Mapping[str, Any]) -> None:
@@ -94,7 +94,7 @@ class Checkpoint:
         for stale in self._files():
             if int(stale.stem) not in states:
                 stale.unlink()
-        table.put(self.folder / TABLE_FILE)
+        table.put(self.folder / CSV_FILE)
 
     def _write_state(self, row: int, state: State) -> None:
         arrays = {} if state.reactions is None else {REACTIONS_KEY: state.reactions}
@@ -133,16 +133,14 @@ class Checkpoint:
             return None
         self.mark, self._states = content["mark"], content["states"]
         table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
-        on_root(self.comm, lambda: table.put(self.folder / TABLE_FILE))
+        on_root(self.comm, lambda: table.put(self.folder / CSV_FILE))
         return table, {row: self._read_state(row) for row in sorted(map(int, self._states))[-last:]}, content["pace"]
 
     def _content(self, resume: Resume) -> dict[str, Any] | None:
         """The content of march.json, on rank 0; None if there is no march or `resume` is False."""
         if not self.path.exists():
-            if (self.folder / TABLE_FILE).exists():
-                raise InputError(
-                    f"{self.folder} has a {TABLE_FILE} of something else; give another folder, or remove it"
-                )
+            if (self.folder / CSV_FILE).exists():
+                raise InputError(f"{self.folder} has a {CSV_FILE} of something else; give another folder, or remove it")
             return None
         content = read_sealed(self.path)
         there = content["mark"]
@@ -177,11 +175,7 @@ class Checkpoint:
         }
         fields = {key: fem.Function(V) for key, V in spaces.items() if FIELD_PREFIX + key in names}
         report, audit = Report(**about["report"] | {"method": "resumed"}), Audit(**about["audit"])
-        attributes = {name: about[name] for name in STATE_NUMBERS} | {
-            "report": report,
-            "audit": audit,
-            "reactions": reactions,
-        }
+        attributes = {k: about[k] for k in STATE_NUMBERS} | {"report": report, "audit": audit, "reactions": reactions}
         state = replace(rest, memory=memory, fields=fields, at_rest=False, **attributes)
         for name, values in _state_values(state).items():
             order = self._orders[name]

@@ -149,19 +149,17 @@ def march(
         identity |= {"first": getattr(times, "first", ends[0] - start)} if on_path else {}
         journal = Journal(equations, identity, observe or {}, keep, folder)
         warn_of_model(model, () if on_path or begun else load_durations(times, start, ends))
-        begin_at: tuple[Solver, Journal, float, list[float]] = finder, journal, start, ends
+        run: tuple[Solver, Journal, float, list[float]] = finder, journal, start, ends
         controller: Controller
         if isinstance(times, ArcLength):
-            controller = ArcLengthController(*begin_at, times, solver.get("options"))
+            controller = ArcLengthController(*run, times, solver.get("options"))
         elif on_path:
-            controller = PathToTimesController(
-                *begin_at, PathToTimesController.settings(start, ends), solver.get("options")
-            )
+            controller = PathToTimesController(*run, PathToTimesController.settings(start, ends), solver.get("options"))
         elif isinstance(times, Adaptive):
-            controller = AdaptiveController(*begin_at, theta, times)
+            controller = AdaptiveController(*run, theta, times)
         else:
             warn_of_steps(model, start, ends, theta)
-            controller = planned_controller(*begin_at, theta)
+            controller = planned_controller(*run, theta)
         try:
             history = controller.run(resume, begun)
         except SolveError as error:

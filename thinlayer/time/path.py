@@ -243,30 +243,28 @@ class EquilibriumPath:
         target[-1] = t
         return self._find(last, target, at_t, self._size(increment), turn=False)
 
-    def _find(self, last: State, target: Array, row: Array, length: float, turn: bool) -> State:
+    def _find(self, last: State, target: Array, row: Array, step: float, turn: bool) -> State:
         """Solve for the equilibrium in the plane through `target` that is normal to `row`."""
         begin, beyond, iterations, point = time.perf_counter(), 0.0, 0, target.copy()
-        most, far = (
-            (MAX_TURN_STEPS, MAX_TURN_ERROR * length) if turn else (MAX_NEWTON_STEPS, MAX_PREDICTION_ERROR * length)
-        )
+        most, far = (MAX_TURN_STEPS, MAX_TURN_ERROR * step) if turn else (MAX_NEWTON_STEPS, MAX_PREDICTION_ERROR * step)
         while (residual := self._residual(last, point)) is None:
             if iterations == most:
                 raise SolveError(f"Newton's method for the arc length has not converged in {most} steps")
             newton, tangent = self._linearise(last, float(point[-1]))
             if turn and iterations == 0:
-                row, beyond = self._turned(last, tangent, length)
+                row, beyond = self._turned(last, tangent, step)
             missing = beyond - self._product(row, point - target) - self._product(row, newton)
             across = self._product(row, tangent)
             if not across or not math.isfinite(missing / across):
                 raise SolveError("the tangent is singular along the path")
             point += newton + missing / across * tangent
             iterations += 1
-            if not self._size(point - target) <= DIVERGED_DISTANCE * length:
+            if not self._size(point - target) <= DIVERGED_DISTANCE * step:
                 raise SolveError("Newton's method for the arc length runs away")
         missed = self._size(point - target)
         if missed > far:
             raise SolveError("the equilibrium at this arc length is far from the predictor")
-        self._missed = 0.0 if turn else missed / length
+        self._missed = 0.0 if turn else missed / step
         return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - begin))
 
     def _turned(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:

@@ -34,9 +34,7 @@ MAX_SPRING_STEP = 16
 REMAINDER_SHARE = 1e-3  # remainder before a target, relative to a step, that the step includes
 TIME_ROUNDING = 8 * 2.0**-52  # relative tolerance of the time of a snap
 EXCESS_PROBES = 8  # number of equal parts of a step at whose ends the excess is tested if loads are not linear in time
-NO_LIMIT_HINT = (
-    "no equilibrium was found, which need not be a limit of the loads: try other times, or an elastic fraction"
-)
+LIMIT_HINT = "no equilibrium was found, which need not be a limit of the loads: try other times, or an elastic fraction"
 
 
 @dataclass(eq=False)
@@ -72,13 +70,11 @@ class PlannedStepsController(Controller):
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
         old, history, last = self.last, self.journal.history, errors[-1]
-        failed = errors[-2] if self.solver.bounded else last
+        error = errors[-2] if self.solver.bounded else last
         if isinstance(last, NoEquilibrium) and self._loads_change(old.t, self._run_away):
-            return LimitLoad(failed.reason, old.t, self._run_away, self._resultant(old.t), last, history)
+            return LimitLoad(error.reason, old.t, self._run_away, self._resultant(old.t), last, history)
         step = f"step {len(history)}, from t = {old.t:g} to {self._end(length):g}"
-        return self.error(
-            f"{step}, failed, and so did longer ones: {failed}", NO_LIMIT_HINT if self.solver.bounded else ""
-        )
+        return self.error(f"{step}, failed, and so did longer ones: {error}", LIMIT_HINT if self.solver.bounded else "")
 
     def _loads_change(self, before: float, after: float) -> bool:
         a, b = (self.solver.equations.prescribed_forces_at(t).array_r for t in (before, after))

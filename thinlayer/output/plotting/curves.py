@@ -24,11 +24,7 @@ LINE_STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1,
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SYMLOG_RANGE = 1e-3  # smallest visible value, over the largest, on an axis that is logarithmic on both sides of zero
 # sizes in a legend, inches: width of a letter, width of the line and the margins of an entry, height of a row
-LETTER_INCHES, SAMPLE_INCHES, ROW_INCHES = (
-    0.075,
-    0.75,
-    0.21,
-)
+LETTER_INCHES, SAMPLE_INCHES, ROW_INCHES = (0.075, 0.75, 0.21)
 ERROR_COLUMNS = {"traction": "error_traction", "jump": "error_jump"}  # label -> column of a sweep's table
 
 
@@ -128,21 +124,19 @@ def curves(
     grey = {label: "0.5" for label in labels if label.startswith("slope")}
     styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | grey | _by_label(labels, colours)
     dashes, drawn = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Any]()
-    for axes, (panel, part) in zip(panels, parts.items(), strict=True):
+    for ax, (panel, part) in zip(panels, parts.items(), strict=True):
         for label, line in part.items():
             # points without a line are open markers, which do not hide one another
             look: dict[str, Any] = {"ms": 6, "mfc": "none"} if styles.get(label) in MARKERS else {"ms": 4}
-            (drawn[label],) = axes.plot(*line, styles.get(label, "-"), color=colours[label], label=label, **look)
+            (drawn[label],) = ax.plot(*line, styles.get(label, "-"), color=colours[label], label=label, **look)
             if label not in styles:
                 drawn[label].set_linestyle(dashes[label])
-        axes.grid(color="0.9")
-        axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
-        axes.set(
-            xlabel=xlabel, ylabel=_of_panel(ylabel, panel), xlim=_of_panel(xlim, panel), ylim=_of_panel(ylim, panel)
-        )
-        axes.set_title(panel, fontsize=11)
+        ax.grid(color="0.9")
+        ax.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
+        ax.set(xlabel=xlabel, ylabel=_of_panel(ylabel, panel), xlim=_of_panel(xlim, panel), ylim=_of_panel(ylim, panel))
+        ax.set_title(panel, fontsize=11)
         if levels and panel in levels:
-            axes.set_yticks(range(len(levels[panel])), map(symbols, levels[panel]))
+            ax.set_yticks(range(len(levels[panel])), map(symbols, levels[panel]))
     if len(drawn) > 1:
         wide, high = figure.get_size_inches()
         rows = math.ceil(len(drawn) / max(1, wide // (SAMPLE_INCHES + LETTER_INCHES * max(map(len, drawn)))))

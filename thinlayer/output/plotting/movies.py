@@ -20,7 +20,7 @@ from thinlayer.solving.history import History
 from thinlayer.system.folder import replace_file
 from thinlayer.system.progress import track
 
-GIF_SUFFIX, MP4_SUFFIX = ".gif", ".mp4"
+GIF_EXT, MP4_EXT = ".gif", ".mp4"
 FRAME_DPI = 120
 MAX_FRAME_RATE = 50  # frames per second, as a gif counts in hundredths of a second
 
@@ -55,12 +55,12 @@ def movie(
         OSError: the movie could not be written; on all ranks.
     """
     states = _states(solution)
-    if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF_SUFFIX, MP4_SUFFIX):
+    if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF_EXT, MP4_EXT):
         raise InputError(f"save is {save!r}; it must be the name of a movie, which ends in .gif or .mp4")
     good = is_integer(per_second, 1) and per_second <= MAX_FRAME_RATE
     require(good, "per_second", per_second, f"allowed: whole numbers from 1 to {MAX_FRAME_RATE}")
     path, comm = Path(save), states[0].model.comm
-    ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4_SUFFIX else ""
+    ffmpeg = on_root(comm, _ffmpeg) if path.suffix == MP4_EXT else ""
     grids = [grid for state in track(states, "movie", "{0.t:.4g}") if (grid := gather_grid(state))]
 
     def draw() -> None:
@@ -73,9 +73,7 @@ def movie(
             figure.suptitle(title)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # keep the layout of the first frame
-        writer: AbstractMovieWriter = (
-            PillowWriter(per_second) if path.suffix == GIF_SUFFIX else FFMpegWriter(per_second)
-        )
+        writer: AbstractMovieWriter = PillowWriter(per_second) if path.suffix == GIF_EXT else FFMpegWriter(per_second)
         with TemporaryDirectory() as folder, replace_file(path) as file:
             drawn = Path(folder) / path.name
             with rc_context({"animation.ffmpeg_path": ffmpeg}), writer.saving(figure, str(drawn), FRAME_DPI):

@@ -19,10 +19,7 @@ from geometry.parallel import on_root
 from thinlayer.system.folder import replace_file
 
 # text width of a page, inches; dots per inch of a saved picture after scaling it down to this width if it is wider
-PAGE_WIDTH, SAVED_DPI = (
-    6.7,
-    300,
-)
+PAGE_WIDTH, SAVED_DPI = (6.7, 300)
 # Text remains text in vector files, and equal pictures give equal files.
 VECTOR_STYLE = {
     "svg.fonttype": "none",

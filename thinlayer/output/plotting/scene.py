@@ -210,13 +210,11 @@ class Scene:
         front = (0.0, 0.0, float(np.copysign(1.0, self.axes[2, 2]))) if self.view.cut else None
         return DeformedShape.of(grid, self.view.component, self.factor, front)
 
-    def panels(self, count: int) -> tuple[Picture, list[Axes]]:
-        """A picture with axes for `count` structures side by side."""
+    def panels(self, n: int) -> tuple[Picture, list[Axes]]:
+        """A picture with axes for `n` structures side by side."""
         x0, x1, y0, y1 = self.window
-        figure = Picture(
-            figsize=(PANEL_INCHES * count, PANEL_INCHES * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained"
-        )
-        axes = list(figure.subplots(1, count, squeeze=False)[0])
+        figure = Picture(figsize=(PANEL_INCHES * n, PANEL_INCHES * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained")
+        axes = list(figure.subplots(1, n, squeeze=False)[0])
         for panel in axes:
             panel.set_axis_off()
         return figure, axes
@@ -251,11 +249,8 @@ class Scene:
             BODY_STYLE | {"clim": self.limits} if on_s is None else PLAIN_BODY_STYLE,
             on_s is not None and grid.dim == 3,
         )
-        black = EDGE_STYLE if on_s is None else OUTLINE_STYLE
-        parts = [
-            (region, body, *((LAYER_STYLE, 2) if number < 0 else (black, 1)))
-            for number, region in shape.regions.items()
-        ]
+        edge = EDGE_STYLE if on_s is None else OUTLINE_STYLE
+        parts = [(region, body, *((LAYER_STYLE, 2) if tag < 0 else (edge, 1))) for tag, region in shape.regions.items()]
         for mesh, look, pen, lift in parts + (
             [] if shape.base is None or outlines else [(shape.base, BASE_STYLE, BASE_STYLE, 0)]
         ):

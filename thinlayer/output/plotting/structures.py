@@ -185,12 +185,9 @@ class _Colours:
             return
         finite = values[np.isfinite(values)]
         low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
-        largest = max(-low, high) or 1.0
+        peak = max(-low, high) or 1.0
         both = low < 0 < high
-        least, low, high = (
-            10.0 ** np.ceil(np.log10(SYMLOG_RANGE * largest)),
-            *((-largest, largest) if both else (low, high)),
-        )
+        least, low, high = (10.0 ** np.ceil(np.log10(SYMLOG_RANGE * peak)), *((-peak, peak) if both else (low, high)))
         norm = SymLogNorm(least, vmin=low, vmax=high) if log else Normalize(low, high)
         self.of_numbers = ScalarMappable(norm, "RdBu_r" if both else "viridis")
         self.of_numbers.get_cmap().set_bad(NAN_COLOUR)

@@ -32,7 +32,7 @@ MAX_COARSEST_LINES = 100  # largest number of lines between nodes of a system th
 MAX_COARSE_RATIO = 0.75  # largest number of pairs of a coarser system, relative to all; seams of one cell keep all
 STALLED_TOLERANCE = 1e-9  # residual, relative to the forces, that is accepted if Newton steps do not reduce it
 SUMMATION_FACTOR = 10.0  # rounding of the condensed stiffness over rounding of its largest entry, per sqrt(node)
-FIRST_SWEEPS = 4  # number of sweeps before each of the first Newton steps
+MIN_SWEEPS = 4  # number of sweeps before each of the first Newton steps
 DOUBLING_STEPS = 6  # number of Newton steps after which the sweeps double with every step, and steps may be shortened
 MAX_SWEEPS = 32  # largest number of sweeps before a Newton step
 MAX_NEWTON_STEPS = 30
@@ -108,23 +108,21 @@ class CondensedContact(ContactSolver):
 
 
 class CondensedSystem:
-    """Solver of stiffness u + forces of pairs = g by Newton's method, started from a system with half as many nodes.
+    """Solver of K u + forces of pairs = g by Newton's method, started from a system with half as many nodes.
 
     Gauss-Seidel sweeps, node by node with all pairs of a node, precede each Newton step. Their number grows with the
     number of steps. Later steps are shortened if the residual does positive work at their end. In the first steps
     residuals may grow.
 
     Args:
-        stiffness: (n d, n d) condensed stiffness of the bodies.
+        K: (n d, n d) condensed stiffness of the bodies.
         pairs: the pairs, and their n nodes.
         x: (pairs, d) places of the pairs.
         lines: (m, 2) pairs that are neighbours along S; if they are few there is no coarser system.
     """
 
-    def __init__(
-        self, stiffness: Array | scipy.sparse.csr_matrix, pairs: ContactPairs, x: Array, lines: IntArray
-    ) -> None:
-        self._stiffness, self.pairs, self._x, self._lines = stiffness, pairs, x, lines
+    def __init__(self, K: Array | scipy.sparse.csr_matrix, pairs: ContactPairs, x: Array, lines: IntArray) -> None:
+        self._stiffness, self.pairs, self._x, self._lines = K, pairs, x, lines
 
     @cached_property
     def _blocks(self) -> scipy.sparse.bsr_matrix:
@@ -164,9 +162,7 @@ class CondensedSystem:
         if self._coarser is not None:
             system, P = self._coarser
             try:
-                return np.asarray(
-                    P @ system.newton(system.start(P.T @ g), P.T @ g, _without_scaling, COARSE_TOLERANCE)[0]
-                )
+                return np.asarray(P @ system.newton(system.start(P.T @ g), P.T @ g, _unscaled, COARSE_TOLERANCE)[0])
             except SolveError:
                 pass
         springs, forces = self.pairs.bonded()
@@ -219,9 +215,7 @@ class CondensedSystem:
                     advice="is every body supported, or pressed against S? Else try smaller load steps",
                 )
             u = u.copy()
-            pairs.sweep(
-                self._blocks, g, u, min(FIRST_SWEEPS * 2 ** max(len(residuals) - DOUBLING_STEPS, 0), MAX_SWEEPS)
-            )
+            pairs.sweep(self._blocks, g, u, min(MIN_SWEEPS * 2 ** max(len(residuals) - DOUBLING_STEPS, 0), MAX_SWEEPS))
             step = self._linear_solve(pairs.tangent(pairs.separation(u)), -self._residual(u, g))
             long_steps = long_steps + 1 if 0 < far < np.abs(step).max() else 0
             u = u + (self._length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
@@ -256,7 +250,7 @@ class CondensedSystem:
         return a
 
 
-def _without_scaling(r: Array, forces: Array, u: Array) -> float:
+def _unscaled(r: Array, forces: Array, u: Array) -> float:
     return float(np.linalg.norm(r)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
 
 
