@@ -35,10 +35,8 @@ if TYPE_CHECKING:
 
 
 MISSING_VALUE = object()
-NUMBER_ANNOTATION, ARRAY_ANNOTATION = (
-    re.compile(r"\b(float|int)\b"),
-    re.compile("array|list|tuple|sequence|callable", re.IGNORECASE),
-)
+NUMBER_ANNOTATION = re.compile(r"\b(float|int)\b")
+ARRAY_ANNOTATION = re.compile("array|list|tuple|sequence|callable", re.IGNORECASE)
 
 
 class Step(NamedTuple):

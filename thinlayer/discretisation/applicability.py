@@ -37,12 +37,12 @@ class Applicability:
     """Range of validity of a layer's interface law, found from joint, layer and structure without a mesh or forms.
 
     Attributes:
-        seam_layer: the layer on its seam.
+        layer: the layer on its seam.
         bodies: "kept" or "extended", as in the model.
     """
 
-    def __init__(self, seam_layer: SeamLayer, bodies: str = "kept") -> None:
-        self.seam_layer, self.bodies = seam_layer, bodies
+    def __init__(self, layer: SeamLayer, bodies: str = "kept") -> None:
+        self.layer, self.bodies = layer, bodies
 
     def why_not(self, question: str) -> Violation | None:
         """Return the first violated condition of a question, a key of `CONDITIONS_OF_USE`; None if all hold.
@@ -62,26 +62,26 @@ class Applicability:
     @cached_property
     def law(self) -> BulkLaw:
         """Law with real parameters, for the structure's kinematics."""
-        return law_with_numbers(self.seam_layer.layer, self.seam_layer.structure.kinematics)
+        return law_with_numbers(self.layer.layer, self.layer.structure.kinematics)
 
     @cached_property
-    def curvature_text(self) -> str | None:
+    def curvature(self) -> str | None:
         """Phrase for messages on how the layer is curved or varies in thickness; None if it is flat and uniform."""
-        if self.seam_layer.thin_layer and self.seam_layer.thin_layer.profile is not None:
+        if self.layer.thin_layer and self.layer.thin_layer.profile is not None:
             return "of a thickness that varies"
-        if not self.seam_layer.sheet.planar:
+        if not self.layer.sheet.planar:
             return "on a curved S"
-        across = lies_across_axis(self.seam_layer.structure.kinematics, self.seam_layer.sheet.mean_normal[None])
+        across = lies_across_axis(self.layer.structure.kinematics, self.layer.sheet.mean_normal[None])
         return None if across else "on an S that is not across the axis of revolution, and so curved,"
 
     # ---------------------------------------------------------------- sides
     def rim(self, *kinds: str) -> Rim:
         """Part of the seam's rim where the layer's side is of one of the given kinds, see `side_kinds`."""
-        return self.seam_layer.sheet.rim[np.isin(self._kinds, kinds)]
+        return self.layer.sheet.rim[np.isin(self._kinds, kinds)]
 
     @cached_property
     def _kinds(self) -> npt.NDArray[np.str_]:
-        return side_kinds(self.seam_layer)
+        return side_kinds(self.layer)
 
     @cached_property
     def free(self) -> Rim:
@@ -101,10 +101,10 @@ class Applicability:
     @cached_property
     def pressure_lengths(self) -> FloatArray:
         """Decay lengths (n,) of a pressure of order 1 at `loose`, eps sqrt(lmbda/(12 mu)); may be inf."""
-        thin, joint, at = self.seam_layer.thin_layer, self.seam_layer.sheet.joint, self.loose.vertices
+        thin, joint, at = self.layer.thin_layer, self.layer.sheet.joint, self.loose.vertices
         laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
         squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
-        relative = joint.relative_thickness(thin.profile, self.seam_layer.name)[at].mean(axis=1)
+        relative = joint.relative_thickness(thin.profile, self.layer.name)[at].mean(axis=1)
         with np.errstate(divide="ignore"):
             return np.asarray(thin.eps * relative / np.sqrt(squares))
 
@@ -124,12 +124,12 @@ class Applicability:
         structure is in plane stress. With loose sides this is done for large nu only: the end constants for smaller nu
         need no fine mesh.
         """
-        law, loose = self.seam_layer.thin_layer.law, len(self.loose.vertices) > 0
-        in_sheet = self.seam_layer.structure.plane == "stress"  # no pressure builds up there
+        law, loose = self.layer.thin_layer.law, len(self.loose.vertices) > 0
+        in_sheet = self.layer.structure.plane == "stress"  # no pressure builds up there
         if isinstance(law, LinearElastic) and not (in_sheet or law.fields) and law.lmbda > 0:
             known_ends = loose and poisson_ratio(law) <= MAX_FREE_END_NU + MODULUS_RATIO_TOLERANCE
             law = law if known_ends else Rubber(law.lmbda, law.mu)
-        return replace(self.seam_layer.thin_layer, law=law, order=1)
+        return replace(self.layer.thin_layer, law=law, order=1)
 
     # ---------------------------------------------------------------- ends
     @property
@@ -146,18 +146,18 @@ class Applicability:
     @cached_property
     def contrast(self) -> float:
         """Least Young's modulus at rest of the bodies on the seam, over the layer's mu."""
-        return softest_body(self.seam_layer) / float(self.law.parameters()["mu"])
+        return softest_body(self.layer) / float(self.law.parameters()["mu"])
 
     @property
     def width(self) -> float:
         """Area of the seam over the total length of its free ends, in units of the thickness."""
-        return float(self.seam_layer.sheet.areas.sum() / self.free.length.sum()) / float(self.seam_layer.thin_layer.eps)
+        return float(self.layer.sheet.areas.sum() / self.free.length.sum()) / float(self.layer.thin_layer.eps)
 
     @cached_property
     def all_weights(self) -> FacetWeights:
         """Weights of the free ends on the facets, valid if the conditions of "ends" before "overlap" hold."""
         strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING_FACTOR) ** (1 / 3)))
-        sheet, eps = self.seam_layer.sheet, float(self.seam_layer.thin_layer.eps)
+        sheet, eps = self.layer.sheet, float(self.layer.thin_layer.eps)
         return FacetWeights.of(straight_ends(self.free, sheet), sheet, eps, strips)
 
     @cached_property
@@ -185,7 +185,7 @@ def softest_body(seam_layer: SeamLayer) -> float:
 # ---------------------------------------------------------------- conditions, in the order in which they are checked
 def _law_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for a law of order 0 and for a meshed layer."""
-    seam_layer, layer, setup = r.seam_layer, r.seam_layer.layer, r.seam_layer.structure
+    seam_layer, layer, setup = r.layer, r.layer.layer, r.layer.structure
     if not isinstance(layer, ThinLayer | SurfaceLaw):
         yield Violation("no layer", f"the layer is {layer!r}", "give ThinLayer(law, eps), or a law of jumps or contact")
     seam_layer.law.check_dimension(setup.joint.dim)
@@ -201,51 +201,44 @@ def _law_conditions(r: Applicability) -> Iterator[Violation]:
     if seam_layer.law.traits.constrained and setup.element not in ("P2", "Q2"):
         yield Violation("element", f"an incompressible layer needs elements P2 or Q2, not {setup.element}", "give them")
     if seam_layer.thin_layer:
-        setup.joint.relative_thickness(
-            seam_layer.thin_layer.profile, seam_layer.name
-        )  # a user's function may fail on one rank only
+        # a user's function may fail on one rank only
+        setup.joint.relative_thickness(seam_layer.thin_layer.profile, seam_layer.name)
     for sample in seam_layer.samples:
         sample.initial_tangents.require_stable()
 
 
 def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for a law of order 1: first away from tips and junctions, then at them."""
-    thin, setup, sheet = r.seam_layer.thin_layer, r.seam_layer.structure, r.seam_layer.sheet
+    thin, setup, sheet = r.layer.thin_layer, r.layer.structure, r.layer.sheet
     if thin is None or thin.order == 0:
         return
     if thin.law.traits.constrained and setup.plane == "stress":
         yield Violation("pressure in a sheet", "no pressure builds up in plane stress", "use LinearElastic or order=0")
     if setup.degree != 2:
         yield Violation("element", f"order=1 has gradients on S, elements are {setup.element}", "use degree 2")
-    if r.curvature_text and r.bodies == "kept":
+    if r.curvature and r.bodies == "kept":
         remedy = "use bodies='extended', for the interface and the full model alike"
-        yield Violation("bent", f"order=1 {r.curvature_text} needs bodies at their true places", remedy)
-    if r.curvature_text and len(thin.law.sublayers) > 1:
-        yield Violation(
-            "bent stack", f"order=1 of a Stack {r.curvature_text}: shares of the jump turn along S", MESH_REMEDY
-        )
-    yield from filter(None, (sample.initial_tangents.locks() for sample in r.seam_layer.samples))
+        yield Violation("bent", f"order=1 {r.curvature} needs bodies at their true places", remedy)
+    if r.curvature and len(thin.law.sublayers) > 1:
+        yield Violation("bent stack", f"order=1 of a Stack {r.curvature}: shares of the jump turn along S", MESH_REMEDY)
+    yield from filter(None, (sample.initial_tangents.locks() for sample in r.layer.samples))
     if sheet.tip is not None:
-        reason = (
-            f"order=1 has gradients at the tip, and {r.seam_layer} ends at {place_text(sheet.tip)}, inside the bodies"
-        )
+        reason = f"order=1 has gradients at the tip, and {r.layer} ends at {place_text(sheet.tip)}, inside the bodies"
         yield Violation("tip", reason, "use order=0")
     if sheet.junction is not None:
-        reason = f"order=1 leaves out what junctions add, and {r.seam_layer} meets another one, or branches, at "
+        reason = f"order=1 leaves out what junctions add, and {r.layer} meets another one, or branches, at "
         yield Violation("junction", reason + place_text(sheet.junction), MESH_REMEDY)
 
 
 def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
-    if r.seam_layer.law.traits.softens and r.seam_layer.law.traits.phases:
-        reason = (
-            f"the stress of {r.seam_layer.law!r} falls as strains grow: all strain would gather in one row of cells"
-        )
+    if r.layer.law.traits.softens and r.layer.law.traits.phases:
+        reason = f"the stress of {r.layer.law!r} falls as strains grow: all strain would gather in one row of cells"
         yield Violation(
             "softens", reason, "take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
         )
     n, sublayers = (
-        r.seam_layer.sheet.mean_normal,
-        [sublayer for sample in r.seam_layer.samples for sublayer in sample.initial_tangents.sublayers],
+        r.layer.sheet.mean_normal,
+        [sublayer for sample in r.layer.samples for sublayer in sample.initial_tangents.sublayers],
     )
     for law in (law for _, law, _ in sublayers if law.traits.softens):
         C = tangent_at_rest(law, n)
@@ -255,30 +248,30 @@ def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
-    if r.seam_layer.thin_layer and r.seam_layer.thin_layer.order:
-        yield Violation("order 1", f"{r.seam_layer} has order=1, whose strains along S have a mean part", "use order=0")
+    if r.layer.thin_layer and r.layer.thin_layer.order:
+        yield Violation("order 1", f"{r.layer} has order=1, whose strains along S have a mean part", "use order=0")
 
 
 def _support_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for supports on the layer's side NAME/LAYER: the adjacent bodies must be supported there too."""
     rim, alone = (
-        r.seam_layer.sheet.rim,
-        constrained_directions(r.seam_layer) - constrained_directions(r.seam_layer, of_layer=False),
+        r.layer.sheet.rim,
+        constrained_directions(r.layer) - constrained_directions(r.layer, of_layer=False),
     )
     if len(at := rim.vertices[np.abs(alone).max(axis=(1, 2)) > FLAT_DIRECTION_SHARE]):
-        place = place_text(r.seam_layer.sheet.joint.points[at[0, 0]])
-        reason = f"a support holds the side of {r.seam_layer} alone, at {place}"
+        place = place_text(r.layer.sheet.joint.points[at[0, 0]])
+        reason = f"a support holds the side of {r.layer} alone, at {place}"
         yield Violation("held alone", reason, "support the bodies too, or mesh the layer")
 
 
 def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
-    if r.seam_layer.thin_layer is None:
-        yield Violation("no thickness", f"{r.seam_layer.kind} is a law on S, without a thickness", "give a ThinLayer")
+    if r.layer.thin_layer is None:
+        yield Violation("no thickness", f"{r.layer.kind} is a law on S, without a thickness", "give a ThinLayer")
 
 
 def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for an interface law of order 1 that corrects its free ends, or has no free ends."""
-    seam_layer, thin = r.seam_layer, r.seam_layer.thin_layer
+    seam_layer, thin = r.layer, r.layer.thin_layer
     if thin.order == 0:
         yield Violation("order 0", "the interface law is of order 0", "use order=1")
     if not len(r.free.vertices):
@@ -307,7 +300,7 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for the end constants, which are known for straight free ends between rigid faces."""
-    seam_layer, sheet = r.seam_layer, r.seam_layer.sheet
+    seam_layer, sheet = r.layer, r.layer.sheet
     if r.strips is None:
         allowed = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
         yield Violation("no constants", f"free ends are not known of this {seam_layer.kind}: they are of {allowed}")
@@ -320,9 +313,9 @@ def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Violation]:
     """Conditions for straight free ends of a flat layer between nearly rigid faces: large stiffness contrast."""
-    sheet = r.seam_layer.sheet
-    if r.curvature_text:
-        yield Violation("bent", f"free ends are not known of a layer {r.curvature_text}")
+    sheet = r.layer.sheet
+    if r.curvature:
+        yield Violation("bent", f"free ends are not known of a layer {r.curvature}")
     for oblique in r.rim("oblique").vertices[:1]:
         at = place_text(sheet.joint.points[oblique[0]])
         yield Violation("oblique", f"something holds the layer's side at {at} neither along S nor across it")
@@ -337,7 +330,7 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
 
 def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for a known excess of the pressure (`thinlayer.surface.pressure_excess`)."""
-    seam_layer = r.seam_layer
+    seam_layer = r.layer
     if seam_layer.thin_layer and seam_layer.thin_layer.eigenstrain is not None:
         yield Violation("eigenstrain", "the layer has an eigenstrain")
     if seam_layer.law.fields:
@@ -358,7 +351,7 @@ def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for solving the layer as a subproblem with prescribed face displacements."""
-    traits, kind = r.seam_layer.law.traits, r.seam_layer.kind
+    traits, kind = r.layer.law.traits, r.layer.kind
     if traits.phases or traits.softens:
         first = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
         reason = f"{kind} has phases, or a stress that falls as strains grow"
@@ -370,16 +363,12 @@ def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for solving the layer as a subproblem with forces on its faces: no strain may be free of stress."""
-    slots = r.seam_layer.structure.kinematics.slots(r.seam_layer.structure.joint.dim)
-    for C in (
-        C[np.ix_(slots, slots)]
-        for s in r.seam_layer.samples
-        for _, _, C in s.initial_tangents.sublayers
-        if C is not None
-    ):
+    slots = r.layer.structure.kinematics.slots(r.layer.structure.joint.dim)
+    tangents = [C for s in r.layer.samples for _, _, C in s.initial_tangents.sublayers if C is not None]
+    for C in (C[np.ix_(slots, slots)] for C in tangents):
         sizes = np.linalg.svd(C, compute_uv=False)
         if sizes[-1] <= SINGULARITY_TOLERANCE * sizes[0]:
-            reason = f"{r.seam_layer.kind} has strains without stresses, as springs have along S, and moves in itself"
+            reason = f"{r.layer.kind} has strains without stresses, as springs have along S, and moves in itself"
             yield Violation(
                 "no stress", reason, "solve structure.full(layer), and compare goals: goal.value(state, model)"
             )
@@ -387,32 +376,32 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for an estimate from bonded bodies: the meshed layer must shift each body rigidly."""
-    if r.curvature_text:
+    if r.curvature:
         remedy = "solve structure.full(layer, bodies='extended'), and compare goals: goal.value(state, model)"
         yield Violation(
-            "moved", f"bonded bodies meet on S, where {r.seam_layer} {r.curvature_text} leaves them in no place", remedy
+            "moved", f"bonded bodies meet on S, where {r.layer} {r.curvature} leaves them in no place", remedy
         )
 
 
 def _rate_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for evaluating the law in a state, which has no strain rates."""
-    if r.seam_layer.law.traits.rate:
-        yield Violation("rate", f"{r.seam_layer.kind} has a rate, of which a state does not know", "mesh the layer")
+    if r.layer.law.traits.rate:
+        yield Violation("rate", f"{r.layer.kind} has a rate, of which a state does not know", "mesh the layer")
 
 
 def _corner_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for singular stresses at corners of free ends: a wedge of 90 degrees on a rigid face, plane strain."""
-    if not r.seam_layer.law.traits.linear:
-        yield Violation("not linear", f"exponents are known of linear laws, not of {r.seam_layer.kind}")
-    sublayers, n = r.law.sublayers, r.seam_layer.sheet.mean_normal
+    if not r.layer.law.traits.linear:
+        yield Violation("not linear", f"exponents are known of linear laws, not of {r.layer.kind}")
+    sublayers, n = r.law.sublayers, r.layer.sheet.mean_normal
     outer = [] if r.law.fields else [declared_or_computed_tangent(law, n) for _, law in (sublayers[0], sublayers[-1])]
     isotropic = [average_lame(C)[1] for C in outer if C is not None and is_isotropic(C)]
     if len(isotropic) < 2:
         yield Violation("not isotropic", "exponents are known of isotropic layers, by numbers")
         return
-    if r.seam_layer.structure.plane == "axisymmetric":
+    if r.layer.structure.plane == "axisymmetric":
         yield Violation("radius", "free ends of a body of revolution are curved")
-    yield from _straight_end_conditions(r, softest_body(r.seam_layer) / max(isotropic))
+    yield from _straight_end_conditions(r, softest_body(r.layer) / max(isotropic))
 
 
 Condition = Callable[[Applicability], Iterator[Violation]]

@@ -229,10 +229,8 @@ class Coefficient:
         """Raise InputError if the function gives other values for plain numbers than for symbols."""
         if any(map(_fields, components.flat)):
             return
-        for place, t in [
-            *product(self.at.places, COMPARISON_TIMES[:1]),
-            *product(self.at.places[:1], COMPARISON_TIMES[1:]),
-        ]:
+        places, (first, *later) = self.at.places, COMPARISON_TIMES
+        for place, t in [*product(places, [first]), *product(places[:1], later)]:
             try:
                 plain = self._read(self._called(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
             except Exception:  # the function accepts symbols only, as with ufl.grad

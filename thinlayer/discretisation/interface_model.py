@@ -149,8 +149,8 @@ class InterfaceModel(Model):
     @property
     def remarks(self) -> list[str]:
         """Sentences for the log: whether free ends of layers of order 1 are corrected."""
-        ordered = [r for r in self.applicability.values() if r.seam_layer.thin_layer and r.seam_layer.thin_layer.order]
-        return [f"free ends of {r.seam_layer}: {r.free_end_text}" for r in ordered]
+        ordered = [r for r in self.applicability.values() if r.layer.thin_layer and r.layer.thin_layer.order]
+        return [f"free ends of {r.layer}: {r.free_end_text}" for r in ordered]
 
     def shifts(self) -> FloatArray | None:
         """Shifts as in `Model`, by layers of order 1 between bodies that meet on S; other laws ignore the thickness."""

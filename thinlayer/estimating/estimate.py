@@ -242,7 +242,7 @@ def _of_order_1(reduction: Applicability) -> ThinLayer:
     try:
         return replace(reduction.next_order(), edges="plain")
     except InputError:
-        return reduction.seam_layer.thin_layer
+        return reduction.layer.thin_layer
 
 
 def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:

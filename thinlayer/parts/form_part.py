@@ -329,10 +329,7 @@ def _strain_work(p: Term, v: Expr) -> Expr:
 def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
     """Forms of the work of stresses in the prescribed strains, the integral of their squares, and the volume."""
     unity = fem.Constant(u.function_space.mesh, 1.0)
-    densities = [
-        (ufl.inner(stress(p, u), p.prescribed_strain), ufl.inner(p.prescribed_strain, p.prescribed_strain), unity)
-        for p in strained
-    ]
+    densities = [(ufl.inner(stress(p, u), e), ufl.inner(e, e), unity) for p in strained for e in [p.prescribed_strain]]
     rows = [[f * p.weight * p.measure for f in row] for p, row in zip(strained, densities, strict=True)]
     return [compiled(sum(column)) for column in zip(*rows, strict=True)]
 

@@ -429,11 +429,8 @@ def augmented_in_place(
     before = K.createSubMatrix(_block_indices(K, changed))
     try:
         for block in others:
-            K.axpy(
-                block.factor,
-                block.matrix,
-                SUBSET_PATTERN if _fits_pattern(comm, block.matrix, before, changed) else DIFFERENT_PATTERN,
-            )
+            pattern = SUBSET_PATTERN if _fits_pattern(comm, block.matrix, before, changed) else DIFFERENT_PATTERN
+            K.axpy(block.factor, block.matrix, pattern)
         destroy(*(block.matrix for block in others if not block.kept))
         K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         K.zeroRowsColumns(bc_rows, value)

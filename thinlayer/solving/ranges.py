@@ -68,9 +68,9 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
         for key, remark in _model_remarks(model, layer, lasting):
             model.warn(key, remark, layer.name)
     for name, r in model.applicability.items() if model.broken else ():
-        if r.seam_layer.has_pressure_flow and r.is_coarse.any():
+        if r.layer.has_pressure_flow and r.is_coarse.any():
             delta, largest = r.pressure_lengths[r.is_coarse].min(), r.loose[r.is_coarse].depth.max()
-            what = f"the pressure of {r.seam_layer} falls to zero at free ends over delta = {delta:.3g}"
+            what = f"the pressure of {r.layer} falls to zero at free ends over delta = {delta:.3g}"
             remedy = "it is not set to zero there, as if they were held; make cells there shorter"
             model.warn("coarse ends", f"{what}, and cells there are up to {largest:.3g} long: {remedy}", name)
         if refused := r.why_not("sides"):
@@ -103,7 +103,7 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     model = states[0].model
     warn_of_strains(states)
     for reduction in model.applicability.values() if model.broken else ():
-        layer, pulls = reduction.seam_layer, [_largest_tension(reduction, state) for state in states]
+        layer, pulls = reduction.layer, [_largest_tension(reduction, state) for state in states]
         if max(pulls) > CAVITATION_STRESS_RATIO:
             t, ratio = states[int(np.argmax(pulls))].t, max(pulls)
             what = f"at t = {t:.4g} the pressure of {layer} is a tension, {ratio:.3g} times its shear modulus"
@@ -250,11 +250,11 @@ def _largest_tension(reduction: Applicability, state: State) -> float:
 
     It is 0 for a layer without pressure flow, and without tension.
     """
-    p = state.fields.get(reduction.seam_layer.pressure_key) if reduction.seam_layer.has_pressure_flow else None
+    p = state.fields.get(reduction.layer.pressure_key) if reduction.layer.has_pressure_flow else None
     if p is None:
         return 0.0
     n_owned = p.function_space.dofmap.index_map.size_local
-    x = p.function_space.tabulate_dof_coordinates()[:n_owned, : reduction.seam_layer.structure.joint.dim]
+    x = p.function_space.tabulate_dof_coordinates()[:n_owned, : reduction.layer.structure.joint.dim]
     mu = reduction.law.fields_at(x.T).get("mu", reduction.law.parameters()["mu"])
     return float(state.model.comm.allreduce((p.x.array[:n_owned] / mu).max(initial=0.0), MPI.MAX))
 
