@@ -200,10 +200,8 @@ def along(dropped: Dropped) -> Table:
     columns = {}
     for name, field in zip(ESTIMATED_FIELDS, (surface.traction, surface.jump), strict=True):
         before = field(estimate.state)
-        for which, state in (
-            ("true", dropped.full),
-            ("estimated", estimate.inside if name == "traction" else estimate.better),
-        ):
+        better = estimate.inside if name == "traction" else estimate.better
+        for which, state in (("true", dropped.full), ("estimated", better)):
             x, values = surface.profile(field(state) - before)
             columns[f"{which}_{name}"] = values[:, 1]
     _, on_s = surface.profile((surface.traction(estimate.state) * surface.jump(dropped.full)).sum(axis=0))

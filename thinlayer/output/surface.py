@@ -168,13 +168,9 @@ class Surface(SurfaceMesh):
                 row |= {name: float(areas @ (status[:, 0] == name)) for name in statuses(model, seam)}
             if layer and seam in seams_with_phases(model):
                 row |= phase_shares(state, seam)
-            if (
-                layer
-                and layer.thin_layer
-                and status is not None
-                and (factor := times_too_stiff(state, layer)) is not None
-            ):
-                row |= {"delta": float(layer.thin_layer.eps) * resting_sublayers(layer)[0].length, "too_stiff": factor}
+            thin = layer.thin_layer if layer else None
+            if layer and thin and status is not None and (factor := times_too_stiff(state, layer)) is not None:
+                row |= {"delta": float(thin.eps) * resting_sublayers(layer)[0].length, "too_stiff": factor}
             rows.append(row)
         columns = dict.fromkeys(name for row in rows for name in row)
         return Table({name: row.get(name) for name in columns} for row in rows)

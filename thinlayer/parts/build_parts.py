@@ -28,10 +28,8 @@ def body_parts(model: Model) -> list[Part]:
 
     The first part has a matrix with the nonzero pattern of the bodies.
     """
-    parts: list[Part] = [
-        LawFormPart("forms", model.V, model.bodies, model.layer_terms),
-        *_compiled_parts(model, model.bodies),
-    ]
+    linear = LawFormPart("forms", model.V, model.bodies, model.layer_terms)
+    parts: list[Part] = [linear, *_compiled_parts(model, model.bodies)]
     if model.stress:
         parts.append(MeanStressPart(model.V, model.solids, model.stress, model.volume, model.comm))
     return parts

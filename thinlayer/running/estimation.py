@@ -84,12 +84,9 @@ def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[dict[st
     """Rows with the thickness below which each quantity changes by less than its tolerance; each is printed at once."""
     goals, rows = {goal.name: goal for goal in case.goals}, []
     seams = [*case.layer] if isinstance(case.layer, Mapping) else [S]
-    options: dict[str, Any] = {
-        "times": case.description.times or None,
-        "bodies": case.description.bodies,
-        "bonded": name == BOND,
-    }
-    for (quantity, tolerance), seam in product(case.description.tolerance.items(), seams):
+    asked = case.description
+    options: dict[str, Any] = {"times": asked.times or None, "bodies": asked.bodies, "bonded": name == BOND}
+    for (quantity, tolerance), seam in product(asked.tolerance.items(), seams):
         if name == BOND and quantity == "jump":
             continue  # bonded bodies have no jump
         of = {"seam": seam} if len(seams) > 1 else {}

@@ -129,10 +129,8 @@ class Page:
         about["links"] = "".join(fill_template("link", id=part["id"], short=part["short"]) for part in sections)
         about["sections"] = "".join(map(self.section, sections))
         about["gaps"] = "".join(fill_template("gap", name=name, log=f"{name}{LOG_SUFFIX}") for name in self.unfinished)
-        about |= {
-            "errata": html_table(ERRATA, "erratum", map(self.erratum, self.data["errata"])),
-            "summary": self.summary,
-        }
+        about["errata"] = html_table(ERRATA, "erratum", map(self.erratum, self.data["errata"]))
+        about["summary"] = self.summary
         return fill_template("page", **about, facts=html_pairs(facts), versions=html_pairs(versions()))
 
     def section(self, part: Mapping[str, Any]) -> str:

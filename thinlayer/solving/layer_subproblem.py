@@ -152,9 +152,8 @@ class DirichletLayers:
             rounding = ROUNDING_SHARE * np.abs(w[: self._n_u]).max(initial=0.0)
             if first <= max(NEWTON_TOLERANCE**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
                 if factor().negative_pivots > self._inside[self._n_u :].sum():  # one for each pressure
-                    raise SolveError(
-                        "the layer by itself softens: its stress falls as strains grow", advice=MESH_REMEDY
-                    )
+                    reason = "the layer by itself softens: its stress falls as strains grow"
+                    raise SolveError(reason, advice=MESH_REMEDY)
                 return w
             w = w + d * line_search_share(slope, first)
         raise SolveError(

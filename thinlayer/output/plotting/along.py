@@ -133,9 +133,8 @@ def _legend(figure: Picture, rows: list[_Row], dim: int) -> None:
     handles, vectors = list[Any](), any(row.components > 1 for row in rows)
     if vectors:
         names = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
-        handles += [
-            Line2D([], [], color="0.3", linestyle=COMPONENT_STYLES[k], label=name) for k, name in enumerate(names)
-        ]
+        styles = zip(COMPONENT_STYLES, names, strict=False)
+        handles += [Line2D([], [], color="0.3", linestyle=style, label=name) for style, name in styles]
     cases = list(dict.fromkeys(case for row in rows for case in row.lines))
     if len(cases) > 1:
         looks = zip(cycle(COLOURS), cycle(("-",) if vectors else LINE_STYLES), cases, strict=False)

@@ -32,13 +32,7 @@ LAYER_STYLE: dict[str, Any] = {"color": "crimson", "line_width": 4, "lighting": 
 SEAM_STYLE: dict[str, Any] = LAYER_STYLE | {"line_width": 2}  # the two sides of S
 EDGE_STYLE: dict[str, Any] = {"color": "black", "line_width": 3, "lighting": False}
 BASE_STYLE: dict[str, Any] = {"color": "dimgrey", "line_width": 8, "lighting": False}
-BODY_STYLE: dict[str, Any] = {
-    "scalars": "u",
-    "cmap": "viridis",
-    "show_scalar_bar": False,
-    "ambient": 0.7,
-    "diffuse": 0.3,
-}
+U_STYLE: dict[str, Any] = {"scalars": "u", "cmap": "viridis", "show_scalar_bar": False, "ambient": 0.7, "diffuse": 0.3}
 PLAIN_BODY_STYLE: dict[str, Any] = {"color": "#ece5da", "lighting": False}
 OUTLINE_STYLE: dict[str, Any] = {"color": "#6b6256", "line_width": 2, "lighting": False}
 SURFACE_STYLE: dict[str, Any] = {"scalars": "rgb", "rgb": True, "line_width": 12, "lighting": False}
@@ -246,7 +240,7 @@ class Scene:
         plotter = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
         plotter.add_light(pyvista.Light(light_type="headlight"))
         body, outlines = (
-            BODY_STYLE | {"clim": self.limits} if on_s is None else PLAIN_BODY_STYLE,
+            U_STYLE | {"clim": self.limits} if on_s is None else PLAIN_BODY_STYLE,
             on_s is not None and grid.dim == 3,
         )
         edge = EDGE_STYLE if on_s is None else OUTLINE_STYLE

@@ -213,10 +213,8 @@ def _meshes(colours: _Colours, values: Array, lower: Array, upper: Array) -> lis
         return [_mesh(_corner_points(middle), rgb, "faces")]
     low, high = _corner_points(lower), _corner_points(upper)
     gaps = np.concatenate([low, high[:, :, ::-1]], axis=2)
-    return [
-        _mesh(gaps, np.concatenate([rgb, rgb[:, :, ::-1]], axis=2), "faces"),
-        _mesh(_corner_points(middle), rgb, "lines"),
-    ]
+    gap_rgb = np.concatenate([rgb, rgb[:, :, ::-1]], axis=2)
+    return [_mesh(gaps, gap_rgb, "faces"), _mesh(_corner_points(middle), rgb, "lines")]
 
 
 def _corner_points(values: Array) -> Array:
