@@ -69,10 +69,8 @@ class Column:
 
     def at_eps(self, eps: float) -> Any:
         """The layers of this thickness, or of others in their ratio, with the cells that they have."""
-        of = lambda layer: (
-            replace(layer, eps=eps / EPS / self.length * layer.eps, at=layer.eps) if hasattr(layer, "law") else layer
-        )
-        every = self.layers
+        every, ratio = self.layers, eps / EPS / self.length
+        of = lambda layer: replace(layer, eps=ratio * layer.eps, at=layer.eps) if hasattr(layer, "law") else layer
         return {name: of(layer) for name, layer in every.items()} if isinstance(every, dict) else of(every)
 
     @cached_property

@@ -34,9 +34,8 @@ def check(joint: Joint, area: float) -> None:
 def shifted(joint: Joint, layer) -> float:
     """Energy of a body whose top is shifted."""
     supports = {"BOTTOM": 0.0, "TOP": {"x": 0.1, "y": -0.05}}
-    energies = solve(
-        Structure(joint, body=LinearElastic.young(10.0, 0.25), supports=supports).interface(layer)
-    ).energies()
+    body = LinearElastic.young(10.0, 0.25)
+    energies = solve(Structure(joint, body=body, supports=supports).interface(layer)).energies()
     return energies["bodies"] + energies["layer"]
 
 

@@ -126,9 +126,8 @@ def thin(c, folder):
     options = {"times": c.times or None, "bodies": c.bodies, "bonded": c.bonded}
     goal, seam = goals.Compliance(), {"seam": c.seam} if isinstance(c.layers, dict) else {}
     result = thin_enough(c.structure, c.layers, 0.02, goal, t=1.0, **options, **seam)
-    layer = (
-        {**c.layers, c.seam: replace(c.layers[c.seam], eps=result.eps)} if seam else replace(c.layers, eps=result.eps)
-    )
+    eps = result.eps
+    layer = {**c.layers, c.seam: replace(c.layers[c.seam], eps=eps)} if seam else replace(c.layers, eps=eps)
     state = c.state if c.bonded else c.reach(c.interface(layer))
     error = abs(goal.value(state, state.model) / goal.value(c.meshed(layer), state.model) - 1)
     assert error < 1.1 * 0.02

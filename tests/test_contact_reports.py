@@ -51,9 +51,8 @@ def test_frames_in_three_dimensions():
         axis = np.cross((0.0, 1.0, 0.0), n)
         turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.arccos(n[1])).as_matrix()
         assert frame == pytest.approx(turn[:, [0, 2, 1]].T, abs=1e-12)
-    assert normal_frames(np.array([[0.0, -1.0, 0.0]]))[0] == pytest.approx(
-        np.array([(-1, 0, 0), (0, 0, 1), (0, -1, 0)])
-    )
+    axes = np.array([(-1, 0, 0), (0, 0, 1), (0, -1, 0)])
+    assert normal_frames(np.array([[0.0, -1.0, 0.0]]))[0] == pytest.approx(axes)
 
 
 def test_pictures(tmp_path):

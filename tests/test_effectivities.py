@@ -82,9 +82,8 @@ def test_displacements_of_meshed_bodies_are_those_of_the_same_point():
     dropped = Dropped.of(case, COARSE)
     (goal,) = case.asked
     shifted = goals.Displacement((0.3, 0.4 + COARSE / 2), (0.0, 1.0))
-    there = shifted.value(
-        replace(dropped.full, model=dropped.full.model), dropped.full.model
-    )  # the same point, by its own place
+    # the same point, by its own place
+    there = shifted.value(replace(dropped.full, model=dropped.full.model), dropped.full.model)
     assert goal.value(dropped.full, dropped.estimate.better.model) == pytest.approx(there, rel=1e-9)
 
 

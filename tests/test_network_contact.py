@@ -56,9 +56,8 @@ def test_a_wall_in_space(cell):
     require_equal(state, other)
     assert imbalance(state) < 1e-11  # where Newton's method may stop
     assert imbalance(other) < 1e-10
-    assert {"sliding", "separated"} <= {
-        name for name, n in Surface(state.model, "HEAD").contact(state).counts.items() if n
-    }
+    counts = Surface(state.model, "HEAD").contact(state).counts
+    assert {"sliding", "separated"} <= {name for name, n in counts.items() if n}
 
 
 def test_a_wall_of_many_joints_of_two_cells():

@@ -205,9 +205,8 @@ def test_order_one_beside_a_seam_that_ends():
     (order0, cracked0), (order1, cracked1) = energies
     assert (cracked0, cracked1) == pytest.approx((order0, order1), rel=1e-6)  # the crack is closed by springs of 1e8
     assert abs(order1 / order0 - 1) > 1e-3
-    refused(
-        InputError, r"the layer 'CRACK' ends at \(3, 2\)", bodies(parallel).interface, {"GLUE": layer, "CRACK": layer}
-    )
+    words = r"the layer 'CRACK' ends at \(3, 2\)"
+    refused(InputError, words, bodies(parallel).interface, {"GLUE": layer, "CRACK": layer})
 
 
 @pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning")  # of the free ends

@@ -117,9 +117,8 @@ def test_plates_that_bend():
         joint = sandwich(300.0, 5.0, 5.0, 2.5, cell="quadrilateral")
         setup = {"supports": supports, "tractions": {"TOP": lambda x, t: (0.0, -2e-3 * ufl.sin(np.pi * x[0] / 300))}}
         glass, layer = Structure(joint, body=LinearElastic.young(70e3, 0.23), **setup), LinearElastic.shear(mu, 0.45)
-        limit, messages = with_warnings(
-            lambda s=glass, layer=layer, k=order: solve(s.interface(ThinLayer(layer, 0.7, order=k)))
-        )
+        glue = ThinLayer(layer, 0.7, order=order)
+        limit, messages = with_warnings(lambda s=glass, glue=glue: solve(s.interface(glue)))
         assert len(messages) == size
         if messages:
             exact = solve(glass.full(ThinLayer(layer, 0.7))).energies()["loads"]

@@ -21,9 +21,8 @@ from thinlayer import Structure, ThinLayer, march, solve
 
 def warnings_and_result(model, times):
     """RangeWarnings of a march, or of a solve at a time; and its result."""
-    result, messages = ranges_told.with_warnings(
-        lambda: march(model, times) if isinstance(times, list) else solve(model, times)
-    )
+    run = march if isinstance(times, list) else solve
+    result, messages = ranges_told.with_warnings(lambda: run(model, times))
     return messages, result
 
 

@@ -168,9 +168,7 @@ def test_stresses_turn_with_the_structure(angle):
     lifted[2, 2] = 1.0
     np.testing.assert_allclose(turned_stress, lifted @ plain_stress @ lifted.T, atol=1e-8 * np.abs(plain_stress).max())
     for corner in plain.corners:
-        (same,) = [
-            other for other in turned.corners if other.m @ (turn @ corner.m) > 0.99 and other.side == corner.side
-        ]
+        (same,) = [other for other in turned.corners if other.m @ turn @ corner.m > 0.99 and other.side == corner.side]
         np.testing.assert_allclose(same.H, corner.H, rtol=1e-7)
 
 
