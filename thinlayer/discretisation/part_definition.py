@@ -149,13 +149,9 @@ def check_part_definitions(parts: Sequence[Any], model: HostModel) -> None:
     of_seams = {f"{kind} {name}" for kind in (LAYER_KIND, CONTACT_KIND, "pressure") for name in model.joint.seams}
     keys = {*RESERVED_KEYS, *of_seams, *(f"{BODY_KIND} {name}" for name in model.joint.bodies)}
     for part in parts:
-        require(
-            isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, or a PartDefinition"
-        )
+        require(isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, PartDefinition")
         if not part.ties_nodes and type(part).part is PartDefinition.part:
-            raise InputError(
-                f"the part {part.key!r} does nothing: it has no part(model), no multi_point_constraint(model)"
-            )
+            raise InputError(f"{part.key!r} does nothing: it has neither part(model) nor multi_point_constraint(model)")
         sublayer = re.fullmatch(rf"{LAYER_KIND} \d+", part.key) or part.key.split("/")[0] in {LAYER_KIND, *of_seams}
         if sublayer or part.key in keys:
             raise InputError(f"two parts are called {part.key!r}; give one of them another name")
