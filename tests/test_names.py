@@ -13,6 +13,7 @@ from forms import LinearElastic
 from geometry import block
 from thinlayer import Structure, ThinLayer
 from thinlayer.discretisation.part_definition import PartDefinition
+from thinlayer.parts.part import FieldPart
 
 CLONE = Path(__file__).parents[1]
 FOLDERS = ("forms", "geometry", "thinlayer", "studies", "tests", ".ci/benchmarks")
@@ -28,6 +29,7 @@ NO_NAMES = {
     "beside",
 }  # say nothing of what a thing is
 FORMER = [
+    ("thinlayer.discretisation.constraints", "Tied", "MultiPointConstraint"),
     ("thinlayer.discretisation.addition", "Addition", "PartDefinition"),
     ("thinlayer.parts.part", "Interval", "TimeStep"),
     ("thinlayer.parts.part", "Outcome", "StepOutcome"),
@@ -75,6 +77,10 @@ def test_former_methods_are_deprecated():
     ):
         part = type("Own", (PartDefinition,), {"tied": tied})
     assert part.multi_point_constraint is tied
+    with pytest.warns(
+        DeprecationWarning, match="Own.own_held is deprecated since thinlayer 1.1; call it own_prescribed"
+    ):
+        assert type("Own", (FieldPart,), {"own_held": tied}).own_prescribed is tied
     with pytest.warns(DeprecationWarning, match="Own.eased is deprecated since thinlayer 1.1; call it homotopy"):
         law = type("Own", (LinearElastic,), {"eased": lambda self, ease: LinearElastic(9.0, 8.0)})
     assert law(1.0, 2.0).homotopy(0.5) == LinearElastic(9.0, 8.0)

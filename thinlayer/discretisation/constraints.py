@@ -17,6 +17,7 @@ from forms.base import Array, InputError
 from geometry.refusals import place_text as at_place
 from geometry.topology import IntArray, sum_by_number
 from thinlayer.discretisation.supports import LENGTH_TOLERANCE, Prescribed
+from thinlayer.errors import former_names
 from thinlayer.system.ranks import destroy
 
 Sparse = Any  # scipy.sparse.csr_matrix, which has no types
@@ -482,3 +483,6 @@ def local_csr(A: PETSc.Mat) -> Sparse:
     """This rank's rows of a PETSc matrix, as CSR."""
     begins, columns, entries = A.getValuesCSR()
     return scipy.sparse.csr_matrix((entries, columns, begins), (A.getLocalSize()[0], A.getSize()[1]))
+
+
+__getattr__ = former_names(__name__, {"Tied": MultiPointConstraint})

@@ -20,6 +20,7 @@ from thinlayer.discretisation.constraints import MultiPointConstraint
 from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.layer import BODIES, BODY_KIND, CONTACT_KIND, LAYER_KIND
 from thinlayer.discretisation.supports import Place
+from thinlayer.errors import FormerNames
 from thinlayer.system.ranks import destroy
 
 RESERVED_KEYS = ("forms", LAYER_KIND, "pressure", CONTACT_KIND, BODIES, "loads")  # keys that every model may have
@@ -28,7 +29,7 @@ RESERVED_KEYS = ("forms", LAYER_KIND, "pressure", CONTACT_KIND, BODIES, "loads")
 HostModel = Any  # a `Model`; its module imports this one
 
 
-class PartDefinition:
+class PartDefinition(FormerNames):
     """Definition of a part of the balance of forces, for the `parts` of a structure: a frozen dataclass.
 
     Its fields and code belong to the model's identity.
@@ -39,13 +40,14 @@ class PartDefinition:
         components: components of the slave displacements there, such as "y"; None: all.
     """
 
+    former_names: ClassVar = {"tied": "multi_point_constraint", "held": "bc_dofs_in"}
     key: str
     place: str
     components: ClassVar[Sequence[str] | None] = None
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        accept_renamed(cls, {"tied": "multi_point_constraint", "held": "bc_dofs_in"})
+        accept_renamed(cls, cls.former_names)
 
     @property
     def ties_nodes(self) -> bool:

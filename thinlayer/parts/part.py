@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -12,6 +13,7 @@ from petsc4py import PETSc
 
 from forms.base import Array
 from forms.law import Law
+from forms.traits import accept_renamed
 from geometry.topology import IntArray
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import former_names
@@ -210,6 +212,10 @@ class Part(ABC):
     failed: int = 0
     K: PETSc.Mat | None = None
     interval: TimeStep
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        accept_renamed(cls, {"ease": "set_homotopy", "own_held": "own_prescribed"})
 
     def begin(self, interval: TimeStep) -> None:
         """Begin a step from the configuration `interval.old`."""
