@@ -19,7 +19,7 @@ BENCHMARKS = {path.stem for path in (Path(__file__).parents[1] / ".ci" / "benchm
 
 
 def sums(path: Path) -> dict[str, list[float]]:
-    """Of each column of numbers: of its values, and of its values times the number of their row."""
+    """Each column of numbers: its sum, its sum weighted by row numbers, and its largest magnitude."""
     with path.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     columns = {}
