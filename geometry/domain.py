@@ -24,7 +24,7 @@ from geometry.joint import Joint
 from geometry.parallel import default_comm, on_root
 from geometry.partition import partitioner, rows_of_rank
 from geometry.refusals import require_known
-from geometry.seam import BASE, LAYER, S
+from geometry.seam import BASE, LAYER, FacetName, S
 from geometry.sheet import continued_ridges
 from geometry.topology import FloatArray, Indices, IntArray, geometry_degree, local_facets
 
@@ -212,12 +212,12 @@ class Domain:
         """
         require_known("facet set", name, self.facet_values)
         values = self.facet_values[name]
-        return values + self.facet_values.get(f"{name}/{LAYER}", ()) if layer_sides else values
+        return values + self.facet_values.get(str(FacetName(name, LAYER)), ()) if layer_sides else values
 
     def is_outer(self, name: str) -> bool:
         """Whether all facets of a name lie on the outer boundary."""
         joint = self.joint
-        matches = [candidate for candidate in (name, name.split("/")[0]) if candidate in joint.facets]
+        matches = [candidate for candidate in (name, FacetName.parse(name).whole) if candidate in joint.facets]
         return not matches or bool((joint.table.cells[joint.table.index(joint.facets[matches[0]]), 1] < 0).all())
 
     def facets(self, name: str, *, layer_sides: bool = False) -> Indices:
@@ -269,14 +269,14 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
     for name, facets in joint.facets.items():
         rows = joint.table.index(facets)
         yield name, rows
-        if "/" in name or name in (*seams, BASE) or (joint.table.cells[rows, 1] >= 0).any():
+        if FacetName.parse(name).region or name in (*seams, BASE) or (joint.table.cells[rows, 1] >= 0).any():
             continue
         cells = joint.table.cells[rows, 0]
         for number, region in enumerate(joint.regions):
-            if region.split("/")[0] != LAYER:
-                yield f"{name}/{region}", rows[joint.region[cells] == number]
+            if not joint.band or region not in joint.band.regions:
+                yield str(FacetName(name, region)), rows[joint.region[cells] == number]
         if joint.band is None and np.isin(facets, on_s).any() and len(continued_ridges(joint, facets)):
-            yield f"{name}/{LAYER}", rows[:0]
+            yield str(FacetName(name, LAYER)), rows[:0]
 
 
 def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[int, ...]]]:

@@ -20,6 +20,33 @@ MIN_COSINE = 0.02  # least cosine of the angle between a facet's normal and a di
 
 
 @dataclass(frozen=True)
+class FacetName:
+    """Name of a facet set, as text "NAME" or "NAME/REGION". Tags, supports and loads have the texts.
+
+    Attributes:
+        whole: name of the set that users or builders named, or of a seam.
+        region: region whose part of the set it is, `LAYER` for the side faces of the layer that continue the set, or
+            the face of a seam's layer; "": all.
+    """
+
+    whole: str
+    region: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> FacetName:
+        """Return the name with a text."""
+        return cls(*text.split("/", 1))
+
+    def __str__(self) -> str:
+        return f"{self.whole}/{self.region}" if self.region else self.whole
+
+    @property
+    def continued(self) -> str:
+        """Text of the name of the set that these side faces of a layer continue; of other sets their own."""
+        return self.whole if self.region == LAYER else str(self)
+
+
+@dataclass(frozen=True)
 class Seam:
     """Choice of the upper side of a layer's surface. The normal n points from the lower to the upper side.
 

@@ -19,6 +19,7 @@ from geometry.joint import Joint
 from geometry.seam import JUNCTIONS, LAYER
 from studies.sweeping import difference
 from thinlayer import Structure, Surface, Table, ThinLayer, UflPart, plotting, solve
+from thinlayer.discretisation.key import LAYER_KIND, Key
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
@@ -174,8 +175,8 @@ def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, flo
 
 def stored_in(state: State) -> float:
     """Total stored energy; energies of single seams are skipped, as "layer" includes them."""
-    energies = state.energies().items()
-    return sum(energy for name, energy in energies if name != "loads" and not name.startswith(f"{LAYER.lower()} "))
+    skipped = {"loads", *(str(Key(LAYER_KIND, seam)) for seam in state.model.joint.seams)}
+    return sum(energy for key, energy in state.energies().items() if key not in skipped)
 
 
 def check(record: Record, name: str, rows: Sequence[Mapping[str, Any]]) -> None:

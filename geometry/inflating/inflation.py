@@ -18,7 +18,7 @@ from geometry.inflating.layering import Layering, check_junctions, check_layerin
 from geometry.joint import InflatedBand, Joint, Profile
 from geometry.periodic import with_periods_of
 from geometry.refusals import refuse
-from geometry.seam import JUNCTIONS, LAYER
+from geometry.seam import JUNCTIONS, LAYER, FacetName
 from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
 
 Profiles = Profile | Mapping[str, Profile | None] | None
@@ -151,7 +151,7 @@ def without_bodies(inflated: Joint) -> Joint:
         rows = number[of_name]
         rows = rows[(rows >= 0).all(axis=1)]
         if len(rows := rows[table.index(rows) >= 0]):
-            facets[name] = facets[name.removesuffix(f"/{LAYER}")] = rows
+            facets[name] = facets[FacetName.parse(name).continued] = rows
     points, region = inflated.points[used], inflated.region[mine] - first
     new_band = replace(band, reference=band.reference[used])
     return Joint(points, cells, inflated.cell_type, region, band.regions, facets, inflated.seams, new_band)

@@ -12,7 +12,7 @@ from forms.base import InputError, is_finite, is_integer, require
 from geometry.inflating.band_cells import NodeCopies, NodeLines, level_heights
 from geometry.joint import Joint, Profile
 from geometry.refusals import place_text, refuse, require_known
-from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE
+from geometry.seam import BASE, LAYER, LOWER_FACE, UPPER_FACE, FacetName
 from geometry.sheet import continued_ridges
 from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, keys_of_ridges
 
@@ -140,9 +140,9 @@ def moved_facets(
     out: dict[str, IntArray] = {}
     faces: list[str] = []
     for number, seam in enumerate(joint.seams):
-        of_seam, prefix = joint.seam_numbers == number, "" if len(joint.seams) == 1 else f"{seam}/"
+        of_seam, several = joint.seam_numbers == number, len(joint.seams) > 1
         both = {UPPER_FACE: above} if on_base[of_seam].any() else {UPPER_FACE: above, LOWER_FACE: below}
-        named = {f"{prefix}{name}": side[of_seam] for name, side in both.items()}
+        named = {str(FacetName(seam, name)) if several else name: side[of_seam] for name, side in both.items()}
         out |= named
         faces += named if filled[of_seam].any() else ()
     if (on_base & filled).any():
@@ -162,5 +162,5 @@ def moved_facets(
         around = stands[on & of_band]  # in 3D the end of a junction continues the same sets as its layers
         on |= upright & np.isin(stands[:, 0], around)
         if on.any():
-            out[f"{name}/{LAYER}"] = sides[on]
+            out[str(FacetName(name, LAYER))] = sides[on]
     return out, tuple(faces)

@@ -15,7 +15,7 @@ from forms.kinematics import Kinematics
 from geometry.domain import Domain, cell_nodes, cells_of_facets
 from geometry.joint import Joint
 from geometry.refusals import refuse, require_known
-from geometry.seam import LAYER, S
+from geometry.seam import LAYER, FacetName, S
 from geometry.topology import BoolArray, Indices, IntArray, connected, facet_normals, sum_by_number
 from thinlayer.system.compat import interpolation_points
 from thinlayer.system.ranks import send
@@ -79,23 +79,23 @@ def boundary_values(
     base = joint.band.base if joint.band else joint
     names = ", ".join(sorted(base.facets.keys() - {S}))
     require(isinstance(name, str), f"{what}: a place", name, f"it must be the name of a facet set; known: {names}")
-    whole = str(name).split("/")[0]
+    part = FacetName.parse(name)
     refuse_periodic(joint, name, what)
-    if name in base.seams or whole == S or not (inside or domain.is_outer(name)):
+    if name in base.seams or part.whole == S or not (inside or domain.is_outer(name)):
         raise InputError(f"{what}: its facets lie inside, or below a layer; take a facet set on the outer boundary")
-    facets = joint.facets.get(name, joint.facets.get(whole))
+    facets = joint.facets.get(name, joint.facets.get(part.whole))
     if not inside and facets is not None and len(facets) and nodes_on_axis(kinematics, joint)[facets].all():
         raise InputError(f"{what}: these facets are the axis of revolution, which is no boundary")
     require_known("facet set", name, domain.facet_values, what)
-    if not domain.values(name) and not (side and name.endswith(f"/{LAYER}")):
-        why = ", as the layer is a surface here: mesh it (structure.full)" * name.endswith(f"/{LAYER}")
+    if not domain.values(name) and not (side and part.region == LAYER):
+        why = ", as the layer is a surface here: mesh it (structure.full)" * (part.region == LAYER)
         raise InputError(f"{what}: this facet set is empty{why}")
     return domain.values(name)
 
 
 def refuse_periodic(joint: Joint, name: str, what: str) -> None:
     """Raise InputError if a periodic side has this name: it is no boundary of the periodic structure."""
-    if joint.periods and name.split("/")[0] in joint.periods.names:
+    if joint.periods and FacetName.parse(name).whole in joint.periods.names:
         remedy = "a periodic cell is loaded by a mean strain, Structure(..., strain=...)"
         raise InputError(f"{what}: this side is identified with another one, the structure goes on there; {remedy}")
 
@@ -160,7 +160,7 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
 
 def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
     """Outer unit normals (n, d), before inflating, of the side that a layer's facets continue; NaN for other facets."""
-    joint, band, name = domain.joint, domain.joint.band, place.split("/")[0]
+    joint, band, name = domain.joint, domain.joint.band, FacetName.parse(place).whole
     out = np.full((len(facets), joint.dim), np.nan)
     if band is None or name not in band.base.facets or not len(facets):
         return out

@@ -16,7 +16,7 @@ from forms.base import InputError, require
 from forms.kinematics import Kinematics
 from forms.tensors import Expr
 from geometry.domain import Domain
-from geometry.seam import LAYER, S
+from geometry.seam import LAYER, FacetName, S
 from geometry.sheet import Sheet
 from thinlayer.discretisation.boundary import boundary_values
 from thinlayer.discretisation.coefficient import Coordinates, Load, Pressure, values_by_body
@@ -80,7 +80,7 @@ class Forces:
             values = boundary_values(domain, kinematics, name, f"traction on {name!r}", side=True)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
             self._warn_of_gaps(name)
-            side = f"{name.split('/')[0]}/{LAYER}"
+            side = str(FacetName(FacetName.parse(name).whole, LAYER))
             if side not in tractions and (share := self._share(name)):
                 what, loaded, *_ = self._loads[-1]
                 self.add_weighted("", what, share * loaded, LoadRegion(ds(domain.values(side)), 1))
@@ -120,7 +120,7 @@ class Forces:
 
     def _warn_of_gaps(self, name: str) -> None:
         """Warn if a gap ends on a loaded facet set: bodies gave up a part of their loaded faces to it."""
-        band, whole = self.domain.joint.band, name.split("/")[0]
+        band, whole = self.domain.joint.band, FacetName.parse(name).whole
         if band is None or band.bodies == "kept" or whole not in band.base.facets:
             return
         for seam in band.eps.keys() - band.of_seam.keys():
@@ -138,25 +138,25 @@ class Forces:
             InputError: the layer has no cells, so its side has no facets.
         """
         band, parted = self.domain.joint.band, self.domain.joint.parted is not None
-        whole, _, region = name.partition("/")
-        facets = self.domain.joint.facets.get(whole)
+        part = FacetName.parse(name)
+        facets, layer_side = self.domain.joint.facets.get(part.whole), str(FacetName(part.whole, LAYER))
         if parted and facets is not None and Sheet(self.domain.joint).rim.on(facets).any():
             reason = "S ends there, and bodies='extended' gave a part of this face to the layer's side"
-            remedy = f"give '{whole}/{LAYER}', which has no facets, a traction, zero if that side is free"
+            remedy = f"give '{layer_side}', which has no facets, a traction, zero if that side is free"
             raise InputError(f"traction on {name!r}: {reason}; {remedy}")
-        if band is None or band.bodies == "kept" or region == LAYER:
+        if band is None or band.bodies == "kept" or part.region == LAYER:
             return 0.0
-        if f"{whole}/{LAYER}" not in self.domain.facet_values:
+        if layer_side not in self.domain.facet_values:
             return 0.0
         joint, sheet = band.base, Sheet(band.base)
-        ends = sheet.rim[sheet.rim.on(joint.facets[whole])]
+        ends = sheet.rim[sheet.rim.on(joint.facets[part.whole])]
         sides = [side for side in joint.surface_cells[sheet.parts[0][ends.simplex]].T if (side >= 0).all()]
-        loaded = [joint.regions.index(body) for body in ([region] if region else joint.bodies)]
+        loaded = [joint.regions.index(body) for body in ([part.region] if part.region else joint.bodies)]
         covered = [np.isin(joint.region[side], loaded) for side in sides]
         if any(some.any() and not some.all() for some in covered):
             less = "which carries no part of it; the load is smaller than the interface model's"
-            what = f"traction on {name!r}: other bodies than {region!r} end at the layer's side too, {less}"
-            warn("other bodies", f"{what}. Load {whole!r}, or '{whole}/{LAYER}' as well", self.domain.comm)
+            what = f"traction on {name!r}: other bodies than {part.region!r} end at the layer's side too, {less}"
+            warn("other bodies", f"{what}. Load {part.whole!r}, or '{layer_side}' as well", self.domain.comm)
         return sum(bool(some.all()) for some in covered) / len(covered)
 
     def work(self, v: Expr, *, layers: bool = False) -> Expr:

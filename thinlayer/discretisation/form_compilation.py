@@ -26,7 +26,8 @@ from geometry.domain import Domain
 from geometry.inflating.inflation import offset_to_middle, points_on_middle
 from geometry.partition import column_numbers
 from thinlayer.discretisation.coefficient import Coordinates, has_finite_numbers
-from thinlayer.discretisation.layer import BODY_KIND, LAYER_KIND, law_with_constants
+from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, Key
+from thinlayer.discretisation.layer import law_with_constants
 from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.time_functions import time_constants
 from thinlayer.pointwise.quadrature import MEASURE_OF_INTEGRAL, MeshOrigin, Quadrature, assemble_matrix
@@ -190,6 +191,5 @@ def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
             by_key.setdefault(p.key or (BODY_KIND if p.n is None else LAYER_KIND), []).append(p)
     keys: dict[str, Term] = {}
     for name, some in by_key.items():
-        start = f"{name} " if name in (BODY_KIND, LAYER_KIND) else f"{name}/"
-        keys |= {f"{start}{k}" if len(some) > 1 else name: p for k, p in enumerate(some, 1)}
+        keys |= {str(Key.parse(name).numbered(k)) if len(some) > 1 else name: p for k, p in enumerate(some, 1)}
     return keys

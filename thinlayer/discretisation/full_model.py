@@ -21,7 +21,7 @@ from geometry.inflating.layering import check_layering
 from geometry.joint import Joint
 from geometry.parallel import on_root
 from geometry.refusals import require_known
-from geometry.seam import BASE, LAYER, S
+from geometry.seam import BASE, LAYER, FacetName, S
 from thinlayer.discretisation.boundary import require_revolution, require_shifts
 from thinlayer.discretisation.forces import LoadRegion
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -172,7 +172,7 @@ class LayerModel(FullModel):
         points = joint.points if at_ends is None else joint.points.copy()
         setup.joint = replace(joint, points=points, seams=seams)
         setup.comm, setup.parts, setup.loads, setup.body_laws, setup.eigenstrains = MPI.COMM_SELF, (), (), {}, {}
-        setup.tractions = {name: load for name, load in (setup.tractions or {}).items() if name.endswith(f"/{LAYER}")}
+        setup.tractions = {k: v for k, v in (setup.tractions or {}).items() if FacetName.parse(k).region == LAYER}
         force = setup.body_force
         setup.body_force = {k: v for k, v in force.items() if k in (*layers, S)} if isinstance(force, Mapping) else None
         free = [model.applicability[name].free.vertices.ravel() for name in layers]

@@ -24,13 +24,12 @@ from geometry.seam import S
 from geometry.sheet import Sheet
 from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.coefficient import Coordinates, Load
+from thinlayer.discretisation.key import CONTACT_KIND, LAYER_KIND, Key
 from thinlayer.discretisation.prescribed_strains import EigenstrainContext, EigenstrainInput, prescribed_strain
 from thinlayer.errors import Violation
 from thinlayer.system.compat import exterior_facet_entities, interior_facet_entities
 from thinlayer.system.fingerprint import describe
 
-# keys of memory and stored energies of laws, in states and in files
-LAYER_KIND, CONTACT_KIND, BODY_KIND, PRESSURE_KIND = "layer", "contact", "body", "pressure"
 BODIES = "bodies"  # name of all bodies together, among the names of seams
 EDGE_CHOICES = (None, "free", "plain")
 SurfaceLaw = TractionLaw | ContactLaw  # laws without a thickness: of jumps, or at nodes
@@ -225,17 +224,17 @@ class SeamLayer:
 
         Several terms of one layer have the keys "layer NAME/1", "layer NAME/2", ...; names of seams have no slash.
         """
-        kind = CONTACT_KIND if self.contact else LAYER_KIND
-        return f"{kind} {self.name}" if len(self.structure.joint.seams) > 1 else kind
+        several = len(self.structure.joint.seams) > 1
+        return str(Key(CONTACT_KIND if self.contact else LAYER_KIND, self.name if several else ""))
 
     @property
     def pressure_key(self) -> str:
         """Key of the layer's pressure, if its law has one."""
-        return PRESSURE_KIND + self.key.removeprefix(LAYER_KIND)
+        return str(Key.parse(self.key).pressure)
 
     def owns_key(self, key: str) -> bool:
         """Whether a key belongs to a term of this layer, or to its pressure."""
-        return len(self.structure.joint.seams) == 1 or key.split("/")[0] in (self.key, self.pressure_key)
+        return Key.parse(key).belongs_to(Key.parse(self.key))
 
     @property
     def has_pressure_flow(self) -> bool:

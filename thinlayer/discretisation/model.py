@@ -35,9 +35,9 @@ from thinlayer.discretisation.form_compilation import (
     compiled_terms,
     origin_of,
 )
+from thinlayer.discretisation.key import BODY_KIND, Key
 from thinlayer.discretisation.layer import (
     BODIES,
-    BODY_KIND,
     Bond,
     Gap,
     Layers,
@@ -53,7 +53,7 @@ from thinlayer.discretisation.point_loads import ConcentratedForms, Concentrated
 from thinlayer.discretisation.prescribed_strains import EigenstrainContext, MeanStrain, MeanStress, prescribed_strain
 from thinlayer.discretisation.rigid_motions import (
     Resultant,
-    free_translations,
+    free_axes,
     moment_centre,
     require_support,
     resistance_matrices,
@@ -176,7 +176,7 @@ class Model(ABC):
             resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
             names = [*scaled_motions(self.domain.joint, self.kinematics)]
             if self.joint.periods:
-                self.supports.anchored = free_translations(names, resistance_matrices(self, resistances))
+                self.supports.anchored = free_axes(self.joint, self.kinematics, resistance_matrices(self, resistances))
                 self.constraints = self._constrained()
             require_support(names, resistance_matrices(self, resistances))
 
@@ -216,7 +216,7 @@ class Model(ABC):
         if not law.traits.compiled:
             law, some = law_with_constants(law, self.domain.mesh), {"": names}
         else:
-            some = {f"{BODY_KIND} {name}": (name,) for name in names}
+            some = {str(Key(BODY_KIND, name)): (name,) for name in names}
         cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
         volume = self.volume_degree(law)
         each = {key: forms.body(law, measure, self.kinematics, volume) for key, measure in cells.items()}

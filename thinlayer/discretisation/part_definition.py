@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import dolfinx.fem.petsc
@@ -18,12 +18,13 @@ from geometry.topology import Indices
 from thinlayer.discretisation.boundary import AXIS_NAMES
 from thinlayer.discretisation.constraints import MultiPointConstraint
 from thinlayer.discretisation.form_compilation import compiled
-from thinlayer.discretisation.layer import BODIES, BODY_KIND, CONTACT_KIND, LAYER_KIND
+from thinlayer.discretisation.key import BODY_KIND, CONTACT_KIND, LAYER_KIND, PRESSURE_KIND, Key
+from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import FormerNames
 from thinlayer.system.ranks import destroy
 
-RESERVED_KEYS = ("forms", LAYER_KIND, "pressure", CONTACT_KIND, BODIES, "loads")  # keys that every model may have
+RESERVED_KEYS = ("forms", LAYER_KIND, PRESSURE_KIND, CONTACT_KIND, BODIES, "loads")  # keys that every model may have
 
 
 HostModel = Any  # a `Model`; its module imports this one
@@ -148,14 +149,15 @@ class PartDefinition(FormerNames):
 
 def check_part_definitions(parts: Sequence[Any], model: HostModel) -> None:
     """Raise InputError unless `parts` are part definitions that fit the model and have distinct keys. Collective."""
-    of_seams = {f"{kind} {name}" for kind in (LAYER_KIND, CONTACT_KIND, "pressure") for name in model.joint.seams}
-    keys = {*RESERVED_KEYS, *of_seams, *(f"{BODY_KIND} {name}" for name in model.joint.bodies)}
+    of_seams = {Key(kind, name) for kind in (LAYER_KIND, CONTACT_KIND, PRESSURE_KIND) for name in model.joint.seams}
+    keys = {*RESERVED_KEYS, *map(str, of_seams), *(str(Key(BODY_KIND, name)) for name in model.joint.bodies)}
     for part in parts:
         require(isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, PartDefinition")
         if not part.ties_nodes and type(part).part is PartDefinition.part:
             raise InputError(f"{part.key!r} does nothing: it has neither part(model) nor multi_point_constraint(model)")
-        sublayer = re.fullmatch(rf"{LAYER_KIND} \d+", part.key) or part.key.split("/")[0] in {LAYER_KIND, *of_seams}
-        if sublayer or part.key in keys:
+        whole = replace(Key.parse(part.key), part="")
+        sublayer = whole.kind == LAYER_KIND and whole.name.isdecimal()
+        if sublayer or whole in {Key(LAYER_KIND), *of_seams} or part.key in keys:
             raise InputError(f"two parts are called {part.key!r}; give one of them another name")
         keys.add(part.key)
         part.check(model)

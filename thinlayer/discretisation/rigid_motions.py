@@ -20,6 +20,7 @@ from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place_text as at_place
+from geometry.seam import FacetName
 from thinlayer.discretisation.boundary import AXIS_NAMES
 from thinlayer.discretisation.form_compilation import per_unit
 from thinlayer.discretisation.supports import Place
@@ -129,9 +130,10 @@ def resistance_matrices(model: Any, resistances: Sequence[Resistance]) -> Array:
     return np.asarray(matrix, float)
 
 
-def free_translations(names: Sequence[str], resistance: Array) -> tuple[str, ...]:
-    """Return the axes along which nothing prevents a translation; arguments as in `require_support`."""
-    much = {name.split()[1]: r for name, r in zip(names, np.diag(resistance), strict=True) if "translation" in name}
+def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[str, ...]:
+    """Return the axes along which nothing prevents a translation; `resistance` as in `require_support`."""
+    # translations are the first motions of `scaled_motions`
+    much = {AXIS_NAMES[k]: r for k, r in zip(kinematics.translations(joint.dim), np.diag(resistance), strict=False)}
     return tuple(axis for axis, r in much.items() if r <= MIN_RELATIVE_EIGENVALUE * max(*much.values(), 1.0))
 
 
@@ -221,7 +223,7 @@ def default_moment_point(model: Any, place: Place, chosen: Sequence[Place]) -> A
     if names:
         return np.asarray(np.mean([centroid(domain, name) for name in names], axis=0))
     if isinstance(place, str):  # the side of a layer that is not meshed
-        return centroid(domain, place.split("/")[0])
+        return centroid(domain, FacetName.parse(place).whole)
     joint = domain.joint
     copies = np.all(joint.reference == joint.reference[joint.nearest_point(place)], axis=1)
     return np.asarray(joint.points[copies].mean(axis=0))

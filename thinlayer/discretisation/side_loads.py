@@ -31,7 +31,7 @@ from forms.ends.weights import EndStrips
 from forms.kinematics import Kinematics
 from forms.tensors import Expr
 from forms.work import Interface
-from geometry.seam import LAYER
+from geometry.seam import FacetName
 from geometry.sheet import Rim, Sheet, StraightEnd, straight_ends
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.coefficient import Coordinates, Load, Pressure
@@ -66,7 +66,7 @@ class SideLoad:
         """Yield the side loads of a layer that are not zero."""
         rim = layer.sheet.rim
         for name, load in sorted((model.structure.tractions or {}).items()):
-            whole, value = name.removesuffix(f"/{LAYER}"), load.p if isinstance(load, Pressure) else load
+            whole, value = FacetName.parse(name).continued, load.p if isinstance(load, Pressure) else load
             zero = not callable(value) and not np.any(np.asarray(value, float))
             if whole != name and not zero and (here := rim.on(model.joint.facets[whole])).any():
                 yield cls(f"traction on {name!r}", load, rim[here])

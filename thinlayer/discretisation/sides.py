@@ -14,7 +14,7 @@ from forms.ends.weights import EndStrips, EndWeights
 from forms.work import Interface
 from geometry.domain import Domain
 from geometry.joint import Joint
-from geometry.seam import LAYER, S
+from geometry.seam import FacetName, S
 from geometry.sheet import Rim, Sheet, StraightEnd, continued_ridges, share_within
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.boundary import AXIS_NAMES, nodes_on_axis, side_normals
@@ -54,7 +54,7 @@ def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArra
     entries = [(place, tuple(value) if isinstance(value, Mapping) else axes) for place, value in setup.supports.items()]
     plates = [part for part in setup.parts if isinstance(part, PartDefinition) and part.ties_nodes]
     for place, components in [*entries, *((part.place, part.components or axes) for part in plates)]:
-        name = place.removesuffix(f"/{LAYER}") if isinstance(place, str) else S
+        name = FacetName.parse(place).continued if isinstance(place, str) else S
         if name in (S, *joint.seams) or name not in joint.facets:  # a vertex, or the side of one body
             continue
         if name != place and not of_layer:

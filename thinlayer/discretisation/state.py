@@ -19,7 +19,8 @@ from forms.work import Term, energy, stress, with_added_strain
 from geometry.seam import BASE, S
 from geometry.topology import IntArray
 from thinlayer.discretisation.form_compilation import compiled_scalars, per_unit, whole_structure_form
-from thinlayer.discretisation.layer import BODIES, BODY_KIND, LAYER_KIND, PRESSURE_KIND
+from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, PRESSURE_KIND, Key
+from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, VOIGT_PAIRS_OF_DIM, voigt_strain
 from thinlayer.discretisation.rigid_motions import (
@@ -144,7 +145,7 @@ class State(Configuration):
         In a joint with several seams its key in `fields` is "pressure NAME", with the name of the seam. If several
         layers have a pressure, use `fields["pressure NAME"]`: `p` raises InputError.
         """
-        keys = [key for key in self.fields if key.split(" ")[0] == PRESSURE_KIND]
+        keys = [key for key in self.fields if Key.parse(key).kind == PRESSURE_KIND]
         if len(keys) > 1:
             raise InputError(f"the layers have several pressures; take state.fields[...] of {', '.join(keys)}")
         return self.fields[keys[0]] if keys else None
@@ -188,7 +189,7 @@ class State(Configuration):
         return {
             BODIES: self._stored([p for p in self.bodies if not p.law.traits.compiled]) + sum(of_bodies.values()),
             LAYER_KIND: sum(of_layers.values()),
-            **{f"{LAYER_KIND} {name}": energy for name, energy in model.by_seam(of_layers).items()},
+            **{str(Key(LAYER_KIND, name)): energy for name, energy in model.by_seam(of_layers).items()},
             **added,
             "loads": self.load_work(),
         }
@@ -290,7 +291,7 @@ class State(Configuration):
                 springs = values["lmbda"] * e[:, :3].sum(axis=1) ** 2 + 2 * values["mu"] * (e**2).sum(axis=1)
                 springs *= values["elastic_fraction"]
                 rest = abs((self.stresses[key] * e).sum(axis=1) - springs)
-                work[int(key.startswith(BODY_KIND))] += points.weights @ springs, points.weights @ rest
+                work[int(Key.parse(key).kind == BODY_KIND)] += points.weights @ springs, points.weights @ rest
         work = self.model.comm.allreduce(work)
         return float((work[:, 0] / np.maximum(work.sum(axis=1), np.finfo(float).tiny)).max())
 

@@ -16,6 +16,7 @@ from forms.base import Array, InputError, require
 from forms.kinematics import Kinematics
 from geometry.domain import Domain
 from geometry.refusals import require_known
+from geometry.seam import FacetName
 from geometry.topology import BoolArray, Indices
 from thinlayer.discretisation.boundary import AXIS_NAMES, boundary_values, node_normals, nodes_on_axis, smooth_surfaces
 from thinlayer.discretisation.coefficient import Coefficient, Coordinates, Value
@@ -32,7 +33,7 @@ Components = dict[str, Value]
 
 def is_part(place: Place, of: Place) -> bool:
     """Whether a place is the place `of` or a part of it, as NAME/REGION is a part of NAME."""
-    return place == of or str(place).split("/")[0] == of
+    return place == of or (isinstance(place, str) and FacetName.parse(place).whole == of)
 
 
 class Supports:

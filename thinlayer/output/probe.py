@@ -15,7 +15,7 @@ from geometry.refusals import place_text, refuse
 from geometry.seam import S
 from geometry.topology import IntArray, by_place, is_tensor
 from thinlayer.discretisation.interface_model import InterfaceModel
-from thinlayer.discretisation.layer import BODY_KIND, LAYER_KIND
+from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
 from thinlayer.output.tractions import LawPoints, law_points
@@ -131,8 +131,7 @@ class Probe:
         for points in law_points(self.state):
             sublayers = points.internal()
             for k, variables in enumerate(sublayers, 1):
-                start = f"{points.key} " if points.key in (BODY_KIND, LAYER_KIND) else f"{points.key}/"
-                key = f"{start}{k}" if len(sublayers) > 1 else points.key
+                key = str(Key.parse(points.key).numbered(k)) if len(sublayers) > 1 else points.key
                 if variables:
                     by_key[key] = {name: (points, values) for name, values in variables.items()}
         return by_key

@@ -24,7 +24,8 @@ from forms.work import Term, stress
 from geometry.domain import cell_nodes
 from geometry.topology import BoolArray, IntArray, lagrange
 from thinlayer.discretisation.form_compilation import column_numbers
-from thinlayer.discretisation.layer import LAYER_KIND, PRESSURE_KIND, SeamLayer, law_with_numbers
+from thinlayer.discretisation.key import Key
+from thinlayer.discretisation.layer import SeamLayer, law_with_numbers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import contact_values
@@ -71,7 +72,7 @@ class LawPoints:
         if not self.term.law.traits.constrained:
             return np.zeros(self.quadrature.count)
         region = self.quadrature.region
-        p = self.state.fields[PRESSURE_KIND + self.term.key.removeprefix(LAYER_KIND)]
+        p = self.state.fields[str(Key.parse(self.term.key).pressure)]
         here = fem.Function(fem.functionspace(region.mesh, ("Lagrange", 1)))
         here.x.array[here.function_space.dofmap.list] = p.x.array[p.function_space.dofmap.list]
         return self.quadrature.values(ufl.as_vector([region.side(here)]))[:, 0]

@@ -16,7 +16,7 @@ from forms.check import ASYMMETRY_MESSAGE
 from forms.law_tangents import depends_on_step_length
 from forms.tensors import MANDEL_PAIRS
 from forms.work import Term
-from thinlayer.discretisation.layer import LAYER_KIND
+from thinlayer.discretisation.key import LAYER_KIND
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, StepOutcome, TimeStep

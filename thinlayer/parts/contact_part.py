@@ -10,7 +10,7 @@ from forms.base import Array, InputError
 from forms.contact import ContactHomotopy, ContactLaw
 from geometry.topology import Indices
 from thinlayer.discretisation.contact_nodes import NO_NODES, ContactNodes, ContactSurface
-from thinlayer.discretisation.layer import CONTACT_KIND
+from thinlayer.discretisation.key import CONTACT_KIND
 from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, StepOutcome, TimeStep
 
 MIN_SPRING_SHARE = 1e-8  # limit of the springs' share in the homotopy law as its continuation parameter tends to zero

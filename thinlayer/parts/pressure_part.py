@@ -17,7 +17,7 @@ from forms.tensors import Expr
 from forms.work import Term
 from geometry.domain import cell_nodes
 from geometry.topology import IntArray
-from thinlayer.discretisation.layer import LAYER_KIND, PRESSURE_KIND
+from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.discretisation.time_functions import StepStrains
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
@@ -70,7 +70,7 @@ class PressurePart(FieldPart):
         self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: MeshOrigin | None = None,
         free: Array | None = None, masters: IntArray | None = None,
     ) -> None:  # fmt: skip
-        self.key, self._origin = PRESSURE_KIND + term.key.removeprefix(LAYER_KIND), origin
+        self.key, self._origin = str(Key.parse(term.key).pressure), origin
         self._term = term
         points = Quadrature(V, term, origin) if term.law.fields else None
         self.region = region = points.region if points else MeasureRegion(V.mesh, term.measure)

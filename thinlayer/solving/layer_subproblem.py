@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array
 from geometry.joint import Joint
+from geometry.seam import LOWER_FACE, UPPER_FACE, FacetName
 from geometry.topology import IntArray, sub_entities
 from thinlayer.discretisation.constraints import create_aij, local_csr
 from thinlayer.discretisation.full_model import LayerModel, meeting_layers
@@ -369,9 +370,9 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
     of_key: dict[tuple[Vertices, int, Vertices], int] = {}
     for number, seam in enumerate(base.seams):
         facets = np.sort(base.surface[base.seam_numbers == number][:, : base.table.vertices.shape[1]], axis=1)
-        prefix = f"{seam}/" if len(base.seams) > 1 else ""
-        for side, name in enumerate(("LOWER_FACE", "UPPER_FACE")):
-            faces = band.facets.get(prefix + name, facets[:0])
+        names = [str(FacetName(seam, face)) if len(base.seams) > 1 else face for face in (LOWER_FACE, UPPER_FACE)]
+        for side, name in enumerate(names):
+            faces = band.facets.get(name, facets[:0])
             for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
                 below = dict(zip(face, facet, strict=True))
                 cell, local = band.table.cells[row, 0], band.table.local[row, 0]

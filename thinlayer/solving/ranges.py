@@ -17,7 +17,8 @@ from geometry.parallel import on_root
 from geometry.refusals import place_text
 from thinlayer.discretisation.applicability import Applicability
 from thinlayer.discretisation.form_compilation import compiled
-from thinlayer.discretisation.layer import BODY_KIND, SeamLayer
+from thinlayer.discretisation.key import Key
+from thinlayer.discretisation.layer import SeamLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.surface.pressure_excess import (
@@ -144,7 +145,7 @@ def warn_of_strains(states: Sequence[State]) -> None:
             strains[state.t] = math.sqrt(model.comm.allreduce(fem.assemble_scalar(squares)) / volume)
         if not (beyond := [t for t, strain in strains.items() if strain > MAX_SMALL_STRAIN]):
             continue
-        worst, name = max(beyond, key=strains.__getitem__), term.key.removeprefix(f"{BODY_KIND} ")
+        worst, name = max(beyond, key=strains.__getitem__), Key.parse(term.key).name
         body = f"the body {name!r}" if name else "the bodies"
         what = f"at t = {worst:.4g} strains of {body} are {strains[worst]:.3g} (root mean square over its volume)"
         why = "the theory is for small strains; what yields there flows at loads that it cannot bear"

@@ -17,7 +17,7 @@ from geometry.refusals import place_text
 from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.boundary import AXIS_NAMES
 from thinlayer.discretisation.constraints import distributed_product
-from thinlayer.discretisation.layer import LAYER_KIND, PRESSURE_KIND, nodes_of_sides
+from thinlayer.discretisation.layer import SeamLayer, nodes_of_sides
 from thinlayer.discretisation.mesh_functions import cut_at_faces
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid_motions import model_motion_values, motion_values
@@ -84,16 +84,15 @@ class SupportReactions:
             tied = np.flatnonzero(np.diff(tie.R.indptr))
             rows.append((rest[tied] @ self._motions(tied))[None])
         first = len(model.supports.entries) + len(rows) - 1
-        rows += [-self._of_layer(model.layers[str(name)].key, r)[None] * layers for name in model.holders[first:]]
+        rows += [-self._of_layer(model.layers[str(name)], r)[None] * layers for name in model.holders[first:]]
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))
 
-    def _of_layer(self, key: str, like: PETSc.Vec) -> Array:
+    def _of_layer(self, layer: SeamLayer, like: PETSc.Vec) -> Array:
         """This rank's force and moment (k,) of a layer in the last evaluation, with its sublayers and pressure."""
-        starts = (f"{key}/", f"{key} ") if len(self.model.joint.seams) == 1 else (f"{key}/",)
         forces = like.duplicate()
         forces.set(0.0)
         for part in self.parts:
-            if part.key in (key, PRESSURE_KIND + key.removeprefix(LAYER_KIND)) or part.key.startswith(starts):
+            if layer.owns_key(part.key):
                 part.add_forces(forces)
         loaded = np.flatnonzero(forces.array_r)
         return np.asarray(forces.array_r[loaded] @ self._motions(loaded))

@@ -55,8 +55,9 @@ class Checkpoint:
         for name, f in _state_functions(rest).items():
             dofs = np.asarray(f.function_space.dofmap.list)
             self._orders[name] = FileOrder(self.model.domain.original_cells[: len(dofs)], dofs, n_owned)
-        for name in _state_values(rest).keys() - self._orders.keys():
-            what = f"the part {name.removeprefix(MEMORY_PREFIX)!r} remembers values that have no order in files"
+        arrays = [*rest.stresses, *(key for key, kept in rest.memory.items() if not isinstance(kept, Mapping))]
+        for key in (key for key in arrays if MEMORY_PREFIX + key not in self._orders):
+            what = f"the part {key!r} remembers values that have no order in files"
             raise InputError(f"{what}: march without out=, or give its class file_order, of the rows of its memory")
 
     def _file(self, row: int) -> Path:
