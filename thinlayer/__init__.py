@@ -18,7 +18,6 @@ import logging
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from thinlayer.system.version import VERSION as __version__
 
@@ -27,7 +26,6 @@ _STUB_IMPORTS = [line for line in ast.parse(_STUB_TEXT).body if isinstance(line,
 _MODULE_OF_NAME = {alias.name: str(line.module) for line in _STUB_IMPORTS for alias in line.names}
 _SUBMODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}
 __all__ = sorted(_MODULE_OF_NAME)
-
 
 logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by default
 
@@ -47,7 +45,7 @@ def __dir__() -> list[str]:
     return sorted([*globals(), *__all__])
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _SUBMODULES:
         from forms.base import import_optional
 

@@ -42,7 +42,7 @@ def deprecated(what: str, since: str, instead: str) -> None:
     warn_outside(DeprecationWarning(f"{what} is deprecated since thinlayer {since}; use {instead}"))
 
 
-def former_names(module: str, now: Mapping[str, Any]) -> Callable[[str], Any]:
+def former_names(module: str, now: Mapping[str, Callable[..., object]]) -> Callable[[str], Any]:
     """Return the `__getattr__` of a module whose names of version 1.0 are deprecated; `now`: old name -> object."""
 
     def find(name: str) -> Any:
@@ -93,15 +93,17 @@ class SolveError(ThinlayerError, RuntimeError):
 
     Attributes:
         reason: the message without the advice.
-        history: accepted steps of a march.
+        history: `History` of the accepted steps of a march; None for other solves.
         residuals: residual over the forces at every step of Newton's method or of a contact solve.
     """
 
-    def __init__(self, reason: str, history: Any = None, residuals: tuple[float, ...] = (), advice: str = "") -> None:
+    history: Any  # its class is of a folder above
+
+    def __init__(self, reason: str, history: object = None, residuals: Sequence[float] = (), advice: str = "") -> None:
         super().__init__(f"{reason}; {advice}" if advice else reason)
         self.reason, self.history, self.residuals = reason, history, residuals
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Data for pickling, without the history: its meshes cannot be sent to another process."""
         return Exception.__new__, (type(self), *self.args), vars(self) | {"history": None}
 
@@ -113,7 +115,7 @@ class LooseBody(SolveError):
         motion: which body can move how.
     """
 
-    def __init__(self, reason: str, motion: str, advice: str, residuals: tuple[float, ...] = ()) -> None:
+    def __init__(self, reason: str, motion: str, advice: str, residuals: Sequence[float] = ()) -> None:
         super().__init__(reason, residuals=residuals, advice=advice)
         self.motion = motion
 
@@ -128,10 +130,10 @@ class TurningPoint(SolveError):
         history: the accepted steps.
     """
 
-    def __init__(self, t: float, history: Any) -> None:
-        what = f"the equilibria turn back at t = {t:.10g}: what is prescribed there cannot grow further"
+    def __init__(self, t: float, history: object) -> None:
+        reason = f"the equilibria turn back at t = {t:.10g}: what is prescribed there cannot grow further"
         advice = "follow them by arc length, march(error.history, ArcLength(end=..., first=...))"
-        super().__init__(what, history, advice=advice)
+        super().__init__(reason, history, advice=advice)
         self.t = t
 
 
@@ -169,15 +171,16 @@ class LimitLoad(SolveError):
     """
 
     def __init__(
-        self, reason: str, t: float, failed_at: float, resultant: Sequence[float], run_away: NoEquilibrium, history: Any
+        self, reason: str, t: float, failed_at: float, resultant: Sequence[float], cause: NoEquilibrium, history: object
     ) -> None:
-        growth, shares = run_away.growth, run_away.shares
+        self.t, self.failed_at, self.resultant = t, failed_at, tuple(resultant)
+        self.growth, self.shares = cause.growth, dict(cause.shares)
         loads = ", ".join(f"{force:.6g}" for force in resultant)
-        most = ", ".join(f"{name!r} {share:.0%}" for name, share in shares.items() if share >= MIN_NAMED_SHARE)
+        most = ", ".join(f"{name!r} {share:.0%}" for name, share in self.shares.items() if share >= MIN_NAMED_SHARE)
         seams = f", with jumps at the seams {most}" if most else ""  # which open or slide most
-        last = f"the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to ({loads})"
-        none = f"at t = {failed_at:.10g} none was found (last attempt: {reason})"
-        away = f"displacements run away, {growth:.3g} times as far as with an elastic layer{seams}"
-        super().__init__(f"limit load: {last}; {none}: {away}. The states before it are kept", history)
-        self.t, self.failed_at, self.resultant, self.growth = t, failed_at, tuple(resultant), growth
-        self.shares = dict(shares)
+        super().__init__(
+            f"limit load: the last equilibrium was found at t = {t:.10g}, where the loads on the bodies add up to "
+            f"({loads}); at t = {failed_at:.10g} none was found (last attempt: {reason}): displacements run away, "
+            f"{self.growth:.3g} times as far as with an elastic layer{seams}. The states before it are kept",
+            history,
+        )

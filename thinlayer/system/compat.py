@@ -9,7 +9,6 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
-from typing import Any
 from weakref import proxy
 
 import dolfinx.mesh
@@ -17,13 +16,18 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 from dolfinx import cpp, fem
+from dolfinx.common import IndexMap
 from dolfinx.mesh import Mesh
 
 import thinlayer.system.compilation  # noqa: F401  # before any form is compiled
 from geometry.domain import create_connectivity, first_accepted
 
+IntArray = npt.NDArray[np.int32]
+Tags = int | str | tuple[int | str, ...]  # tags of a measure
+EntityMaps = list[object] | dict[Mesh, IntArray]  # for fem.form, of DOLFINx 0.10 and later, and of 0.9
 
-def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: Any) -> fem.FunctionSpace:
+
+def space_with_dofmap(V: fem.FunctionSpace, dofs: IntArray, imap: IndexMap) -> fem.FunctionSpace:
     """A function space like V whose cells' (block) dofs are the rows of `dofs`, numbered by an index map."""
     old, base = V._cpp_object, V.dofmap
     layout = base._cpp_object.dof_layout if hasattr(base, "_cpp_object") else base.dof_layout
@@ -33,17 +37,17 @@ def space_with_dofmap(V: fem.FunctionSpace, dofs: npt.NDArray[np.int32], imap: A
     return fem.FunctionSpace(V.mesh, V.ufl_element(), space)
 
 
-def interior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+def interior_facet_entities(mesh: Mesh, facets: IntArray) -> IntArray:
     """(cell, local facet, cell, local facet) of interior facets, (n, 4); facets with one local cell are left out."""
     return _entities("interior_facet", mesh, facets).reshape(-1, 4)
 
 
-def exterior_facet_entities(mesh: Mesh, facets: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+def exterior_facet_entities(mesh: Mesh, facets: IntArray) -> IntArray:
     """(cell, local facet) of exterior facets, (n, 2)."""
     return _entities("exterior_facet", mesh, facets).reshape(-1, 2)
 
 
-def _entities(name: str, mesh: Any, entities: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:
+def _entities(name: str, mesh: Mesh, entities: IntArray) -> IntArray:
     """Integration entities of local cells or facets for an integral type; entities of other ranks are left out."""
     dim = mesh.topology.dim - (name != "cell")
     create_connectivity(mesh, dim)
@@ -52,30 +56,31 @@ def _entities(name: str, mesh: Any, entities: npt.NDArray[np.int32]) -> npt.NDAr
     return np.array(first_accepted(lambda: domains(*arguments), lambda: domains(*arguments, dim)), dtype=np.int32)
 
 
-def by_domain(form: ufl.Form) -> dict[Any, list[Any]]:
+def by_domain(form: ufl.Form) -> dict[tuple[str, int, Tags], list[ufl.Integral]]:
     """Integrals of a form by type, data and set of tags; equal integrands over several tags are joined."""
-    joined: dict[Any, tuple[Any, list[Any]]] = {}
+    joined: dict[tuple[object, ...], tuple[ufl.Integral, list[int | str]]] = {}
     for integral in form.integrals():
-        for tag in np.atleast_1d(np.array(integral.subdomain_id(), object)).tolist():
+        for tag in np.atleast_1d(np.array(integral.subdomain_id(), object)):
             rule, data = repr(sorted(integral.metadata().items())), id(integral.subdomain_data())
-            key: Any = (integral.integral_type(), data, isinstance(tag, str), integral.integrand(), rule)
+            key: tuple[object, ...] = (integral.integral_type(), data, isinstance(tag, str), integral.integrand(), rule)
             while tag in joined.setdefault(key, (integral, []))[1]:
                 key = (*key, "once more")
             joined[key][1].append(tag)
-    domains: dict[Any, list[Any]] = {}
-    for (kind, data, *_), (integral, tags) in joined.items():
+    domains: dict[tuple[str, int, Tags], list[ufl.Integral]] = {}
+    for integral, tags in joined.values():
         ids = tuple(tags) if len(tags) > 1 else tags[0]
-        domains.setdefault((kind, data, ids), []).append(integral.reconstruct(subdomain_id=ids))
+        domain = integral.integral_type(), id(integral.subdomain_data()), ids
+        domains.setdefault(domain, []).append(integral.reconstruct(subdomain_id=ids))
     return domains
 
 
-def compiled(form: ufl.Form, maps: Any = None) -> fem.Form:
+def compiled(form: ufl.Form, maps: EntityMaps | None = None) -> fem.Form:
     """Compile a form whose measures may have any tags; forms that differ only in their tags share one code.
 
     In the code numbers replace the sets of tags, for each type of integral. DOLFINx itself refuses measures with
     different data, and 0.9 loses integrals where tags overlap and degrees of quadrature differ.
     """
-    numbered: dict[str, list[tuple[int, Any]]] = {}
+    numbered: dict[str, list[tuple[int, IntArray]]] = {}
     integrals = []
     for (kind, _, ids), some in by_domain(form).items():
         data, domain = some[0].subdomain_data(), numbered.setdefault(kind, [])
@@ -91,7 +96,7 @@ def compiled(form: ufl.Form, maps: Any = None) -> fem.Form:
         for integral in some:  # UFL would join integrals with equal integrand and metadata over several numbers
             metadata = {**integral.metadata(), "part": str(ids)}
             integrals.append(integral.reconstruct(subdomain_id=ids, subdomain_data=domain, metadata=metadata))
-    entity_maps: Any = copy(maps or {})  # a copy: DOLFINx leaves it in a reference cycle with the form
+    entity_maps = copy(maps or {})  # a copy: DOLFINx leaves it in a reference cycle with the form
     compiled_form = fem.form(ufl.Form(integrals), entity_maps=entity_maps)
     entity_maps.clear()
     return compiled_form
@@ -103,7 +108,7 @@ def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
     return points() if callable(points) else points
 
 
-def create_submesh(mesh: Mesh, dim: int, entities: npt.NDArray[np.int32]) -> tuple[Mesh, Any, npt.NDArray[np.int32]]:
+def create_submesh(mesh: Mesh, dim: int, entities: IntArray) -> tuple[Mesh, EntityMaps, IntArray]:
     """Submesh of entities, its entity maps for fem.form, and the entity of each of its cells. Collective."""
     sub, entity_map = dolfinx.mesh.create_submesh(mesh, dim, entities)[:2]
     if hasattr(entity_map, "sub_topology_to_topology"):
@@ -124,7 +129,7 @@ def belongs_to(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
 
 # ---------------------------------------------------------------- reference cycles, which keep meshes alive until
 # Python's garbage collector runs: long runs would exceed MPI's limit of communicators
-def interpolate(f: fem.Function, values: Any) -> None:
+def interpolate(f: fem.Function, values: object) -> None:
     """Interpolate a function of points, an Expression or a Function into f, without DOLFINx's reference cycle of f."""
     fem.Function.interpolate(proxy(f), values)
 

@@ -23,7 +23,7 @@ from contextlib import chdir, contextmanager, suppress
 from importlib.machinery import EXTENSION_SUFFIXES, ExtensionFileLoader, ModuleSpec
 from importlib.util import module_from_spec
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import cffi
 import dolfinx.jit
@@ -34,6 +34,7 @@ from mpi4py import MPI
 
 import thinlayer.system.ranks  # noqa: F401  # before DOLFINx, which starts PETSc
 from forms.base import InputError, ThinlayerError
+from geometry.parallel import on_root
 from thinlayer.system.fingerprint import source_content
 from thinlayer.system.progress import report_call
 
@@ -41,6 +42,7 @@ from thinlayer.system.progress import report_call
 _LOCK_FILES: dict[Path, int] = {}
 # Head of a function of a C source that is not static and returns int or double.
 EXPORTED_FUNCTION = re.compile(r"^(?:int|double) \w+\([^{;]*\)(?=\s*\{)", re.MULTILINE)
+FormModule = tuple[list[object], ModuleType] | tuple[None, None]  # objects of a compiled form, and its module
 # Type character of an array -> C type of its pointer; dtype.name would take 5 times as long.
 C_ARRAY_TYPES = {"i": "int32_t[]", "l": "intptr_t[]", "?": "uint8_t[]", "d": "double[]"}
 
@@ -59,8 +61,8 @@ def acquire(folder: Path, name: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        what = f"compiled forms cannot be kept in {str(folder)!r}: {error.strerror}"
-        raise InputError(f"{what}; set XDG_CACHE_HOME to a folder that can be written") from error
+        remedy = "set XDG_CACHE_HOME to a folder that can be written"
+        raise InputError(f"compiled forms cannot be kept in {str(folder)!r}: {error.strerror}; {remedy}") from error
     _lock(folder, name, fcntl.LOCK_EX)
 
 
@@ -97,11 +99,11 @@ def keep_file(made: Path, file: Path) -> None:
     made.replace(file)
 
 
-def load_library(library: Path) -> Any:
+def load_library(library: Path) -> ModuleType:
     """Load a compiled library as a module.
 
     Raises:
-        ImportError: the file is no such library.
+        ImportError: the file is not such a library.
     """
     loader = ExtensionFileLoader(library.name.split(".")[0], str(library))
     module = module_from_spec(ModuleSpec(loader.name, loader, origin=loader.path))
@@ -114,7 +116,7 @@ def _mend_ffcx() -> None:
     find, build = ffcx_jit.get_cached_module, ffcx_jit._compile_objects
     parameters = inspect.signature(build)
 
-    def kept(module_name: str, object_names: list[str], folder: Path) -> tuple[Any, Any]:
+    def kept(module_name: str, object_names: list[str], folder: Path) -> FormModule:
         """Return (objects, module) of a compiled form, or (None, None) if files are missing or broken.
 
         FFCx itself would list the whole folder for each form. With thousands of files that takes longer than all the
@@ -131,7 +133,7 @@ def _mend_ffcx() -> None:
         return None, None
 
     @functools.wraps(find)
-    def get_cached_module(module_name: str, object_names: list[str], cache_dir: Any, timeout: int) -> tuple[Any, Any]:
+    def get_cached_module(module_name: str, object_names: list[str], cache_dir: str | Path, timeout: int) -> FormModule:
         folder = Path(cache_dir)
         cached = kept(module_name, object_names, folder)
         if cached[0] is None:
@@ -142,7 +144,7 @@ def _mend_ffcx() -> None:
         return cached
 
     @functools.wraps(build)
-    def compile_objects(*arguments: Any, **options: Any) -> Any:
+    def compile_objects(*arguments: object, **options: object) -> object:
         call = parameters.bind(*arguments, **options)
         folder, name = Path(call.arguments["cache_dir"]), call.arguments["module_name"]
         try:
@@ -172,7 +174,7 @@ def load_options() -> None:
 
 
 # ---------------------------------------------------------------- C sources
-def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
+def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> ModuleType:
     """Compile a C source and return its module, whose `lib` has all non-static functions that return int or double.
 
     Collective over `comm`: rank 0 compiles. With the default communicator each process compiles the module. A module
@@ -181,14 +183,15 @@ def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> Any:
     Raises:
         SourceError: the source cannot be read or compiled; on all ranks.
     """
-    problem = None
-    if comm.rank == 0:
+
+    def build() -> None:
         try:
             _build(source, _file_of(source))
         except Exception as error:
-            problem = f"{type(error).__name__}: {error}"
-    if problem := comm.bcast(problem):
-        raise SourceError(f"the C source {str(source)!r} cannot be compiled: {problem}")
+            reason = f"{type(error).__name__}: {error}"
+            raise SourceError(f"the C source {str(source)!r} cannot be compiled: {reason}") from None
+
+    on_root(comm, build)
     return _loaded(_file_of(source))
 
 
@@ -196,7 +199,7 @@ own_library = functools.cache(library)  # for sources of the package, which do n
 _loaded = functools.cache(load_library)
 
 
-def pointers(library: Any, *arrays: np.ndarray) -> list[Any]:
+def pointers(library: ModuleType, *arrays: np.ndarray) -> list[object]:
     """Pointers to arrays or their contiguous copies, for a C library without checks; outputs must be contiguous."""
     return [library.ffi.from_buffer(C_ARRAY_TYPES[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
 

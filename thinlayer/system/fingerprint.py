@@ -19,7 +19,7 @@ import sysconfig
 import types
 import uuid
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from numbers import Integral, Real
 from pathlib import Path
@@ -30,9 +30,10 @@ import ufl
 from ufl.algorithms.signature import compute_expression_signature
 from ufl.domain import extract_domains
 
-from forms.base import PACKAGES, InputError
+from forms.base import PACKAGES, require
 
 Resume = bool | Literal["anyway"]
+Difference = tuple[tuple[str, ...], object, object]  # path of names, and both values there or `MISSING_VALUE`
 CODE_KEY, FILE_KEY, CLASS_KEY, SAME_KEY = "(code)", "(file)", "(class)", "(same as)"
 MISSING_VALUE = object()  # placeholder for a value that one of two descriptions lacks
 MAX_SHOWN_ARRAY = 24  # number of entries up to which arrays are shown; larger arrays are hashed
@@ -46,11 +47,11 @@ GENERATOR_TYPES = (  # types whose objects give other values each time
 )  # fmt: skip
 _OBJECT_COUNT = itertools.count(1)
 # id of an object that only this process knows -> reference to it, and its number
-_OBJECT_NUMBERS: dict[int, tuple[Any, int]] = {}
+_OBJECT_NUMBERS: dict[int, tuple[Callable[[], object], int]] = {}
 INCLUDED_FILE = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)  # file in a preprocessor line
 
 
-def describe(value: Any) -> Any:
+def describe(value: object) -> object:
     """Return a description in JSON that is equal in another process, on any number of ranks, if the value is equal.
 
     Numbers, texts, arrays and containers are described by their entries, whatever the order of a dict. Dataclasses and
@@ -64,7 +65,7 @@ def describe(value: Any) -> Any:
     return _Describer().of(value)
 
 
-def code_of(description: Any, *, is_code: bool = True) -> Any:
+def code_of(description: object, *, is_code: bool = True) -> object:
     """Part of a description that stays as functions collect values: their code, and the numbers that they refer to."""
     if isinstance(description, dict):
         parts = {key: code_of(value, is_code=CODE_KEY in description) for key, value in description.items()}
@@ -74,7 +75,7 @@ def code_of(description: Any, *, is_code: bool = True) -> Any:
     return description if is_code and PROCESS_LABEL not in str(description) else None
 
 
-def random_states(value: Any, *, shared: bool = False) -> list[Any]:
+def random_states(value: object, *, shared: bool = False) -> list[object]:
     """States of the random number generators and iterators that a value refers to.
 
     With `shared`, the global states of `random` and `numpy.random` are added, unless the value's code seeds them.
@@ -86,8 +87,8 @@ def random_states(value: Any, *, shared: bool = False) -> list[Any]:
     return describer.random
 
 
-def differences(value: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
-    """Yield each difference of two descriptions: path of names, and both values there or `MISSING_VALUE`."""
+def differences(value: object, other: object, path: tuple[str, ...] = ()) -> Iterator[Difference]:
+    """Yield each difference of two descriptions."""
     if isinstance(value, list) and isinstance(other, list):
         value, other = ({f"{k}": entry for k, entry in enumerate(values)} for values in (value, other))
     if isinstance(value, dict) and isinstance(other, dict):
@@ -97,25 +98,25 @@ def differences(value: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[
         yield path, value, other
 
 
-def differences_text(changes: list[tuple[tuple[str, ...], Any, Any]]) -> str:
+def differences_text(changes: list[Difference]) -> str:
     """Text of the first `MAX_CHANGES` differences, with each pair of values once."""
     pairs = {(_short(value), _short(other)): ".".join(path) for path, value, other in reversed(changes)}
     words = [f"{path}: {value} there, {other} here" for (value, other), path in reversed(pairs.items())]
     return "; ".join(words[:MAX_CHANGES]) + f"; and {len(words) - MAX_CHANGES} more" * (len(words) > MAX_CHANGES)
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = "nothing" if value is MISSING_VALUE else value if isinstance(value, str) else json.dumps(value)
     return text if len(text) <= 200 else f"{text[:200]} ..."
 
 
-def require_resume(resume: Any) -> None:
+def require_resume(resume: object) -> None:
     """Raise InputError unless `resume` is True, False or "anyway"."""
-    if not (isinstance(resume, bool) or (isinstance(resume, str) and resume == "anyway")):
-        raise InputError(f"resume is {resume!r}; allowed: True, False, and 'anyway' for a run that may be another one")
+    allowed = isinstance(resume, bool) or (isinstance(resume, str) and resume == "anyway")
+    require(allowed, "resume", resume, "allowed: True, False, and 'anyway' for a run that may be another one")
 
 
-def digest(value: Any) -> str:
+def digest(value: object) -> str:
     """Hash with twelve hexadecimal digits of a JSON value or of bytes."""
     text = value if isinstance(value, bytes) else json.dumps(value, sort_keys=True).encode()
     return hashlib.sha256(text).hexdigest()[:12]
@@ -130,15 +131,16 @@ class _Describer:
     """
 
     def __init__(self) -> None:
-        self.random: list[Any] = []
+        self.random: list[object] = []
         self.names: set[str] = set()
-        self._places: dict[int, tuple[str, Any]] = {}  # id -> path of first place; value, so that its id stays in use
+        # id -> path of first place; value, so that its id stays in use
+        self._places: dict[int, tuple[str, object]] = {}
 
-    def of(self, value: Any, at: str = "") -> Any:
+    def of(self, value: object, at: str = "") -> object:
         """Describe a value met at the path `at`; an object met again is described by the path of its first place."""
-        description = None if _is_own(type(value).__module__) else _plain(value)
-        if description is not None or value is None:
-            return description
+        plain = None if _is_own(type(value).__module__) else _plain(value)
+        if plain is not None or value is None:
+            return plain
         if id(value) in self._places:
             return {SAME_KEY: self._places[id(value)][0]}
         self._places[id(value)] = at, value
@@ -148,9 +150,9 @@ class _Describer:
             del self._places[id(value)]
         return description
 
-    def _composed(self, obj: Any, at: str) -> Any:
-        kind, function = type(obj), _function_of(obj)
-        if function is not None:
+    def _composed(self, obj: object, at: str) -> object:
+        kind = type(obj)
+        if (function := _function_of(obj)) is not None:
             return self._function(function, at)
         if isinstance(obj, types.MethodType):
             return self._named({CODE_KEY: "method", "(function)": obj.__func__, "self": obj.__self__}, at)
@@ -163,18 +165,19 @@ class _Describer:
             bases = [base for base in obj.__mro__ if _is_own(base.__module__)]
             members = {f"{base.__qualname__}{k or ''}": _members(base) for k, base in enumerate(bases)}
             return self._named(members, at) if obj in bases else _name(obj)
-        if kind is np.ndarray:
+        if type(obj) is np.ndarray:
             if obj.dtype.kind in "biuf" and obj.size > MAX_SHOWN_ARRAY:
                 return f"{obj.dtype.name} {obj.shape}, {digest(np.ascontiguousarray(obj).tobytes())}"
             return self.of(obj.tolist(), at)
-        if kind in (dict, types.MappingProxyType):
+        if type(obj) is dict or type(obj) is types.MappingProxyType:
             return self._named(obj, at)
-        if kind in (list, tuple):
+        if type(obj) is list or type(obj) is tuple:
             return [self.of(item, f"{at}.{k}") for k, item in enumerate(obj)]
-        if kind in (set, frozenset):
+        if type(obj) is set or type(obj) is frozenset:
             return sorted((self.of(item, at) for item in obj), key=digest)
-        if (getattr(getattr(kind, "identity", None), "__module__", None) or "").partition(".")[0] in PACKAGES:
-            return self.of(obj.identity(), at)
+        identity = getattr(kind, "identity", None)
+        if identity and (getattr(identity, "__module__", None) or "").partition(".")[0] in PACKAGES:
+            return self.of(identity(obj), at)
         if dataclasses.is_dataclass(obj):
             return self._named({CLASS_KEY: kind} | {f.name: getattr(obj, f.name) for f in dataclasses.fields(obj)}, at)
         description = self._copied(obj, at)
@@ -183,12 +186,12 @@ class _Describer:
             self.random.append(description)
         return description
 
-    def _named(self, values: Mapping[Any, Any], at: str) -> dict[str, Any]:
+    def _named(self, values: Mapping[Any, object], at: str) -> dict[str, object]:
         keys = (name if type(name) is str else f"<{json.dumps(self.of(name, at))}>" for name in values)
         texts = dict(zip(keys, values.values(), strict=True))
         return {name: self.of(item, f"{at}.{name}") for name, item in sorted(texts.items(), key=lambda entry: entry[0])}
 
-    def _copied(self, value: Any, at: str) -> Any:
+    def _copied(self, value: object, at: str) -> object:
         """Describe an object by the data from which a copy of it is made."""
         kind, top = type(value), type(value).__module__.partition(".")[0]
         if isinstance(value, ufl.core.expr.Expr) and not extract_domains(value):
@@ -209,9 +212,9 @@ class _Describer:
             data |= attributes if isinstance(attributes, dict) else {f"(state {len(data)})": attributes}
         return self._named(data, at)
 
-    def _function(self, function: types.FunctionType, at: str) -> Any:
+    def _function(self, function: types.FunctionType, at: str) -> object:
         code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-        read: dict[str, Any] = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}
+        read: dict[str, object] = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}
         if not _is_own_file(code.co_filename):
             return {CODE_KEY: _name(function), **self._named(read, at)} if read else _name(function)
         names = {name for code_object in _codes(code) for name in code_object.co_names}
@@ -223,7 +226,7 @@ class _Describer:
         return parts | _file_of(code.co_filename) | {CODE_KEY: f"{function.__qualname__} {digest(_bytecode(code))}"}
 
 
-def _number(value: Any) -> int:
+def _number(value: object) -> int:
     """Number of an object in this process; objects that allow weak references are not kept alive."""
     entry = _OBJECT_NUMBERS.get(id(value))
     if entry is None or entry[0]() is not value:
@@ -232,11 +235,12 @@ def _number(value: Any) -> int:
     return entry[1]
 
 
-def _members(kind: type) -> dict[str, Any]:
+def _members(kind: type) -> dict[str, object]:
     """Members that identify a user-defined class: its functions, its file, and the content of its C source, if any."""
     functions = {name: _function_of(value) for name, value in vars(kind).items()}
     made = {name for name, f in functions.items() if f and name[:2] == "__" and f.__code__.co_filename == "<string>"}
-    members: dict[str, Any] = {name: f for name, f in functions.items() if f and name not in made}  # not by dataclass
+    # without those that `dataclass` makes
+    members: dict[str, object] = {name: f for name, f in functions.items() if f and name not in made}
     source = vars(kind).get("source")
     if isinstance(source, (str, Path)) and Path(source).is_file():
         members["source"] = source_content(Path(source))
@@ -250,7 +254,7 @@ def _file_of(name: str | None) -> dict[str, str]:
     return {FILE_KEY: f"{file.name} {digest(file.read_bytes())}"} if is_user_file else {}
 
 
-def _function_of(value: Any) -> types.FunctionType | None:
+def _function_of(value: object) -> types.FunctionType | None:
     """Return the Python function that a value is or wraps, as class members and caches do; None for other values."""
     while not isinstance(value, types.FunctionType):
         ready = type(value).__module__.partition(".")[0] in ("builtins", "functools")
@@ -266,7 +270,7 @@ def _codes(code: types.CodeType) -> list[types.CodeType]:
     return [code, *(inner for part in code.co_consts if isinstance(part, types.CodeType) for inner in _codes(part))]
 
 
-def _bytecode(code: Any) -> Any:
+def _bytecode(code: object) -> object:
     """Bytecode of a code object as JSON, without file names and line numbers; the text of a constant."""
     if isinstance(code, types.CodeType):
         return [code.co_code.hex(), [*code.co_names], [_bytecode(constant) for constant in code.co_consts]]
@@ -289,7 +293,7 @@ def _is_own_file(file: str) -> bool:
     return not (installed or any(path.is_relative_to(folder) for folder in LIBRARY_FOLDERS))
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> bool | float | str | None:
     """A number or text, or the hash of bytes, as JSON; None for anything else."""
     if isinstance(value, (str, bool)):
         return value if isinstance(value, bool) else str(value)
@@ -300,7 +304,7 @@ def _plain(value: Any) -> Any:
     return f"bytes {digest(bytes(value))}" if isinstance(value, (bytes, bytearray)) else None
 
 
-def _name(kind: Any) -> str:
+def _name(kind: type | types.FunctionType) -> str:
     return f"{kind.__module__}.{kind.__qualname__}"
 
 

@@ -14,7 +14,8 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from itertools import product
+from typing import TYPE_CHECKING, Any, Protocol
 from weakref import ref
 
 import numpy as np
@@ -26,14 +27,15 @@ from geometry.parallel import default_comm
 from thinlayer.system.fingerprint import MISSING_VALUE, PROCESS_LABEL, describe, differences, digest
 
 if TYPE_CHECKING:
+    from dolfinx.common import IndexMap
     from dolfinx.fem import FunctionSpace
     from dolfinx.mesh import Mesh
 
-Array = npt.NDArray[Any]
+Array = npt.NDArray[Any]  # of integers or floats
 EQUAL_COMMUNICATORS = (MPI.IDENT, MPI.CONGRUENT)
 _COPIED_COMMS: list[MPI.Intracomm] = []
 # function spaces on several ranks, and their index maps, which keep the communicators alive
-_SPACES_OF_RANKS: list[tuple[ref[Any], Any]] = []
+_SPACES_OF_RANKS: list[tuple[ref[FunctionSpace], IndexMap]] = []
 GRACE_SECONDS = 5.0  # s that a rank with an error waits for errors of all other ranks, before it ends them
 EXIT_STATUS = 1  # exit status if one rank alone has an error, as for any Python script; the command line sets another
 POLL_SECONDS = 1e-3  # s between two tests of a request
@@ -98,7 +100,7 @@ def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, pat
             return [theirs for _, theirs in reports]
 
 
-def require_same(comm: MPI.Intracomm | None, **data: Any) -> str:
+def require_same(comm: MPI.Intracomm | None, **data: object) -> str:
     """Return the hash of data, "" on one rank; raise InputError on all ranks if ranks have different data. Collective.
 
     Args:
@@ -113,16 +115,14 @@ def require_same(comm: MPI.Intracomm | None, **data: Any) -> str:
         texts = {name: json.dumps(describe(value), sort_keys=True) for name, value in data.items()}
         texts = {name: re.sub(rf"{PROCESS_LABEL} \(\d+\)", "", text) for name, text in texts.items()}
     digests = comm.allgather({name: digest(text) for name, text in texts.items()})
-    for name, first in digests[0].items():
-        for rank, theirs in enumerate(digests):
-            if theirs[name] != first:
-                full = [json.loads(text) for text in comm.allgather(texts[name])]
-                same = (), full[0], full[rank]  # True and 1.0 are equal
-                path, *both = next(differences(full[0], full[rank]), same)
-                here, there = ("nothing" if obj is MISSING_VALUE else json.dumps(obj)[:MAX_CHARACTERS] for obj in both)
-                at = f"{'.'.join(path)} is " if path else ""
-                what = f"the ranks were given different {name}: {at}{here} on rank 0, {there} on rank {rank}"
-                raise _raised_on_all(InputError(f"{what}; give all ranks the same"))
+    for name, rank in product(texts, range(comm.size)):
+        if digests[rank][name] != digests[0][name]:
+            full = [json.loads(text) for text in comm.allgather(texts[name])]
+            same = (), full[0], full[rank]  # True and 1.0 are equal
+            path, *both = next(differences(full[0], full[rank]), same)
+            here, there = ("nothing" if obj is MISSING_VALUE else json.dumps(obj)[:MAX_CHARACTERS] for obj in both)
+            values = f"{'.'.join(path)}{' is ' if path else ''}{here} on rank 0, {there} on rank {rank}"
+            raise _raised_on_all(InputError(f"the ranks have different {name}: {values}; give all ranks the same"))
     return digest(digests[0])
 
 
@@ -168,8 +168,14 @@ def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
         _SPACES_OF_RANKS.remove(ours[k])
 
 
-def destroy(*things: Any) -> None:
-    """Destroy PETSc objects or parts; None is skipped."""
+class Destroyable(Protocol):
+    """PETSc object, or something made of PETSc objects."""
+
+    def destroy(self) -> object: ...  # noqa: D102
+
+
+def destroy(*things: Destroyable | None) -> None:
+    """Destroy PETSc objects, or what is made of them; None is skipped."""
     for thing in things:
         if thing is not None:
             thing.destroy()

@@ -17,7 +17,9 @@ from forms.base import InputError
 from geometry.parallel import on_root
 from thinlayer.system.folder import replace_file
 
-Row = dict[str, float | str | None]
+Entry = float | str | None  # None: empty
+Row = dict[str, Entry]
+AnyRow = Mapping[str, Any]  # row of a user, with numbers of any type
 
 
 class ColumnError(InputError, KeyError):
@@ -34,12 +36,12 @@ class Table:
         path: csv file to which each row is written at once, or None.
     """
 
-    def __init__(self, rows: Iterable[Mapping[str, Any]] = (), path: str | Path | None = None) -> None:
+    def __init__(self, rows: Iterable[AnyRow] = (), path: str | Path | None = None) -> None:
         self.rows: list[Row] = []
         self.path = Path(path) if path else None
         self.extend(rows)
 
-    def append(self, row: Mapping[str, Any]) -> None:
+    def append(self, row: AnyRow) -> None:
         """Add a row, and write the table to its file on the disk before returning. Collective, if there is a file.
 
         Raises:
@@ -48,7 +50,7 @@ class Table:
         """
         self.extend([row])
 
-    def extend(self, rows: Iterable[Mapping[str, Any]]) -> None:
+    def extend(self, rows: Iterable[AnyRow]) -> None:
         """Add rows as `append` does, but write the file only once."""
         before = len(self.rows)
         for row in rows:
@@ -82,7 +84,7 @@ class Table:
             file.write(text.getvalue().encode())
 
     @classmethod
-    def of(cls, columns: Mapping[str, Any]) -> Table:
+    def of(cls, columns: Mapping[str, object]) -> Table:
         """Make a table from columns of equal length, or of one entry for all rows; InputError for other lengths."""
         entries = [np.atleast_1d(np.asarray(column, object)) for column in columns.values()]
         try:
@@ -159,7 +161,7 @@ class Table:
         except ValueError as error:
             raise ColumnError(f"the column {column!r} has texts: {error}") from None
 
-    def _entries(self, column: str) -> list[float | str | None]:
+    def _entries(self, column: str) -> list[Entry]:
         if column not in self.columns:
             raise ColumnError(f"no column {column!r}; columns: {', '.join(self.columns)}")
         return [row[column] for row in self.rows]
@@ -171,11 +173,11 @@ class Table:
         return "\n".join("  ".join(entries).rstrip() for entries in padded)
 
 
-def _text(value: float | str | None, form: Callable[[float], str]) -> str:
+def _text(value: Entry, form: Callable[[float], str]) -> str:
     return "" if value is None else value if isinstance(value, str) else form(float(value))
 
 
-def _value(text: str) -> float | str | None:
+def _value(text: str) -> Entry:
     if text == "":
         return None
     try:
