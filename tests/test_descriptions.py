@@ -144,12 +144,12 @@ def test_refused(tmp_path):
         ((", eps = 0.3", ""), "layer: eps is missing: the thickness of the layer, a length"),
         (("E = 900", 'law = "Rubbr", E = 1'), "layer.law: unknown law of strains 'Rubbr', did you mean 'Rubber'?"),
         (("E = 900", 'law = "Norton", E = 1'), "layer: eta is missing: Norton has E and nu, G and nu, K and G, or"),
-        (("[3, -50]", "5"), "tractions.TOP: 5 is no vector; give 2 components"),
+        (("[3, -50]", "5"), "tractions.TOP: 5 is not a vector; give 2 components"),
         (("[3, -50]", "{times = [1, 0], values = [1, 2]}"), "tractions.TOP: a history is {times = [0, 1], values ="),
         (("[3, -50]", "{times = [0, 1], values = [[1, 2], [3, 4]]}"), "tractions.TOP: a history needs times, the ends"),
         (
             ("[3, -50]}", "{times = [0, 1], values = [[0, 1], [0, 2]]}}\ntimes = [2]"),
-            "tractions.TOP: it is given from 0 to 1",
+            "tractions.TOP: the history goes from 0 to 1",
         ),
         (("tractions = {TOP = [3, -50]}", ""), "nothing loads the structure; give tractions, body_force, loads, or s"),
     ]:
@@ -158,7 +158,7 @@ def test_refused(tmp_path):
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(DescriptionError, match=r"joint\.toml is no TOML: .*\(at line 6, column \d+\)"):
+    with pytest.raises(DescriptionError, match=r"joint\.toml is not TOML: .*\(at line 6, column \d+\)"):
         described(tmp_path, f"{LEAST}bonded = yes")
     refused(DescriptionError, r"no\.toml cannot be read: No such file", lambda: Description.read(tmp_path / "no.toml"))
 
@@ -195,9 +195,9 @@ def test_settings_of_laws_and_meshes(tmp_path):
 def test_settings_refused(tmp_path):
     """With the option and the keys of the entry."""
     for setting, message in (
-        ("times=1\nbonded=true", "times: '1\\nbonded=true' are no times"),
-        ("times=[1, 1]", "times: [1, 1] are no times; give numbers > 0 that grow"),
-        ("goals.traction=true", "goals.traction: this quantity is told of every layer"),
+        ("times=1\nbonded=true", "times: '1\\nbonded=true' are not times"),
+        ("times=[1, 1]", "times: [1, 1] are not times; give numbers > 0 that grow"),
+        ("goals.traction=true", "goals.traction: every estimate has this quantity; give"),
         ("goals={reaction = {place = 'LEFT'}}", "goals.reaction: direction is missing: reaction has place"),
     ):
         refused(DescriptionError, re.escape(f"--set {setting!r}: {message}"), described, tmp_path, LEAST, setting)
@@ -207,7 +207,7 @@ def test_options_are_named_beside_the_file(tmp_path):
     """An option that cannot be read is told with its form."""
     for settings, message in (
         (["tolerance=0.1", "tolerance.jump=0.2"], "^--set 'tolerance.jump=0.2': 0.1 has no 'jump'"),
-        (["layer={A = {E = 1, nu = 0, eps = 1}}", "tolerance=0.1"], "tolerance: a thickness is sought of one"),
+        (["layer={A = {E = 1, nu = 0, eps = 1}}", "tolerance=0.1"], "tolerance: a tolerance needs one layer for"),
         (["layer.E"], "^--set 'layer.E' cannot be read; give KEY=VALUE in TOML, such as layer.E=2e3"),
     ):
         refused(DescriptionError, message, lambda settings=settings: described(tmp_path, LEAST, *settings))

@@ -153,7 +153,7 @@ def test_wrong_descriptions_write_nothing(lap, tmp_path):
         ("goals.pull.place=BACK", "nothing holds 'BACK'"),
         ("mesh.S=GLEU", "unknown set of facets 'GLEU', did you mean 'GLUE'?"),
         ("mesh.path=other.msh", "other.msh: there is no such file in "),
-        ("layer.eps=1e-300", "layer.eps: 1e-300; allowed beside bodies of "),
+        ("layer.eps=1e-300", "layer.eps: 1e-300; allowed in bodies of size "),
     ]:
         done = thinlayer("estimate", lap, "--set", setting, "--out", tmp_path / "out")
         assert (done.returncode, (tmp_path / "out").exists()) == (2, False), done.stderr

@@ -282,7 +282,7 @@ def test_damaged_tables(tmp_path):
     for text in [b"\xff\xfe\x00", b"a,b\n1,2,3\n", b"a,a\n1,2\n", b"a,b\n" + b"1" * 200_000 + b',"\n']:
         path = tmp_path / "t.csv"
         path.write_bytes(text)
-        refused(InputError, r"cannot be read as a table|is no whole table", Table.load, path)
+        refused(InputError, r"cannot be read as a table|is not a whole table", Table.load, path)
         refused(InputError, "", plotting.rates, path)
 
 

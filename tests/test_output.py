@@ -68,7 +68,7 @@ def test_table():
     table = Table([{"a": 1.0, "b": "x"}, {"a": 2.0, "b": None}])
     assert "a" in str(table)
     refused(ValueError, "does not fit", lambda: table.append({"a": 1.0}))
-    refused(KeyError, "no column 'c'; columns: a, b", lambda: table["c"])
+    refused(KeyError, "unknown column 'c'; known: a, b", lambda: table["c"])
 
 
 def test_rows_of_a_table_by_the_values_of_a_column():
@@ -77,7 +77,7 @@ def test_rows_of_a_table_by_the_values_of_a_column():
     assert [*parts] == ["soft", "hard"]
     assert parts["soft"]["eps"] == pytest.approx([0.2, 0.1], rel=1e-15)
     assert [len(part) for part in Table(rows).split("eps").values()] == [2, 1]
-    refused(KeyError, "no column 'x'; columns: law, eps", lambda: Table(rows).split("x"))
+    refused(KeyError, "unknown column 'x'; known: eps, law", lambda: Table(rows).split("x"))
 
 
 def test_a_table_of_columns(tmp_path):
@@ -91,7 +91,7 @@ def test_a_table_of_columns(tmp_path):
 def test_tables_are_printed_as_they_are():
     table = Table([{"slip [mm]": 1.0, "a": "x"}, {"slip [mm]": 0.123456, "a": None}])
     assert str(table).splitlines() == ["slip [mm]  a", "        1  x", "   0.1235"]
-    refused(InputError, "have texts for names, not 1", lambda: Table([{1: 2.0}]))
+    refused(InputError, "must be texts, not 1", lambda: Table([{1: 2.0}]))
 
 
 @pytest.mark.few(1)

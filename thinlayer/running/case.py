@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from geometry.importing.reading import read
 from geometry.joint import Joint
@@ -14,13 +14,17 @@ from thinlayer.discretisation.layer import Layers, ThinLayer
 from thinlayer.discretisation.point_loads import LineLoad, PointLoad
 from thinlayer.discretisation.structure import Structure
 from thinlayer.discretisation.time_functions import piecewise
-from thinlayer.estimating import goals as kinds
-from thinlayer.estimating.goals import Goal
+from thinlayer.estimating.goals import Compliance, Displacement, Goal, MeanTraction, Reaction
 from thinlayer.running.description import Description
 from thinlayer.running.materials import MaterialEntry
 from thinlayer.running.toml_table import TimeSeries
 from thinlayer.system.ranks import errors_on_all
 
+ResultType = TypeVar("ResultType")
+# kind of a goal in a description -> its class
+GOALS: Mapping[str, Callable[..., Goal]] = {
+    "compliance": Compliance, "reaction": Reaction, "mean_traction": MeanTraction, "displacement": Displacement
+}  # fmt: skip
 MIN_THICKNESS = 1e-9  # thickness over size of the bodies; rounding exceeds the effect of thinner layers
 
 
@@ -54,10 +58,10 @@ class DescribedCase:
         size = joint.size
         for name, entry in description.layer.items():
             if not MIN_THICKNESS * size <= entry.eps <= size:
-                what = f"{entry.eps:g}; allowed beside bodies of {size:.4g}: {MIN_THICKNESS * size:.2g} to {size:.4g}"
-                description.section.refuse(what, "layer", *([name] if name else []), "eps")
+                what = f"{entry.eps:g}; allowed in bodies of size {size:.4g}: {MIN_THICKNESS * size:.2g} to {size:.4g}"
+                description.section.refuse(what, *filter(None, ("layer", name, "eps")))
         layer = _by_name(description.layer, lambda m: ThinLayer(m.law, m.eps, eigenstrain=m.eigenstrain))
-        goals = tuple(_goal(name, **goal) for name, goal in description.goals.items()) or (kinds.Compliance(),)
+        goals = tuple(_goal(name, **goal) for name, goal in description.goals.items()) or (Compliance(),)
         return cls(description, _structure(description, joint), layer, goals)
 
     def model(self) -> InterfaceModel:
@@ -76,29 +80,39 @@ class DescribedCase:
 def _structure(description: Description, joint: Joint) -> Structure:
     supports, loads_on = _timed(description.supports), _timed(description.tractions).items()
     tractions = {name: Pressure(load["pressure"]) if isinstance(load, Mapping) else load for name, load in loads_on}
-    strains: Any = {name: body.eigenstrain for name, body in description.body.items() if body.eigenstrain is not None}
-    loads: list[Any] = [(LineLoad if "first" in load else PointLoad)(**_timed(load)) for load in description.loads]
-    bodies = {"body": _by_name(description.body, lambda m: m.law), "eigenstrain": strains.get(None, strains) or None}
-    loaded = {"supports": supports, "tractions": tractions, "body_force": description.body_force, "loads": loads}
-    return Structure(joint, plane=description.plane or "strain", element=description.element, **bodies, **loaded)
+    loads = [(LineLoad if "first" in load else PointLoad)(**_timed(load)) for load in description.loads]
+    strained = {name: entry for name, entry in description.body.items() if entry.eigenstrain is not None}
+    return Structure(
+        joint,
+        body=_by_name(description.body, lambda entry: entry.law),
+        supports=supports,
+        tractions=tractions,
+        body_force=description.body_force,
+        loads=loads,
+        plane=description.plane or "strain",
+        element=description.element,
+        eigenstrain=_by_name(strained, lambda entry: entry.eigenstrain) or None,
+    )
 
 
-def _timed(value: Any) -> Any:
+def _timed(value: object) -> Any:
     """Return a value, in which functions of time replace histories, also in tables."""
     if isinstance(value, Mapping):
         return {name: _timed(entry) for name, entry in value.items()}
     return piecewise(value.values) if isinstance(value, TimeSeries) else value
 
 
-def _by_name(entries: Mapping[str | None, MaterialEntry], make: Any) -> Any:
+def _by_name(
+    entries: Mapping[str | None, MaterialEntry], make: Callable[[MaterialEntry], ResultType]
+) -> ResultType | dict[str, ResultType]:
     """Apply `make` to the entries; return the result for all names if there is one, else {name: result}."""
     made = {name: make(entry) for name, entry in entries.items()}
-    return made.get(None, made)
+    return made[None] if None in made else {name: result for name, result in made.items() if name is not None}
 
 
 def _goal(name: str, kind: str, **arguments: Any) -> Goal:
-    made: Goal = getattr(kinds, kind.title().replace("_", ""))(**arguments)
-    if name in (kind, made.name):
-        return made
-    called: Any = type("Called", (type(made),), {"name": name})  # a subclass: isinstance still finds its kind
-    return called(**arguments)
+    goal = GOALS[kind](**arguments)
+    if name in (kind, goal.name):
+        return goal
+    renamed: Goal = type("Renamed", (type(goal),), {"name": name})(**arguments)  # a subclass, for isinstance
+    return renamed

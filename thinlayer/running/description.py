@@ -6,7 +6,7 @@ and of `goals`. All moduli are real moduli; a layer's moduli are divided by its 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,9 @@ from typing import Any
 from thinlayer.running.materials import MaterialEntry, read_materials
 from thinlayer.running.toml_table import (
     Reader,
+    Readers,
     Section,
+    TimeSeries,
     choice_reader,
     is_growing,
     positive_reader,
@@ -25,8 +27,11 @@ from thinlayer.running.toml_table import (
 
 Place = str | tuple[float, ...]
 Vector = tuple[float, ...]
+Support = float | Mapping[str, float | TimeSeries]  # one number for all components, or component -> number
+Traction = Vector | TimeSeries | Mapping[str, float | TimeSeries]  # components, or {"pressure": number}
+Arguments = Mapping[str, Any]  # arguments of a function of the package, by name
 
-GOAL_READERS: dict[str, dict[str, Reader]] = {
+GOAL_READERS: dict[str, Readers] = {
     "compliance": {},
     "reaction": {"place": Section.text, "direction": Section.vector},
     "mean_traction": {"direction": Section.vector, "seam": Section.text},
@@ -58,24 +63,24 @@ class Description:
     """
 
     section: Section
-    mesh: Mapping[str, Any]
+    mesh: Arguments
     body: Mapping[str | None, MaterialEntry]
     layer: Mapping[str | None, MaterialEntry]
     units: tuple[str, str] | None = None
-    supports: Mapping[Place, Any] = field(default_factory=dict)
-    tractions: Mapping[str, Any] = field(default_factory=dict)
+    supports: Mapping[Place, Support] = field(default_factory=dict)
+    tractions: Mapping[str, Traction] = field(default_factory=dict)
     body_force: Vector | Mapping[str, Vector] | None = None
-    loads: tuple[Mapping[str, Any], ...] = ()
+    loads: Sequence[Arguments] = ()
     plane: str | None = None
     element: str | None = None
     bodies: str = "kept"
     times: tuple[float, ...] = ()
-    goals: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    goals: Mapping[str, Arguments] = field(default_factory=dict)
     tolerance: Mapping[str, float] = field(default_factory=dict)
     bonded: bool = False
 
     @classmethod
-    def read(cls, path: Path, settings: Iterable[str] = ()) -> Description:
+    def read(cls, path: Path, settings: Sequence[str] = ()) -> Description:
         """Read the description in a file, with some keys replaced, see `read_description`.
 
         Raises:
@@ -91,7 +96,7 @@ class Description:
             section.refuse("nothing loads the structure; give tractions, body_force, loads, or supports that move")
         description._require_times()
         if description.tolerance and None not in description.layer:
-            section.refuse("a thickness is sought of one layer for all seams; give [layer] without names", "tolerance")
+            section.refuse("a tolerance needs one layer for all seams; give [layer] without names", "tolerance")
         return description
 
     def _require_times(self) -> None:
@@ -101,20 +106,20 @@ class Description:
             if not self.times:
                 self.section.refuse("a history needs times, the ends of time steps", *history.keys)
             if first > 0 or last < self.times[-1]:
-                reach = f"it is given from {first:g} to {last:g}, and times go from 0 to {self.times[-1]:g}"
-                self.section.refuse(reach, *history.keys)
+                what = f"the history goes from {first:g} to {last:g}; it must cover all times, 0 to {self.times[-1]:g}"
+                self.section.refuse(what, *history.keys)
 
 
-def _mesh(section: Section, key: str) -> dict[str, Any]:
+def _mesh(section: Section, key: str) -> Arguments:
     """Arguments of `geometry.read`. With `upper` and `lower`, S defaults to all facets between these regions."""
-    value, sides = section.values[key], dict.fromkeys(("upper", "lower"), Section.texts)
+    value, sides = section.values[key], dict[str, Reader].fromkeys(("upper", "lower"), Section.texts)
     table = section.inner({"path": value} if isinstance(value, str) else value, "path and arguments of read", key)
-    readers: dict[str, Reader] = {"path": Section.text, "S": _sides, **sides, "direction": Section.vector}
-    arguments = table.entries(readers | {"scale": positive_reader("a factor")}, {"path": MESH_HINT})
+    readers: Readers = {"path": Section.text, "S": _sides, **sides, "direction": Section.vector}
+    arguments = table.entries({**readers, "scale": positive_reader("a factor")}, {"path": MESH_HINT})
     return {"S": None, **arguments} if sides.keys() <= arguments.keys() else arguments
 
 
-def _sides(section: Section, key: str) -> Any:
+def _sides(section: Section, key: str) -> object:
     """Names of facet sets, or a table of seams whose sides `geometry.read` checks."""
     value = section.values[key]
     return value if isinstance(value, Mapping) else section.texts(key)
@@ -128,16 +133,16 @@ def _units(section: Section, key: str) -> tuple[str, str]:
     return lengths, stresses[0]
 
 
-def _supports(section: Section, key: str) -> dict[Place, Any]:
+def _supports(section: Section, key: str) -> dict[Place, Support]:
     """Return place -> prescribed number or components."""
-    places, supports = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Any]()
+    places, supports = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Support]()
     for name, value in places.values.items():
         place = _place(name)
         if isinstance(value, Mapping):
             readers = dict.fromkeys("xyzn" if isinstance(place, str) else "xyz", time_series(Section.number))
             supports[place] = places.table(name, "components").entries(readers, kind="component")
             if not value:
-                places.refuse("no component is given, such as {x = 0}", name)
+                places.refuse("it has no components; give some, such as {x = 0}", name)
         else:
             supports[place] = places.number(name)
     return supports
@@ -153,13 +158,13 @@ def _place(text: str) -> Place:
         return text
 
 
-def _tractions(section: Section, key: str) -> dict[str, Any]:
+def _tractions(section: Section, key: str) -> dict[str, Traction]:
     """Name of a facet set -> components, or {"pressure": number}."""
     sets = section.table(key, "names of facet sets with a vector, such as TOP = [0, -50]")
     return {name: time_series(_traction)(sets, name) for name in sets.values}
 
 
-def _traction(section: Section, key: str) -> Any:
+def _traction(section: Section, key: str) -> Traction:
     if isinstance(section.values[key], Mapping):
         what = {"pressure": "a stress, > 0 where it presses"}
         return section.table(key, "pressure").entries({"pressure": time_series(Section.number)}, what)
@@ -174,35 +179,33 @@ def _body_force(section: Section, key: str) -> Vector | dict[str, Vector]:
     return section.table(key, "names of regions and seams").entries(dict.fromkeys(value, Section.vector))
 
 
-def _loads(section: Section, key: str) -> tuple[dict[str, Any], ...]:
+def _loads(section: Section, key: str) -> tuple[Arguments, ...]:
     """Arguments of forces at points, or of forces per length of edges."""
     loads = []
     for table in section.tables(key, "place and force, or first, second and force"):
-        where: dict[str, Reader] = {"place": Section.vector}
-        if {"first", "second"} & table.values.keys():
-            where = {"first": Section.text, "second": Section.text}
+        on_edges = {"first", "second"} & table.values.keys()
+        where: Readers = dict.fromkeys(("first", "second"), Section.text) if on_edges else {"place": Section.vector}
         needed = {**dict.fromkeys(where, "where the load acts"), "force": "the vector of the force"}
         loads.append(table.entries({**where, "force": time_series(Section.vector), "body": Section.text}, needed))
     return tuple(loads)
 
 
 def _times(section: Section, key: str) -> tuple[float, ...]:
-    wrong = "are no times; give numbers > 0 that grow, such as [0.5, 1]"
-    times = section.checked(key, lambda values: values and is_growing(values) and all(t > 0 for t in values), wrong)
+    wrong = "are not times; give numbers > 0 that grow, such as [0.5, 1]"
+    times = section.checked(key, lambda values: values and is_growing(values) and values[0] > 0, wrong)
     return tuple(map(float, times))
 
 
-def _goals(section: Section, key: str) -> dict[str, dict[str, Any]]:
-    goals, arguments = section.table(key, "names with what they ask for, such as compliance = true"), {}
+def _goals(section: Section, key: str) -> dict[str, Arguments]:
+    goals = section.table(key, "names with what they ask for, such as compliance = true")
+    arguments: dict[str, Arguments] = {}
     for name, value in goals.values.items():
         if name in DEFAULT_QUANTITIES:
-            goals.refuse("this quantity is told of every layer; give a goal another name", name)
+            goals.refuse("every estimate has this quantity; give the goal another name", name)
         goal = goals.inner({} if value is True else value, "arguments of a goal, or is true", name)
         kind = goal.text("kind", GOAL_READERS) if "kind" in goal.values else name
         if kind not in GOAL_READERS:
-            goals.refuse(
-                f"what is asked for? give kind, one of {', '.join(GOAL_READERS)}, or one of them as the key", name
-            )
+            goals.refuse(f"kind is missing; allowed: {', '.join(GOAL_READERS)}, also as the goal's key", name)
         readers = GOAL_READERS[kind]
         needed = {key: f"{kind} has {', '.join(readers)}" for key in readers if key not in ("seam", "side")}
         arguments[name] = {"kind": kind, **goal.entries({"kind": Section.text, **readers}, needed)}
@@ -219,7 +222,7 @@ def _tolerance(section: Section, key: str) -> dict[str, float]:
 
 
 MESH_HINT = 'the name of a mesh file, mesh = "joint.msh"'
-ENTRY_READERS: dict[str, Reader] = {
+ENTRY_READERS: Readers = {
     "mesh": _mesh,
     "units": _units,
     "body": read_materials,

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import itertools
 import tomllib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeGuard
 
 from forms.base import InputError, is_finite, unknown_name_message
 
 Keys = tuple[str, ...]
-NO_HISTORIES: Mapping[str, str] = {}
+NO_KEYS: Mapping[str, str] = {}
 
 
 class DescriptionError(InputError):
@@ -24,46 +24,44 @@ class DescriptionError(InputError):
 class TimeSeries:
     """Values at two or more times, linear in between, and the keys that lead to the series in the description."""
 
-    values: Mapping[float, Any]
+    values: Mapping[float, float | tuple[float, ...]]
     keys: Keys
 
 
-def read_description(path: Path, settings: Iterable[str] = ()) -> Section:
+def read_description(path: Path, settings: Sequence[str] = ()) -> Section:
     """Read a description in TOML, with some keys replaced.
 
     Args:
         path: the file; the name of its mesh file is relative to its folder.
-        settings: texts "KEY=VALUE" in TOML, as "layer.E=2e3"; entries of lists are numbered from 1. A value that is no TOML
-            is a text, as shells remove quotes.
+        settings: texts "KEY=VALUE" in TOML, as "layer.E=2e3"; entries of lists are numbered from 1. A value that is not
+            TOML is a text, as shells remove quotes.
 
     Raises:
-        DescriptionError: the file cannot be read, or is no TOML, with the line; a setting cannot be read.
+        DescriptionError: the file cannot be read, or is not TOML, with the line; a setting cannot be read.
     """
     try:
-        values: Any = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
-        what = "numbers have digits before and after the point, texts stand in quotes, yes and no are true and false"
-        raise DescriptionError(f"{path} is no TOML: {error}; {what}") from None
+        remedy = "numbers have digits before and after the point, texts stand in quotes, yes and no are true and false"
+        raise DescriptionError(f"{path} is not TOML: {error}; {remedy}") from None
     mesh = values.get("mesh")
     mesh = {"path": mesh} if isinstance(mesh, str) else mesh
     if isinstance(mesh, dict) and isinstance(mesh.get("path"), str):
         values["mesh"] = {**mesh, "path": str(path.parent / mesh["path"])}
-    name = str(path)
-    for text in settings:
-        option = f"--set {text!r}"
+    options = [f"--set {text!r}" for text in settings]
+    for text, option in zip(settings, options, strict=True):
         values = _with_value(values, *_assignment(text, option), option)
-        name += f"{',' if '--set' in name else ' with'} {option}"
-    return Section(values, (), name, [])
+    return Section(values, (), f"{path} with {', '.join(options)}" if options else str(path), [])
 
 
-def _assignment(text: str, option: str) -> tuple[Keys, Any]:
+def _assignment(text: str, option: str) -> tuple[Keys, object]:
     """Return keys and value of a text "KEY=VALUE"; `option` names it in errors."""
     name, equals, value_text = text.partition("=")
     try:
         keys: Keys = ()
-        inner: Any = tomllib.loads(f"{name}{equals}0")
+        inner: object = tomllib.loads(f"{name}{equals}0")
         while isinstance(inner, dict):
             ((key, inner),) = inner.items()
             keys = (*keys, key)
@@ -76,7 +74,7 @@ def _assignment(text: str, option: str) -> tuple[Keys, Any]:
     return keys, value
 
 
-def _with_value(old: Any, keys: Sequence[str], value: Any, option: str) -> Any:
+def _with_value(old: object, keys: Sequence[str], value: object, option: str) -> Any:
     """Return a copy of a table or list with another value at the keys that lead to it."""
     if not keys:
         return value
@@ -119,9 +117,7 @@ class Section:
         except InputError as error:
             self.refuse(str(error), *keys)
 
-    def entries(
-        self, keys: Mapping[str, Reader], needs: Mapping[str, str] = NO_HISTORIES, kind: str = "key"
-    ) -> dict[str, Any]:
+    def entries(self, keys: Readers, needs: Mapping[str, str] = NO_KEYS, kind: str = "key") -> dict[str, Any]:
         """Return key -> value, read from all entries of the table.
 
         Args:
@@ -145,18 +141,18 @@ class Section:
 
     def number(self, key: str) -> float:
         """A finite number."""
-        return float(self.checked(key, is_finite, "is no finite number"))
+        return float(self.checked(key, is_finite, "is not a finite number"))
 
     def vector(self, key: str) -> tuple[float, ...]:
         """Components of a vector, 2 or 3 finite numbers."""
-        wrong = "is no vector; give 2 components, in 3D 3, such as [0, -50]"
+        wrong = "is not a vector; give 2 components, in 3D 3, such as [0, -50]"
         return tuple(map(float, self.checked(key, lambda value: _are_finite(value) and len(value) in (2, 3), wrong)))
 
     def text(self, key: str, allowed: Collection[str] = (), kind: str = "choice") -> str:
         """A text; if `allowed` is not empty, one of these texts."""
         value = self.values[key]
         if not isinstance(value, str) or not value:
-            self.refuse(f"{_shown(value)} is no text" + (f"; allowed: {', '.join(allowed)}" if allowed else ""), key)
+            self.refuse(f"{_shown(value)} is not a text" + (f"; allowed: {', '.join(allowed)}" if allowed else ""), key)
         if allowed and value not in allowed:
             self.refuse(unknown_name_message(kind, value, allowed), key)
         return value
@@ -171,19 +167,20 @@ class Section:
         """Return the table of a key, empty without it; raise DescriptionError with the text `what` for other values."""
         return self.inner(self.values.get(key, {}), what, key)
 
-    def inner(self, value: Any, what: str, *keys: str) -> Section:
-        """Return a value of this table as a `Section`; raise DescriptionError if it is no table."""
+    def inner(self, value: object, what: str, *keys: str) -> Section:
+        """Return a value of this table as a `Section`; raise DescriptionError if it is not a table."""
         if not isinstance(value, Mapping):
-            self.refuse(f"{_shown(value)} is no table; it has {what}", *keys)
+            self.refuse(f"{_shown(value)} is not a table; it has {what}", *keys)
         return replace(self, values=value, path=(*self.path, *keys))
 
     def tables(self, key: str, what: str) -> list[Section]:
         """Return the tables in the list of a key."""
-        tables = self.checked(key, lambda value: isinstance(value, list), f"is no list of tables; each has {what}")
+        tables = self.checked(key, lambda value: isinstance(value, list), f"is not a list of tables; each has {what}")
         return [self.inner(table, what, key, str(number)) for number, table in enumerate(tables, 1)]
 
 
 Reader = Callable[[Section, str], Any]
+Readers = Mapping[str, Reader]
 
 
 def choice_reader(*allowed: str) -> Reader:
@@ -204,7 +201,7 @@ def positive_reader(what: str) -> Reader:
 def time_series(read: Reader) -> Reader:
     """Return a reader of values that `read` accepts, or of a `TimeSeries` of them, {times = ..., values = ...}."""
 
-    def read_each(section: Section, key: str) -> Any:
+    def read_each(section: Section, key: str) -> object:
         entry, what = section.values[key], "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
         if not isinstance(entry, Mapping) or not {"times", "values"} & entry.keys():
             return read(section, key)
@@ -220,16 +217,16 @@ def time_series(read: Reader) -> Reader:
     return read_each
 
 
-def is_growing(times: Any) -> bool:
+def is_growing(times: object) -> TypeGuard[list[float]]:
     """Whether something is a list of finite numbers, each larger than the one before."""
     return _are_finite(times) and all(a < b for a, b in itertools.pairwise(times))
 
 
-def _are_finite(value: Any) -> bool:
+def _are_finite(value: object) -> TypeGuard[list[float]]:
     return isinstance(value, list) and all(map(is_finite, value))
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """A value as it may be written in TOML, shortened."""
-    text = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) < 60 else f"{text[:56]} ..."

@@ -45,11 +45,11 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def hash_of(path: Path) -> str | None:
-    """Hash of the content of a file; None if there is no file."""
+    """Hash of the content of a file; None if the file does not exist."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
 
-def write_sealed(path: Path, content: Mapping[str, Any]) -> None:
+def write_sealed(path: Path, content: Mapping[str, object]) -> None:
     """Write data as JSON with their hash."""
     with replace_file(path) as file:
         file.write(json.dumps({**content, "hash": _seal(content)}).encode())
@@ -70,7 +70,7 @@ def read_sealed(path: Path) -> dict[str, Any]:
     return content
 
 
-def _seal(content: Mapping[str, Any]) -> str:
+def _seal(content: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -107,7 +107,7 @@ def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> I
             file = _lock(folder / name, wait)
         except InputError:  # a ValueError with a complete message
             raise
-        except (OSError, ValueError) as error:  # a name with a null character is no OSError
+        except (OSError, ValueError) as error:  # a name with a null character raises ValueError
             raise InputError(f"no files can be written in {str(folder)!r}: {error}; give another folder") from error
         yield
     finally:
@@ -129,8 +129,8 @@ def _lock(path: Path, wait: bool) -> int:
                 fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
             except BlockingIOError:
                 who = os.pread(file, 200, 0).decode(errors="replace").strip() or "another process"
-                busy = f"another run ({who}) is writing into {str(path.parent)!r}"
-                raise InputError(f"{busy}; wait for it, or give another folder") from None
+                what = f"another run ({who}) is writing into {str(path.parent)!r}"
+                raise InputError(f"{what}; wait for it, or give another folder") from None
             except OSError as error:
                 if error.errno not in NO_LOCK_ERRORS:  # without locks nothing protects the folder
                     raise

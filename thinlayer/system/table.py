@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 from mpi4py import MPI
 
-from forms.base import InputError
+from forms.base import InputError, unknown_name_message
 from geometry.parallel import on_root
 from thinlayer.system.folder import replace_file
 
 Entry = float | str | None  # None: empty
 Row = dict[str, Entry]
-AnyRow = Mapping[str, Any]  # row of a user, with numbers of any type
+ColumnValues = Mapping[str, Any]  # column -> entry, or entries, as a user gives them
 
 
 class ColumnError(InputError, KeyError):
@@ -36,12 +36,12 @@ class Table:
         path: csv file to which each row is written at once, or None.
     """
 
-    def __init__(self, rows: Iterable[AnyRow] = (), path: str | Path | None = None) -> None:
+    def __init__(self, rows: Iterable[ColumnValues] = (), path: str | Path | None = None) -> None:
         self.rows: list[Row] = []
         self.path = Path(path) if path else None
         self.extend(rows)
 
-    def append(self, row: AnyRow) -> None:
+    def append(self, row: ColumnValues) -> None:
         """Add a row, and write the table to its file on the disk before returning. Collective, if there is a file.
 
         Raises:
@@ -50,14 +50,14 @@ class Table:
         """
         self.extend([row])
 
-    def extend(self, rows: Iterable[AnyRow]) -> None:
+    def extend(self, rows: Iterable[ColumnValues]) -> None:
         """Add rows as `append` does, but write the file only once."""
         before = len(self.rows)
         for row in rows:
             if self.rows and list(row) != self.columns:
                 raise InputError(f"a row with columns {list(row)} does not fit a table with columns {self.columns}")
             if wrong := [name for name in row if not isinstance(name, str)]:
-                raise InputError(f"a table's columns have texts for names, not {', '.join(map(repr, wrong))}")
+                raise InputError(f"names of a table's columns must be texts, not {', '.join(map(repr, wrong))}")
             self.rows.append(dict(row))
         if self.path is not None and len(self.rows) > before:
             self.write(self.path)
@@ -84,14 +84,14 @@ class Table:
             file.write(text.getvalue().encode())
 
     @classmethod
-    def of(cls, columns: Mapping[str, object]) -> Table:
+    def of(cls, columns: ColumnValues) -> Table:
         """Make a table from columns of equal length, or of one entry for all rows; InputError for other lengths."""
         entries = [np.atleast_1d(np.asarray(column, object)) for column in columns.values()]
         try:
             rows = zip(*np.broadcast_arrays(*entries), strict=True)
         except ValueError:
             sizes = ", ".join(f"{name} {len(column)}" for name, column in zip(columns, entries, strict=True))
-            raise InputError(f"columns of a table have as many entries each, or one; not {sizes}") from None
+            raise InputError(f"columns of a table need the same number of entries, or one; not {sizes}") from None
         return cls(dict(zip(columns, row, strict=True)) for row in rows)
 
     @classmethod
@@ -103,7 +103,7 @@ class Table:
             comm: communicator whose rank 0 reads (default: the world).
 
         Raises:
-            FileNotFoundError: there is no file. InputError: it cannot be read, or is no table. On all ranks.
+            FileNotFoundError: the file does not exist. InputError: it cannot be read, or is not a table. On all ranks.
         """
 
         def read() -> list[list[str]]:
@@ -115,15 +115,13 @@ class Table:
             except (OSError, ValueError, csv.Error) as error:
                 raise InputError(f"{str(path)!r} cannot be read as a table: {error}") from error
 
-        table, (names, *rows) = cls(), on_root(comm, read) or [[]]
-        if len({*names}) < len(names):
-            raise InputError(f"{str(path)!r} is no whole table: columns have the same name")
-        for number, row in enumerate(rows, 2):
-            if len(row) != len(names):
-                columns = f"{len(names)} columns"
-                raise InputError(f"{str(path)!r} is no whole table: line {number} has {len(row)} entries for {columns}")
-            table.rows.append(dict(zip(names, map(_value, row), strict=True)))
-        return table
+        names, *rows = on_root(comm, read) or [[]]
+        wrong = ["columns have the same name"] * (len({*names}) < len(names))
+        sizes = enumerate(map(len, rows), 2)
+        wrong += [f"line {k} has {n} entries for {len(names)} columns" for k, n in sizes if n != len(names)]
+        if wrong:
+            raise InputError(f"{str(path)!r} is not a whole table: {wrong[0]}")
+        return cls(dict(zip(names, map(_value, row), strict=True)) for row in rows)
 
     @property
     def columns(self) -> list[str]:
@@ -133,7 +131,7 @@ class Table:
     def orders(self, errors: str, of: str = "eps") -> list[float | None]:
         """Observed order of convergence in each row, log(e_k-1/e_k)/log(h_k-1/h_k), from errors e and sizes h.
 
-        None in the first row, and where one of the two errors is zero or no number. ColumnError: no such column.
+        None in the first row, and where one of the two errors is zero or not a number. ColumnError: no such column.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             slopes = np.diff(np.log(self[errors])) / np.diff(np.log(self[of]))
@@ -163,7 +161,7 @@ class Table:
 
     def _entries(self, column: str) -> list[Entry]:
         if column not in self.columns:
-            raise ColumnError(f"no column {column!r}; columns: {', '.join(self.columns)}")
+            raise ColumnError(unknown_name_message("column", column, self.columns))
         return [row[column] for row in self.rows]
 
     def __str__(self) -> str:
