@@ -204,7 +204,7 @@ def test_only_the_same_run_is_resumed(tmp_path, monkeypatch):
         refused(InputError, r"run\.json cannot be read", again)
     (tmp_path / "run.json").unlink()
     for run in (again, partial(study, tmp_path, {"b": 1.0})):
-        refused(InputError, r"has tables \(more\.csv, table\.csv\) and no run\.json", run)
+        refused(InputError, r"has more\.csv, table\.csv, but no run\.json; give", run)
 
 
 def test_other_tables_are_not_drawn(tmp_path):

@@ -11,18 +11,17 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from forms.base import InputError, require
 from geometry.parallel import default_comm
 from thinlayer.running.catalogue import studies
 from thinlayer.running.process import CHECK_FAILED, OK, UNFINISHED
-from thinlayer.running.record import Record
+from thinlayer.running.record import Record, RunContent
 from thinlayer.system.folder import lock_folder
 from thinlayer.system.progress import report
 from thinlayer.system.version import print_safely
 
-EXIT_TEXT = {OK: "all checks hold", CHECK_FAILED: "a check fails", UNFINISHED: "not finished"}
+OUTCOMES = {OK: "all checks hold", CHECK_FAILED: "a check fails", UNFINISHED: "not finished"}
 LOG_SUFFIX = ".log"
 POLL_SECONDS = 0.1  # s between looks at the processes
 
@@ -39,7 +38,7 @@ class Job:
     """
 
     study: str
-    options: Mapping[str, Any]
+    options: Mapping[str, object]
     folder: Path
     seconds: float
 
@@ -51,7 +50,7 @@ class Job:
             words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
         return words
 
-    def result(self) -> dict[str, Any] | None:
+    def result(self) -> RunContent | None:
         """Content of run.json; None unless it has the same study, options and source code."""
         try:
             return Record(self.study, self.folder, self.options).same_run()
@@ -125,7 +124,7 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
                     del running[job]
                     codes.append(job.status())
                     took = f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG_SUFFIX}" if child else "done before"
-                    print_safely(f"{len(codes) - 1} of {len(jobs)}  {job.folder.name}: {EXIT_TEXT[codes[-1]]} ({took})")
+                    print_safely(f"{len(codes) - 1} of {len(jobs)}  {job.folder.name}: {OUTCOMES[codes[-1]]} ({took})")
             now = f"{len(codes) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
             left, whole = (sum(job.seconds for job in some) for some in ([*waiting, *running], jobs))
             tell(1 - left / whole, now)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -14,10 +15,9 @@ from typing import Any
 STUDIES_FOLDER = Path(__file__).parents[2] / "studies"
 BENCHMARKS_FOLDER = STUDIES_FOLDER.parent / ".ci/benchmarks"  # only in a clone
 STUDY_LISTS = [p for p in (STUDIES_FOLDER / "data/studies.toml", BENCHMARKS_FOLDER / "studies.toml") if p.exists()]
-# group -> study -> seconds, see `Study`
-STUDY_GROUPS: dict[str, dict[str, list[float]]] = tomllib.loads(
-    "\n".join(path.read_text(encoding="utf-8") for path in STUDY_LISTS)
-)
+_LISTS_TEXT = "\n".join(path.read_text(encoding="utf-8") for path in STUDY_LISTS)
+STUDY_GROUPS: dict[str, dict[str, list[float]]] = tomllib.loads(_LISTS_TEXT)  # group -> study -> seconds, see `Study`
+OptionArguments = Mapping[str, Any]  # arguments of `ArgumentParser.add_argument`, by name
 SECONDS_OF_UNIT = {"h": 3600, "min": 60, "s": 1}
 
 
@@ -28,7 +28,7 @@ class Study:
     Attributes:
         name: module name in `studies`.
         summary: first line of its docstring.
-        options: name of a keyword argument of its `run` -> arguments of `ArgumentParser.add_argument` for it.
+        options: name of a keyword argument of its `run` -> arguments of `add_argument` for it.
         drawn: whether its `draw` makes pictures from its tables; other studies have only tables.
         group: its group in `STUDY_GROUPS`.
         quick, full: approximate duration with --quick, and in full, s.
@@ -36,7 +36,7 @@ class Study:
 
     name: str
     summary: str
-    options: dict[str, dict[str, Any]]
+    options: dict[str, OptionArguments]
     drawn: bool
     group: str
     quick: float
@@ -58,7 +58,7 @@ def studies() -> dict[str, Study]:
     return catalogue
 
 
-def _option(argument: ast.arg, text: str) -> dict[str, Any]:
+def _option(argument: ast.arg, text: str) -> OptionArguments:
     """Arguments of `add_argument` for a keyword argument of `run`.
 
     Args:
@@ -66,15 +66,15 @@ def _option(argument: ast.arg, text: str) -> dict[str, Any]:
         text: docstring of `run`, in which its description becomes the help of the option.
     """
     line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
-    keywords: dict[str, Any] = {"help": line[1].replace("%", "%%") if line else None}
+    explained = {"help": line[1].replace("%", "%%") if line else None}
     match ast.unparse(argument.annotation) if argument.annotation else "":
         case "bool":
-            return keywords | {"action": "store_true"}
+            return {**explained, "action": "store_true"}
         case "Sequence[float]":
-            return keywords | {"nargs": "+", "type": float, "metavar": "E"}
+            return {**explained, "nargs": "+", "type": float, "metavar": "E"}
         case kind:
             allowed = tuple(ast.literal_eval(kind.removeprefix("Literal")))
-            return keywords | {"choices": allowed, "type": type(allowed[0])}
+            return {**explained, "choices": allowed, "type": type(allowed[0])}
 
 
 def listed() -> str:

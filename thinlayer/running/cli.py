@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,7 +57,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**more, allow_abbrev=False)
         self.set_defaults(parser=self)
 
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
+    def _check_value(self, action: argparse.Action, value: object) -> None:
         if action.choices is not None and value not in action.choices:
             kind = str(action.metavar or action.dest).lower()
             raise argparse.ArgumentError(None, _unknown(kind, value, action.choices))
@@ -99,11 +100,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def start() -> int:
     """Run `main` as the whole process, and return an exit status after every exception, too."""
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name) or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  (it was closed)
-        with suppress(AttributeError):  # a replaced stream may lack it
+    streams = (sys.stdout, sys.stderr)  # None if closed
+    sys.stdout, sys.stderr = (stream or open(os.devnull, "w", encoding="utf-8") for stream in streams)  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # for characters that its encoding lacks
-        setattr(sys, name, stream)
     try:
         return main()
     except (KeyboardInterrupt, OSError) as error:
@@ -174,10 +175,10 @@ def _add_batch(parser: Parser, out: Path) -> None:
     parser.add_argument("-j", type=int, metavar="N", help="studies at a time (default: as many as cores)")
 
 
-def _command(commands: Any, name: str, work: Command, what: str, example: str) -> Parser:
+def _command(commands: argparse._SubParsersAction[Parser], name: str, work: Command, what: str, example: str) -> Parser:
     """Add a command and return its parser."""
     short, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
-    parser: Parser = commands.add_parser(name, help=short[0].lower() + short[1:], description=what, epilog=epilog)
+    parser = commands.add_parser(name, help=short[0].lower() + short[1:], description=what, epilog=epilog)
     parser.set_defaults(work=work)
     return parser
 
@@ -205,7 +206,7 @@ def _add_json(group: argparse._ActionsContainer) -> None:
     group.add_argument("--json", action="store_true", help="print the answer as JSON, nothing else on standard output")
 
 
-def _print_answer(chosen: argparse.Namespace, answer: Any, words: str) -> int:
+def _print_answer(chosen: argparse.Namespace, answer: object, words: str) -> int:
     """Print an answer on rank 0, in words or with --json as JSON."""
     if is_first():
         print_safely(json.dumps(answer, indent=1, default=str) if chosen.json else words)
@@ -252,7 +253,7 @@ def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
 
 def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
     study = studies()[chosen.study]
-    options = {name: getattr(chosen, name) for name in study.options if getattr(chosen, name) is not None}
+    options = {name: value for name, value in vars(chosen).items() if name in study.options and value is not None}
 
     def work(record: Record) -> None:
         from thinlayer.running.provenance import constants

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields
-from functools import cache, partial
-from typing import Any
+from functools import cache
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from forms.law import BulkLaw, scalar_fields
 from forms.series import Stack
 from thinlayer.running.toml_table import Reader, Section, choice_reader, positive_reader
 
+LawType = TypeVar("LawType", bound=BulkLaw)
 ELASTIC_CONSTANTS = ("E", "nu", "K", "G", "mu", "lmbda")
 ELASTIC_PAIRS_TEXT = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
 
@@ -40,7 +41,7 @@ def read_materials(section: Section, key: str, *, thin: bool = False) -> dict[st
     """Read the materials in the table of a key, by name; the name None means all. `thin`: layers, with a thickness.
 
     Raises:
-        DescriptionError: an unknown law, an unknown or missing parameter, moduli that are no pair, or a law's error.
+        DescriptionError: an unknown law, an unknown or missing parameter, moduli that are not a pair, or a law's error.
     """
     what, thickness = "the parameters of a law, such as E and nu", "the thickness of the layer, a length"
     whole = section.table(key, what)
@@ -70,15 +71,15 @@ def _law(section: Section, extra: Mapping[str, Reader], needed: Mapping[str, str
         entries = section.entries(of_stack, {**needed, "sublayers": "tables with a law"}, "key of Stack")
         return _made(section, lambda: Stack(*entries["sublayers"])), entries
     name = section.text("law", known_laws(), "law of strains") if "law" in section.values else "LinearElastic"
-    kind: Any = known_laws()[name]
+    kind: Any = known_laws()[name]  # mypy does not see that classes can be hashed, as `scalar_fields` needs
     parameters = {f.name: f for f in fields(kind) if f.init}
     elastic = ELASTIC_CONSTANTS if "lmbda" in parameters else ("E", "G", "mu") if "mu" in parameters else ()
     others = [key for key in parameters if key not in elastic]
-    readers: dict[str, Reader] = {"law": Section.text, **extra}
-    readers |= dict.fromkeys(elastic, Section.number) | dict.fromkeys(others, partial(_value, kind))
+    numbers = {*elastic, *scalar_fields(kind)}
+    readers = {key: Section.number if key in numbers else _value for key in (*elastic, *others)}
     has = f"{name} has {', '.join([ELASTIC_PAIRS_TEXT, *others] if elastic else others)}"
     words = {**{key: has for key in others if parameters[key].default is MISSING}, **needed}
-    entries = section.entries(readers, words, f"key of {name}")
+    entries = section.entries({"law": Section.text, **extra, **readers}, words, f"key of {name}")
     moduli = {key: entries[key] for key in elastic if key in entries}
     arguments = {key: entries[key] for key in others if key in entries}
     if elastic:
@@ -86,7 +87,7 @@ def _law(section: Section, extra: Mapping[str, Reader], needed: Mapping[str, str
     return _made(section, lambda: kind(**arguments)), entries
 
 
-def _made(section: Section, make: Callable[[], BulkLaw]) -> BulkLaw:
+def _made(section: Section, make: Callable[[], LawType]) -> LawType:
     try:
         return make()
     except (InputError, TypeError, ValueError) as error:
@@ -94,22 +95,18 @@ def _made(section: Section, make: Callable[[], BulkLaw]) -> BulkLaw:
 
 
 def _sublayers(section: Section, key: str) -> list[tuple[float, BulkLaw]]:
-    what, pairs = "share of the thickness", []
-    for table in section.tables(key, "a fraction of the thickness and a law"):
-        law, entries = _law(table, {"fraction": positive_reader(what)}, {"fraction": what})
-        pairs.append((entries["fraction"], law))
-    return pairs
+    what, tables = "share of the thickness", section.tables(key, "a fraction of the thickness and a law")
+    laws = [_law(table, {"fraction": positive_reader(what)}, {"fraction": what}) for table in tables]
+    return [(entries["fraction"], law) for law, entries in laws]
 
 
-def _value(kind: Any, section: Section, key: str) -> Any:
-    """Read a parameter of a law: a number if the law needs a number, else the value as written, lists as arrays."""
-    if key in scalar_fields(kind):
-        return section.number(key)
+def _value(section: Section, key: str) -> object:
+    """Read a parameter of a law that may be other than a number: the value as written, lists as arrays."""
     value = section.values[key]
     try:
         return np.array(value, float) if isinstance(value, list) else value
     except (TypeError, ValueError):
-        section.refuse("it needs a table of numbers", key)
+        section.refuse("it must be a table of numbers", key)
 
 
 def _shear(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
@@ -130,5 +127,5 @@ def _pair(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str,
     if "K" in constants:
         return {"lmbda": constants["K"] - 2 * constants["G"] / 3, "mu": constants["G"]}
     make, first = (LinearElastic.young, "E") if "E" in constants else (LinearElastic.shear, "G")
-    law: Any = _made(section, lambda: make(constants[first], constants["nu"]))
+    law = _made(section, lambda: make(constants[first], constants["nu"]))
     return {"lmbda": law.lmbda, "mu": law.mu}

@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from thinlayer.system.version import error_reason
 
@@ -53,7 +53,7 @@ def recorded(
     out: Path,
     work: Callable[[Record], None],
     *,
-    options: Mapping[str, Any],
+    options: Mapping[str, object],
     petsc: Mapping[str, str | None],
     resume: bool = False,
     verbose: int,

@@ -8,7 +8,6 @@ import platform
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from petsc4py import PETSc
 
@@ -29,7 +28,7 @@ def versions() -> dict[str, str]:
     return core_versions | {name: version_of(name) for name in RECORDED_PACKAGES.split()}
 
 
-def petsc_options() -> dict[str, Any]:
+def petsc_options() -> dict[str, object]:
     """The PETSc options in force, and the environment variable that may have set them."""
     options = {f"-{name}": value for name, value in sorted(PETSc.Options().getAll().items())}
     return {"options": options, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", "")}
@@ -46,10 +45,10 @@ def code() -> str:
     return content.hexdigest()[:12]
 
 
-def constants(module: ModuleType) -> dict[str, Any]:
+def constants(module: ModuleType) -> dict[str, object]:
     """Constants of a module: numbers, texts, laws, and tuples and dicts of these; for run.json."""
 
-    def plain(value: Any) -> bool:
+    def plain(value: object) -> bool:
         if isinstance(value, dict):
             return all(isinstance(key, str) and plain(entry) for key, entry in value.items())
         return all(map(plain, value)) if isinstance(value, tuple) else isinstance(value, (int, float, str, Law))

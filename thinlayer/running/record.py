@@ -24,13 +24,14 @@ from thinlayer.solving.petsc import PREFIX
 from thinlayer.system.fingerprint import differences, differences_text
 from thinlayer.system.folder import lock_folder, move_away, move_back, replace_file
 from thinlayer.system.progress import logger, track
-from thinlayer.system.table import Table
+from thinlayer.system.table import ColumnValues, Table
 from thinlayer.system.version import error_reason, print_safely
 from thinlayer.time.marching import march
 from thinlayer.time.plan import Adaptive
 
 SolvedType = TypeVar("SolvedType", State, History)
 STUDY_LOGGER = logger("study")
+RunContent = dict[str, Any]  # content of run.json
 RUN_FILE, RUN_FORMAT = "run.json", 1  # name of the file, and version of its format
 MAX_PRINTED_ROWS = 40  # largest number of rows of a table that is printed
 ENTRY_TYPES = {"study": str, "options": dict, "code": str, "petsc": dict, "files": list, "checks": list}  # in run.json
@@ -85,12 +86,12 @@ class Record:
         quiet: whether `say` prints nothing.
     """
 
-    def __init__(self, study: str, out: str | Path, options: Mapping[str, Any], *, resume: bool = False) -> None:
+    def __init__(self, study: str, out: str | Path, options: Mapping[str, object], *, resume: bool = False) -> None:
         self.study, self.out, self.options, self.resume = study, Path(out), dict(options), resume
         self.parameters: dict[str, Any] = {}
-        self.results: dict[str, Any] = {}
+        self.results: dict[str, object] = {}
         self.checks: list[Check] = []
-        self.solves: list[dict[str, Any]] = []
+        self.solves: list[dict[str, object]] = []
         self._tables: dict[str, Table] = {}
         self._files: set[str] = set()  # names of the run's files except run.json
         self._previous: Path | None = None  # where the files of an earlier run are now
@@ -123,8 +124,7 @@ class Record:
                 files = (name for name in self._read()["files"] if Path(name).name == name)
                 self._previous = move_away(self.out, [*files, RUN_FILE])
         elif tables := sorted(path.name for path in self.out.glob("*.csv")):
-            what = f"{self.out} has tables ({', '.join(tables)}) and no run.json"
-            raise InputError(f"{what}; give another --out, or remove these")
+            raise InputError(f"{self.out} has {', '.join(tables)}, but no run.json; give another --out, or remove them")
 
     def __exit__(self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None) -> None:
         """Write run.json and unlock the folder; an InputError without results leaves no file. Collective without error.
@@ -145,44 +145,43 @@ class Record:
                         if self._previous:
                             move_back(self._previous)
 
-    def _read(self) -> dict[str, Any]:
+    def _read(self) -> RunContent:
         """Read run.json, on rank 0. InputError: the file cannot be read, or has other content."""
         path = self.out / RUN_FILE
         try:
             run = dict(json.loads(path.read_text(encoding="utf-8")))
             if wrong := [name for name, kind in ENTRY_TYPES.items() if not isinstance(run.get(name), kind)]:
-                raise ValueError(f"it is not as a run writes it: {', '.join(wrong)}")
+                raise ValueError(f"wrong or missing entries: {', '.join(wrong)}")
             Path(*run["files"])
             dict(run["petsc"]["options"])
             return run
         except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
             raise InputError(f"{path} cannot be read ({error}); give another folder, or remove it") from error
 
-    def _of_study(self) -> dict[str, Any]:
+    def _of_study(self) -> RunContent:
         """Read run.json, on rank 0. InputError: as `_read`, or the run is of another study."""
         run = self._read()
         if run["study"] != self.study:
             raise InputError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
         return run
 
-    def same_run(self) -> dict[str, Any]:
+    def same_run(self) -> RunContent:
         """Read run.json of an earlier run with the same input. On rank 0.
 
         Raises:
             InputError: it cannot be read, or has another study, options, PETSc options of the package or source code.
         """
         run = self._of_study()
-        here = {"options": self.identity()[1], "code": code(), "petsc": petsc_options()}
+        here: RunContent = {"options": self.identity()[1], "code": code(), "petsc": petsc_options()}
         there = {name: run[name] for name in here}
         for data in (there, here):
             data["petsc"] = {k: value for k, value in data["petsc"]["options"].items() if k.startswith(f"-{PREFIX}")}
         if changes := [*differences(there, here)]:
-            raise InputError(
-                f"--resume: the run in {self.out} was another one ({differences_text(changes)}); run the study anew"
-            )
+            text = differences_text(changes)
+            raise InputError(f"--resume: the run in {self.out} was another one ({text}); run the study anew")
         return run
 
-    def identity(self) -> list[Any]:
+    def identity(self) -> list[object]:
         """Identity of the run, independent of its folder; part of the fingerprint of sweeps and marches within it."""
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
@@ -195,9 +194,10 @@ class Record:
         on_root(default_comm(), lambda: self._write(None))
 
     def _write(self, error: str | None) -> None:
-        content = {name: getattr(self, name) for name in ("study", "options", "parameters", "results", "solves")}
-        content |= {"code": code(), "petsc": petsc_options(), "versions": versions(), "ranks": default_comm().size}
-        content |= {"seconds": round(time.perf_counter() - self._start, 3), "checks": [*map(asdict, self.checks)]}
+        content: RunContent = {"study": self.study, "options": self.options, "parameters": self.parameters}
+        content |= {"results": self.results, "solves": self.solves, "code": code(), "petsc": petsc_options()}
+        seconds, checks = round(time.perf_counter() - self._start, 3), [*map(asdict, self.checks)]
+        content |= {"versions": versions(), "ranks": default_comm().size, "seconds": seconds, "checks": checks}
         content |= {"format": RUN_FORMAT, "error": error, "files": sorted(self._files)}
         with replace_file(self.out / RUN_FILE) as file:
             file.write((json.dumps(content, indent=1, default=str) + "\n").encode())
@@ -220,7 +220,7 @@ class Record:
         self._tables[name] = Table(path=self.path(name))
         return self._tables[name]
 
-    def rows(self, name: str, cases: Iterable[Any], row: Callable[..., Mapping[str, Any]], label: str = "{}") -> Table:
+    def rows(self, name: str, cases: Iterable[object], row: Callable[..., ColumnValues], label: str = "{}") -> Table:
         """Compute a table with a row for each case; each row is written at once. Collective.
 
         Args:
@@ -259,7 +259,7 @@ class Record:
         if self.root and not self.quiet:
             print_safely(text)
 
-    def sweep(self, run: Callable[[float], Mapping[str, Any]], eps: Sequence[float], name: str = "table.csv") -> Table:
+    def sweep(self, run: Callable[[float], ColumnValues], eps: Sequence[float], name: str = "table.csv") -> Table:
         """Run `thinlayer.sweep`, with its table in the folder; it is resumed if the run is. Collective."""
         self.path(f"{name}.json")
         self._tables[name] = sweep(run, eps, self.path(name), resume=self.resume)
@@ -267,15 +267,14 @@ class Record:
 
     def march(self, model: Model, times: Sequence[float] | Adaptive, name: str, **choices: Any) -> History:
         """Run `thinlayer.march`; files to resume it from are kept until the run is done. Collective."""
-        history = None
         try:
             history = march(model, times, out=self.path(MARCHES_FOLDER) / name, resume=self.resume, **choices)
         except SolveError as error:
-            history = error.history
-            raise
-        finally:
-            for state in history or ():
+            for state in error.history or ():
                 self.solved(state)
+            raise
+        for state in history:
+            self.solved(state)
         return history
 
     def solved(self, solution: SolvedType) -> SolvedType:
