@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,10 +52,9 @@ class Job:
 
     def result(self) -> RunContent | None:
         """Content of run.json; None unless it has the same study, options and source code."""
-        try:
+        with suppress(InputError):
             return Record(self.study, self.folder, self.options).same_run()
-        except InputError:
-            return None
+        return None
 
     def start(self, ends: ExitStack) -> subprocess.Popen[bytes] | None:
         """Start the run in a process, which resumes an earlier run if it can; None if an earlier run is done.

@@ -15,8 +15,8 @@ from thinlayer.discretisation.point_loads import LineLoad, PointLoad
 from thinlayer.discretisation.structure import Structure
 from thinlayer.discretisation.time_functions import piecewise
 from thinlayer.estimating.goals import Compliance, Displacement, Goal, MeanTraction, Reaction
-from thinlayer.running.description import Description
-from thinlayer.running.materials import MaterialEntry
+from thinlayer.running.description import Arguments, Description
+from thinlayer.running.materials import MaterialEntry, Materials
 from thinlayer.running.toml_table import TimeSeries
 from thinlayer.system.ranks import errors_on_all
 
@@ -78,21 +78,15 @@ class DescribedCase:
 
 
 def _structure(description: Description, joint: Joint) -> Structure:
-    supports, loads_on = _timed(description.supports), _timed(description.tractions).items()
+    loads_on, supports = _timed(description.tractions).items(), _timed(description.supports)
     tractions = {name: Pressure(load["pressure"]) if isinstance(load, Mapping) else load for name, load in loads_on}
     loads = [(LineLoad if "first" in load else PointLoad)(**_timed(load)) for load in description.loads]
     strained = {name: entry for name, entry in description.body.items() if entry.eigenstrain is not None}
-    return Structure(
-        joint,
-        body=_by_name(description.body, lambda entry: entry.law),
-        supports=supports,
-        tractions=tractions,
-        body_force=description.body_force,
-        loads=loads,
-        plane=description.plane or "strain",
-        element=description.element,
-        eigenstrain=_by_name(strained, lambda entry: entry.eigenstrain) or None,
-    )
+    eigenstrain = _by_name(strained, lambda entry: entry.eigenstrain) or None
+    loaded: Arguments = {"tractions": tractions, "body_force": description.body_force, "loads": loads}
+    bodies: Arguments = {"body": _by_name(description.body, lambda entry: entry.law), "eigenstrain": eigenstrain}
+    plane, element = description.plane or "strain", description.element
+    return Structure(joint, supports=supports, plane=plane, element=element, **bodies, **loaded)
 
 
 def _timed(value: object) -> Any:
@@ -102,9 +96,7 @@ def _timed(value: object) -> Any:
     return piecewise(value.values) if isinstance(value, TimeSeries) else value
 
 
-def _by_name(
-    entries: Mapping[str | None, MaterialEntry], make: Callable[[MaterialEntry], ResultType]
-) -> ResultType | dict[str, ResultType]:
+def _by_name(entries: Materials, make: Callable[[MaterialEntry], ResultType]) -> ResultType | dict[str, ResultType]:
     """Apply `make` to the entries; return the result for all names if there is one, else {name: result}."""
     made = {name: make(entry) for name, entry in entries.items()}
     return made[None] if None in made else {name: result for name, result in made.items() if name is not None}

@@ -10,18 +10,19 @@ import importlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from thinlayer.running.catalogue import listed, studies
 from thinlayer.running.process import (
     BAD_INPUT,
     OK,
     UNFINISHED,
+    Petsc,
     computed,
     error_text,
     is_first,
@@ -46,7 +47,7 @@ RESUME_HELP = (
     "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
 )
 PETSC_PREFIX = "-thinlayer_"
-Petsc = Mapping[str, str | None]
+Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 Command = Callable[["Parser", argparse.Namespace, Petsc], int]
 
 
@@ -94,8 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with suppress(ImportError):
             importlib.import_module("argcomplete").autocomplete(parser)
     chosen, rest = parser.parse_known_args(words[several:])
-    status: int = chosen.work(chosen.parser, chosen, chosen.parser.petsc_options(rest))
-    return status
+    return int(chosen.work(chosen.parser, chosen, chosen.parser.petsc_options(rest)))
 
 
 def start() -> int:
@@ -123,24 +123,19 @@ def command_line() -> argparse.ArgumentParser:
     parser.add_argument("-V", "--version", action="store_true", help="print the versions of thinlayer and of DOLFINx")
     parser.set_defaults(work=_require_subcommand)
     commands = parser.add_subparsers(metavar="COMMAND")
-    what = "List the studies in groups, with their times on one core; without benchmarks."
-    _add_json(_command(commands, "list", _list, what, "--json"))
-    what = "Print the versions of the packages that results depend on."
-    _add_json(_command(commands, "info", _info, what, "--json"))
-    what = "Draw the pictures of a study again, from the tables of an earlier run."
-    draw = _computing(_command(commands, "draw", _draw, what, "fig6_stratified"))
+    _add_json(_command(commands, "list", _list, "--json"))
+    _add_json(_command(commands, "info", _info, "--json"))
+    draw = _computing(_command(commands, "draw", _draw, "fig6_stratified"))
     drawn = [study.name for study in studies().values() if study.drawn]
     draw.add_argument("study", metavar="STUDY", choices=drawn, help="name of a study; the command list prints all")
-    what = "Run a study, or several at a time: STUDY STUDY ..., or --all. STUDY --help shows the options of a study."
-    run = _command(commands, "run", _run, what, "fig6_stratified --quick")
-    names = run.add_subparsers(dest="study", required=True, metavar="STUDY")
+    run = _command(commands, "run", _run, "fig6_stratified --quick")
+    scripts = run.add_subparsers(dest="study", required=True, metavar="STUDY")
     for study in studies().values():
-        script = _computing(_command(names, study.name, _run, study.summary, "--out DIR"))
+        script = _computing(_command(scripts, study.name, _run, "--out DIR", study.summary))
         for name, details in study.options.items():
             script.add_argument(f"--{name}", default=None, **details)
         script.add_argument("--resume", action="store_true", help="go on with the sweeps of a killed run, same options")
-    what = "Say what a layer's mesh changes; thinlayer/docs/reference/description.md has the keys."
-    estimate = _computing(_command(commands, "estimate", _estimate, what, "joint.toml --set layer.eps=0.1"))
+    estimate = _computing(_command(commands, "estimate", _estimate, "joint.toml --set layer.eps=0.1"))
     file = "a file in TOML; with --new a mesh file"
     estimate.add_argument("description", type=Path, metavar="DESCRIPTION", help=file)
     keys = "a key of the description anew, as layer.E=2e3 or 'tractions.RIGHT=[60, 0]'; may be repeated"
@@ -150,7 +145,7 @@ def command_line() -> argparse.ArgumentParser:
     before.add_argument("--new", action="store_true", help="print a description to fill in, with a mesh file's names")
     _add_json(before)
     what = "Run the studies of the paper, and write a page with its numbers beside those that are computed."
-    page = _command(commands, "reproduce", _batch, f"{what} {RESUME_HELP}", "--quick")
+    page = _command(commands, "reproduce", _batch, "--quick", f"{what} {RESUME_HELP}")
     page.epilog = f"{REPRODUCE_HELP} {page.epilog}"
     _add_batch(page, Path("out", "reproduce"))
     return parser
@@ -175,8 +170,9 @@ def _add_batch(parser: Parser, out: Path) -> None:
     parser.add_argument("-j", type=int, metavar="N", help="studies at a time (default: as many as cores)")
 
 
-def _command(commands: argparse._SubParsersAction[Parser], name: str, work: Command, what: str, example: str) -> Parser:
-    """Add a command and return its parser."""
+def _command(commands: Commands, name: str, work: Command, example: str, what: str = "") -> Parser:
+    """Add a command and return its parser; `what` is its description (default: the docstring of `work`)."""
+    what = what or work.__doc__ or name
     short, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
     parser = commands.add_parser(name, help=short[0].lower() + short[1:], description=what, epilog=epilog)
     parser.set_defaults(work=work)
@@ -222,10 +218,12 @@ def _require_subcommand(parser: Parser, chosen: argparse.Namespace, _: Petsc) ->
 
 
 def _list(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
+    """List the studies in groups, with their times on one core; without benchmarks."""
     return _print_answer(chosen, {name: vars(study) for name, study in studies().items()}, listed())
 
 
 def _info(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
+    """Print the versions of the packages that results depend on."""
     from thinlayer.running.provenance import versions
 
     set_signals()
@@ -233,6 +231,7 @@ def _info(_: Parser, chosen: argparse.Namespace, __: Petsc) -> int:
 
 
 def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
+    """Draw the pictures of a study again, from the tables of an earlier run."""
     out = chosen.out or Path("out", chosen.study)
     from forms.base import InputError
     from thinlayer.running.record import Record
@@ -244,14 +243,13 @@ def _draw(parser: Parser, chosen: argparse.Namespace, _: Petsc) -> int:
         importlib.import_module(f"studies.{chosen.study}").draw(record)
     except (InputError, FileNotFoundError, KeyError) as error:
         parser.error(f"{out} is not a whole run of {chosen.study}: {error}; run the study first")
-    except OSError as error:
-        return stop(True, UNFINISHED, error_reason(error))
     if chosen.verbose >= 0:
         print_safely(f"drawn again in {out}")
     return OK
 
 
 def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
+    """Run a study, or several at a time: STUDY STUDY ..., or --all. STUDY --help shows the options of a study."""
     study = studies()[chosen.study]
     options = {name: value for name, value in vars(chosen).items() if name in study.options and value is not None}
 
@@ -266,7 +264,7 @@ def _run(_: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
             module.draw(record)
 
     out = chosen.out or Path("out", study.name)
-    return recorded(study.name, out, work, options=options, petsc=petsc, resume=chosen.resume, verbose=chosen.verbose)
+    return recorded(study.name, out, work, options, petsc, chosen.verbose, resume=chosen.resume)
 
 
 def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
@@ -282,13 +280,14 @@ def _batch(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
             return reproduce(chosen.out, quick=chosen.quick, at_a_time=chosen.j)
         quick, members = chosen.quick, (studies()[name] for name in chosen.all or chosen.studies)
         times = {study.name: study.quick if quick else study.full for study in members}
-        jobs = [Job(name, quick_options(name, quick), chosen.out / name, times[name]) for name in times]
+        jobs = [Job(name, quick_options(name, quick), chosen.out / name, time) for name, time in times.items()]
         return run_all(jobs, chosen.out, chosen.j)
 
     return computed(work, petsc={}, verbose=0)
 
 
 def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
+    """Say what a layer's mesh changes; thinlayer/docs/reference/description.md has the keys."""
     ask = partial(computed, petsc=petsc, verbose=chosen.verbose)
     if chosen.new:
         if chosen.set:
@@ -314,7 +313,7 @@ def _estimate(parser: Parser, chosen: argparse.Namespace, petsc: Petsc) -> int:
             _print_answer(chosen, record.results, "")
 
     out = chosen.out or Path("out", "estimate", chosen.description.stem)
-    return recorded("estimate", out, work, options={"set": chosen.set}, petsc=petsc, verbose=chosen.verbose)
+    return recorded("estimate", out, work, {"set": chosen.set}, petsc, chosen.verbose)
 
 
 def _new(chosen: argparse.Namespace) -> int:

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from thinlayer.running.materials import MaterialEntry, read_materials
+from thinlayer.running.materials import Materials, read_materials
 from thinlayer.running.toml_table import (
     Reader,
     Readers,
@@ -64,8 +64,8 @@ class Description:
 
     section: Section
     mesh: Arguments
-    body: Mapping[str | None, MaterialEntry]
-    layer: Mapping[str | None, MaterialEntry]
+    body: Materials
+    layer: Materials
     units: tuple[str, str] | None = None
     supports: Mapping[Place, Support] = field(default_factory=dict)
     tractions: Mapping[str, Traction] = field(default_factory=dict)
@@ -192,8 +192,9 @@ def _loads(section: Section, key: str) -> tuple[Arguments, ...]:
 
 def _times(section: Section, key: str) -> tuple[float, ...]:
     wrong = "are not times; give numbers > 0 that grow, such as [0.5, 1]"
-    times = section.checked(key, lambda values: values and is_growing(values) and values[0] > 0, wrong)
-    return tuple(map(float, times))
+    return tuple(
+        map(float, section.checked(key, lambda values: values and is_growing(values) and values[0] > 0, wrong))
+    )
 
 
 def _goals(section: Section, key: str) -> dict[str, Arguments]:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from forms.base import Array, InputError
 from geometry.parallel import default_comm, on_root
 from geometry.seam import S
 from thinlayer import plotting
+from thinlayer.discretisation.layer import Layers
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.estimating.estimate import estimate
@@ -22,12 +22,12 @@ from thinlayer.estimating.result import Estimate
 from thinlayer.estimating.thickness import thin_enough
 from thinlayer.output.surface import Surface
 from thinlayer.running.case import DescribedCase
-from thinlayer.running.description import Description
+from thinlayer.running.description import Arguments, Description
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 from thinlayer.solving.solve import solve
 from thinlayer.system.folder import hash_of
-from thinlayer.system.table import Table
+from thinlayer.system.table import Row, Table
 from thinlayer.time.marching import march
 
 LAW, BOND = "law", "bond"  # replacements of the meshed layer
@@ -71,21 +71,21 @@ def run(record: Record, description: Description, file: Path) -> None:
         _draw(record, case, name, answer)
 
 
-def _estimate(record: Record, case: DescribedCase, model: Model, **left_out: Any) -> Estimate:
+def _estimate(record: Record, case: DescribedCase, model: Model, layer: Layers | None = None) -> Estimate:
     state: State | History = march(model, case.description.times) if case.description.times else solve(model)
     for step in state if isinstance(state, History) else [state]:
         record.solved(step)
-    result = estimate(state, goals=case.goals, **left_out)
+    result = estimate(state, goals=case.goals, layer=layer)
     record.solved(result.better)
     return result
 
 
-def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[dict[str, Any]]:
+def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[Row]:
     """Rows with the thickness below which each quantity changes by less than its tolerance; each is printed at once."""
-    goals, rows = {goal.name: goal for goal in case.goals}, []
+    goals, rows = {goal.name: goal for goal in case.goals}, list[Row]()
     seams = [*case.layer] if isinstance(case.layer, Mapping) else [S]
     asked = case.description
-    options: dict[str, Any] = {"times": asked.times or None, "bodies": asked.bodies, "bonded": name == BOND}
+    options: Arguments = {"times": asked.times or None, "bodies": asked.bodies, "bonded": name == BOND}
     for (quantity, tolerance), seam in product(asked.tolerance.items(), seams):
         if name == BOND and quantity == "jump":
             continue  # bonded bodies have no jump

@@ -37,8 +37,11 @@ class MaterialEntry:
     eigenstrain: float | None
 
 
-def read_materials(section: Section, key: str, *, thin: bool = False) -> dict[str | None, MaterialEntry]:
-    """Read the materials in the table of a key, by name; the name None means all. `thin`: layers, with a thickness.
+Materials = Mapping[str | None, MaterialEntry]  # by the name of a region or seam; None: all
+
+
+def read_materials(section: Section, key: str, *, thin: bool = False) -> Materials:
+    """Read the materials in the table of a key. `thin`: layers, with a thickness.
 
     Raises:
         DescriptionError: an unknown law, an unknown or missing parameter, moduli that are not a pair, or a law's error.
@@ -49,9 +52,8 @@ def read_materials(section: Section, key: str, *, thin: bool = False) -> dict[st
     if any(inside) and not all(inside):
         whole.refuse(f"it has tables with names beside keys without one; give each name a table with {what}")
     tables = {name: whole.table(name, what) for name in whole.values} if any(inside) else {None: whole}
-    materials = {}
+    materials, needed = dict[str | None, MaterialEntry](), {"eps": positive_reader(thickness)} if thin else {}
     for name, table in tables.items():
-        needed = {"eps": positive_reader(thickness)} if thin else {}
         law, entries = _law(table, {**needed, "eigenstrain": Section.number}, dict.fromkeys(needed, thickness))
         materials[name] = MaterialEntry(law, entries.get("eps", 0.0), entries.get("eigenstrain"))
     return materials

@@ -16,6 +16,8 @@ from thinlayer.system.version import error_reason
 if TYPE_CHECKING:
     from thinlayer.running.record import Record
 
+Petsc = Mapping[str, str | None]  # PETSc options
+Work = Callable[["Record"], None]
 OK, CHECK_FAILED, BAD_INPUT, UNFINISHED = range(4)
 
 
@@ -49,14 +51,7 @@ def ignore_working_folder() -> None:
 
 
 def recorded(
-    name: str,
-    out: Path,
-    work: Callable[[Record], None],
-    *,
-    options: Mapping[str, object],
-    petsc: Mapping[str, str | None],
-    resume: bool = False,
-    verbose: int,
+    name: str, out: Path, work: Work, options: Mapping[str, object], petsc: Petsc, verbose: int, *, resume: bool = False
 ) -> int:
     """Run a function that records its results in a folder, and return the exit status. Collective.
 
@@ -66,8 +61,8 @@ def recorded(
         work: function of the record that does the work.
         options: options chosen by the user, for run.json.
         petsc: PETSc options to set.
-        resume: whether an earlier run in the folder is continued.
         verbose: as in `computed`; below 0 tables and checks that pass are not printed.
+        resume: whether an earlier run in the folder is continued.
     """
 
     def keep() -> int:
@@ -87,7 +82,7 @@ def recorded(
     return computed(keep, petsc=petsc, verbose=verbose, kept=f"\nresults so far are kept in {out}")
 
 
-def computed(work: Callable[[], int], *, petsc: Mapping[str, str | None], verbose: int, kept: str = "") -> int:
+def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, kept: str = "") -> int:
     """Run a function with DOLFINx, and return its exit status, or the status for its error. Collective.
 
     Args:

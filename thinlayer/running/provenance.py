@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 from functools import cache
@@ -13,6 +12,7 @@ from petsc4py import PETSc
 
 from forms.base import PACKAGES
 from forms.law import Law
+from thinlayer.system.fingerprint import digest
 from thinlayer.system.version import VERSION, version_of
 
 RECORDED_PACKAGES = (
@@ -37,12 +37,10 @@ def petsc_options() -> dict[str, object]:
 @cache
 def code() -> str:
     """Hash of the source of the package and of its studies."""
-    folder, content = Path(__file__).parents[2], hashlib.sha256()
-    for package in (*PACKAGES, "studies"):
-        for path in sorted((folder / package).rglob("*")):
-            if path.suffix in (".py", ".c"):
-                content.update(f"{path.relative_to(folder)}".encode() + path.read_bytes())
-    return content.hexdigest()[:12]
+    folder = Path(__file__).parents[2]
+    paths = (path for package in (*PACKAGES, "studies") for path in sorted((folder / package).rglob("*")))
+    sources = [path for path in paths if path.suffix in (".py", ".c")]
+    return digest(b"".join(f"{path.relative_to(folder)}".encode() + path.read_bytes() for path in sources))
 
 
 def constants(module: ModuleType) -> dict[str, object]:

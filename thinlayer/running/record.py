@@ -137,10 +137,9 @@ class Record:
                 self.close()
             elif self.root:
                 with suppress(OSError):
-                    results = any((self.out / name).exists() for name in self._files)
                     if not isinstance(error, InputError):
                         self._write(error_reason(error))
-                    elif not results:
+                    elif not any((self.out / name).exists() for name in self._files):
                         (self.out / RUN_FILE).unlink(missing_ok=True)
                         if self._previous:
                             move_back(self._previous)

@@ -36,6 +36,7 @@ HEADER_PACKAGES = ("python", "thinlayer", "fenics-dolfinx", "petsc", "numpy")  #
 NARROW_RANGE = 0.05  # half-width over lower end, up to which a range is shown as a number and a tolerance
 NUMBERS = {"label": "Number", "printed": "Paper", "computed": "Computed", "bounds": "Bounds", "verdict": "Verdict"}
 ERRATA = {"where": "Where", "printed": "Printed", "right": "Right", "shown": "Shown by"}
+Entries = Mapping[str, Any]  # a table of paper.toml, or a check of run.json
 MISSING_CHECK = {"value": None, "low": None, "high": None, "passed": None}  # entries of a missing check
 
 
@@ -99,13 +100,13 @@ class Page:
         print_safely(f"{self.summary}\nwritten to {self.out / 'index.html'}")
         return max(UNFINISHED if self.unfinished else OK, *(STATUS_OF_VERDICT[row["verdict"]] for row in self.rows))
 
-    def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[dict[str, Any]]:
+    def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[Entries]:
         """Rows of entries of paper.toml: a check, or None where nothing is computed, and words for it.
 
         Each check of the run whose name matches the entry's `check` gives a row. In `check` * is any text; in `label`
         the same text replaces each *.
         """
-        rows = []
+        rows: list[Entries] = []
         for entry in entries:
             run, pattern = entry["run"], re.compile("(.*)".join(map(re.escape, entry["check"].split("*"))))
             about = {"section": section, "run": run, "study": self.jobs[run].study, "options": self.jobs[run].options}
@@ -133,7 +134,7 @@ class Page:
         about["summary"] = self.summary
         return fill_template("page", **about, facts=html_pairs(facts), versions=html_pairs(versions()))
 
-    def section(self, part: Mapping[str, Any]) -> str:
+    def section(self, part: Entries) -> str:
         """HTML of a section: the paper on the left, the results on the right; pictures, numbers, details."""
         words = {"id": part["id"], "title": line_of(part["title"])}
         words |= {name: html_of(part[name]) for name in ("problem", "says", "computed")}
@@ -173,7 +174,7 @@ def fill_template(part: str, **values: str) -> str:
     return templates()[part].substitute(values)
 
 
-def bounds_text(check: Mapping[str, Any]) -> str:
+def bounds_text(check: Entries) -> str:
     """Text for the range of a check."""
     low, high = check["low"], check["high"]
     if low is None or high is None:
@@ -183,13 +184,13 @@ def bounds_text(check: Mapping[str, Any]) -> str:
     return near if half <= NARROW_RANGE * abs(low) else f"{low:.6g} to {high:.6g}"
 
 
-def html_table(heads: Mapping[str, str], part: str, rows: Iterable[Mapping[str, Any]]) -> str:
+def html_table(heads: Mapping[str, str], part: str, rows: Iterable[Entries]) -> str:
     """HTML of a table; `heads`: column -> its head; the template's `part` is filled with the texts of each row."""
     lines = [fill_template(part, **row | {name: line_of(row[name]) for name in heads}) for row in map(dict, rows)]
     return fill_template("table", head="".join(f"<th>{name}</th>" for name in heads.values()), body="".join(lines))
 
 
-def html_pairs(values: Mapping[str, Any]) -> str:
+def html_pairs(values: Mapping[str, object]) -> str:
     """HTML of names and values."""
     texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
     return "".join(fill_template("pair", name=escape(name), value=escape(text)) for name, text in texts.items())

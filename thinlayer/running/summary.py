@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import ufl
@@ -13,7 +12,7 @@ from geometry.seam import S
 from thinlayer.discretisation.form_compilation import per_unit
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.running.case import DescribedCase
-from thinlayer.running.materials import MaterialEntry
+from thinlayer.running.materials import Materials
 
 
 def summarise(case: DescribedCase) -> str:
@@ -44,7 +43,7 @@ def summarise(case: DescribedCase) -> str:
     return "\n".join([*lines, *(f"goal {goal.name}" for goal in case.goals)])
 
 
-def _law(values: Mapping[str, Any], materials: Mapping[str | None, MaterialEntry], name: str) -> str:
+def _law(values: Mapping[str, Mapping[str, object]], materials: Materials, name: str) -> str:
     """Text for the law of a body or of a layer, with its numbers as in the description."""
     key = name if name in materials else None
     return _entries({"law": type(materials[key].law).__name__, **(values[key] if key else values)})
@@ -60,11 +59,11 @@ def _sizes(model: InterfaceModel) -> dict[str, float]:
     return dict(zip(places, map(float, per_unit(model.comm, sum(parts, ufl.Form([])), chosen)), strict=True))
 
 
-def _entries(table: Mapping[str, Any]) -> str:
+def _entries(table: Mapping[str, object]) -> str:
     return ", ".join(f"{key} = {_shown(value)}" for key, value in table.items())
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """A value of TOML in one line."""
     if isinstance(value, Mapping):
         return f"{{{_entries(value)}}}"

@@ -125,11 +125,9 @@ def _mend_ffcx() -> None:
         source, ready = (folder / f"{module_name}{end}" for end in (".c", ".c.cached"))
         for library in (folder / f"{module_name}{end}" for end in EXTENSION_SUFFIXES):
             if library.exists() and source.exists() and ready.exists():
-                try:
+                with suppress(ImportError):
                     module = load_library(library)
-                except ImportError:
-                    break
-                return [getattr(module.lib, name) for name in object_names], module
+                    return [getattr(module.lib, name) for name in object_names], module
         return None, None
 
     @functools.wraps(find)
