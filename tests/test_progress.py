@@ -27,7 +27,7 @@ def three_runs(terminal: bool, seconds: float) -> str:
     stream.isatty = lambda: terminal
     teller = ProgressReporter(lambda: stream, lambda: clock.now)
     for _ in teller.track([0.4, 0.2, 0.1], "sweep", "eps = {:g}"):
-        with teller.telling("march") as tell:
+        with teller.report("march") as tell:
             for k in range(4):
                 clock.now += seconds
                 tell((k + 1) / 4, f"t = {k + 1} of 4")

@@ -67,14 +67,13 @@ def _option(argument: ast.arg, text: str) -> OptionArguments:
     """
     line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
     explained = {"help": line[1].replace("%", "%%") if line else None}
-    match ast.unparse(argument.annotation) if argument.annotation else "":
-        case "bool":
-            return {**explained, "action": "store_true"}
-        case "Sequence[float]":
-            return {**explained, "nargs": "+", "type": float, "metavar": "E"}
-        case kind:
-            allowed = tuple(ast.literal_eval(kind.removeprefix("Literal")))
-            return {**explained, "choices": allowed, "type": type(allowed[0])}
+    kind = ast.unparse(argument.annotation) if argument.annotation else ""
+    if kind == "bool":
+        return {**explained, "action": "store_true"}
+    if kind == "Sequence[float]":
+        return {**explained, "nargs": "+", "type": float, "metavar": "E"}
+    allowed = tuple(ast.literal_eval(kind.removeprefix("Literal")))
+    return {**explained, "choices": allowed, "type": type(allowed[0])}
 
 
 def listed() -> str:

@@ -60,7 +60,7 @@ def read_materials(section: Section, key: str, *, thin: bool = False) -> Materia
 
 
 @cache
-def known_laws() -> dict[str, type[BulkLaw]]:
+def laws_by_name() -> dict[str, type[BulkLaw]]:
     """The laws of strains that a description may name."""
     classes = {name: law for name, law in sorted(vars(forms).items()) if isinstance(law, type)}
     return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in (BulkLaw, KernelLaw)}
@@ -72,8 +72,8 @@ def _law(section: Section, extra: Mapping[str, Reader], needed: Mapping[str, str
         of_stack = {"law": choice_reader("Stack"), "sublayers": _sublayers, **extra}
         entries = section.entries(of_stack, {**needed, "sublayers": "tables with a law"}, "key of Stack")
         return _made(section, lambda: Stack(*entries["sublayers"])), entries
-    name = section.text("law", known_laws(), "law of strains") if "law" in section.values else "LinearElastic"
-    kind: Any = known_laws()[name]  # mypy does not see that classes can be hashed, as `scalar_fields` needs
+    name = section.text("law", laws_by_name(), "law of strains") if "law" in section.values else "LinearElastic"
+    kind: Any = laws_by_name()[name]  # mypy does not see that classes can be hashed, as `scalar_fields` needs
     parameters = {f.name: f for f in fields(kind) if f.init}
     elastic = ELASTIC_CONSTANTS if "lmbda" in parameters else ("E", "G", "mu") if "mu" in parameters else ()
     others = [key for key in parameters if key not in elastic]

@@ -40,16 +40,6 @@ def set_signals() -> None:
         signal.signal(number, signal.getsignal(number))
 
 
-def ignore_working_folder() -> None:
-    """Start PETSc, and let neither it nor FFCx and compilers read options from files in the working folder."""
-    import petsc4py
-
-    petsc4py.init(["thinlayer", "-skip_petscrc"])
-    from thinlayer.system.compilation import load_options
-
-    load_options()
-
-
 def recorded(
     name: str, out: Path, work: Work, options: Mapping[str, object], petsc: Petsc, verbose: int, *, resume: bool = False
 ) -> int:
@@ -91,7 +81,12 @@ def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, kept: str =
         verbose: 1: attempts of solves are shown; 2: their steps as well; below 0: progress is not shown.
         kept: words about the results that remain if `work` is not finished.
     """
-    ignore_working_folder()
+    import petsc4py
+
+    petsc4py.init(["thinlayer", "-skip_petscrc"])  # neither PETSc nor FFCx reads options from the working folder
+    from thinlayer.system.compilation import load_options
+
+    load_options()
     from mpi4py import MPI
     from petsc4py import PETSc
 
@@ -105,12 +100,11 @@ def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, kept: str =
     if verbose:
         logging.basicConfig(format="%(name)s: %(message)s")
         logging.getLogger("thinlayer").setLevel({-1: logging.ERROR, 1: logging.INFO}.get(verbose, logging.DEBUG))
-    comm = MPI.COMM_WORLD
-    root = comm.rank == 0
+    comm, root = MPI.COMM_WORLD, MPI.COMM_WORLD.rank == 0
     if root and (elsewhere := database_options()):
         print(f"thinlayer: PETSc options from PETSC_OPTIONS or a file petscrc: {elsewhere}", file=sys.stderr)
-    PETSc.Options().setValue("options_left", False)  # we raise errors for unread options instead of PETSc's report
-    for option, value in petsc.items():
+    # unread options raise our errors, instead of PETSc's report
+    for option, value in {"options_left": False, **petsc}.items():
         PETSc.Options().setValue(option, value)
     # without the line of code: warnings are about results, and the line is not the user's
     name = (lambda category: category.__name__) if verbose > 0 else (lambda _: "warning")

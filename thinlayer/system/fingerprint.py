@@ -138,7 +138,7 @@ class _Describer:
 
     def of(self, value: object, at: str = "") -> object:
         """Describe a value met at the path `at`; an object met again is described by the path of its first place."""
-        plain = None if _is_own(type(value).__module__) else _plain(value)
+        plain = None if _is_user_module(type(value).__module__) else _plain(value)
         if plain is not None or value is None:
             return plain
         if id(value) in self._places:
@@ -162,7 +162,7 @@ class _Describer:
         if isinstance(obj, types.ModuleType):
             return {CODE_KEY: f"module {obj.__name__}"} | _file_of(getattr(obj, "__file__", None))
         if isinstance(obj, type):
-            bases = [base for base in obj.__mro__ if _is_own(base.__module__)]
+            bases = [base for base in obj.__mro__ if _is_user_module(base.__module__)]
             members = {f"{base.__qualname__}{k or ''}": _members(base) for k, base in enumerate(bases)}
             return self._named(members, at) if obj in bases else _name(obj)
         if type(obj) is np.ndarray:
@@ -215,7 +215,7 @@ class _Describer:
     def _function(self, function: types.FunctionType, at: str) -> object:
         code, cells = function.__code__, zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
         read: dict[str, object] = {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}
-        if not _is_own_file(code.co_filename):
+        if not _is_user_file(code.co_filename):
             return {CODE_KEY: _name(function), **self._named(read, at)} if read else _name(function)
         names = {name for code_object in _codes(code) for name in code_object.co_names}
         self.names |= names
@@ -249,9 +249,9 @@ def _members(kind: type) -> dict[str, object]:
 
 def _file_of(name: str | None) -> dict[str, str]:
     """Name of a user's file with the hash of its content; empty for other and missing files."""
-    file = Path(name or "")
-    is_user_file = file.is_file() and _is_own_file(str(file))
-    return {FILE_KEY: f"{file.name} {digest(file.read_bytes())}"} if is_user_file else {}
+    if name is None or not Path(name).is_file() or not _is_user_file(name):
+        return {}
+    return {FILE_KEY: f"{Path(name).name} {digest(Path(name).read_bytes())}"}
 
 
 def _function_of(value: object) -> types.FunctionType | None:
@@ -277,17 +277,17 @@ def _bytecode(code: object) -> object:
     return repr(sorted(code, key=repr) if isinstance(code, frozenset) else code)
 
 
-def _is_own(module: str) -> bool:
+def _is_user_module(module: str) -> bool:
     """Whether the module of this name is a user's module."""
     top = module.partition(".")[0]
     if module == "__main__" or top in sys.stdlib_module_names:
         return module == "__main__"
     files = (getattr(sys.modules.get(name), "__file__", None) for name in (module, top))
-    return all(_is_own_file(file) for file in files if file)
+    return all(_is_user_file(file) for file in files if file)
 
 
 @functools.cache
-def _is_own_file(file: str) -> bool:
+def _is_user_file(file: str) -> bool:
     path = Path(file)
     installed = file.startswith("<frozen") or {"site-packages", "dist-packages"} & {*path.parts}
     return not (installed or any(path.is_relative_to(folder) for folder in LIBRARY_FOLDERS))

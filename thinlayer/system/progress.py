@@ -50,7 +50,7 @@ class _Task:
 
 
 class ProgressReporter:
-    """Reports nested work in progress; `stream()` is the file to write to, `clock()` the time in seconds."""
+    """Prints the progress of nested work; `stream()` is the file to write to, `clock()` the time in seconds."""
 
     def __init__(self, stream: Callable[[], TextIO], clock: Callable[[], float]) -> None:
         self._stream, self._clock = stream, clock
@@ -59,7 +59,7 @@ class ProgressReporter:
         self._shown = False
 
     @contextmanager
-    def telling(self, what: str) -> Iterator[Callable[..., None]]:
+    def report(self, what: str) -> Iterator[Callable[..., None]]:
         """Context or decorator of some work; yields a function that reports the share done and the present piece."""
         work = _Task(what)
         if not self._open:
@@ -67,13 +67,13 @@ class ProgressReporter:
             self._due = self._begun + FIRST_REPORT_SECONDS[self._stream().isatty()]
         self._open.append(work)
 
-        def tell(share: float, now: str = "", piece: float = 0.0, *, at_once: bool = False) -> None:
+        def set_share(share: float, now: str = "", piece: float = 0.0, *, at_once: bool = False) -> None:
             work.share, work.now, work.piece = share, now, piece
-            self._tell(at_once)
+            self._print(at_once)
 
         try:
-            self._tell()
-            yield tell
+            self._print()
+            yield set_share
         finally:
             if work in self._open:  # not if an abandoned generator is closed after the enclosing work
                 del self._open[self._open.index(work) :]
@@ -82,10 +82,10 @@ class ProgressReporter:
                 self._stream().flush()  # before the results are printed
 
     @contextmanager
-    def telling_of_a_call(self, what: str) -> Iterator[None]:
+    def report_call(self, what: str) -> Iterator[None]:
         """Context of one call without intermediate progress; it is reported once after 5 s, not only on a terminal."""
-        with self.telling(what) as tell:
-            timer = threading.Timer(FIRST_REPORT_SECONDS[True], tell, (0.0,), {"at_once": True})
+        with self.report(what) as set_share:
+            timer = threading.Timer(FIRST_REPORT_SECONDS[True], set_share, (0.0,), {"at_once": True})
             timer.daemon = True
             timer.start()
             try:
@@ -95,12 +95,12 @@ class ProgressReporter:
 
     def track(self, items: Sequence[ResultType], what: str, label: str = "{}") -> Iterator[ResultType]:
         """Yield the items in turn and report progress; label.format(item) names the present item."""
-        with self.telling(what) as tell:
+        with self.report(what) as set_share:
             for k, item in enumerate(items):
-                tell(k / len(items), f"{k + 1} of {len(items)}, {label.format(item)}", 1 / len(items))
+                set_share(k / len(items), f"{k + 1} of {len(items)}, {label.format(item)}", 1 / len(items))
                 yield item
 
-    def _tell(self, at_once: bool = False) -> None:
+    def _print(self, at_once: bool = False) -> None:
         now, stream = self._clock(), self._stream()
         quiet = MPI.COMM_WORLD.rank or not logging.getLogger("thinlayer").isEnabledFor(logging.WARNING)
         if quiet or (now < self._due and not at_once):
@@ -122,4 +122,4 @@ class ProgressReporter:
 
 
 _reporter = ProgressReporter(lambda: sys.stderr, time.monotonic)
-track, report, report_call = _reporter.track, _reporter.telling, _reporter.telling_of_a_call
+track, report, report_call = _reporter.track, _reporter.report, _reporter.report_call
