@@ -122,7 +122,7 @@ def test_a_batch_takes_up_what_is_done(tmp_path, monkeypatch, capsys):
 def test_formulas_without_scripts():
     text = "<i>μ\u0304</i><sub>12</sub> &lt; [<i>u\u0307</i>]<sup><i>p</i>\u22122</sup>"
     assert formula_of(r"\bar\mu_{12} < [\dot u]^{p-2}") == text
-    refused(InputError, r"frac': no name of .*signs.toml", formula_of, r"\frac{a}{b}")
+    refused(InputError, r"frac', neither a name of .*signs.toml", formula_of, r"\frac{a}{b}")
 
 
 @pytest.mark.parametrize(("value", "status", "verdict"), [(None, UNFINISHED, "missing"), (4.0, CHECK_FAILED, "fails")])

@@ -106,8 +106,8 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
         InputError: started on several ranks; `at_a_time` < 1; another batch is at work in `out`, or no files can be
             written there.
     """
-    ranks = default_comm().size
-    require(ranks == 1, "ranks of MPI", ranks, "studies run as processes of their own, without mpirun")
+    n_ranks = default_comm().size
+    require(n_ranks == 1, "the number of MPI ranks", n_ranks, "start several studies without mpirun")
     cores = len(os.sched_getaffinity(0)) if at_a_time is None else at_a_time
     require(cores >= 1, "studies at a time, -j", cores, "allowed: 1 or more")
     waiting, codes = sorted(jobs, key=lambda job: -job.seconds), [OK]

@@ -14,7 +14,8 @@ from pathlib import Path
 from forms.base import InputError
 
 DATA_FOLDER = Path(__file__).parents[2] / "studies" / "data"  # data of the paper's page, and names of signs
-SIGN_ENTITIES: dict[str, str] = tomllib.loads((DATA_FOLDER / "signs.toml").read_text(encoding="utf-8"))
+SIGNS_FILE = DATA_FOLDER / "signs.toml"
+SIGN_ENTITIES: dict[str, str] = tomllib.loads(SIGNS_FILE.read_text(encoding="utf-8"))
 ACCENTS = {"bar": "\u0304", "dot": "\u0307"}
 MARKUP_PATTERN = re.compile(r"\$([^$]+)\$|`([^`]+)`|\*\*([^*]+)\*\*|\[([^\]]+)\]\(([^)\s]+)\)")
 
@@ -50,5 +51,5 @@ def formula_of(tex: str) -> str:
     for raised, tag in (("_", "sub"), (r"\^", "sup")):
         done = re.sub(rf"{raised}(?:\{{([^{{}}]*)\}}|(<i>.*?</i>|.))", rf"<{tag}>\1\2</{tag}>", done)
     if m := re.search(r"[\\{}]\w*", done):
-        raise InputError(f"the formula {tex!r} has {m[0]!r}: no name of {DATA_FOLDER / 'signs.toml'}, no simple group")
+        raise InputError(f"the formula {tex!r} has {m[0]!r}, neither a name of {SIGNS_FILE} nor a group without groups")
     return done

@@ -13,7 +13,6 @@ from typing import Any, NoReturn, TypeGuard
 from forms.base import InputError, is_finite, unknown_name_message
 
 Keys = tuple[str, ...]
-NO_KEYS: Mapping[str, str] = {}
 
 
 class DescriptionError(InputError):
@@ -117,7 +116,7 @@ class Section:
         except InputError as error:
             self.refuse(str(error), *keys)
 
-    def entries(self, keys: Readers, needs: Mapping[str, str] = NO_KEYS, kind: str = "key") -> dict[str, Any]:
+    def entries(self, keys: Readers, needs: Mapping[str, str] | None = None, kind: str = "key") -> dict[str, Any]:
         """Return key -> value, read from all entries of the table.
 
         Args:
@@ -128,7 +127,7 @@ class Section:
         for key in self.values:
             if key not in keys:
                 self.refuse(unknown_name_message(kind, key, keys))
-        for key, what in needs.items():
+        for key, what in (needs or {}).items():
             if key not in self.values:
                 self.refuse(f"{key} is missing: {what}")
         return {key: read(self, key) for key, read in keys.items() if key in self.values}

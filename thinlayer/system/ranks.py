@@ -197,9 +197,9 @@ def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Ar
     """
     order = [np.flatnonzero(rank == r) for r in range(comm.size)]
     received = comm.alltoall([questions[rows] for rows in order])
-    source = np.repeat(np.arange(comm.size), [len(rows) for rows in received])
-    answers = answer(np.concatenate(received), source)
-    back = np.concatenate(comm.alltoall(np.split(answers, np.cumsum([len(rows) for rows in received])[:-1])))
+    sizes = [len(rows) for rows in received]
+    answers = answer(np.concatenate(received), np.repeat(np.arange(comm.size), sizes))
+    back = np.concatenate(comm.alltoall(np.split(answers, np.cumsum(sizes)[:-1])))
     out = np.empty_like(back)
     out[np.concatenate(order)] = back
     return out
