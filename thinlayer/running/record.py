@@ -95,11 +95,8 @@ class Record:
         self._tables: dict[str, Table] = {}
         self._files: set[str] = set()  # names of the run's files except run.json
         self._previous: Path | None = None  # where the files of an earlier run are now
-        self._lock = ExitStack()
-        self._start = time.perf_counter()
-        self.root = default_comm().rank == 0
-        self.quiet = False
-        self._owns = False
+        self._lock, self._start = ExitStack(), time.perf_counter()
+        self.root, self.quiet, self._owns = default_comm().rank == 0, False, False
 
     # ---------------------------------------------------------------- the folder
     def __enter__(self) -> Self:
