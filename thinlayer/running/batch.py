@@ -112,7 +112,7 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
     require(cores >= 1, "studies at a time, -j", cores, "allowed: 1 or more")
     waiting, codes = sorted(jobs, key=lambda job: -job.seconds), [OK]
     running: dict[Job, tuple[subprocess.Popen[bytes] | None, float]] = {}
-    with lock_folder(out, ".batch"), report("studies") as tell, ExitStack() as ends:
+    with lock_folder(out, ".batch"), report("studies") as set_share, ExitStack() as ends:
         ends.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, signal.default_int_handler))
         while waiting or running:
             for job in waiting[: cores - len(running)]:
@@ -125,7 +125,7 @@ def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int
                     took = f"{time.monotonic() - start:.0f} s, see {job.folder}{LOG_SUFFIX}" if child else "done before"
                     print_safely(f"{len(codes) - 1} of {len(jobs)}  {job.folder.name}: {OUTCOMES[codes[-1]]} ({took})")
             now = f"{len(codes) - 1} of {len(jobs)} done, {', '.join(job.folder.name for job in running)}"
-            left, whole = (sum(job.seconds for job in some) for some in ([*waiting, *running], jobs))
-            tell(1 - left / whole, now)
+            left, whole = (sum(job.seconds for job in group) for group in ([*waiting, *running], jobs))
+            set_share(1 - left / whole, now)
             time.sleep(POLL_SECONDS)
     return max(codes)

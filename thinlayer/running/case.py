@@ -52,9 +52,8 @@ class DescribedCase:
             DescriptionError: a thickness is negligible against the size of the bodies, or larger.
             InputError: as `read`, `Structure` and `ThinLayer` raise them.
         """
-        of_file = dict(description.mesh)
         with description.section.described("mesh"):
-            joint = read(of_file.pop("path"), **of_file)
+            joint = read(description.mesh["path"], **{k: v for k, v in description.mesh.items() if k != "path"})
         size = joint.size
         for name, entry in description.layer.items():
             if not MIN_THICKNESS * size <= entry.eps <= size:

@@ -183,10 +183,10 @@ def _computing(parser: Parser) -> Parser:
     """Add the options of a command that computes and writes into a folder, and return its parser."""
     parser.description = f"{parser.description} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
     parser.epilog = f"{EXIT_STATUS_HELP} {parser.epilog}"
-    said = parser.add_mutually_exclusive_group()
-    said.add_argument("-v", "--verbose", action="count", default=0, help="show attempts of solves; twice: their steps")
+    level = parser.add_mutually_exclusive_group()
+    level.add_argument("-v", "--verbose", action="count", default=0, help="show attempts of solves; twice: their steps")
     quiet = "print no progress and no tables, only errors, warnings and checks that fail"
-    said.add_argument("-q", "--quiet", dest="verbose", action="store_const", const=-1, help=quiet)
+    level.add_argument("-q", "--quiet", dest="verbose", action="store_const", const=-1, help=quiet)
     where = "folder of tables and pictures (default: out/STUDY, out/estimate/NAME)"
     parser.add_argument("--out", type=_folder, metavar="DIR", help=where)
     return parser

@@ -84,9 +84,9 @@ def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[Row]:
     """Rows with the thickness below which each quantity changes by less than its tolerance; each is printed at once."""
     goals, rows = {goal.name: goal for goal in case.goals}, list[Row]()
     seams = [*case.layer] if isinstance(case.layer, Mapping) else [S]
-    asked = case.description
-    options: Arguments = {"times": asked.times or None, "bodies": asked.bodies, "bonded": name == BOND}
-    for (quantity, tolerance), seam in product(asked.tolerance.items(), seams):
+    description = case.description
+    options: Arguments = {"times": description.times or None, "bodies": description.bodies, "bonded": name == BOND}
+    for (quantity, tolerance), seam in product(description.tolerance.items(), seams):
         if name == BOND and quantity == "jump":
             continue  # bonded bodies have no jump
         of = {"seam": seam} if len(seams) > 1 else {}

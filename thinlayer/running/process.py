@@ -69,17 +69,17 @@ def recorded(
             return stop(record.root, CHECK_FAILED, "checks failed: " + "; ".join(str(check) for check in record.failed))
         return OK
 
-    return computed(keep, petsc=petsc, verbose=verbose, kept=f"\nresults so far are kept in {out}")
+    return computed(keep, petsc=petsc, verbose=verbose, note=f"\nresults so far are kept in {out}")
 
 
-def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, kept: str = "") -> int:
+def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, note: str = "") -> int:
     """Run a function with DOLFINx, and return its exit status, or the status for its error. Collective.
 
     Args:
         work: function that does the work and returns an exit status.
         petsc: PETSc options to set.
         verbose: 1: attempts of solves are shown; 2: their steps as well; below 0: progress is not shown.
-        kept: words about the results that remain if `work` is not finished.
+        note: words about the results that remain if `work` is not finished.
     """
     import petsc4py
 
@@ -114,7 +114,7 @@ def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, kept: str =
     except InputError as error:
         return stop(root, BAD_INPUT, error_text(error, verbose))
     except (SolveError, OSError, KeyboardInterrupt) as error:
-        message = f"{error_text(error, verbose)}{kept}"
+        message = f"{error_text(error, verbose)}{note}"
         if comm.size > 1 and not (isinstance(error, SolveError) or getattr(error, "on_all_ranks", False)):
             stop(True, UNFINISHED, message)  # the others may not know of it
             sys.stderr.flush()

@@ -82,8 +82,8 @@ def compiled(form: ufl.Form, maps: EntityMaps | None = None) -> fem.Form:
     """
     numbered: dict[str, list[tuple[int, IntArray]]] = {}
     integrals = []
-    for (kind, _, ids), some in by_domain(form).items():
-        data, domain = some[0].subdomain_data(), numbered.setdefault(kind, [])
+    for (kind, _, ids), members in by_domain(form).items():
+        data, domain = members[0].subdomain_data(), numbered.setdefault(kind, [])
         if not isinstance(ids, str):
             tags = np.atleast_1d(ids)
             if hasattr(data, "indices"):
@@ -93,7 +93,7 @@ def compiled(form: ufl.Form, maps: EntityMaps | None = None) -> fem.Form:
                 rows = np.concatenate([np.empty(0, np.int32), *entities])
             ids = len(domain) + 1
             domain.append((ids, rows))
-        for integral in some:  # UFL would join integrals with equal integrand and metadata over several numbers
+        for integral in members:  # UFL would join integrals with equal integrand and metadata over several numbers
             metadata = {**integral.metadata(), "part": str(ids)}
             integrals.append(integral.reconstruct(subdomain_id=ids, subdomain_data=domain, metadata=metadata))
     entity_maps = copy(maps or {})  # a copy: DOLFINx leaves it in a reference cycle with the form

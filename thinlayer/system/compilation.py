@@ -116,7 +116,7 @@ def _mend_ffcx() -> None:
     find, build = ffcx_jit.get_cached_module, ffcx_jit._compile_objects
     parameters = inspect.signature(build)
 
-    def kept(module_name: str, object_names: list[str], folder: Path) -> FormModule:
+    def read_cache(module_name: str, object_names: list[str], folder: Path) -> FormModule:
         """Return (objects, module) of a compiled form, or (None, None) if files are missing or broken.
 
         FFCx itself would list the whole folder for each form. With thousands of files that takes longer than all the
@@ -133,10 +133,10 @@ def _mend_ffcx() -> None:
     @functools.wraps(find)
     def get_cached_module(module_name: str, object_names: list[str], cache_dir: str | Path, timeout: int) -> FormModule:
         folder = Path(cache_dir)
-        cached = kept(module_name, object_names, folder)
+        cached = read_cache(module_name, object_names, folder)
         if cached[0] is None:
             acquire(folder, module_name)
-            cached = kept(module_name, object_names, folder)  # another process may have compiled it
+            cached = read_cache(module_name, object_names, folder)  # another process may have compiled it
             if cached[0] is not None:
                 release(folder, module_name)
         return cached

@@ -226,16 +226,16 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
     rows = send(comm, meeting_rank(cells), here)
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
 
-    def tell(asked: Array, _: Array) -> Array:
+    def find_holders(questions: Array, _: Array) -> Array:
         """Return (m, 2) the rank that holds each cell, and the cell's index there; -1 for cells that no rank holds."""
-        out = np.full((len(asked), 2), -1)
+        out = np.full((len(questions), 2), -1)
         if len(rows):
-            at = np.minimum(np.searchsorted(rows[:, 0], asked), len(rows) - 1)
-            matches = rows[at, 0] == asked
+            at = np.minimum(np.searchsorted(rows[:, 0], questions), len(rows) - 1)
+            matches = rows[at, 0] == questions
             out[matches] = rows[at[matches], 1:]
         return out
 
-    holder, at = ask(comm, meeting_rank(wanted), wanted, tell).T
+    holder, at = ask(comm, meeting_rank(wanted), wanted, find_holders).T
     received = ask(comm, holder[holder >= 0], at[holder >= 0], lambda places, _: values(places))
     out = np.full((len(wanted), received.shape[1]), np.nan)
     out[holder >= 0] = received
