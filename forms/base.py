@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from importlib import import_module
 from numbers import Real
 from types import ModuleType
-from typing import Any
+from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -64,17 +64,17 @@ def unknown_name_message(kind: str, name: object, allowed: Iterable[str]) -> str
     return f"unknown {kind} {name!r}{meant}; known: {', '.join(allowed)}"
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Whether a value is a real number, including NaN and infinity, excluding True and False."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
-def is_finite(value: Any) -> bool:
+def is_finite(value: object) -> TypeGuard[float]:
     """Whether a value is a real number in the range of 64-bit floats; False for NaN and infinity."""
     plain = value.item() if isinstance(value, np.generic) else value  # numpy would round the bound to 32 bits
     return is_number(plain) and bool(abs(plain) <= sys.float_info.max)
 
 
-def is_integer(value: Any, least: int) -> bool:
+def is_integer(value: object, least: int) -> bool:
     """Whether a value is a whole number >= `least`; 3.0 counts as whole."""
     return is_finite(value) and value == int(value) and value >= least

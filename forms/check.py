@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import Any
+from functools import partial
 
 import numpy as np
 import ufl
@@ -15,7 +15,7 @@ from ufl.indexed import Indexed
 from forms.base import Array, InputError, require
 from forms.law import BulkLaw, Law, Step, explained_errors, require_shape
 from forms.law_tangents import evaluate, law_identity, symbolic
-from forms.parameter_fields import is_field
+from forms.parameter_fields import ParameterField, ParameterValue
 from forms.tensors import Expr, mandel_vector
 
 SAMPLE_STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
@@ -25,7 +25,7 @@ ASYMMETRY_MESSAGE = (
     "{}: the tangent is not symmetric, it differs from its transpose by {:.1e} of its size; "
     "write symmetric = False in the class, or correct it"
 )
-_CHECKED_LAWS: set[tuple[Any, ...]] = set()  # laws that have passed, with their parameter values
+_CHECKED_LAWS: set[tuple[object, ...]] = set()  # laws that have passed, with their parameter values
 
 
 def check(law: Law, d: int | None = 3) -> None:
@@ -52,9 +52,9 @@ def check(law: Law, d: int | None = 3) -> None:
     if law.traits.nodal:
         return
     for _, sublayer in law.as_bulk_law().sublayers:
-        law_3d: Any = sublayer.in_space
+        law_3d: BulkLaw = sublayer.in_space
         values = [np.asarray(_number(value)).tobytes() for value in law_3d.parameters().values()]
-        key = type(law_3d), d, repr(law_3d.choices()), *values
+        key = (type(law_3d), d, repr(law_3d.choices()), *values)
         if law_identity(law_3d) is None and key not in _CHECKED_LAWS:
             require_computed(law_3d, d)
             _CHECKED_LAWS.add(key)
@@ -64,7 +64,7 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
     """Check a law as `check` does, even if it has passed before."""
     if not law.traits.in_ufl:
         return
-    numeric_law, name, method = law.mapped(lambda value, _: _number(value)), type(law).__name__, law.methods[0]
+    numeric_law, name, method = law.mapped(_number), type(law).__name__, law.methods[0]
     d = 3 if law.traits.compiled else d
     point = symbolic(numeric_law, d=d)
     expressions = _evaluate_methods(point.law, point.step)
@@ -86,23 +86,22 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
         for key in expressions:
             tensor = values(key, sample)
             if tensor is not None and tensor.ndim == 2 and (skew := _relative_difference(tensor, tensor.T)):
-                why = f"it differs from its transpose by {skew:.1e} of its size"
-                remedy = "use ufl.sym, or vectors (3,) as internal variables"
-                raise InputError(f"{name}.{key} is not symmetric: {why}; {remedy}")
+                what = f"{name}.{key} is not symmetric: it differs from its transpose by {skew:.1e} of its size"
+                raise InputError(f"{what}; use ufl.sym, or vectors (3,) as internal variables")
         turned = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
         tangents = [C for inputs in turned if (C := values("tangent", inputs)) is not None]
         for C in tangents:
             if law.traits.linear and _relative_difference(C, tangents[0]):
-                remedy = "write linear = False in the class, or correct the stress"
-                raise InputError(f"{name} declares linear = True, but its stress is not affine in the strain; {remedy}")
+                what = f"{name} declares linear = True, but its stress is not affine in the strain"
+                raise InputError(f"{what}; write linear = False in the class, or correct the stress")
             if law.traits.symmetric and (skew := _relative_difference(C, C.T)):
-                fed = f". The memory was random numbers: {', '.join(law.internal)}" * bool(law.internal)
-                raise InputError(ASYMMETRY_MESSAGE.format(name, skew) + fed)
+                memory = f". The memory was random numbers: {', '.join(law.internal)}" * bool(law.internal)
+                raise InputError(ASYMMETRY_MESSAGE.format(name, skew) + memory)
         slope, stress = (values(key, sample) if "slope" in asked else None for key in ("slope", method))
         if slope is not None and stress is not None and np.abs(slope).max() > RELATIVE_TOLERANCE * np.abs(stress).max():
             away = f"it is {np.abs(slope).max() / (np.abs(stress).max() or 1.0):.1e} of the stress away"
-            remedy = "correct one of them, or write symmetric = False in the class if the stress has no energy"
-            raise InputError(f"{name}: the derivative of the energy by the strain is not the stress, {away}; {remedy}")
+            what = f"{name}: the derivative of the energy by the strain is not the stress, {away}"
+            raise InputError(f"{what}; correct one of them, or write symmetric = False if the stress has no energy")
 
 
 def _evaluate_methods(law: BulkLaw, step: Step) -> dict[str, Expr]:
@@ -143,7 +142,7 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
     work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
     least = {"energy": work, "dissipation": work}  # scale of rounding errors where an energy is zero
     for dt, theta, of_place in ((0.1, 1.0, 1.0), (0.0, 0.5, 0.0)):
-        numeric_law = law.mapped(lambda value, _, of_place=of_place: _number(value, of_place))  # type: ignore[misc]
+        numeric_law = law.mapped(partial(_number, of_place=of_place))
         inputs = np.concatenate([sample[: place + 3], [dt, theta], numeric_law.parameter_values()])
         try:
             point = symbolic(numeric_law, inputs, d)
@@ -153,9 +152,8 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
         for key, expression in expressions.items():
             direct, traced = _evaluated(expression), values(key, inputs)
             if direct is not None and traced is not None and _relative_difference(direct, traced, least.get(key, 0.0)):
-                what = "a parameter, or a value computed from it, is compared or used as a condition in Python"
-                remedy = "laws are traced once for all numbers: write ufl.conditional(ufl.eq(a, b), c, d)"
-                raise InputError(f"{type(law).__name__}.{key}: {what}; {remedy}")
+                what = f"{type(law).__name__}.{key}: a parameter, or a value computed from it, is in a Python condition"
+                raise InputError(f"{what}, which runs once for all numbers; write ufl.conditional(ufl.eq(a, b), c, d)")
 
 
 def _relative_difference(a: Array, b: Array, least: float = 0.0) -> float:
@@ -174,9 +172,9 @@ def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Arr
     return numbers if np.isfinite(numbers).all() else None
 
 
-def _number(value: Any, of_place: float = 1.0) -> Any:
+def _number(value: ParameterValue, _power: float = 0.0, of_place: float = 1.0) -> ParameterValue:
     """Numeric value of a number or a Constant; `of_place` for a parameter that varies; other values unchanged."""
-    if is_field(value) or isinstance(value, Indexed):  # a function of the place, or values at quadrature points
+    if isinstance(value, (ParameterField, Indexed)):  # a function of the place, or values at quadrature points
         return of_place
     try:
         array = np.asarray(getattr(value, "value", value), float)

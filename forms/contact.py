@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.elastic import LinearElastic
-from forms.law import Law, require_positive
-from forms.parameter_fields import place_text
+from forms.law import Law, require_nonnegative, require_positive
+from forms.parameter_fields import Parameter, ParameterValue, place_text
 from forms.temperature import checked_values
 
 
@@ -47,7 +47,7 @@ class ContactLaw(Law):
 
     K_N: float
     K_T: float
-    gap: float | Callable[[Array], Array] = field(default=0.0, kw_only=True)
+    gap: float | Callable[[Array], npt.ArrayLike] = field(default=0.0, kw_only=True)
     symmetric = False
     bounded = True
     functions = ("gap",)
@@ -57,17 +57,15 @@ class ContactLaw(Law):
         require_positive(self, "K_N", "K_T")
         self.require(callable(self.gap) or bool(np.isfinite(self.gap)), "gap", "a finite number, or a function")
 
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, ParameterValue]:
         return super().parameters() | ({"gap": np.nan} if callable(self.gap) else {})
 
     def gaps(self, x: Array) -> Array:
         """Initial gaps (n,) at places x (d, n); raise InputError if they are not n finite numbers."""
         if not callable(self.gap):
             return np.full(x.shape[1], float(self.gap))
-        it = "it must be a numpy function of places (d, n) that gives n lengths"
-        return checked_values(
-            f"{type(self).__name__}: gap(x)", self.gap, x, it=it, where=lambda k: f" at {place_text(x, k)}"
-        )
+        what, it = f"{type(self).__name__}: gap(x)", "it must be a numpy function of places (d, n) that gives n lengths"
+        return checked_values(what, self.gap, x, it=it, where=lambda k: f" at {place_text(x, k)}")
 
     def _traits_of_methods(self) -> dict[str, bool]:
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}
@@ -83,7 +81,7 @@ class ContactLaw(Law):
     def check_threshold(self) -> None:
         """Raise InputError unless `threshold` (>= 0) and `threshold_rate` return finite (n,) for pressures (n,)."""
         p = np.concatenate([[0.0], self.K_N * np.logspace(-9, 0, 10)])
-        for name in ("threshold", "threshold_rate"):
+        for name, least in {"threshold": 0.0, "threshold_rate": -np.inf}.items():
             where, pressures = f"{type(self).__name__}.{name}(p)", p.copy()
             try:
                 with np.errstate(all="ignore"):  # the law may not be meant for pressures this large
@@ -94,13 +92,11 @@ class ContactLaw(Law):
                 raise InputError(f"{where}: {type(error).__name__}: {error}; p is an array (n,), pressures") from error
             if not np.array_equal(pressures, p):
                 raise InputError(f"{where} changes p; it must return a new array")
-            array = value if isinstance(value, np.ndarray) else None
-            if array is None or array.shape != p.shape or array.dtype.kind != "f":
-                raise InputError(f"{where} is {value!r} for {len(p)} pressures; it must be an array of {len(p)} floats")
-            wrong = np.flatnonzero(~(np.isfinite(array) & ((array >= 0) | (name != "threshold"))))
-            if len(wrong):
+            is_valid = isinstance(value, np.ndarray) and value.shape == p.shape and value.dtype.kind == "f"
+            require(is_valid, f"{where} for {len(p)} pressures", value, f"it must be an array of {len(p)} floats")
+            for k in np.flatnonzero(~(np.isfinite(value) & (value >= least)))[:1]:
                 allowed = "finite, >= 0" if name == "threshold" else "finite"
-                raise InputError(f"{where} is {array[wrong[0]]} at p = {p[wrong[0]]:g}; allowed: {allowed}")
+                raise InputError(f"{where} is {value[k]} at p = {p[k]:g}; allowed: {allowed}")
         if self.numbers is not None:
             if np.shape(self.numbers) != (4,) or self.numbers[:2] != (self.K_N, self.K_T):
                 raise InputError(f"{type(self).__name__}.numbers is {self.numbers!r}; see ContactLaw.numbers, or None")
@@ -177,7 +173,7 @@ class ContactLaw(Law):
         return None
 
     @classmethod
-    def of_layer(cls, lmbda: float, mu: float, **others: Any) -> Self:
+    def of_layer(cls, lmbda: float, mu: float, **others: Parameter) -> Self:
         """The law with the stiffness of an isotropic layer in plane strain or 3D: K_N = lmbda + 2 mu, K_T = mu.
 
         Args:
@@ -188,7 +184,7 @@ class ContactLaw(Law):
         for name in others:
             if name not in names:
                 raise InputError(f"{cls.__name__}.of_layer has no {name!r}; known: lmbda, mu, {', '.join(names)}")
-        LinearElastic(lmbda, mu)
+        LinearElastic(lmbda, mu)  # raises InputError for moduli out of range
         return cls(K_N=lmbda + 2 * mu, K_T=mu, **others)
 
 
@@ -232,9 +228,7 @@ class _Coulomb(ContactLaw):
 
     def check(self) -> None:
         super().check()
-        for name in ("friction", "cohesion"):
-            value = getattr(self, name)
-            self.require(bool(np.isfinite(value)) and value >= 0, name, ">= 0", value)
+        require_nonnegative(self, "friction", "cohesion")
 
     def threshold(self, p: Array) -> Array:
         return self.cohesion + self.friction * p
@@ -301,7 +295,7 @@ class Tresca(ContactLaw):
 
     def check(self) -> None:
         super().check()
-        self.require(bool(np.isfinite(self.bound)) and self.bound >= 0, "bound", ">= 0")
+        require_nonnegative(self, "bound")
 
     def threshold(self, p: Array) -> Array:
         return np.full_like(p, self.bound)

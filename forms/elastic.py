@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 import ufl
@@ -14,9 +14,15 @@ from scipy.spatial.transform import Rotation
 from forms.base import Array, InputError, is_finite, require
 from forms.ends.constants import free_end
 from forms.ends.weights import EndStrips, EndWeights
-from forms.law import BulkLaw, Step, choice
-from forms.parameter_fields import Parameter, ParameterField, ParameterRangeError, as_parameter_field, is_field
-from forms.stations import Faces, Station, gauss_stations
+from forms.law import BulkLaw, Step, choice, require_positive
+from forms.parameter_fields import (
+    Parameter,
+    ParameterField,
+    ParameterRangeError,
+    as_parameter_field,
+    parameter_numbers,
+)
+from forms.stations import AnyStation, Faces, Station, gauss_stations
 from forms.tensors import MANDEL_PAIRS, SQRT2, Expr, condensed_tangent, isotropic_tensor, layer_frame
 
 VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
@@ -41,18 +47,18 @@ class IsotropicLaw(BulkLaw):
     powers: ClassVar[Mapping[str, float]] = {"lmbda": 1, "mu": 1}
 
     def check(self) -> None:
-        self.require(math.isfinite(self.mu) and self.mu > 0, "mu", "> 0")
+        require_positive(self, "mu")
         bound = -2 / 3 * self.mu
-        self.require(math.isfinite(self.lmbda) and self.lmbda > bound, "lmbda", f"> -2 mu/3 = {bound:g}")
+        self.require(bound < self.lmbda < math.inf, "lmbda", f"> -2 mu/3 = {bound:g}")
 
     def stiffness(self, n: Array) -> Array:
-        named = self.parameters()
-        return isotropic_tensor(float(named["lmbda"]), float(named["mu"]))
+        return isotropic_tensor(float(self.lmbda), float(self.mu))
 
 
-def poisson_ratio(law: Any) -> float:
+def poisson_ratio(law: BulkLaw) -> float:
     """Poisson's ratio of a law with numeric moduli lmbda and mu."""
-    return float(law.lmbda) / (float(law.lmbda) + float(law.mu)) / 2
+    lmbda, mu = (float(parameter_numbers(law.parameters()[name])) for name in ("lmbda", "mu"))
+    return lmbda / (lmbda + mu) / 2
 
 
 class LinearLaw(BulkLaw):
@@ -91,10 +97,11 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
         Both may be numpy functions of places (d, n) in the joint that give n values.
         """
-        values = as_parameter_field(E), as_parameter_field(nu)
-        if any(map(is_field, values)):
-            return cls(ParameterField(_lmbda_of_young, values), ParameterField(_mu_of_young, values))  # type: ignore[arg-type]
-        return cls(_lmbda_of_young(*values), _mu_of_young(*values))
+        E, nu = as_parameter_field(E), as_parameter_field(nu)
+        if isinstance(E, ParameterField) or isinstance(nu, ParameterField):
+            moduli = [ParameterField(of_young, (E, nu)) for of_young in (_lmbda_of_young, _mu_of_young)]
+            return cls(*moduli)  # type: ignore[arg-type]
+        return cls(_lmbda_of_young(E, nu), _mu_of_young(E, nu))
 
     @classmethod
     def shear(cls, mu: Parameter, nu: Parameter) -> LinearElastic:
@@ -102,18 +109,18 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
         Both may be functions, as in `young`.
         """
-        mu, nu = as_parameter_field(mu), as_parameter_field(nu)
         for name, value in (("mu", mu), ("nu", nu)):
-            require(is_field(value) or is_finite(value), f"LinearElastic.shear: {name}", value, "it must be a number")
-        return cls.young(2 * mu * (1 + nu), nu)  # type: ignore[operator]
+            require(callable(value) or is_finite(value), f"LinearElastic.shear: {name}", value, "it must be a number")
+        mu, nu = as_parameter_field(mu), as_parameter_field(nu)
+        return cls.young(2 * mu * (1 + nu), nu)
 
     def stress(self, step: Step) -> Expr:
         return lame_stress(self.lmbda, self.mu, step.mid)
 
-    def elastic_moduli(self) -> tuple[Any, Any]:
+    def elastic_moduli(self) -> tuple[float, float]:
         return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
 
-    def stations(self) -> list[Station[Any]]:
+    def stations(self) -> list[AnyStation]:
         """Two Gauss stations whose change of strain through the layer causes no traction: its stress times n is zero.
 
         The displacements are then parabolic through the thickness. Linear displacements would lock in a nearly
@@ -127,7 +134,8 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         return in_s - law._share * ufl.tr(in_s) * faces.normal
 
     @property
-    def _share(self) -> Any:
+    def _share(self) -> float:
+        """lmbda/(lmbda + 2 mu)."""
         return self.lmbda / (self.lmbda + 2 * self.mu)
 
     def end_strips(self) -> EndStrips | None:
@@ -141,7 +149,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         nu = poisson_ratio(self)
         return EndStrips.of(free_end(nu)) if 0 <= nu <= MAX_FREE_END_NU * (1 + MODULUS_RATIO_TOLERANCE) else None
 
-    def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
+    def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
         """Three stations: two for the energy of the mean strain (`forms.ends.weights`), the third for its change."""
 
         def strain(k: int) -> Callable[[LinearElastic, Faces], Expr]:
@@ -153,17 +161,17 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         return self.with_parameters({"lmbda": 2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu)})
 
 
-def _lmbda_of_young(E: Any, nu: Any) -> Any:
+def _lmbda_of_young(E: float, nu: float) -> float:
     _require_young(E, nu)
     return E * nu / ((1 + nu) * (1 - 2 * nu))
 
 
-def _mu_of_young(E: Any, nu: Any) -> Any:
+def _mu_of_young(E: float, nu: float) -> float:
     _require_young(E, nu)
     return E / (2 * (1 + nu))
 
 
-def _require_young(E: Any, nu: Any) -> None:
+def _require_young(E: float, nu: float) -> None:
     """Raise ParameterRangeError unless E > 0 and -1 < nu < 1/2 at all places; InputError unless they are numbers."""
     for name, values, least, most, allowed in (("E", E, 0.0, math.inf, "> 0"), ("nu", nu, -1.0, 0.5, "-1 < nu < 0.5")):
         require(np.asarray(values).dtype.kind in "iuf", f"LinearElastic: {name}", values, f"allowed: {allowed}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 import ufl
@@ -31,7 +31,7 @@ class Kinematics:
     rotations: ClassVar[bool] = True
     degree: ClassVar[int] = 0
 
-    def on(self, mesh: Any) -> Self:
+    def on(self, mesh: ufl.Mesh) -> Self:
         """The same kinematics with the coordinates of a mesh."""
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
@@ -56,7 +56,7 @@ class Kinematics:
         return tuple(range(len(MANDEL_PAIRS)))
 
     @property
-    def factor(self) -> Any:
+    def factor(self) -> Expr:
         """Factor of all measures dx, ds and dS of the mesh: 1, for integrals per unit thickness in 2D."""
         return 1
 
@@ -128,7 +128,7 @@ class Axisymmetric(Kinematics):
         return x[:, 0]
 
     @property
-    def factor(self) -> Any:
+    def factor(self) -> Expr:
         """2 pi r."""
         return 2 * ufl.pi * self._r
 

@@ -8,25 +8,26 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, cached_property
+from functools import cached_property
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 import ufl
 
-from forms.base import Array, InputError
+from forms.base import Array, InputError, require
 from forms.parameter_fields import (
     MAX_CHECKED_PLACES,
     ParameterField,
     ParameterRangeError,
+    ParameterValue,
     as_parameter_field,
     extreme_places,
-    is_field,
+    failure_text,
     parameter_numbers,
     place_text,
 )
-from forms.stations import Station, gauss_stations
+from forms.stations import AnyStation, gauss_stations
 from forms.tensors import Expr, average_lame, condensed_tangent, isotropic_tensor
 from forms.traits import VARIABLE_SIZES, Traits, accept_renamed, require_declarations, reset_inherited
 
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
 MISSING_VALUE = object()
 NUMBER_ANNOTATION = re.compile(r"\b(float|int)\b")
 ARRAY_ANNOTATION = re.compile("array|list|tuple|sequence|callable", re.IGNORECASE)
+ORDER_0_REMEDY = "use order=0, or mesh the layer (structure.full)"
+ChoiceType = TypeVar("ChoiceType")
+ChangeParameter = Callable[[ParameterValue, float], ParameterValue]  # of a parameter and its power of eps
 
 
 class Step(NamedTuple):
@@ -80,8 +84,8 @@ class Step(NamedTuple):
         return self.theta * new + (1 - self.theta) * old
 
 
-def choice(default: Any) -> Any:
-    """Declare a field of a law that selects equations and is no parameter. Each value is compiled separately."""
+def choice(default: ChoiceType) -> ChoiceType:
+    """Declare a field of a law that selects equations and is not a parameter. Each value is compiled separately."""
     return field(default=default, metadata={"choice": True})
 
 
@@ -107,7 +111,7 @@ class Law:
     functions: ClassVar[tuple[str, ...]] = ()
     ignored: ClassVar[tuple[str, ...]] = ()
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         accept_renamed(cls, {"eased": "homotopy"})
         reset_inherited(cls)
@@ -118,31 +122,30 @@ class Law:
             self.require(not reserved, f"the parameter {f.name!r}", "another one", "a name that all laws use")
             allowed = "a number" + (", a function in numpy" if f.name in self.functions else "")
             self.require(not isinstance(getattr(self, f.name), ufl.core.expr.Expr), f.name, allowed, "a UFL expression")
-        kind: Any = type(self)
+        scalars = scalar_fields(type(self))
         for f in fields(self):
-            if f.name in scalar_fields(kind) and f.name not in self.functions and self.takes_fields:
+            scalar = f.name in scalars
+            if scalar and f.name not in self.functions and self.takes_fields:
                 object.__setattr__(self, f.name, as_parameter_field(getattr(self, f.name)))
-            self._check_number(f.name, getattr(self, f.name), f.default is None, f.name in scalar_fields(kind))
-        own_places = kind.at is not Law.at
+            self._check_number(f.name, getattr(self, f.name), f.default is None, scalar)
         for name in self.fields:
-            self.require(not own_places, name, "a number, as `at` gives what varies", "a function of the place")
+            allowed = "a number, as `at` gives what varies"
+            self.require(type(self).at is Law.at, name, allowed, "a function of the place")
         if not self.fields:  # parameters that are functions need places, see `check_at`
             self.check()
         _ = self.traits  # raises InputError for wrong declarations of the class
         require_declarations(self)
 
-    def _check_number(self, name: str, value: Any, may_be_none: bool, scalar: bool) -> None:
-        if (value is None and may_be_none) or (callable(value) and name in self.functions) or is_field(value):
-            return
-        if name not in self.parameters():
+    def _check_number(self, name: str, value: object, may_be_none: bool, scalar: bool) -> None:
+        function = isinstance(value, ParameterField) or (callable(value) and name in self.functions)
+        if function or (value is None and may_be_none) or name not in self.parameters():
             return
         try:
             array = np.asarray(value)
         except ValueError:  # ragged
             array = np.asarray("")
-        if value is None or array.dtype.kind not in "iuf" or (scalar and array.ndim):
-            allowed = "a number" if scalar else "numbers"
-            raise InputError(f"{type(self).__name__}: {name} is {value!r}; allowed: {allowed}")
+        numeric = array.dtype.kind in "iuf" and not (scalar and array.ndim)
+        require(numeric, f"{type(self).__name__}: {name}", value, f"allowed: {'a number' if scalar else 'numbers'}")
 
     def check(self) -> None:
         """Raise InputError if a parameter is out of its range."""
@@ -178,7 +181,7 @@ class Law:
         Raises:
             InputError: the law acts at nodes.
         """
-        raise InputError(f"{type(self).__name__} is no law of strains or jumps; derive it from BulkLaw or TractionLaw")
+        raise InputError(f"{type(self).__name__} has neither strains nor jumps; derive it from BulkLaw or TractionLaw")
 
     @property
     def own_times(self) -> tuple[float, ...]:
@@ -203,22 +206,21 @@ class Law:
         """Times at which a parameter made with `thinlayer.piecewise` changes its slope."""
         return set().union(*(getattr(getattr(self, name), "times", ()) for name in self.functions))
 
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, ParameterValue]:
         """Name -> value (number or array) of every parameter; a `choice` is not a parameter."""
         return {f.name: getattr(self, f.name) for f in fields(self) if "choice" not in f.metadata}
 
-    def choices(self) -> tuple[tuple[str, Any], ...]:
+    def choices(self) -> tuple[tuple[str, object], ...]:
         """Name and value of every field that is not a parameter."""
         parameters = self.parameters()
         return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in parameters)
 
     def parameter_values(self) -> Array:
         """All parameter values, one after the other, (k,); NaN for functions."""
-        return np.concatenate(
-            [np.empty(0), *[np.ravel(parameter_numbers(value)) for value in self.parameters().values()]]
-        )
+        values = [np.ravel(parameter_numbers(value)) for value in self.parameters().values()]
+        return np.concatenate([np.empty(0), *values])
 
-    def with_parameters(self, values: Mapping[str, Any]) -> Self:
+    def with_parameters(self, values: Mapping[str, object]) -> Self:
         """A copy with other values (numbers or UFL) of some parameters, unchecked."""
         law = copy.copy(self)
         object.__setattr__(law, "traits", self.traits)
@@ -226,7 +228,7 @@ class Law:
             object.__setattr__(law, name, value)
         return law
 
-    def mapped(self, change: Callable[[Any, float], Any]) -> Self:
+    def mapped(self, change: ChangeParameter) -> Self:
         """A copy with each parameter replaced by change(value, power), unchecked."""
         changed = {name: change(value, self.powers.get(name, 0)) for name, value in self.parameters().items()}
         return self.with_parameters(changed)
@@ -235,7 +237,7 @@ class Law:
     @property
     def fields(self) -> dict[str, ParameterField]:
         """Parameters that are functions of the place, by name."""
-        return {name: value for name, value in vars(self).items() if is_field(value)}
+        return {name: value for name, value in vars(self).items() if isinstance(value, ParameterField)}
 
     def fields_at(self, x: Array) -> dict[str, Array]:
         """Values (n,) of the parameters in `fields` at places x (d, n) in the joint before inflating, by name.
@@ -252,9 +254,8 @@ class Law:
             said = str(error) if str(error)[:1].isalpha() and " is " in str(error) else f"{name} is {error}"
             raise InputError(f"{type(self).__name__}: {said}, at {place_text(x, error.k)}") from None
         except Exception as error:
-            why = f"fails for x of shape {x.shape}: {type(error).__name__}: {error}"
-            needs = "it must be a numpy function of places (d, n) in the joint that gives n numbers"
-            raise InputError(f"{type(self).__name__}: {name}(x) {why}; {needs}") from error
+            what, wanted = f"{type(self).__name__}: {name}(x)", "it must be a numpy function of places (d, n)"
+            raise InputError(f"{failure_text(what, x, error)}; {wanted} in the joint that gives n numbers") from error
 
     def at_places(self, x: Array) -> Iterator[Self]:
         """Yield the law with numeric parameters, unchecked, at each of the places x (d, n)."""
@@ -303,7 +304,7 @@ class BulkLaw(Law):
     """
 
     takes_fields: ClassVar = True
-    volume_compliance: ClassVar[Any] = 0.0
+    volume_compliance: ClassVar[Expr] = 0.0
     methods: ClassVar[tuple[str, str]] = ("stress", "advance")
 
     def _traits_of_methods(self) -> dict[str, bool]:
@@ -344,11 +345,11 @@ class BulkLaw(Law):
         """Strips along a free end of a layer with this law, for the interface law of order 1; None if unknown."""
         return None
 
-    def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
+    def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
         """Stations as in `stations`, with the weights of the layer's free ends; only for laws with `end_strips`."""
         raise InputError(f"{type(self).__name__} has no stations at free ends")
 
-    def stations(self) -> list[Station[Any]]:
+    def stations(self) -> list[AnyStation]:
         """Stations of the interface law of order 1: points through the thickness with their strains.
 
         The default is two Gauss points, with displacements linear through the layer.
@@ -361,20 +362,18 @@ class BulkLaw(Law):
         if self.traits.softens:
             raise InputError(f"order=1 of {type(self).__name__}: its two stations would soften one by one; use order=0")
         if self.traits.plateau:
-            why = "strains are not uniform through the layer, and the next term depends on where the sheets lie"
-            raise InputError(f"order=1 of {self!r}: where phases mix in sheets parallel to S, {why}; use order=0")
+            why = "phases may mix in sheets parallel to S, with strains that are not uniform through the layer"
+            raise InputError(f"order=1 of {self!r}: {why}; use order=0")
         return gauss_stations(self)
 
-    def elastic_moduli(self) -> tuple[Any, Any]:
+    def elastic_moduli(self) -> tuple[float, float]:
         """Lame's moduli lmbda and mu of an isotropic linear elastic law.
 
         Raises:
             InputError: the law is not isotropic linear elastic.
         """
-        limit = "it is known for isotropic elastic sublayers (LinearElastic), which share the jump in fixed proportions"
-        remedy = "use order=0, or mesh the layer (structure.full)"
         what = f"order=1 of a Stack with the sublayer {type(self).__name__}"
-        raise InputError(f"{what}: {limit} along S and across it; {remedy}")
+        raise InputError(f"{what}: all must be isotropic elastic (LinearElastic); {ORDER_0_REMEDY}")
 
     def own_step(self, step: Step) -> Step:
         """Step passed to the law's methods: for laws without rate and memory only n and the strain at t + theta dt."""
@@ -418,10 +417,9 @@ class BulkLaw(Law):
             InputError: the law has a pressure or switching phases, and does not override plane_stress.
         """
         if self.traits.constrained or self.traits.switches:
-            what = "its pressure" if self.traits.constrained else "its phases"
-            why = f"because {what} would need more than a strain out of the plane at each point"
-            remedy = "use plane='strain', or write a method plane_stress beside its stress"
-            raise InputError(f"plane stress is not defined for {type(self).__name__}, {why}; {remedy}")
+            what = "its pressure needs" if self.traits.constrained else "its phases need"
+            why = f"{type(self).__name__}, because {what} more than a strain out of the plane"
+            raise InputError(f"plane stress is not defined for {why}; use plane='strain', or write plane_stress(self)")
         return PlaneStressLaw(self)
 
     @property
@@ -435,7 +433,7 @@ class BulkLaw(Law):
 
     def scaled(self, ratio: float) -> Self:
         """The law that has the same interface law in a layer `ratio` times as thick: parameters times ratio**power."""
-        return self.mapped(lambda value, power: (value if is_field(value) else np.asarray(value, float)) * ratio**power)
+        return self.mapped(lambda value, power: (value if callable(value) else np.asarray(value, float)) * ratio**power)
 
 
 def _delegated(name: str) -> Any:
@@ -451,7 +449,7 @@ class WrappedLaw(BulkLaw):
         law: the wrapped law.
     """
 
-    law: Any
+    law: Any  # BulkLaw or TractionLaw, as subclasses say
 
     def __post_init__(self) -> None:
         """Check nothing: the wrapped law has been checked."""
@@ -460,13 +458,13 @@ class WrappedLaw(BulkLaw):
     fields_at, at, parameters = map(_delegated, ("fields_at", "at", "parameters"))
     check, check_dimension = map(_delegated, ("check", "check_dimension"))
 
-    def choices(self) -> tuple[tuple[str, Any], ...]:
+    def choices(self) -> tuple[tuple[str, object], ...]:
         return ("law", type(self.law)), *self.law.choices()
 
-    def with_parameters(self, values: Mapping[str, Any]) -> Self:
+    def with_parameters(self, values: Mapping[str, object]) -> Self:
         return self._of(self.law.with_parameters(values))
 
-    def mapped(self, change: Callable[[Any, float], Any]) -> Self:
+    def mapped(self, change: ChangeParameter) -> Self:
         return self._of(self.law.mapped(change))
 
     def _of(self, law: Law) -> Self:
@@ -524,16 +522,14 @@ class PlaneStressLaw(WrappedLaw):
         return out
 
 
-@cache
-def scalar_fields(kind: Any) -> frozenset[str]:
+def scalar_fields(kind: type[Law]) -> set[str]:
     """Names of the dataclass fields annotated as one number: float or int, or a union of these with None or functions.
 
     The annotation is matched as text.
     """
     texts = {f.name: str(f.type) for f in fields(kind)}
-    return frozenset(
-        name for name, text in texts.items() if NUMBER_ANNOTATION.search(text) and not ARRAY_ANNOTATION.search(text)
-    )
+    numbers = {name for name, text in texts.items() if NUMBER_ANNOTATION.search(text)}
+    return {name for name in numbers if not ARRAY_ANNOTATION.search(texts[name])}
 
 
 @contextmanager
@@ -552,7 +548,7 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
         ) from error
 
 
-def require_shape(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Expr:
+def require_shape(law: Law, what: str, value: Expr, shape: tuple[int, ...]) -> Expr:
     """Return the value as UFL; raise InputError unless it is a UFL expression (or number) of this shape."""
     try:
         expression = ufl.as_ufl(value)
@@ -566,5 +562,10 @@ def require_shape(law: Law, what: str, value: Any, shape: tuple[int, ...]) -> Ex
 def require_positive(law: Law, *names: str) -> None:
     """Raise InputError unless these parameters of the law are finite and > 0."""
     for name in names:
-        value = getattr(law, name)
-        law.require(math.isfinite(value) and value > 0, name, "> 0", value)
+        law.require(0 < getattr(law, name) < math.inf, name, "> 0")
+
+
+def require_nonnegative(law: Law, *names: str) -> None:
+    """Raise InputError unless these parameters of the law are finite and >= 0."""
+    for name in names:
+        law.require(0 <= getattr(law, name) < math.inf, name, ">= 0, finite")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -41,11 +41,12 @@ from ufl.classes import (
     Variable,
     Zero,
 )
-from ufl.core.expr import Expr as Node
 from ufl.corealg.traversal import traverse_unique_terminals, unique_post_traversal
 
 from forms.base import Array, InputError
+from forms.kernel import KernelLaw
 from forms.law import BulkLaw, Step
+from forms.parameter_fields import ParameterValue
 from forms.tensors import Expr, average_lame, isotropic_tensor, mandel_tensor, mandel_vectors
 from forms.tensors import mandel_vector as in_mandel
 
@@ -98,12 +99,12 @@ def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> Sy
     return SymbolicLaw(law.with_parameters({name: take(shape) for name, shape in shapes.items()}), step, end, numbers)
 
 
-def _shape(value: Any) -> tuple[int, ...]:
+def _shape(value: ParameterValue) -> tuple[int, ...]:
     """Shape of a parameter: a number, an array or a Constant."""
-    return tuple(value.ufl_shape) if isinstance(value, Node) else np.shape(value)
+    return tuple(value.ufl_shape) if isinstance(value, Expr) else np.asarray(value).shape
 
 
-def law_identity(law: BulkLaw) -> tuple[Any, ...] | None:
+def law_identity(law: BulkLaw) -> tuple[object, ...] | None:
     """Identity of a law of this package without its numbers; None for user-defined laws, which may read other data."""
     if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
         return None
@@ -123,12 +124,12 @@ def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Exp
     """Raise InputError if expressions contain anything but the inputs of the law."""
     for node in (node for expression in expressions for node in traverse_unique_terminals(expression)):
         if node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
-            remedy = "a compiled law knows only its parameters and its step: declare a parameter, or `varies` and `at`"
-            raise InputError(f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}; {remedy}")
+            what = f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}"
+            raise InputError(f"{what}, which is not compiled; declare a parameter, or `varies = True` and `at`")
 
 
-Values = npt.NDArray[Any]
-NUMPY_FUNCTIONS: dict[type, Any] = {
+Values = npt.NDArray[Any]  # floats; of a condition booleans
+NUMPY_FUNCTIONS: dict[type, Callable[..., Values]] = {
     Sum: np.add,
     Product: np.multiply,
     Division: np.divide,
@@ -149,7 +150,7 @@ def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> V
     Raises:
         Exception: of any type, from UFL: a part, such as a coefficient, has no numerical value.
     """
-    arrays: dict[Any, Any] = dict(values or {})  # axes of each array: shape of the part, then its free indices
+    arrays: dict[Expr, Values] = dict(values or {})  # axes of each array: shape of the part, then its free indices
     with np.errstate(all="ignore"):
         for part in unique_post_traversal(expression):
             if part not in arrays:
@@ -157,11 +158,10 @@ def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> V
     return np.asarray(arrays[expression])
 
 
-def _evaluate_node(part: Any, operands: list[Any]) -> Any:
-    if isinstance(part, MultiIndex):
-        return part.indices()
-    if isinstance(part, Label):
-        return None
+def _evaluate_node(part: Expr, operands: list[Values]) -> Values:
+    """Values of a node from those of its operands; for a `MultiIndex` its indices, for a `Label` nothing."""
+    if isinstance(part, (MultiIndex, Label)):
+        return part.indices() if isinstance(part, MultiIndex) else np.empty(0)
     if isinstance(part, Variable):
         return operands[0]
     if isinstance(part, (ScalarValue, Zero)) and not part.ufl_free_indices:
@@ -171,22 +171,26 @@ def _evaluate_node(part: Any, operands: list[Any]) -> Any:
         return np.reshape([_real(part((0.0,), component=place)) for place in places], part.ufl_shape)
     if isinstance(part, ListTensor):
         return np.stack(operands)
-    free = [*part.ufl_free_indices]
     if isinstance(part, (Indexed, ComponentTensor, IndexSum)):
-        values, indices = operands
-        inner, named = [*part.ufl_operands[0].ufl_free_indices], [i.count() for i in indices if isinstance(i, Index)]
-        if isinstance(part, Indexed):
-            place = tuple(slice(None) if isinstance(i, Index) else int(i) for i in indices)
-            return _index_sum(values[place], named + inner, free)
-        if isinstance(part, ComponentTensor):
-            return _index_sum(values, inner, named + free)
-        shape = [-1 - k for k in range(len(part.ufl_shape))]
-        return _index_sum(values, shape + inner, shape + free)
+        return _evaluate_indexing(part, *operands)
     if not isinstance(part, Sum):  # operands of a sum have the same free indices
-        pairs = zip(operands, part.ufl_operands, strict=True)
-        operands = [_broadcast(values, of, len(part.ufl_shape), free) for values, of in pairs]
+        pairs, free = zip(operands, part.ufl_operands, strict=True), [*part.ufl_free_indices]
+        operands = [_broadcast(values, operand, len(part.ufl_shape), free) for values, operand in pairs]
     function = NUMPY_FUNCTIONS.get(type(part)) or np.vectorize(lambda *values: _scalar_function(part, values))
-    return function(*operands)
+    return np.asarray(function(*operands))
+
+
+def _evaluate_indexing(part: Expr, values: Values, indices: Iterable[Expr]) -> Values:
+    """Values of a component, of a tensor of components or of a sum over an index, from the values of its operand."""
+    free, inner = [*part.ufl_free_indices], [*part.ufl_operands[0].ufl_free_indices]
+    named = [i.count() for i in indices if isinstance(i, Index)]
+    if isinstance(part, Indexed):
+        place = tuple(slice(None) if isinstance(i, Index) else int(i) for i in indices)
+        return _index_sum(values[place], named + inner, free)
+    if isinstance(part, ComponentTensor):
+        return _index_sum(values, inner, named + free)
+    shape = [-1 - k for k in range(len(part.ufl_shape))]
+    return _index_sum(values, shape + inner, shape + free)
 
 
 def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
@@ -195,24 +199,24 @@ def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
     return np.einsum(values, [places[name] for name in axes], [places[name] for name in kept])
 
 
-def _broadcast(values: Any, operand: Any, axes: int, free: list[int]) -> Values:
+def _broadcast(values: Values, operand: Expr, axes: int, free: list[int]) -> Values:
     """Reshape values to `axes` shape axes, then one axis per index in `free`, of length 1 if they lack the index."""
     shape = operand.ufl_shape
     sizes = dict(zip(operand.ufl_free_indices, np.shape(values)[len(shape) :], strict=True))
     return np.reshape(values, [*[1] * (axes - len(shape)), *shape, *(sizes.get(name, 1) for name in free)])
 
 
-def _scalar_function(part: Any, values: tuple[Any, ...]) -> Any:
+def _scalar_function(part: Expr, values: tuple[float, ...]) -> float:
     """Evaluate a function of scalars, or a comparison, at numbers; NaN where it is undefined."""
     try:
-        expr = part._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values)))
-        value = expr.evaluate((0.0,), {}, (), {})
-        return value if isinstance(value, (bool, np.bool_)) else _real(value)
+        function = part._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values)))
+        value = function.evaluate((0.0,), {}, (), {})
+        return bool(value) if isinstance(value, (bool, np.bool_)) else _real(value)
     except (ValueError, ZeroDivisionError, OverflowError):
         return math.nan
 
 
-def _real(value: Any) -> float:
+def _real(value: complex) -> float:
     return math.nan if isinstance(value, complex) else float(value)
 
 
@@ -264,7 +268,7 @@ def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
         numeric_law = law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
         point = symbolic(numeric_law, d=3 if law.traits.compiled else len(n))
         stress = in_mandel(point.law.stress(point.law.own_step(point.step)))
-        tangent: Any = expand_derivatives(ufl.diff(stress, point.strain))
+        tangent: Expr = expand_derivatives(ufl.diff(stress, point.strain))
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
             constants = (np.zeros(6 + law.memory), n3, [dt, 1.0], numeric_law.parameter_values())
             inputs = [np.concatenate([e, *constants]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
@@ -276,14 +280,14 @@ def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
 
 def needs_director(law: BulkLaw) -> bool:
     """Whether the stress of a law depends on the director n; kernels declare it (`KernelLaw.isotropic`)."""
-    law_3d: Any = law.in_space
-    return reads_input(law_3d, "n") if law_3d.traits.in_ufl else not law_3d.isotropic
+    law_3d = law.in_space
+    return not law_3d.isotropic if isinstance(law_3d, KernelLaw) else reads_input(law_3d, "n")
 
 
 def depends_on_step_length(law: BulkLaw) -> bool:
     """Whether a law creeps or relaxes, so that its response depends on the step length. Kernels declare it."""
-    law_3d: Any = law.in_space
-    return bool(law_3d.traits.rate or (reads_input(law_3d, "dt") if law_3d.traits.in_ufl else law_3d.relaxes))
+    law_3d = law.in_space
+    return law_3d.traits.rate or (law_3d.relaxes if isinstance(law_3d, KernelLaw) else reads_input(law_3d, "dt"))
 
 
 def is_checked_at_rest(law: BulkLaw) -> bool:
@@ -323,9 +327,9 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
     A, of = (C[np.ix_(slots, slots)], "(of C)") if n is None else (acoustic_tensor(C, n), "across the layer (of n.C.n)")
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
     if lowest < -EIGENVALUE_TOLERANCE * size:
-        details = f"the smallest eigenvalue {of} is {lowest:.4g}, the largest entry of C {size:.4g}; allowed: >= 0"
-        remedy = "Check the signs of the stress and of the parameters (real ones)"
-        raise InputError(f"{type(law).__name__}: the stiffness at rest is negative, {details}. {remedy}")
+        details = f"the smallest eigenvalue {of} is {lowest:.4g}, the largest entry of C {size:.4g}"
+        what = f"{type(law).__name__}: the stiffness at rest is negative, {details}"
+        raise InputError(f"{what}; allowed: >= 0. Check the signs of the stress and of the parameters")
 
 
 def symmetric_mandel(a: Array) -> Array:

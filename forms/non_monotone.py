@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from functools import partial
+from typing import ClassVar
 
 import numpy as np
 import ufl
 
 from forms.base import Array, InputError, is_finite
 from forms.elastic import IsotropicLaw, lame_stress
-from forms.law import Step
+from forms.law import ChangeParameter, Step
+from forms.parameter_fields import ParameterValue
 from forms.temperature import (
     TemperatureField,
     TemperatureFunction,
@@ -23,6 +25,8 @@ from forms.temperature import (
 )
 from forms.tensors import Expr, layer_frame, three_dimensional
 from forms.viscous import isotropic_energy
+
+PHASE_PARAMETERS = ("alpha", "transformation_energy")  # parameters that may depend on the temperature
 
 
 def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
@@ -88,17 +92,17 @@ class Phases(IsotropicLaw):
 
     def _check_temperature(self) -> None:
         """Check parameters that depend on the temperature; if T is a number, replace functions of T by their values."""
-        functions = [name for name in ("alpha", "transformation_energy") if callable(getattr(self, name))]
+        functions = [name for name in PHASE_PARAMETERS if callable(getattr(self, name))]
         if functions and self.T is None:
-            remedy = "give T, a number or a function (x, t)"
-            raise InputError(f"{type(self).__name__}: {functions[0]} is a function of T; {remedy}")
+            what = f"{type(self).__name__}: {functions[0]} is a function of T"
+            raise InputError(f"{what}; give T, a number or a function (x, t)")
         if self.varies:
             return
         self.require(self.T is None or is_finite(self.T), "T", "a number, a function", repr(self.T))
         for name in functions:
             value = evaluated(self, name, getattr(self, name), np.array([self.T], float))
             object.__setattr__(self, name, float(value[0]))
-        self._check_phases(self.alpha, self.transformation_energy, lambda k: "")
+        self._check_phases({name: np.array([getattr(self, name)], float) for name in PHASE_PARAMETERS}, lambda k: "")
 
     def plane_stress(self) -> Phases:
         """The law with the modulus lmbda of plane stress; chi acts in the plane, and all phases have equal moduli."""
@@ -108,10 +112,9 @@ class Phases(IsotropicLaw):
     def check_dimension(self, d: int) -> None:
         self.require(len(self.chi) == d, "shape of chi", f"({d}, {d}) in a model of dimension {d}", self.chi.shape)
 
-    def _check_phases(self, alpha: Any, transformation_energy: Any, where: Callable[[int], str]) -> None:
-        """Raise InputError unless these values, (n,) or numbers, are in range; `where(k)` names the k-th place."""
-        for name, values in {"alpha": alpha, "transformation_energy": transformation_energy}.items():
-            values = np.ravel(values).astype(float)
+    def _check_phases(self, phases: Mapping[str, Array], where: Callable[[int], str]) -> None:
+        """Raise InputError unless `PHASE_PARAMETERS`, values (n,), are in range; `where(k)` names the k-th place."""
+        for name, values in phases.items():
             bad = np.flatnonzero(~((values > 0) & np.isfinite(values)))
             for k in bad[np.argsort(values[bad])][:1]:
                 self.require(False, name + where(k), "> 0", f"{values[k]:g}")
@@ -120,30 +123,32 @@ class Phases(IsotropicLaw):
     def varies(self) -> bool:
         return callable(self.T)
 
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, ParameterValue]:
         values = super().parameters()
         if self.varies:
-            return values | dict.fromkeys(("alpha", "transformation_energy", "T"), math.nan)
+            return values | dict.fromkeys(self.functions, math.nan)
         return values | {"T": 0.0} if self.T is None else values
 
     def at(self, x: Array, t: float) -> dict[str, Array]:
-        if not self.varies:
+        if not callable(self.T):
             return {}
         it = "T(x, t) must be a numpy function of places (d, n) and a time that gives n temperatures"
-        T: Any = self.T
-        T = checked_values(f"{type(self).__name__}: T", T, x, t, it=it, where=lambda k: place_and_time_text(x, t, k))
-        values = {name: evaluated(self, name, getattr(self, name), T) for name in ("alpha", "transformation_energy")}
-        self._check_phases(values["alpha"], values["transformation_energy"], lambda k: place_and_time_text(x, t, k))
+        where = partial(place_and_time_text, x, t)
+        T = checked_values(f"{type(self).__name__}: T", self.T, x, t, it=it, where=where)
+        values = {name: evaluated(self, name, getattr(self, name), T) for name in PHASE_PARAMETERS}
+        self._check_phases(values, where)
         return values | {"T": T}
 
-    def mapped(self, change: Callable[[Any, float], Any]) -> Phases:
+    def mapped(self, change: ChangeParameter) -> Phases:
         law = super().mapped(change)
         if not self.varies:
             return law.with_parameters({"T": None})
-        functions = {name: self._mapped_function(name, change) for name in ("alpha", "transformation_energy")}
+        functions = {name: self._mapped_function(name, change) for name in PHASE_PARAMETERS}
         return law.with_parameters(functions | {"T": self.T})
 
-    def _mapped_function(self, name: str, change: Callable[[Any, float], Any]) -> float | TemperatureFunction:
+    def _mapped_function(
+        self, name: str, change: ChangeParameter
+    ) -> ParameterValue | Callable[[Array], ParameterValue]:
         parameter, power = getattr(self, name), self.powers.get(name, 0)
         return (lambda T: change(real_values(parameter(T)), power)) if callable(parameter) else change(parameter, power)
 
@@ -201,10 +206,9 @@ class NonMonotone(Phases):
         object.__setattr__(self, "G", lamination_gain(self.lmbda, self.mu, self.chi))
         self._check_temperature()
 
-    def _check_phases(self, alpha: Any, transformation_energy: Any, where: Callable[[int], str]) -> None:
-        super()._check_phases(alpha, transformation_energy, where)
-        least = self.mixing * self.G * np.square(alpha) / 2
-        values, least = map(np.ravel, np.broadcast_arrays(transformation_energy, least))
+    def _check_phases(self, phases: Mapping[str, Array], where: Callable[[int], str]) -> None:
+        super()._check_phases(phases, where)
+        values, least = phases["transformation_energy"], self.mixing * self.G * np.square(phases["alpha"]) / 2
         for k in np.flatnonzero(~(values >= least * (1 - 1e-12)))[:1]:
             allowed = f">= mixing alpha^2 G/2 = {least[k]:g}: phases 1 and -1 would mix"
             self.require(False, f"transformation_energy{where(k)}", allowed, f"{values[k]:g}")

@@ -6,14 +6,17 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from forms.base import Array, InputError, is_number
+from forms.tensors import Expr
 
 MAX_CHECKED_PLACES = 1000  # number of places at which parameters are checked in addition to their extremes
-Parameter = float | Callable[[Array], Any]  # a number, or a numpy function of places (d, n) that gives n values
+Combine = Callable[[float, float], float]  # an operator of two numbers or arrays
+FieldOperator = Callable[["ParameterField", object], "ParameterField"]
 
 
 class ParameterRangeError(InputError):
@@ -24,7 +27,7 @@ class ParameterRangeError(InputError):
         self.k = k
 
 
-def _operators(combine: Callable[[Any, Any], Any]) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+def _operators(combine: Combine) -> tuple[FieldOperator, FieldOperator]:
     """Operator methods of `ParameterField` with the other operand on its right, and on its left."""
     return lambda self, other: self._with(combine, other), lambda self, other: self._with(combine, other, turned=True)
 
@@ -38,8 +41,8 @@ class ParameterField:
         operands: parameter fields and numbers whose values are the function's arguments; (): a function of coordinates.
     """
 
-    function: Callable[..., Any]
-    operands: tuple[Any, ...] = ()
+    function: Callable[..., npt.ArrayLike]
+    operands: tuple[ParameterField | float, ...] = ()
     __array_ufunc__: ClassVar[None] = None  # numpy scalars leave arithmetic to this class
 
     def __call__(self, x: Array) -> Array:
@@ -67,12 +70,12 @@ class ParameterField:
         name = getattr(self.function, "__qualname__", type(self.function).__name__)
         return f"{name}({', '.join(map(repr, self.operands)) or 'x'})"
 
-    def _with(self, combine: Callable[[Any, Any], Any], other: Any, *, turned: bool = False) -> Any:
-        numeric = is_number(other) or (isinstance(other, np.ndarray) and not other.ndim and other.dtype.kind in "iuf")
-        if not (isinstance(other, ParameterField) or numeric):
+    def _with(self, combine: Combine, other: object, *, turned: bool = False) -> ParameterField:
+        value = other[()] if isinstance(other, np.ndarray) and not other.ndim else other
+        if not (isinstance(value, ParameterField) or is_number(value)):
             return NotImplemented
-        other = other if isinstance(other, ParameterField) else float(other)
-        return ParameterField(combine, (other, self) if turned else (self, other))
+        operand = value if isinstance(value, ParameterField) else float(value)
+        return ParameterField(combine, (operand, self) if turned else (self, operand))
 
     __add__, __radd__ = _operators(operator.add)
     __sub__, __rsub__ = _operators(operator.sub)
@@ -80,19 +83,25 @@ class ParameterField:
     __truediv__, __rtruediv__ = _operators(operator.truediv)
 
 
-def is_field(value: Any) -> bool:
-    """Whether a parameter is a function of the place."""
-    return isinstance(value, ParameterField)
+# what a user may give for a scalar parameter: a number, or a numpy function of places (d, n) that gives n values
+Parameter = float | Callable[[Array], npt.ArrayLike]
+# what a law may have: numbers, a function of the place, or UFL, to which `Constant` and `Function` of DOLFINx belong
+ParameterValue: TypeAlias = float | Array | ParameterField | Expr
 
 
-def as_parameter_field(value: Any) -> Any:
+def as_parameter_field(value: Parameter) -> float | ParameterField:
     """Wrap a function as a `ParameterField`; return other values unchanged."""
     return ParameterField(value) if callable(value) and not isinstance(value, ParameterField) else value
 
 
-def parameter_numbers(value: Any) -> Array:
+def parameter_numbers(value: ParameterValue) -> Array:
     """A parameter as numbers; NaN for a `ParameterField`."""
     return np.asarray(np.nan if isinstance(value, ParameterField) else value, float)
+
+
+def failure_text(what: str, x: Array, error: Exception) -> str:
+    """Text for messages: `what`, a user's function of x, has failed with this error."""
+    return f"{what} fails for an array of shape {x.shape}: {type(error).__name__}: {error}"
 
 
 def place_text(x: Array, k: int) -> str:

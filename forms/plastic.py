@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import ufl
 
 from forms.elastic import IsotropicLaw, LinearElastic, lame_stress
 from forms.kernel import KernelLaw
-from forms.law import BulkLaw, Step, choice, require_positive
+from forms.law import Step, choice, require_nonnegative, require_positive
 from forms.parameter_fields import Parameter
 from forms.tensors import Expr, three_dimensional
 from forms.traits import warn_of_range
@@ -21,13 +21,11 @@ MIN_FRICTION_ANGLE_DEGREES = 1.6  # degrees; smaller friction angles were probab
 MIN_ELASTIC_FRACTION = 1e-6  # smallest elastic fraction of the stiffness in continuation, as ease tends to 0
 
 
-def require_hardening(law: BulkLaw, *names: str) -> None:
+def require_hardening(law: Plastic | VonMises, *names: str) -> None:
     """Raise InputError unless these parameters and the saturation strain are >= 0, the latter > 0 if it is used."""
-    for name in (*names, "saturation_strain"):
-        value = law.parameters()[name]
-        law.require(math.isfinite(value) and value >= 0, name, ">= 0, finite", value)
-    strain, saturation = (law.parameters()[name] for name in ("saturation_strain", "saturation"))
-    law.require(strain > 0 or saturation == 0, "saturation_strain", "> 0 where saturation > 0", strain)
+    require_nonnegative(law, *names, "saturation_strain")
+    in_range = law.saturation_strain > 0 or law.saturation == 0
+    law.require(in_range, "saturation_strain", "> 0 where saturation > 0")
 
 
 @dataclass(frozen=True)
@@ -70,15 +68,16 @@ class Plastic(IsotropicLaw):
 
     def check(self) -> None:
         super().check()
-        self.require(math.isfinite(self.cohesion) and self.cohesion >= 0, "cohesion", ">= 0, finite")
+        require_nonnegative(self, "cohesion")
         self.require(0 <= self.friction_angle < 90, "friction_angle", "0 <= friction_angle < 90 degrees")
-        if 0 < self.friction_angle < MIN_FRICTION_ANGLE_DEGREES:
-            angle = self.friction_angle
-            hint = f"angles are in degrees: {angle:g} radians would be friction_angle = {math.degrees(angle):.4g}"
-            what = f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction"
-            warn_of_range("friction angle", f"{what}; {hint}")
+        angle = self.friction_angle
+        if 0 < angle < MIN_FRICTION_ANGLE_DEGREES:
+            what = (
+                f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction; if it is in radians"
+            )
+            warn_of_range("friction angle", f"{what}, give friction_angle = {math.degrees(angle):.4g} degrees")
         allowed = "> 0 where friction_angle = 0: nothing would resist shear"
-        self.require(self.cohesion > 0 or self.friction_angle > 0, "cohesion", allowed)
+        self.require(self.cohesion > 0 or angle > 0, "cohesion", allowed)
         self.require(0 <= self.elastic_fraction < 1, "elastic_fraction", "0 <= elastic_fraction < 1")
         require_hardening(self, "hardening", "saturation")
 
@@ -271,7 +270,7 @@ class VonMises(KernelLaw, IsotropicLaw):
     source: ClassVar = Path(__file__).with_name("von_mises.c")
 
     @classmethod
-    def young(cls, E: Parameter, nu: Parameter, strength: Parameter, **hardening: Any) -> VonMises:
+    def young(cls, E: Parameter, nu: Parameter, strength: Parameter, **hardening: Parameter) -> VonMises:
         """The law with Young's modulus and Poisson's ratio, see `LinearElastic.young`."""
         elastic = LinearElastic.young(E, nu)
         return cls(elastic.lmbda, elastic.mu, strength, **hardening)  # type: ignore[arg-type]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from forms.base import Array
 from forms.elastic import IsotropicLaw, LinearElastic, LinearLaw, lame_stress, poisson_ratio
 from forms.ends.constants import free_end
 from forms.ends.weights import EndStrips, EndWeights, pressure_stations_at_ends
 from forms.law import Step, require_positive
-from forms.stations import Station, pressure_stations
+from forms.stations import AnyStation, pressure_stations
 from forms.tensors import Expr, isotropic_tensor
 
 
@@ -26,14 +26,14 @@ class PressureLaw(LinearLaw):
         """Stress without the pressure term p I."""
         return lame_stress(0, self.mu, step.mid)
 
-    def stations(self) -> list[Station[Any]]:
+    def stations(self) -> list[AnyStation]:
         """Stations with a pressure field on S, whose gradient drives a flow along S."""
         return pressure_stations(self)
 
     def end_strips(self) -> EndStrips | None:
         return None if self.fields else EndStrips.with_pressure(free_end(self._nu))
 
-    def stations_at_ends(self, weights: EndWeights) -> list[Station[Any]]:
+    def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
         return pressure_stations_at_ends(self, weights)
 
 
@@ -100,8 +100,7 @@ class Rubber(PressureLaw, IsotropicLaw):
         return cls(LinearElastic.shear(mu, nu).lmbda, mu)
 
     def check(self) -> None:
-        hint = "> 0 (for other layers there is LinearElastic)"
-        self.require(math.isfinite(self.lmbda) and self.lmbda > 0, "lmbda", hint)
+        self.require(0 < self.lmbda < math.inf, "lmbda", "> 0 (other layers: LinearElastic)")
         require_positive(self, "mu")
 
     @property

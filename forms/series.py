@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import ufl
 
 from forms.base import Array, InputError, is_integer, require
 from forms.elastic import LinearElastic
-from forms.law import BulkLaw
-from forms.parameter_fields import ParameterField
-from forms.stations import Faces, Station
+from forms.law import ORDER_0_REMEDY, BulkLaw, ChangeParameter
+from forms.parameter_fields import ParameterField, ParameterValue
+from forms.stations import AnyStation, Faces, Station
 from forms.tensors import Expr, jump_strain, three_dimensional
 from forms.traits import Traits, require_declarations
 
@@ -55,7 +55,7 @@ class EqualTractionSublayers(AveragedElastic):
         return (ufl.dot(n, ufl.dot(across, n)) + stretch) * faces.normal + jump_strain(shear, n)
 
 
-def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]]:
+def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
     """Stations of isotropic elastic sublayers, from the lower to the upper face.
 
     Displacements through the layer are <u> + Phi [u]. The sublayers share the jump as at order 0: Phi_N along n and
@@ -73,7 +73,7 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]
     """
     fractions, moduli = [a for a, _ in sublayers], [law.elastic_moduli() for _, law in sublayers]
 
-    def mean(values: Iterable[Any]) -> Any:
+    def mean(values: Iterable[float]) -> float:
         return sum(a * value for a, value in zip(fractions, values, strict=True))
 
     stiffness, mu = [lmbda + 2 * mu for lmbda, mu in moduli], [mu for _, mu in moduli]
@@ -88,17 +88,15 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[Station[Any]
         squared.append(at_t * at_t + at_t * step_t + step_t * step_t / 3)
         at_n, at_t = at_n + step_n, at_t + step_t
 
-    def times(first: list[Any], second: list[Any]) -> list[Any]:
+    def times(first: list[float], second: list[float]) -> list[float]:
         return [a * b for a, b in zip(first, second, strict=True)]
 
-    def along(phi: float, shares: list[Any]) -> Station:
+    def along(phi: float, shares: list[float]) -> AnyStation:
         law = AveragedElastic(2 * mean(times(times(shares, r), mu)), mean(times(shares, mu)))
         return Station(law, 1, lambda law, faces: faces.in_s(faces.mean + phi * faces.difference))
 
-    of_phi = {"normal": normal, "tangential": tangential}
-    lateral = {"lateral": r, "lateral_normal": times(r, normal), "lateral_tangential": times(r, tangential)}
-    means = {name: mean(values) for name, values in (lateral | of_phi).items()}
-    across = EqualTractionSublayers(whole - 2 * sheared, sheared, **means)
+    means = map(mean, (r, times(r, normal), times(r, tangential), normal, tangential))
+    across = EqualTractionSublayers(whole - 2 * sheared, sheared, *means)
     return [
         Station(across, 1, lambda law, faces: law.strain(faces)),
         along(-0.5, [2 * p - q for p, q in zip(squared, tangential, strict=True)]),
@@ -144,10 +142,9 @@ class Stack(BulkLaw):
     def check(self) -> None:
         self.require(len(self.laws) > 0, "number of sublayers", ">= 1", 0)
         self.require(min(self.fractions) > 0, "fractions", "each > 0")
-        total = sum(self.fractions)
+        total, allowed = sum(self.fractions), "laws that give a stress for a strain, point by point"
         self.require(abs(total - 1) < 1e-12, "sum of the fractions", "1", total)
         for law in self.laws:
-            allowed = "laws that give a stress for a strain, point by point"
             self.require(isinstance(law, BulkLaw) and law.traits.in_series, "a sublayer", allowed, law)
 
     @classmethod
@@ -197,23 +194,22 @@ class Stack(BulkLaw):
     def homotopy(self, ease: float) -> Stack:
         return self.with_laws([law.homotopy(ease) for law in self.laws])
 
-    def stations(self) -> list[Station[Any]]:
+    def stations(self) -> list[AnyStation]:
         if len(self.laws) == 1:
             return self.laws[0].stations()
         if self.fields:
-            why = "the sublayers' shares of the jump would change along S"
-            remedy = "use order=0, or mesh the layer (structure.full)"
-            raise InputError(f"order=1 of a Stack with parameters that are functions: {why}; {remedy}")
+            what = "order=1 of a Stack with parameters that are functions"
+            raise InputError(f"{what}: the sublayers' shares of the jump would change along S; {ORDER_0_REMEDY}")
         return in_series(self.sublayers)
 
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:
         """The same fractions with other laws, unchecked."""
         return self.with_parameters({"laws": tuple(laws)})
 
-    def mapped(self, change: Callable[[Any, float], Any]) -> Stack:
+    def mapped(self, change: ChangeParameter) -> Stack:
         return self.with_laws([law.mapped(change) for law in self.laws])
 
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, ParameterValue]:
         """Parameters of all sublayers; "0.mu" is the mu of the lowest sublayer."""
         return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.parameters().items()}
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import ufl
 
 from forms.tensors import Expr, jump_strain, three_dimensional
+
+if TYPE_CHECKING:
+    from forms.rubber import PressureLaw
 
 LawType = TypeVar("LawType")  # a law of strains, `forms.law.BulkLaw`
 GAUSS_HEIGHTS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/2 to 1/2, through the thickness
@@ -70,7 +73,7 @@ class Faces:
         along = ufl.Identity(3) - self.normal
         return along * e * along
 
-    def split(self, normal: Any, tangential: Any) -> Faces:
+    def split(self, normal: Expr, tangential: Expr) -> Faces:
         """The same faces with the jump multiplied by `normal` along n and by `tangential` along S."""
         n = self.n
         jump = tangential * self.jump + (normal - tangential) * ufl.dot(n, self.jump) * n
@@ -92,10 +95,13 @@ class Station(Generic[LawType]):
     """
 
     law: LawType
-    share: Any
+    share: float
     strain: Callable[[LawType, Faces], Expr]
     flow: Callable[[LawType], Expr] = lambda law: 0
     largest_ratio: float = math.inf
+
+
+AnyStation = Station[Any]  # of a law of any class; a list of stations may have laws of several
 
 
 def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | None = None) -> list[Station[LawType]]:
@@ -116,7 +122,7 @@ def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | 
     return [Station(law, 1 / 2, at(z), largest_ratio=largest_ratio) for z in GAUSS_HEIGHTS]
 
 
-def pressure_stations(law: Any) -> list[Station[Any]]:
+def pressure_stations(law: PressureLaw) -> list[AnyStation]:
     """Stations of a law with the shear modulus mu and a pressure field on S.
 
     The first station has the mean strain, and a gradient of the pressure lets the layer flow along S. The second has

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from forms.base import Array, InputError, require
-from forms.parameter_fields import place_text
+from forms.parameter_fields import failure_text, place_text
 
-TemperatureFunction = Callable[[Any], Any]  # (n,) temperatures -> (n,) values, numpy
-TemperatureField = Callable[[Any, float], Any]  # places (d, n), time -> (n,) temperatures, numpy
+TemperatureFunction = Callable[[Array], npt.ArrayLike]  # (n,) temperatures -> (n,) values, numpy
+TemperatureField = Callable[[Array, float], npt.ArrayLike]  # places (d, n), time -> (n,) temperatures, numpy
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Tabulated:
             raise InputError(f"Tabulated needs two or more finite pairs (T, value) with T increasing, not {values!r}")
         object.__setattr__(self, "values", tuple((float(T), float(value)) for T, value in rows))
 
-    def __call__(self, T: Any) -> Array:
+    def __call__(self, T: npt.ArrayLike) -> Array:
         """Values (n,) at temperatures (n,)."""
         require(np.asarray(T).dtype.kind in "iuf", "T", T, "a table is a function of temperatures, numbers")
         T, rows = np.asarray(T, float), np.array(self.values)
@@ -48,7 +48,7 @@ class Tabulated:
         return np.asarray(np.interp(T, rows[:, 0], rows[:, 1]))
 
 
-def real_values(values: Any) -> Array:
+def real_values(values: object) -> Array:
     """Convert to float64; raise TypeError for complex and boolean values, which numpy would convert silently."""
     array = np.asarray(values)
     if array.dtype.kind not in "iuf":
@@ -59,7 +59,7 @@ def real_values(values: Any) -> Array:
     return array.astype(float)
 
 
-def finite_values(values: Any, *shapes: tuple[int, ...]) -> Array | None:
+def finite_values(values: object, *shapes: tuple[int, ...]) -> Array | None:
     """Values as an array, or None unless they are finite real numbers of one of `shapes` (a first -1 is any length)."""
     try:
         array = real_values(values)
@@ -75,7 +75,7 @@ def place_and_time_text(x: Array, t: float, k: int) -> str:
 
 
 def checked_values(
-    what: str, function: Callable[..., Any], x: Array, *more: Any, it: str, where: Callable[[int], str]
+    what: str, function: Callable[..., npt.ArrayLike], x: Array, *more: object, it: str, where: Callable[[int], str]
 ) -> Array:
     """Values (n,) of a user's function at x, (n,) or (d, n).
 
@@ -95,13 +95,13 @@ def checked_values(
     except InputError as error:
         raise InputError(f"{what}: {error}") from None
     except Exception as error:
-        raise InputError(f"{what} fails for an array {x.shape}: {type(error).__name__}: {error}; {it}") from error
+        raise InputError(f"{failure_text(what, x, error)}; {it}") from error
     for k in np.flatnonzero(~np.isfinite(values))[:1]:
         raise InputError(f"{what} is {values[k]}{where(int(k))}; {it}")
     return values
 
 
-def evaluated(law: object, name: str, parameter: float | TemperatureFunction, T: Array) -> Any:
+def evaluated(law: object, name: str, parameter: float | TemperatureFunction, T: Array) -> Array:
     """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,)."""
     if not callable(parameter):
         return np.full(len(T), float(parameter))

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import ufl
+from ufl.core.expr import Expr
 
 from forms.base import Array
-
-Expr = Any  # a UFL expression; ufl's own types are not annotated
 
 
 def three_dimensional(a: Expr) -> Expr:
@@ -36,9 +34,8 @@ MANDEL_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 SQRT2 = 2.0**0.5
 # (6, 3, 3) symmetric tensors of norm 1
 MANDEL_BASIS = np.array([np.outer(np.eye(3)[i], np.eye(3)[j]) for i, j in MANDEL_PAIRS])
-MANDEL_BASIS = (MANDEL_BASIS + MANDEL_BASIS.swapaxes(1, 2)) / np.linalg.norm(
-    MANDEL_BASIS + MANDEL_BASIS.swapaxes(1, 2), axis=(1, 2), keepdims=True
-)
+MANDEL_BASIS += MANDEL_BASIS.swapaxes(1, 2)
+MANDEL_BASIS /= np.linalg.norm(MANDEL_BASIS, axis=(1, 2), keepdims=True)
 
 
 def mandel_vectors(tensors: Array) -> Array:

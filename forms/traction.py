@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache, cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import ufl
 
@@ -57,7 +57,7 @@ class TractionLaw(Law):
         return super()._traits_of_methods() | traits
 
     def as_bulk_law(self) -> BulkLaw:
-        kind: Any = type(self)
+        kind: type = type(self)
         return _bulk_law_class(kind)(self)
 
     def traction(self, step: JumpStep) -> Expr:
@@ -108,6 +108,6 @@ class TractionAsBulkLaw(WrappedLaw):
 
 
 @cache
-def _bulk_law_class(kind: Any) -> type[TractionAsBulkLaw]:
+def _bulk_law_class(kind: type) -> type[TractionAsBulkLaw]:
     """Subclass of `TractionAsBulkLaw` with the name and module of a class of traction laws, for messages and keys."""
     return type(kind.__name__, (TractionAsBulkLaw,), {"__module__": kind.__module__, "__qualname__": kind.__qualname__})

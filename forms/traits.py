@@ -8,11 +8,14 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from forms.base import PACKAGES, InputError, is_finite, require
+
+if TYPE_CHECKING:
+    from forms.law import Law
 
 # modules of the base classes, whose attributes are the defaults of all laws
 DEFAULT_MODULES = tuple(f"forms.{name}" for name in ("law", "traction", "kernel", "contact", "series"))
@@ -57,7 +60,7 @@ def show_warnings() -> None:
         logging.captureWarnings(False)
 
 
-def accept_renamed(kind: Any, new_names: Mapping[str, str]) -> None:
+def accept_renamed(kind: type, new_names: Mapping[str, str]) -> None:
     """Copy attributes that a class defines under names of version 1.0 to their new names, with a DeprecationWarning."""
     for old, new in new_names.items():
         if old in vars(kind):
@@ -65,7 +68,7 @@ def accept_renamed(kind: Any, new_names: Mapping[str, str]) -> None:
             setattr(kind, new, vars(kind)[old])
 
 
-def reset_inherited(kind: Any) -> None:
+def reset_inherited(kind: type[Law]) -> None:
     """Reset inherited attributes of a class to the defaults if they were written for another stress than its own.
 
     Attributes that the class itself defines stay, also `plane_stress = Parent.plane_stress`. Traits that are checked or
@@ -82,10 +85,10 @@ def reset_inherited(kind: Any) -> None:
         for name in written:
             _reset(kind, name)
     if _own(kind, "quadratic") and _place(kind, "energy") < _place(kind, "quadratic"):
-        kind.quadratic = False
+        _reset(kind, "quadratic", False)
 
 
-def _is_for_another_stress(kind: Any, name: str, responses: tuple[str, ...]) -> bool:
+def _is_for_another_stress(kind: type, name: str, responses: tuple[str, ...]) -> bool:
     """Whether a class inherits this attribute from a class with another stress or traction.
 
     An attribute of a base class without a stress belongs to the first stress that a subclass defines. Adding internal
@@ -99,49 +102,48 @@ def _is_for_another_stress(kind: Any, name: str, responses: tuple[str, ...]) -> 
     return any(before.get(key) is not now.get(key) for key in responses if key in before or key not in UPDATE_METHODS)
 
 
-def _responses(kind: Any, names: tuple[str, ...]) -> dict[str, Any]:
+def _responses(kind: type, names: tuple[str, ...]) -> dict[str, object]:
     """Attributes of a class with these names, except the defaults of all laws."""
     return {name: inspect.getattr_static(kind, name) for name in names if _own(kind, name)}
 
 
-def _place(kind: Any, name: str) -> int:
+def _place(kind: type, name: str) -> int:
     """Position in the method resolution order of the class that defines this name; 0 is the class itself."""
     return next((k for k, base in enumerate(kind.__mro__) if name in vars(base)), len(kind.__mro__))
 
 
-def _reset(kind: Any, name: str) -> None:
-    """Reset an attribute of a class to the default of all laws."""
+def _reset(kind: type, name: str, default: object = None) -> None:
+    """Reset an attribute of a class to the default of all laws, or to `default` if they have none."""
     defaults = (vars(base)[name] for base in kind.__mro__ if base.__module__ in DEFAULT_MODULES and name in vars(base))
-    setattr(kind, name, next(defaults, None))
+    setattr(kind, name, next(defaults, default))
 
 
-def require_declarations(law: Any) -> None:
+def require_declarations(law: Law) -> None:
     """Raise InputError unless the declarations of a law's class fit its parameters and methods."""
-    kind, parameters = type(law), law.parameters()
-    field_names = [n for n, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
-    if field_names and "__dataclass_params__" not in vars(kind):  # its constructor does not take them
-        raise InputError(f"{kind.__name__} is not a dataclass: write @dataclass(frozen=True) above the class")
-    for name, power in law.powers.items():
-        if name not in parameters:
-            raise InputError(f"{kind.__name__}: powers has {name!r}; parameters: {', '.join(parameters) or 'none'}")
-        require(is_finite(power), f"{kind.__name__}: the power of {name}", power, "allowed: a finite number")
-    for name, shape in law.internal.items():
+    kind, name, parameters = type(law), type(law).__name__, law.parameters()
+    declared = [field_name for field_name, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
+    if declared and "__dataclass_params__" not in vars(kind):  # its constructor does not take them
+        raise InputError(f"{name} is not a dataclass: write @dataclass(frozen=True) above the class")
+    for parameter, power in law.powers.items():
+        if parameter not in parameters:
+            raise InputError(f"{name}: powers has {parameter!r}; parameters: {', '.join(parameters) or 'none'}")
+        require(is_finite(power), f"{name}: the power of {parameter}", power, "allowed: a finite number")
+    for variable, shape in law.internal.items():
         if shape not in VARIABLE_SIZES:
             allowed = ", ".join(map(str, VARIABLE_SIZES))
-            raise InputError(f"{kind.__name__}: internal variable {name!r} has the shape {shape!r}; allowed: {allowed}")
+            raise InputError(f"{name}: internal variable {variable!r} has the shape {shape!r}; allowed: {allowed}")
     _require_used(law)
 
 
-def _require_used(law: Any) -> None:
+def _require_used(law: Law) -> None:
     """Raise InputError for methods and attributes that would be silently ignored."""
     kind, name = type(law), type(law).__name__
     defining = min(_place(kind, attribute) for attribute in ("source", "ignored"))
     for method in kind.ignored:
         if _own(kind, method) and _place(kind, method) < defining:
             source = f"the source, sublayers or the traction of {kind.__mro__[defining].__name__}"
-            why = f"the stress comes from {source}; change those, or write a BulkLaw"
-            raise InputError(f"{name} has a method {method} that is never called: {why}")
-    advancing = [method for method in ("advance", "evolve") if _own(kind, method)]
+            raise InputError(f"{name} has a method {method} that is never called: change {source}, or write a BulkLaw")
+    advancing = [method for method in UPDATE_METHODS if _own(kind, method)]
     if advancing and not law.internal:
         raise InputError(f"{name} has a method {advancing[0]} but no internal variables: internal = {{name: shape}}")
     if (_own(kind, "dissipation") or _own(kind, "dissipated")) and not law.traits.has_energy:
@@ -150,7 +152,7 @@ def _require_used(law: Any) -> None:
         raise InputError(f"{name} has a method at, but no parameters vary; write varies = True in the class")
 
 
-def _own(kind: Any, name: str) -> bool:
+def _own(kind: type, name: str) -> bool:
     """Whether an attribute of a class differs from the default of all laws."""
     defining = next((base for base in kind.__mro__ if name in vars(base)), None)
     if defining is None or defining.__module__ in DEFAULT_MODULES:
@@ -158,7 +160,7 @@ def _own(kind: Any, name: str) -> bool:
     return getattr(vars(defining)[name], "__module__", None) not in DEFAULT_MODULES  # as restored by `_reset`
 
 
-def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> Any:
+def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> bool:
     """Declare a field of `Traits`: `fold` combines the values of sublayers in a Stack; `default` if not declared."""
     return field(default=default, metadata={"fold": fold})
 
@@ -234,12 +236,12 @@ class Traits:
         """
         declared = {f.name: getattr(law, f.name, f.default) for f in fields(cls) if f.name not in of_methods}
         for name, value in declared.items():
-            good = isinstance(value, bool | np.bool_)
-            require(good, f"{type(law).__name__}: {name}", value, "a trait is True or False")
+            where = f"{type(law).__name__}: {name}"
+            require(isinstance(value, bool | np.bool_), where, value, "a trait is True or False")
         return cls(**{name: bool(value) for name, value in (declared | of_methods).items()})
 
     @classmethod
     def of_series(cls, sublayers: Iterable[Traits]) -> Traits:
         """Traits of a Stack from the traits of its sublayers."""
         stack = list(sublayers)
-        return cls(**{f.name: f.metadata["fold"](getattr(sublayer, f.name) for sublayer in stack) for f in fields(cls)})
+        return cls(**{f.name: f.metadata["fold"](getattr(each, f.name) for each in stack) for f in fields(cls)})

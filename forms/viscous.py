@@ -10,7 +10,7 @@ from typing import ClassVar
 import ufl
 
 from forms.elastic import IsotropicLaw, lame_stress
-from forms.law import Step, require_positive
+from forms.law import Step, require_nonnegative, require_positive
 from forms.tensors import Expr
 
 # largest tangent of a power-law dashpot in a step, over the modulus of its spring; stiffer dashpots are made linear
@@ -67,7 +67,7 @@ class KelvinVoigt(ParallelDashpot):
         super().check()
         require_positive(self, "theta_mu")
         bulk = self.lmbda * self.theta_lmbda + 2 / 3 * self.mu * self.theta_mu
-        self.require(math.isfinite(bulk) and bulk >= 0, "theta_lmbda", "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0")
+        self.require(0 <= bulk < math.inf, "theta_lmbda", "lmbda theta_lmbda + 2 mu theta_mu/3 >= 0")
 
     @property
     def own_times(self) -> tuple[float, ...]:
@@ -157,9 +157,8 @@ class Maxwell(SeriesDashpot):
         require_positive(self, "t1")
         nu = self.lmbda / (2 * (self.lmbda + self.mu))
         bound = 3 * nu * self.t1 / (1 + nu)
-        allowed = f"> 0 and >= 3 nu t1/(1 + nu) = {bound:g}"
-        t2 = self.t2
-        self.require(t2 is not None and math.isfinite(t2) and t2 > 0 and t2 >= bound, "t2", allowed, t2)
+        in_range = self.t2 is not None and bound <= self.t2 < math.inf and self.t2 > 0
+        self.require(in_range, "t2", f"> 0 and >= 3 nu t1/(1 + nu) = {bound:g}")
 
     @property
     def _volumetric_rate(self) -> Expr:
@@ -215,8 +214,8 @@ class Norton(ParallelDashpot):
     def check(self) -> None:
         super().check()
         require_positive(self, "eta")
-        self.require(math.isfinite(self.rest) and self.rest >= 0, "rest", ">= 0")
-        self.require(math.isfinite(self.p) and self.p > 1, "p", "> 1")
+        require_nonnegative(self, "rest")
+        self.require(1 < self.p < math.inf, "p", "> 1")
 
     def _viscous(self, step: Step) -> Expr:
         dt: Expr = step.dt
@@ -254,7 +253,7 @@ class NortonCreep(SeriesDashpot):
     def check(self) -> None:
         super().check()
         require_positive(self, "A")
-        self.require(math.isfinite(self.n) and self.n >= 1, "n", ">= 1")
+        self.require(1 <= self.n < math.inf, "n", ">= 1")
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:
         """Relaxation rates from x = q/q_trial at t + theta dt, the root of x + c x^n = 1, which is convex in x."""

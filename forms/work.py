@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import ufl
 from ufl.classes import Zero
@@ -14,7 +13,7 @@ from forms.base import InputError
 from forms.ends.weights import EndWeights
 from forms.kinematics import PLANE_STRAIN, Kinematics
 from forms.law import BulkLaw, Step, explained_errors, require_shape
-from forms.stations import Faces, Station
+from forms.stations import AnyStation, Faces
 from forms.tensors import Expr, jump_strain, three_dimensional
 
 
@@ -25,8 +24,8 @@ def constant_law(law: BulkLaw) -> BulkLaw:
         InputError: a parameter is a function of the place, which needs a mesh.
     """
     if law.fields:
-        reason = "the sides of S must know their values; use it in a Model, or give `Interface(law_on_surface=...)`"
-        raise InputError(f"order=1 of {type(law).__name__} with parameters that are functions: {reason}")
+        what = f"order=1 of {type(law).__name__} with parameters that are functions"
+        raise InputError(f"{what}: use it in a Model, or give `Interface(law_on_surface=...)`")
     return law
 
 
@@ -124,7 +123,7 @@ class Interface:
         return cls(measure, x, n, fibre, InterfaceSide(upper.restrict, back), lower, kinematics.at(x), area)
 
     @property
-    def factor(self) -> Any:
+    def factor(self) -> Expr:
         """Factor of the measure for integrals over S."""
         return self.kinematics.factor * self.area
 
@@ -166,14 +165,14 @@ class Term:
 
     law: BulkLaw
     strain: Callable[[Expr], Expr]
-    weight: Any
+    weight: Expr
     measure: ufl.Measure
     n: Expr | None = None
     prescribed_strain: Expr | None = None
     key: str = ""
     kinematics: Kinematics = PLANE_STRAIN
     volume: int | None = None
-    flow: Any = 0
+    flow: Expr = 0
     traction: Callable[[Expr], Expr] | None = None
 
     def step(self, u: Expr) -> Step:
@@ -253,7 +252,7 @@ def surface(
         unit = ufl.as_vector([float(i == j) for j in range(d)])
         return Faces(n, eps, unit, ufl.zero(d, d), ufl.zero(3, 3), lambda gradient, u: ufl.zero(3, 3), slope)
 
-    def at(station: Station) -> Term:
+    def at(station: AnyStation) -> Term:
         surface_law = sides.law_on_surface(station.law)
         return term(
             station.law,
@@ -271,12 +270,11 @@ def surface(
 
 def with_added_strain(terms: Iterable[Term], strain: Expr) -> list[Term]:
     """Copies of the terms with a strain (3, 3) added to their prescribed strains."""
-    return [
-        replace(
-            p, prescribed_strain=strain if p.prescribed_strain is None else sum_strains(p.prescribed_strain, strain)
-        )
-        for p in terms
-    ]
+
+    def total(prescribed: Expr | None) -> Expr:
+        return strain if prescribed is None else sum_strains(prescribed, strain)
+
+    return [replace(term, prescribed_strain=total(term.prescribed_strain)) for term in terms]
 
 
 def sum_strains(*strains: Expr) -> Expr:
@@ -292,9 +290,9 @@ def stress(term: Term, u: Expr) -> Expr:
 
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:
     """Virtual work of the stresses at u on the strains of v, a UFL form linear in v."""
-    return sum(ufl.inner(stress(p, u), p.strain(v)) * p.weight * p.measure for p in terms)
+    return sum(ufl.inner(stress(term, u), term.strain(v)) * term.weight * term.measure for term in terms)
 
 
 def energy(terms: Iterable[Term], u: Expr) -> Expr:
     """Stored energy of a displacement, a UFL form."""
-    return sum(p.law.energy(p.step(u)) * p.weight * p.measure for p in terms)
+    return sum(term.law.energy(term.step(u)) * term.weight * term.measure for term in terms)

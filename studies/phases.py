@@ -57,8 +57,8 @@ class Formula(TractionLaw):
     @classmethod
     def of(cls, layer: NonMonotone, **changed: float) -> Formula:
         """The interface law of a layer, with some coefficients changed."""
-        parameters = layer.parameters()
-        same = {name: parameters[name] for name in ("mu", "alpha", "G")} | {"C": parameters["transformation_energy"]}
+        names = {"mu": "mu", "alpha": "alpha", "G": "G", "C": "transformation_energy"}
+        same = {name: getattr(layer, parameter) for name, parameter in names.items()}
         same |= {"K_N": layer.lmbda + 2 * layer.mu, "chi_12": layer.chi[0, 1], "chi_22": layer.chi[1, 1]}
         return cls(**same | changed)
 

@@ -89,7 +89,7 @@ def test_functions_that_are_none():
         (ALPHA, lambda T: 5 - T, None, r"transformation_energy at x = \(1, 0.5\), t = 0.5 is -5; allowed: > 0"),
         (lambda T: 0.3 * T, C, None, r"transformation_energy at x = .* is 0.02; allowed: >= mixing alpha\^2 G/2 = "),
         (TABLE, C, lambda x, t: 50 * x[0], r"alpha\(T\): T is 50; the table knows 0 to 40"),
-        (ALPHA, C, lambda x, t: np.zeros(3), r"T fails for an array \(2, 2\)"),
+        (ALPHA, C, lambda x, t: np.zeros(3), r"T fails for an array of shape \(2, 2\)"),
         (ALPHA, C, lambda x, t: np.where(x[0] > 0, np.inf, 1.0), r"T is inf at x = \(1, 0.5\), t = 0.5"),
     ]:
         law = NonMonotone(LMBDA, MU, alpha, energy, CHI2, T=T or (lambda x, t: 5 + 5 * x[0]))

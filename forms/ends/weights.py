@@ -33,16 +33,19 @@ flow factor is therefore the harmonic mean; with the part s of the facet in the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import ufl
 
 from forms.ends.constants import FreeEnd
-from forms.stations import Faces, Station, pressure_stations
+from forms.stations import AnyStation, Faces, Station, pressure_stations
 from forms.tensors import Expr, three_dimensional
 
+if TYPE_CHECKING:
+    from forms.rubber import PressureLaw
+
 OPENING_STRIP_LENGTH = 3.0  # largest length, over the thickness, of the strip that is weaker against openings
-MIN_LINEAR_LENGTH = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
+MIN_SPREADING_LENGTH = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,8 @@ class EndStrips:
         pressure grows linearly over many thicknesses. Narrow S or soft bodies can prevent this. Then the flow within
         5 thicknesses is closer to the flow in an infinite layer, and the strip of the resistance is left out.
         """
-        return self if self.resistance.c >= 0 or length >= MIN_LINEAR_LENGTH else replace(self, resistance=EndStrip())
+        spreads = length >= MIN_SPREADING_LENGTH
+        return self if self.resistance.c >= 0 or spreads else replace(self, resistance=EndStrip())
 
 
 def _of_shear(end: FreeEnd) -> EndStrip:
@@ -130,7 +134,7 @@ class EndWeights:
         root, shear = ufl.sqrt(1 - self.a_T), ufl.sym(ufl.outer(m, n))
         return ((root - 1) * g + (self.f_T / root - 1) * h) * shear, ufl.sqrt(1 - self.f_T**2) / root * h * shear
 
-    def strains(self, faces: Faces, share: Any) -> tuple[Expr, Expr]:
+    def strains(self, faces: Faces, share: Expr) -> tuple[Expr, Expr]:
         """Two strains (3, 3) at which the energies of the isotropic law with lmbda/M = share add up to W."""
         n, across, mean, (first, second) = three_dimensional(faces.n), faces.across(), faces.mean, self.sheared(faces)
         e_N, e_S, root = ufl.dot(n, across * n), faces.in_s(mean), ufl.sqrt(1 - self.a_N)
@@ -140,7 +144,7 @@ class EndWeights:
         return first, second + ufl.sqrt(1 - self.f_N**2) * trace * faces.normal
 
 
-def pressure_stations_at_ends(law: Any, weights: EndWeights) -> list[Station[Any]]:
+def pressure_stations_at_ends(law: PressureLaw, weights: EndWeights) -> list[AnyStation]:
     """Stations as in `forms.stations.pressure_stations`, with the weights of free ends."""
     mean, stiff = pressure_stations(law)
     sheared = replace(

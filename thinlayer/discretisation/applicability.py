@@ -14,6 +14,7 @@ from forms.base import InputError
 from forms.elastic import MAX_FREE_END_NU, MODULUS_RATIO_TOLERANCE, LinearElastic, poisson_ratio
 from forms.law import BulkLaw
 from forms.law_tangents import acoustic_tensor, declared_or_computed_tangent, is_isotropic, tangent_at_rest
+from forms.parameter_fields import parameter_numbers
 from forms.rubber import Rubber
 from forms.tensors import average_lame
 from geometry.refusals import place_text
@@ -146,7 +147,7 @@ class Applicability:
     @cached_property
     def contrast(self) -> float:
         """Least Young's modulus at rest of the bodies on the seam, over the layer's mu."""
-        return softest_body(self.layer) / float(self.law.parameters()["mu"])
+        return softest_body(self.layer) / float(parameter_numbers(self.law.parameters()["mu"]))
 
     @property
     def width(self) -> float:

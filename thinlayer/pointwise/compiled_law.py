@@ -143,7 +143,7 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
 def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
     """Varying parameters of a law at points x (d, n) and time t: name -> (n,)."""
     asked = f"{type(law).__name__}.at(x, t), for x of shape {x.shape}"
-    scalars = [name for name, value in law.parameters().items() if np.ndim(value) == 0]
+    scalars = [name for name, value in law.parameters().items() if parameter_numbers(value).ndim == 0]
     varying = {name: np.asarray(value, float) for name, value in law.at(x.copy(), t).items()}
     if not varying or not varying.keys() <= set(scalars):
         allowed = ", ".join(scalars)
