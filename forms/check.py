@@ -13,7 +13,7 @@ from ufl.classes import Zero
 from ufl.indexed import Indexed
 
 from forms.base import Array, InputError, require
-from forms.law import BulkLaw, Law, Step, explained_errors, require_shape
+from forms.law import BulkLaw, Law, Step, checked_stress, explained_errors, require_shape
 from forms.law_tangents import evaluate, law_identity, symbolic
 from forms.parameter_fields import ParameterField, ParameterValue
 from forms.tensors import Expr, mandel_vector
@@ -21,10 +21,7 @@ from forms.tensors import Expr, mandel_vector
 SAMPLE_STRAINS = (0.01, 0.3)  # sizes of the strains at which laws are evaluated
 RELATIVE_TOLERANCE = 1e-8  # relative difference that counts as rounding
 MIN_NORMAL_NUMBER = 1e-290  # magnitude below which products of numbers have lost digits
-ASYMMETRY_MESSAGE = (
-    "{}: the tangent is not symmetric, it differs from its transpose by {:.1e} of its size; "
-    "write symmetric = False in the class, or correct it"
-)
+ASYMMETRY_MESSAGE = "{}: the tangent is not symmetric (by {:.1e} of its size); declare symmetric = False, or correct it"
 _CHECKED_LAWS: set[tuple[object, ...]] = set()  # laws that have passed, with their parameter values
 
 
@@ -86,8 +83,9 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
         for key in expressions:
             tensor = values(key, sample)
             if tensor is not None and tensor.ndim == 2 and (skew := _relative_difference(tensor, tensor.T)):
-                what = f"{name}.{key} is not symmetric: it differs from its transpose by {skew:.1e} of its size"
-                raise InputError(f"{what}; use ufl.sym, or vectors (3,) as internal variables")
+                raise InputError(
+                    f"{name}.{key} is not symmetric: by {skew:.1e} of its size; use ufl.sym, or a vector (3,)"
+                )
         turned = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
         tangents = [C for inputs in turned if (C := values("tangent", inputs)) is not None]
         for C in tangents:
@@ -111,8 +109,7 @@ def _evaluate_methods(law: BulkLaw, step: Step) -> dict[str, Expr]:
         InputError: a method fails, or returns a wrong shape or the wrong internal variables.
     """
     name, (method, advances) = type(law).__name__, law.methods
-    with explained_errors(law, method):
-        expressions = {method: require_shape(law, method, law.stress(law.own_step(step)), (3, 3))}
+    expressions = {method: checked_stress(law, law.own_step(step))}
     with explained_errors(law, advances):
         new = law.advance(step)
     if not isinstance(new, dict) or set(new) != set(law.internal):

@@ -203,8 +203,7 @@ class BarResponse(NamedTuple):
     def least(self) -> BarResponse:
         """Response of least energy along the last axis; among equals the first, with the smallest transformed part."""
         where = np.argmin(self.energy, axis=-1)[..., None]
-        phase, sigma, U, energy = (np.asarray(np.take_along_axis(a, where, -1)[..., 0], float) for a in self[:4])
-        return BarResponse(phase, sigma, U, energy, np.asarray(np.take_along_axis(self.local, where, -1)[..., 0], bool))
+        return BarResponse._make(np.take_along_axis(array, where, -1)[..., 0] for array in self)
 
 
 @dataclass(frozen=True)

@@ -223,9 +223,7 @@ class Law:
     def with_parameters(self, values: Mapping[str, object]) -> Self:
         """A copy with other values (numbers or UFL) of some parameters, unchecked."""
         law = copy.copy(self)
-        object.__setattr__(law, "traits", self.traits)
-        for name, value in values.items():
-            object.__setattr__(law, name, value)
+        vars(law).update({"traits": self.traits, **values})
         return law
 
     def mapped(self, change: ChangeParameter) -> Self:
@@ -357,10 +355,9 @@ class BulkLaw(Law):
         Raises:
             InputError: the law has no interface law of order 1.
         """
-        if self.traits.switches:
-            raise InputError(f"order=1 of {type(self).__name__}: its phases are those of jumps alone; use order=0")
-        if self.traits.softens:
-            raise InputError(f"order=1 of {type(self).__name__}: its two stations would soften one by one; use order=0")
+        if self.traits.switches or self.traits.softens:
+            why = "its phases are of jumps" if self.traits.switches else "two stations would soften one by one"
+            raise InputError(f"order=1 of {type(self).__name__}: {why}; use order=0")
         if self.traits.plateau:
             why = "phases may mix in sheets parallel to S, with strains that are not uniform through the layer"
             raise InputError(f"order=1 of {self!r}: {why}; use order=0")
@@ -541,10 +538,9 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise InputError(
-            f"{type(law).__name__}.{method}: {type(error).__name__}: {error!s:.200}. Laws are UFL: ufl.exp, "
-            "ufl.conditional(ufl.lt(a, b), c, d), tensors of shape (3, 3); step.dt, step.e_old, step.rate need rate = True "
-            "or internal variables; step.n has 2 components in 2D unless the law is compiled, "
-            f"forms.tensors.three_dimensional(step.n) has 3; step.q has {sorted(law.internal) or 'nothing'}"
+            f"{type(law).__name__}.{method}: {type(error).__name__}: {error!s:.200}. Laws are UFL, of tensors (3, 3): "
+            "ufl.exp, ufl.conditional(ufl.lt(a, b), c, d); step.dt, e_old and rate need rate = True or internal variables; "
+            f"step.n is (d,), three_dimensional(step.n) is (3,); step.q has {sorted(law.internal) or 'nothing'}"
         ) from error
 
 
@@ -557,6 +553,12 @@ def require_shape(law: Law, what: str, value: Expr, shape: tuple[int, ...]) -> E
     if expression.ufl_shape != shape:
         raise InputError(f"{type(law).__name__}.{what} has the shape {expression.ufl_shape}; it must have {shape}")
     return expression
+
+
+def checked_stress(law: BulkLaw, step: Step) -> Expr:
+    """Stress (3, 3) of a law in a step; raise InputError if its method fails or returns another shape."""
+    with explained_errors(law, law.methods[0]):
+        return require_shape(law, law.methods[0], law.stress(step), (3, 3))
 
 
 def require_positive(law: Law, *names: str) -> None:

@@ -125,19 +125,13 @@ def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Exp
     for node in (node for expression in expressions for node in traverse_unique_terminals(expression)):
         if node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
             what = f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}"
-            raise InputError(f"{what}, which is not compiled; declare a parameter, or `varies = True` and `at`")
+            raise InputError(f"{what}; a compiled law knows its parameters and step: declare one, or `varies` and `at`")
 
 
 Values = npt.NDArray[Any]  # floats; of a condition booleans
-NUMPY_FUNCTIONS: dict[type, Callable[..., Values]] = {
-    Sum: np.add,
-    Product: np.multiply,
-    Division: np.divide,
-    Conditional: np.where,
-    AndCondition: np.logical_and,
-    OrCondition: np.logical_or,
-    NotCondition: np.logical_not,
-}
+ARITHMETIC: dict[type, Callable[..., Values]] = {Sum: np.add, Product: np.multiply, Division: np.divide}
+LOGIC = {AndCondition: np.logical_and, OrCondition: np.logical_or, NotCondition: np.logical_not}
+NUMPY_FUNCTIONS = ARITHMETIC | LOGIC | {Conditional: np.where}
 
 
 def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> Values:
@@ -327,9 +321,8 @@ def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots:
     A, of = (C[np.ix_(slots, slots)], "(of C)") if n is None else (acoustic_tensor(C, n), "across the layer (of n.C.n)")
     lowest, size = float(np.linalg.eigvals(A).real.min()), float(np.abs(C).max())
     if lowest < -EIGENVALUE_TOLERANCE * size:
-        details = f"the smallest eigenvalue {of} is {lowest:.4g}, the largest entry of C {size:.4g}"
-        what = f"{type(law).__name__}: the stiffness at rest is negative, {details}"
-        raise InputError(f"{what}; allowed: >= 0. Check the signs of the stress and of the parameters")
+        details = f"the smallest eigenvalue {of} is {lowest:.4g}, the largest entry of C {size:.4g}; allowed: >= 0"
+        raise InputError(f"{type(law).__name__}: the stiffness at rest is negative, {details}; check the signs")
 
 
 def symmetric_mandel(a: Array) -> Array:

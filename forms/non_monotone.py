@@ -94,8 +94,7 @@ class Phases(IsotropicLaw):
         """Check parameters that depend on the temperature; if T is a number, replace functions of T by their values."""
         functions = [name for name in PHASE_PARAMETERS if callable(getattr(self, name))]
         if functions and self.T is None:
-            what = f"{type(self).__name__}: {functions[0]} is a function of T"
-            raise InputError(f"{what}; give T, a number or a function (x, t)")
+            raise InputError(f"{type(self).__name__}: {functions[0]} needs T; give T, a number or a function (x, t)")
         if self.varies:
             return
         self.require(self.T is None or is_finite(self.T), "T", "a number, a function", repr(self.T))
@@ -146,9 +145,7 @@ class Phases(IsotropicLaw):
         functions = {name: self._mapped_function(name, change) for name in PHASE_PARAMETERS}
         return law.with_parameters(functions | {"T": self.T})
 
-    def _mapped_function(
-        self, name: str, change: ChangeParameter
-    ) -> ParameterValue | Callable[[Array], ParameterValue]:
+    def _mapped_function(self, name: str, change: ChangeParameter) -> ParameterValue | Callable[[Array], Expr]:
         parameter, power = getattr(self, name), self.powers.get(name, 0)
         return (lambda T: change(real_values(parameter(T)), power)) if callable(parameter) else change(parameter, power)
 

@@ -52,13 +52,10 @@ class ParameterField:
             ParameterRangeError: a value is not finite, or out of the range of the function.
             TypeError: the function does not return n real numbers.
         """
-        if self.operands:
-            arguments = [operand(x) if isinstance(operand, ParameterField) else operand for operand in self.operands]
-            array = np.asarray(self.function(*arguments), float)
-        else:
-            array = np.asarray(self.function(x.copy()))
-            if array.dtype.kind not in "iuf":
-                raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
+        arguments = [operand(x) if isinstance(operand, ParameterField) else operand for operand in self.operands]
+        array = np.asarray(self.function(*arguments or [x.copy()]))
+        if array.dtype.kind not in "iuf":
+            raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
         if array.shape not in ((), x.shape[1:]):
             raise TypeError(f"it gives the shape {array.shape} for x of shape {x.shape}; allowed: {x.shape[1:]}")
         values = np.broadcast_to(array, x.shape[1:]).astype(float)

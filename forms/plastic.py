@@ -72,10 +72,8 @@ class Plastic(IsotropicLaw):
         self.require(0 <= self.friction_angle < 90, "friction_angle", "0 <= friction_angle < 90 degrees")
         angle = self.friction_angle
         if 0 < angle < MIN_FRICTION_ANGLE_DEGREES:
-            what = (
-                f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction; if it is in radians"
-            )
-            warn_of_range("friction angle", f"{what}, give friction_angle = {math.degrees(angle):.4g} degrees")
+            what = f"{type(self).__name__}: friction_angle is {angle:g} degrees, almost no friction"
+            warn_of_range("friction angle", f"{what}; if it is in radians, friction_angle = {math.degrees(angle):.4g}")
         allowed = "> 0 where friction_angle = 0: nothing would resist shear"
         self.require(self.cohesion > 0 or angle > 0, "cohesion", allowed)
         self.require(0 <= self.elastic_fraction < 1, "elastic_fraction", "0 <= elastic_fraction < 1")

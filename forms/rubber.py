@@ -55,7 +55,6 @@ class Incompressible(PressureLaw):
 
     mu: float
     powers: ClassVar = {"mu": 1}
-    volume_compliance: ClassVar = 0.0
 
     def check(self) -> None:
         require_positive(self, "mu")

@@ -134,8 +134,7 @@ class Stack(BulkLaw):
         except (TypeError, ValueError) as error:
             raise InputError(f"Stack needs pairs (fraction, law): {error}") from error
         one_by_one = [(a * b, law) for a, parts in pairs for b, law in parts]
-        object.__setattr__(self, "fractions", tuple(a for a, _ in one_by_one))
-        object.__setattr__(self, "laws", tuple(law for _, law in one_by_one))
+        vars(self).update(fractions=tuple(a for a, _ in one_by_one), laws=tuple(law for _, law in one_by_one))
         self.check()
         require_declarations(self)
 

@@ -29,11 +29,8 @@ class Tabulated:
     values: tuple[tuple[float, float], ...]
 
     def __init__(self, values: Iterable[tuple[float, float]]) -> None:
-        try:
-            rows = real_values([(T, value) for T, value in values])
-        except (TypeError, ValueError) as error:
-            raise InputError(f"Tabulated needs pairs (T, value), not {values!r}: {error}") from error
-        if len(rows) < 2 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
+        rows = finite_values([*values], (-1, 2)) if isinstance(values, Iterable) else None
+        if rows is None or len(rows) < 2 or (np.diff(rows[:, 0]) <= 0).any():
             raise InputError(f"Tabulated needs two or more finite pairs (T, value) with T increasing, not {values!r}")
         object.__setattr__(self, "values", tuple((float(T), float(value)) for T, value in rows))
 
@@ -41,10 +38,8 @@ class Tabulated:
         """Values (n,) at temperatures (n,)."""
         require(np.asarray(T).dtype.kind in "iuf", "T", T, "a table is a function of temperatures, numbers")
         T, rows = np.asarray(T, float), np.array(self.values)
-        outside = np.logical_not((rows[0, 0] <= T) & (rows[-1, 0] >= T))
-        if outside.any():
-            first = float(np.atleast_1d(T)[np.atleast_1d(outside)][0])
-            raise InputError(f"T is {first:g}; the table knows {rows[0, 0]:g} to {rows[-1, 0]:g}")
+        for outside in T[~((rows[0, 0] <= T) & (rows[-1, 0] >= T))][:1]:
+            raise InputError(f"T is {outside:g}; the table knows {rows[0, 0]:g} to {rows[-1, 0]:g}")
         return np.asarray(np.interp(T, rows[:, 0], rows[:, 1]))
 
 

@@ -90,11 +90,7 @@ def layer_frame(n: Expr) -> Expr:
     squares = n[0] * n[0] + n[2] * n[2]
     downwards = (1 - n[1]) / ufl.conditional(opposite, 1, squares)  # = 1/(1 + n_2) without cancellation
     s = ufl.conditional(ufl.lt(n[1], 0), downwards, 1 / ufl.conditional(ufl.lt(n[1], 0), 1, 1 + n[1]))
-    rows = [
-        [1 - s * n[0] * n[0], n[0], -s * n[0] * n[2]],
-        [-n[0], n[1], -n[2]],
-        [-s * n[0] * n[2], n[2], 1 - s * n[2] * n[2]],
-    ]
-    turn = ufl.as_tensor(rows)
+    first, third = [1 - s * n[0] * n[0], n[0], -s * n[0] * n[2]], [-s * n[0] * n[2], n[2], 1 - s * n[2] * n[2]]
+    turn = ufl.as_tensor([first, [-n[0], n[1], -n[2]], third])
     half_turn = ufl.as_tensor([[-1, 0, 0], [0, -1, 0], [0, 0, 1]])
     return ufl.as_tensor([[ufl.conditional(opposite, half_turn[i, j], turn[i, j]) for j in range(3)] for i in range(3)])

@@ -129,9 +129,8 @@ def require_declarations(law: Law) -> None:
             raise InputError(f"{name}: powers has {parameter!r}; parameters: {', '.join(parameters) or 'none'}")
         require(is_finite(power), f"{name}: the power of {parameter}", power, "allowed: a finite number")
     for variable, shape in law.internal.items():
-        if shape not in VARIABLE_SIZES:
-            allowed = ", ".join(map(str, VARIABLE_SIZES))
-            raise InputError(f"{name}: internal variable {variable!r} has the shape {shape!r}; allowed: {allowed}")
+        allowed = f"allowed: {', '.join(map(str, VARIABLE_SIZES))}"
+        require(shape in VARIABLE_SIZES, f"{name}: shape of the internal variable {variable!r}", shape, allowed)
     _require_used(law)
 
 

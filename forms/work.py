@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Self
 
 import ufl
 from ufl.classes import Zero
@@ -12,7 +13,7 @@ from ufl.classes import Zero
 from forms.base import InputError
 from forms.ends.weights import EndWeights
 from forms.kinematics import PLANE_STRAIN, Kinematics
-from forms.law import BulkLaw, Step, explained_errors, require_shape
+from forms.law import BulkLaw, Step, checked_stress
 from forms.stations import AnyStation, Faces
 from forms.tensors import Expr, jump_strain, three_dimensional
 
@@ -82,9 +83,7 @@ class Interface:
     law_on_surface: Callable[[BulkLaw], BulkLaw] = constant_law
 
     @classmethod
-    def between_bodies(
-        cls, dS: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None
-    ) -> Interface:
+    def between_bodies(cls, dS: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None) -> Self:
         """S inside the mesh; the measure's "+" is the upper body.
 
         Args:
@@ -99,9 +98,7 @@ class Interface:
         return cls._apart(dS, kinematics, to_s, upper, InterfaceSide(lower.restrict, _inverse_gradient(to_s)("-")))
 
     @classmethod
-    def on_rigid_base(
-        cls, ds: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None
-    ) -> Interface:
+    def on_rigid_base(cls, ds: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None) -> Self:
         """S on the boundary of the upper body; the base below does not move; arguments as in `between_bodies`."""
         mesh, upper, lower = ds.ufl_domain(), InterfaceSide(lambda v: v), InterfaceSide(lambda v: 0 * v)
         if to_s is None:
@@ -112,7 +109,7 @@ class Interface:
     @classmethod
     def _apart(
         cls, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: InterfaceSide, lower: InterfaceSide
-    ) -> Interface:
+    ) -> Self:
         """S away from the facets of the mesh, from the upper side; the measure is of its facets (Nanson's formula)."""
         mesh, back = measure.ufl_domain(), upper(_inverse_gradient(to_s))
         N = -ufl.dot(upper(ufl.FacetNormal(mesh)), back)
@@ -188,12 +185,8 @@ class Term:
             return False
         laws = [law.in_space for _, law in self.law.sublayers]
         numbered = [law.with_parameters(dict.fromkeys(law.fields, 1.0)) for law in laws]
-        return all(isinstance(self._unstrained(law), Zero) for law in numbered)
-
-    def _unstrained(self, law: BulkLaw) -> Expr:
-        n = three_dimensional(self.n) if self.n is not None and self.law.traits.compiled else self.n
-        with explained_errors(law, "stress"):
-            return require_shape(law, "stress", law.stress(Step(ufl.zero(3, 3), n)), (3, 3))
+        n = three_dimensional(self.n) if self.n is not None and traits.compiled else self.n
+        return all(isinstance(checked_stress(law, Step(ufl.zero(3, 3), n)), Zero) for law in numbered)
 
 
 def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, volume: int | None = None) -> Term:
@@ -284,8 +277,7 @@ def sum_strains(*strains: Expr) -> Expr:
 
 def stress(term: Term, u: Expr) -> Expr:
     """The stress (3, 3) of a term's law at displacements u."""
-    with explained_errors(term.law, "stress"):
-        return term.kinematics.restricted(require_shape(term.law, "stress", term.law.stress(term.step(u)), (3, 3)))
+    return term.kinematics.restricted(checked_stress(term.law, term.step(u)))
 
 
 def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:

@@ -357,6 +357,6 @@ def test_what_nobody_would_ask_of_a_law_is_refused():
         (TractionLaw, {"evolve": lambda law, step: {"q": step.w}}, "a method evolve but no internal variables"),
         (BulkLaw, {"at": lambda law, x, t: {"l": x[0]}, "varies": False}, "a method at, but no parameters vary"),
         (BulkLaw, {"dissipation": lambda law, step: 1.0}, "a dissipation but no energy"),
-        (BulkLaw, {"internal": {"q": (2, 2)}}, r"variable 'q' has the shape \(2, 2\); allowed: \(\), \(3,\), \(3, 3\)"),
+        (BulkLaw, {"internal": {"q": (2, 2)}}, r"variable 'q' is \(2, 2\); allowed: \(\), \(3,\), \(3, 3\)"),
     ]:
         refused(InputError, message, law_of, parent, **names | {"stress" if parent is BulkLaw else "traction": of_mid})

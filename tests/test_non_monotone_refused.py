@@ -15,7 +15,7 @@ from thinlayer import Structure, ThinLayer, drive
 GOOD = {"lmbda": LMBDA, "mu": MU, "alpha": ALPHA, "transformation_energy": C, "chi": CHI2}
 BOUND = ALPHA**2 * lamination_gain(LMBDA, MU, CHI2) / 2
 BAD = [
-    ({"alpha": TABLE}, r"alpha is a function of T; give T, a number or a function \(x, t\)"),
+    ({"alpha": TABLE}, r"alpha needs T; give T, a number or a function \(x, t\)"),
     ({"alpha": TABLE, "T": 41.0}, r"alpha\(T\): T is 41; the table knows 0 to 40"),
     ({"transformation_energy": lambda T: -T, "T": 2.0}, "transformation_energy is -2; allowed: > 0"),
     ({"transformation_energy": 0.999 * BOUND}, rf"transformation_energy is .* mixing alpha\^2 G/2 = {BOUND:g}: phases"),

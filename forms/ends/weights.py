@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from forms.rubber import PressureLaw
 
 OPENING_STRIP_LENGTH = 3.0  # largest length, over the thickness, of the strip that is weaker against openings
-MIN_SPREADING_LENGTH = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
+MIN_SPREAD = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,7 @@ class EndStrips:
         pressure grows linearly over many thicknesses. Narrow S or soft bodies can prevent this. Then the flow within
         5 thicknesses is closer to the flow in an infinite layer, and the strip of the resistance is left out.
         """
-        spreads = length >= MIN_SPREADING_LENGTH
-        return self if self.resistance.c >= 0 or spreads else replace(self, resistance=EndStrip())
+        return self if self.resistance.c >= 0 or length >= MIN_SPREAD else replace(self, resistance=EndStrip())
 
 
 def _of_shear(end: FreeEnd) -> EndStrip:
