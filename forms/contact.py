@@ -64,8 +64,8 @@ class ContactLaw(Law):
         """Initial gaps (n,) at places x (d, n); raise InputError if they are not n finite numbers."""
         if not callable(self.gap):
             return np.full(x.shape[1], float(self.gap))
-        what, it = f"{type(self).__name__}: gap(x)", "it must be a numpy function of places (d, n) that gives n lengths"
-        return checked_values(what, self.gap, x, it=it, where=lambda k: f" at {place_text(x, k)}")
+        what, wanted = f"{type(self).__name__}: gap(x)", "it must be a numpy function of places (d, n) with n lengths"
+        return checked_values(what, self.gap, x, wanted=wanted, where=lambda k: f" at {place_text(x, k)}")
 
     def _traits_of_methods(self) -> dict[str, bool]:
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}

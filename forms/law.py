@@ -129,8 +129,7 @@ class Law:
                 object.__setattr__(self, f.name, as_parameter_field(getattr(self, f.name)))
             self._check_number(f.name, getattr(self, f.name), f.default is None, scalar)
         for name in self.fields:
-            allowed = "a number, as `at` gives what varies"
-            self.require(type(self).at is Law.at, name, allowed, "a function of the place")
+            self.require(type(self).at is Law.at, name, "a number, as `at` gives what varies", "a function of places")
         if not self.fields:  # parameters that are functions need places, see `check_at`
             self.check()
         _ = self.traits  # raises InputError for wrong declarations of the class
@@ -249,8 +248,8 @@ class Law:
         try:
             return parameter(x)
         except ParameterRangeError as error:
-            said = str(error) if str(error)[:1].isalpha() and " is " in str(error) else f"{name} is {error}"
-            raise InputError(f"{type(self).__name__}: {said}, at {place_text(x, error.k)}") from None
+            reason = str(error) if str(error)[:1].isalpha() and " is " in str(error) else f"{name} is {error}"
+            raise InputError(f"{type(self).__name__}: {reason}, at {place_text(x, error.k)}") from None
         except Exception as error:
             what, wanted = f"{type(self).__name__}: {name}(x)", "it must be a numpy function of places (d, n)"
             raise InputError(f"{failure_text(what, x, error)}; {wanted} in the joint that gives n numbers") from error
@@ -306,13 +305,13 @@ class BulkLaw(Law):
     methods: ClassVar[tuple[str, str]] = ("stress", "advance")
 
     def _traits_of_methods(self) -> dict[str, bool]:
-        kind, said = type(self), Traits.of(self)
+        kind, declared = type(self), Traits.of(self)
         return super()._traits_of_methods() | {
             "has_energy": kind.energy is not BulkLaw.energy,
             "has_homotopy": kind.homotopy is not BulkLaw.homotopy,
-            "in_series": not (said.constrained or said.switches),
+            "in_series": not (declared.constrained or declared.switches),
             "in_ufl": True,
-            "compiled": said.rate or bool(self.internal) or said.varies,
+            "compiled": declared.rate or bool(self.internal) or declared.varies,
         }
 
     def as_bulk_law(self) -> BulkLaw:
@@ -403,8 +402,8 @@ class BulkLaw(Law):
         return None
 
     # ---------------------------------------------------------------- other laws of the same kind
-    def homotopy(self, ease: float) -> BulkLaw:
-        """Homotopy law for continuation, from this law (ease = 0) to one whose equilibrium is easy to compute (1)."""
+    def homotopy(self, parameter: float) -> BulkLaw:
+        """Homotopy law for continuation, from this law (0) to one whose equilibrium is easy to compute (1)."""
         return self
 
     def plane_stress(self) -> BulkLaw:
@@ -507,8 +506,8 @@ class PlaneStressLaw(WrappedLaw):
     def in_space(self) -> BulkLaw:
         return self.law
 
-    def homotopy(self, ease: float) -> Self:
-        return self._of(self.law.homotopy(ease))
+    def homotopy(self, parameter: float) -> Self:
+        return self._of(self.law.homotopy(parameter))
 
     def condensed(self, C: Array) -> Array:
         """Condense C (6, 6); out-of-plane rows come from the nearest isotropic tensor, with lmbda of plane stress."""

@@ -131,9 +131,9 @@ class Phases(IsotropicLaw):
     def at(self, x: Array, t: float) -> dict[str, Array]:
         if not callable(self.T):
             return {}
-        it = "T(x, t) must be a numpy function of places (d, n) and a time that gives n temperatures"
+        wanted = "T(x, t) must be a numpy function of places (d, n) and a time that gives n temperatures"
         where = partial(place_and_time_text, x, t)
-        T = checked_values(f"{type(self).__name__}: T", self.T, x, t, it=it, where=where)
+        T = checked_values(f"{type(self).__name__}: T", self.T, x, t, wanted=wanted, where=where)
         values = {name: evaluated(self, name, getattr(self, name), T) for name in PHASE_PARAMETERS}
         self._check_phases(values, where)
         return values | {"T": T}

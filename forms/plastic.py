@@ -18,7 +18,7 @@ from forms.traits import warn_of_range
 from forms.viscous import isotropic_energy
 
 MIN_FRICTION_ANGLE_DEGREES = 1.6  # degrees; smaller friction angles were probably meant in radians (pi/2 = 1.57)
-MIN_ELASTIC_FRACTION = 1e-6  # smallest elastic fraction of the stiffness in continuation, as ease tends to 0
+MIN_ELASTIC_FRACTION = 1e-6  # smallest elastic fraction of the stiffness in continuation, as its parameter tends to 0
 
 
 def require_hardening(law: Plastic | VonMises, *names: str) -> None:
@@ -79,9 +79,9 @@ class Plastic(IsotropicLaw):
         self.require(0 <= self.elastic_fraction < 1, "elastic_fraction", "0 <= elastic_fraction < 1")
         require_hardening(self, "hardening", "saturation")
 
-    def homotopy(self, ease: float) -> Plastic:
-        """Homotopy law: the elastic fraction grows from its own value (ease = 0) to 1, an elastic layer (ease = 1)."""
-        h, share = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - ease) if ease else 0.0
+    def homotopy(self, parameter: float) -> Plastic:
+        """Homotopy law: the elastic fraction grows from its own value (parameter 0) to 1, an elastic layer (parameter 1)."""
+        h, share = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - parameter) if parameter else 0.0
         return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
 
 
@@ -278,9 +278,9 @@ class VonMises(KernelLaw, IsotropicLaw):
         require_positive(self, "strength")
         require_hardening(self, "hardening", "kinematic", "saturation")
 
-    def homotopy(self, ease: float) -> VonMises:
-        """Homotopy law: kinematic hardening grows from its own value (ease = 0) to an almost elastic response (1)."""
-        if not ease:
+    def homotopy(self, parameter: float) -> VonMises:
+        """Homotopy law: kinematic hardening grows from its own value (0) to an almost elastic response (1)."""
+        if not parameter:
             return self
-        share = min(MIN_ELASTIC_FRACTION ** (1 - ease), MAX_HARDENING_FRACTION)
+        share = min(MIN_ELASTIC_FRACTION ** (1 - parameter), MAX_HARDENING_FRACTION)
         return self.with_parameters({"kinematic": self.kinematic + 3 * self.mu * share / (1 - share)})

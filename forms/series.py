@@ -190,8 +190,8 @@ class Stack(BulkLaw):
         for law in self.laws:
             law.check_at(x)
 
-    def homotopy(self, ease: float) -> Stack:
-        return self.with_laws([law.homotopy(ease) for law in self.laws])
+    def homotopy(self, parameter: float) -> Stack:
+        return self.with_laws([law.homotopy(parameter) for law in self.laws])
 
     def stations(self) -> list[AnyStation]:
         if len(self.laws) == 1:

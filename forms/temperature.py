@@ -70,7 +70,7 @@ def place_and_time_text(x: Array, t: float, k: int) -> str:
 
 
 def checked_values(
-    what: str, function: Callable[..., npt.ArrayLike], x: Array, *more: object, it: str, where: Callable[[int], str]
+    what: str, function: Callable[..., npt.ArrayLike], x: Array, *more: object, wanted: str, where: Callable[[int], str]
 ) -> Array:
     """Values (n,) of a user's function at x, (n,) or (d, n).
 
@@ -79,7 +79,7 @@ def checked_values(
         function: the user's function of x and `more`.
         x: places or temperatures.
         more: further arguments of the function.
-        it: requirement on the function, for messages.
+        wanted: requirement on the function, for messages.
         where: k -> text of the k-th place, for messages.
 
     Raises:
@@ -90,9 +90,9 @@ def checked_values(
     except InputError as error:
         raise InputError(f"{what}: {error}") from None
     except Exception as error:
-        raise InputError(f"{failure_text(what, x, error)}; {it}") from error
+        raise InputError(f"{failure_text(what, x, error)}; {wanted}") from error
     for k in np.flatnonzero(~np.isfinite(values))[:1]:
-        raise InputError(f"{what} is {values[k]}{where(int(k))}; {it}")
+        raise InputError(f"{what} is {values[k]}{where(int(k))}; {wanted}")
     return values
 
 
@@ -100,5 +100,5 @@ def evaluated(law: object, name: str, parameter: float | TemperatureFunction, T:
     """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,)."""
     if not callable(parameter):
         return np.full(len(T), float(parameter))
-    it = "it must be a numpy function of temperatures, or Tabulated([(T, value), ...])"
-    return checked_values(f"{type(law).__name__}: {name}(T)", parameter, T, it=it, where=lambda k: f" at T = {T[k]:g}")
+    what, wanted = f"{type(law).__name__}: {name}(T)", "it must be a numpy function of temperatures, or Tabulated(...)"
+    return checked_values(what, parameter, T, wanted=wanted, where=lambda k: f" at T = {T[k]:g}")

@@ -199,7 +199,7 @@ def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = P
     return Term(law, kinematics.strain, kinematics.factor, measure, n, kinematics=kinematics)
 
 
-def jump_terms(law: BulkLaw, sides: Interface) -> Term:
+def jump_term(law: BulkLaw, sides: Interface) -> Term:
     """Term of a traction law on S in bulk form (`TractionLaw.as_bulk_law`), with strain sym([u] (x) n) and weight 1."""
     n, kinematics = sides.n, sides.kinematics
     return Term(law, lambda u: jump_strain(sides.jump(u), n), sides.factor, sides.measure, n, kinematics=kinematics)

@@ -187,7 +187,7 @@ class InterfaceModel(Model):
             law_on_surface=partial(_law_on_surface, self.domain, self.joint, layer.name, sides.upper),
         )
         if layer.thin_layer is None:
-            terms = [forms.jump_terms(law, sides)]
+            terms = [forms.jump_term(law, sides)]
         else:
             eps = self._thickness(layer, sides)
             slope = self._middle.slope(sides) if self._middle and layer.thin_layer.profile else None
