@@ -232,10 +232,9 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
         law: the law, with numbers for parameters.
         n: director, (d,).
     """
-    C = law.in_space.stiffness(n)
-    if C is None:
-        C = _rest_tangent(law.in_space, n, LONG_TIME_STEP if law.traits.rate else 0.0)
-    return None if C is None else law.condensed(C)
+    if (C := law.in_space.stiffness(n)) is not None:
+        return law.condensed(C)
+    return _rest_tangent(law, n, LONG_TIME_STEP if law.traits.rate else 0.0)
 
 
 def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
@@ -249,27 +248,31 @@ def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
         n: director, (d,).
         dt: time > 0.
     """
-    C = _rest_tangent(law.in_space, n, dt) if law.traits.linear else None
-    return None if C is None else law.condensed(C)
+    return _rest_tangent(law, n, dt) if law.traits.linear else None
 
 
 def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
     """Tangent at the end of a step from rest, mean at two small opposite strains; None if it cannot be evaluated."""
-    if not law.traits.in_ufl:
+    law_3d = law.in_space
+    if not law_3d.traits.in_ufl:
         return None
-    n3 = np.pad(n, (0, 3 - len(n)))
     try:
-        numeric_law = law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
-        point = symbolic(numeric_law, d=3 if law.traits.compiled else len(n))
+        numeric_law = law_3d.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float))
+        point = symbolic(numeric_law, d=3 if law_3d.traits.compiled else len(n))
         stress = in_mandel(point.law.stress(point.law.own_step(point.step)))
         tangent: Expr = expand_derivatives(ufl.diff(stress, point.strain))
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
-            constants = (np.zeros(6 + law.memory), n3, [dt, 1.0], numeric_law.parameter_values())
+            constants = (
+                np.zeros(6 + law_3d.memory),
+                np.pad(n, (0, 3 - len(n))),
+                [dt, 1.0],
+                numeric_law.parameter_values(),
+            )
             inputs = [np.concatenate([e, *constants]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
             C = np.mean([evaluate(tangent, {point.numbers: values}) for values in inputs], axis=0)
     except Exception:  # a part of the law has no numerical value; the model reports such errors
         return None
-    return np.asarray(C) if np.isfinite(C).all() else None
+    return law.condensed(np.asarray(C)) if np.isfinite(C).all() else None
 
 
 def needs_director(law: BulkLaw) -> bool:

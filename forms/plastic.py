@@ -80,7 +80,7 @@ class Plastic(IsotropicLaw):
         require_hardening(self, "hardening", "saturation")
 
     def homotopy(self, parameter: float) -> Plastic:
-        """Homotopy law: the elastic fraction grows from its own value (parameter 0) to 1, an elastic layer (parameter 1)."""
+        """Homotopy law: the elastic fraction grows from its own value (parameter 0) to 1, an elastic layer (1)."""
         h, share = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - parameter) if parameter else 0.0
         return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
 
