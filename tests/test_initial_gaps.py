@@ -132,7 +132,7 @@ def test_a_march_closes_a_gap_and_balances_its_energy():
 def test_refused():
     for gap, match in [
         (np.nan, "gap is nan"),
-        (lambda x: x, "that gives n lengths"),
+        (lambda x: x, r"places \(d, n\) with n lengths"),
         (lambda x: np.full(x.shape[1], np.inf), r"is inf at x = \("),
         (lambda x: x[0] > 0, "not real numbers"),
     ]:
