@@ -262,13 +262,8 @@ def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
         stress = in_mandel(point.law.stress(point.law.own_step(point.step)))
         tangent: Expr = expand_derivatives(ufl.diff(stress, point.strain))
         with warnings.catch_warnings(action="ignore"):  # UFL warns of roots of negative numbers
-            constants = (
-                np.zeros(6 + law_3d.memory),
-                np.pad(n, (0, 3 - len(n))),
-                [dt, 1.0],
-                numeric_law.parameter_values(),
-            )
-            inputs = [np.concatenate([e, *constants]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
+            start = np.concatenate([np.zeros(6 + law_3d.memory), np.pad(n, (0, 3 - len(n))), [dt, 1.0]])
+            inputs = [np.concatenate([e, start, numeric_law.parameter_values()]) for e in (PROBE_STRAIN, -PROBE_STRAIN)]
             C = np.mean([evaluate(tangent, {point.numbers: values}) for values in inputs], axis=0)
     except Exception:  # a part of the law has no numerical value; the model reports such errors
         return None
