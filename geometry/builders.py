@@ -6,10 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from math import tau
 from typing import Unpack
 
-from mpi4py import MPI
-
 from geometry.joint import Joint
-from geometry.parallel import on_root
+from geometry.parallel import Comm, on_root
 from geometry.periodic import periodic
 from geometry.shapes.boxes import Boxes, repeated_bond, running_bond
 from geometry.shapes.cuts import faulted_rectangle, grain_rectangle
@@ -17,7 +15,8 @@ from geometry.shapes.rounds import Discs, Fibre, Rings
 from geometry.shapes.sizing import CurvedArgs, GridArgs, MeshOptions, SizeArgs
 
 Size = float | None  # a length; None: the default
-Comm = MPI.Intracomm | None
+Cell = str | None  # type of the cells; None: the default
+Pair = tuple[float, float]  # width and height, or a place (x, y)
 
 
 def block(
@@ -71,9 +70,8 @@ def sandwich(
     Raises:
         InputError: a size is not positive, a name is unknown, a cell is of the other dimension.
     """
-    return on_root(
-        comm, Boxes(MeshOptions.of(h, cells, GridArgs), depth, width, (("LOWER", lower), ("UPPER", upper))).build
-    )
+    bodies = ("LOWER", lower), ("UPPER", upper)
+    return on_root(comm, Boxes(MeshOptions.of(h, cells, GridArgs), depth, width, bodies).build)
 
 
 def disc(
@@ -148,12 +146,7 @@ def ring(
 
 
 def fibre(
-    radius: float,
-    around: float | tuple[float, float],
-    h: Size = None,
-    *,
-    comm: Comm = None,
-    **cells: Unpack[CurvedArgs],
+    radius: float, around: float | Pair, h: Size = None, *, comm: Comm = None, **cells: Unpack[CurvedArgs]
 ) -> Joint:
     """A fibre, the disc r < radius about the origin, in its matrix; S is the circle between them. Collective.
 
@@ -180,14 +173,7 @@ def fibre(
 
 
 def wall(
-    bricks: int,
-    courses: int,
-    brick: tuple[float, float],
-    h: Size = None,
-    *,
-    depth: Size = None,
-    cell: str | None = None,
-    comm: Comm = None,
+    bricks: int, courses: int, brick: Pair, h: Size = None, *, depth: Size = None, cell: Cell = None, comm: Comm = None
 ) -> Joint:
     """A wall in running bond with its left lower corner at the origin: a network of bed and head joints. Collective.
 
@@ -212,13 +198,7 @@ def wall(
 
 
 def bond_cell(
-    brick: tuple[float, float],
-    h: Size = None,
-    *,
-    depth: Size = None,
-    cut: tuple[float, float] = (0.25, 0.5),
-    cell: str | None = None,
-    comm: Comm = None,
+    brick: Pair, h: Size = None, *, depth: Size = None, cut: Pair = (0.25, 0.5), cell: Cell = None, comm: Comm = None
 ) -> Joint:
     """The periodic cell of a running bond: one brick wide, two courses high, its left lower corner at the origin.
 
@@ -250,7 +230,7 @@ def bond_cell(
 def grains(
     width: float,
     height: float,
-    grains: int | Sequence[tuple[float, float]],
+    grains: int | Sequence[Pair],
     h: Size = None,
     *,
     seed: int = 0,
@@ -281,15 +261,14 @@ def grains(
         InputError: a size or number is out of range; points lie outside, or two points coincide; a seam has the name of
             a side; a side of a grain is shorter than half a cell, with the place.
     """
-    return on_root(
-        comm, lambda: grain_rectangle(MeshOptions.of(h, cells, SizeArgs), width, height, grains, seed, seams).build()
-    )
+    options = MeshOptions.of(h, cells, SizeArgs)
+    return on_root(comm, lambda: grain_rectangle(options, width, height, grains, seed, seams).build())
 
 
 def faults(
     width: float,
     height: float,
-    faults: Mapping[str, Sequence[tuple[float, float]]],
+    faults: Mapping[str, Sequence[Pair]],
     h: Size = None,
     *,
     comm: Comm = None,

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
-from typing import Any, TypeVar
 
 import basix.ufl
 import dolfinx
@@ -21,35 +21,33 @@ import ufl
 from mpi4py import MPI
 
 from geometry.joint import Joint
-from geometry.parallel import default_comm, on_root
-from geometry.partition import partitioner, rows_of_rank
+from geometry.parallel import Comm, ResultType, default_comm, on_root
+from geometry.partition import Partitioner, partitioner, rows_of_rank
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, FacetName, S
 from geometry.sheet import continued_ridges
-from geometry.topology import FloatArray, Indices, IntArray, geometry_degree, local_facets
+from geometry.topology import FloatArray, Indices, IntArray, Scalar, geometry_degree, local_facets
 
 MESHES_PER_COLLECTION = 100  # number of meshes after which Python's garbage collector frees meshes in reference cycles
 _MESH_COUNT = count(1)
 NAMES_PER_CODE = 30  # number of names after which combinations are renumbered, so that codes fit into int64
 
 
-def first_accepted(*calls: Callable[[], Any]) -> Any:
+def first_accepted(*calls: Callable[[], ResultType]) -> ResultType:
     """Result of the first call whose signature exists (a wrong signature raises TypeError before any work is done)."""
     for call in calls[:-1]:
-        try:
+        with suppress(TypeError):
             return call()
-        except TypeError:
-            continue
     return calls[-1]()
 
 
 def create_mesh(
-    comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str, partitioner: Any = None
+    comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str, partitioner: Partitioner | None = None
 ) -> dolfinx.mesh.Mesh:
     """Create a mesh from points and cells; each rank passes some. Several ranks need a partitioner. Collective."""
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
     element, x = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,)), np.ascontiguousarray(points)
-    arguments: dict[str, Any] = {"comm": comm, "cells": cells, "x": x, "partitioner": partitioner}
+    arguments = dict(comm=comm, cells=cells, x=x, partitioner=partitioner)
 
     def by_names() -> dolfinx.mesh.Mesh:
         """Pass arguments by name: without names the bindings first try to convert each cell to an array, slowly."""
@@ -87,7 +85,7 @@ def with_cell_points(mesh: dolfinx.mesh.Mesh, x: FloatArray) -> dolfinx.mesh.Mes
     return dolfinx.mesh.Mesh(moved, ufl.Mesh(mesh.ufl_domain().ufl_coordinate_element()))
 
 
-def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) -> Any:
+def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) -> dolfinx.cpp.common.IndexMap:
     """Index map of n owned indices, and of ghosts with their global numbers and owners. Collective."""
     arguments = (comm, n, np.asarray(ghosts, np.int64), np.asarray(owners, np.int32))
     create = dolfinx.cpp.common.IndexMap
@@ -129,9 +127,6 @@ def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices,
     return np.take_along_axis(corners[cells], local_facets(cell_type)[which], axis=1)
 
 
-Scalar = TypeVar("Scalar", bound=np.generic)
-
-
 @dataclass(frozen=True)
 class Domain:
     """A distributed mesh and the names of its parts.
@@ -160,12 +155,13 @@ class Domain:
     comm: MPI.Intracomm
 
     @classmethod
-    def of(cls, joint: Joint, comm: MPI.Intracomm | None = None) -> Domain:
+    def of(cls, joint: Joint, comm: Comm = None) -> Domain:
         """Distribute a joint. Collective."""
         comm = comm or default_comm()
         if comm.size > 1 or not next(_MESH_COUNT) % MESHES_PER_COLLECTION:
             gc.collect()  # DOLFINx compiles with pickled collectives on meshes' communicators: free old meshes now
-        points, cells = (rows_of_rank(array, comm.rank, comm.size) for array in (joint.points, joint.cells))
+        points = rows_of_rank(joint.points, comm.rank, comm.size)
+        cells = rows_of_rank(joint.cells, comm.rank, comm.size)
         mesh = create_mesh(comm, points, cells, joint.cell_type, partitioner(joint, comm))
         original = np.asarray(mesh.topology.original_cell_index, np.int64)
         if joint.parted is not None:
@@ -247,15 +243,13 @@ def _local_facets(
     A cell of the mesh has its vertices, and so its facets, in the order of the joint's cell.
     """
     create_connectivity(mesh, joint.dim - 1)
-    of_cells = _facets_of_cells(mesh)
     local = np.full(len(joint.cells), -1)
     local[original] = np.arange(len(original))
     cells, which = local[joint.table.cells[rows]], joint.table.local[rows]
     here = (cells >= 0) & (which >= 0)
-    places = here.argmax(axis=1)[:, None]
-    cells, which = (np.take_along_axis(array, places, axis=1)[:, 0] for array in (cells, which))
     kept = np.flatnonzero(here.any(axis=1))
-    facets = of_cells[cells[kept], which[kept]]
+    side = here[kept].argmax(axis=1)
+    facets = _facets_of_cells(mesh)[cells[kept, side], which[kept, side]]
     order = np.argsort(facets)
     return facets[order], kept[order]
 
@@ -284,7 +278,7 @@ def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple
     sets = dict(_named_sets(joint))
     tagged = np.unique(np.concatenate([*sets.values()]))
     places = {name: np.searchsorted(tagged, rows) for name, rows in sets.items()}
-    combination: npt.NDArray[Any] = np.zeros(len(tagged), np.int64)
+    combination: IntArray = np.zeros(len(tagged), np.int64)
     for k, place in enumerate(places.values(), 1):
         combination *= 2
         combination[place] += 1

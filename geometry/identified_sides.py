@@ -52,11 +52,10 @@ class Periods:
             cell_type: type of the cells.
             seams: (m, k) vertices of the outer facets that are in seams.
         """
-        size = np.ptp(points, axis=0).max()
         for (first, second), pair, vector in zip(self.sides, self.pairs, self.vectors(points), strict=True):
             mismatch = np.abs(points[pair[:, 1]] - points[pair[:, 0]] - vector).max(axis=1)
             message = f"the sides {first!r} and {second!r} do not match any more at {{at}}"
-            refuse(mismatch > DISTANCE_TOLERANCE * size, points[pair[:, 0]], message)
+            refuse(mismatch > DISTANCE_TOLERANCE * np.ptp(points, axis=0).max(), points[pair[:, 0]], message)
         master = self.masters(len(points))
         tied = np.bincount(master, minlength=len(master))[master] > 1
         refuse(tied[seams].all(axis=1), points[seams], f"a seam lies on the periodic boundary, at {{at}}: {CUT_ADVICE}")

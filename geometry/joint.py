@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from itertools import chain
 
 import numpy as np
 
@@ -123,16 +123,15 @@ class Joint:
             refuse(self.table.index(facets) < 0, self.points[facets], missing)
         if self.band is None:
             self._check_seams()
-            kept = {
-                name: facets if name in self.seams else facets[~np.isin(self.table.index(facets), self.surface_rows)]
-                for name, facets in self.facets.items()
-            }
-            object.__setattr__(self, "facets", {name: facets for name, facets in kept.items() if len(facets)})
+            rows = {name: self.table.index(facets) for name, facets in self.facets.items()}
+            kept = {name: np.isin(of, self.surface_rows, invert=name not in self.seams) for name, of in rows.items()}
+            sets = {name: facets[kept[name]] for name, facets in self.facets.items() if kept[name].any()}
+            object.__setattr__(self, "facets", sets)
         if self.periods:
             outer = self.surface_rows[self.surface_cells[:, 0] < 0] if self.band is None else np.empty(0, np.int64)
             self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[outer])
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """State for pickling, with the pieces of the mesh computed, so that other ranks need not compute them again."""
         if self.band is None:
             _ = self.split_mesh.pieces
@@ -153,8 +152,7 @@ class Joint:
             require_known("set of facets", name, self.facets)
         if len(self.seams) > 1 and S in self.seams:
             raise InputError(f"{S!r} is all seams together and cannot name one of several")
-        rows = np.concatenate([self.rows_of(name) for name in self.seams])
-        rows, counts = np.unique(rows, return_counts=True)
+        rows, counts = np.unique(np.concatenate([*map(self.rows_of, self.seams)]), return_counts=True)
         if (counts > 1).any():
             first, second, *_ = (name for name in self.seams if rows[counts > 1][0] in self.rows_of(name))
             both = f"{{bad}} facets are in two seams, {first!r} and {second!r}, the first at {{at}}"
@@ -195,9 +193,9 @@ class Joint:
     @property
     def bodies(self) -> tuple[str, ...]:
         """Names of the bodies' regions, regions below seams first."""
-        named = [name for side in ("lower", "upper") for seam in self.seams.values() for name in getattr(seam, side)]
+        sides = [seam.lower for seam in self.seams.values()] + [seam.upper for seam in self.seams.values()]
         layer = self.band.regions if self.band else ()
-        return tuple(name for name in dict.fromkeys([*named, *self.regions]) if name not in layer)
+        return tuple(name for name in dict.fromkeys(chain(*sides, self.regions)) if name not in layer)
 
     @property
     def reference(self) -> FloatArray:
@@ -240,18 +238,17 @@ class Joint:
         out = self.table.cells[self.surface_rows][:, ::-1].copy()
         for number, (name, seam) in enumerate(self.seams.items()):
             here = np.flatnonzero(self.seam_numbers == number)
-            outer = out[here, 0] < 0
+            outer, nodes = out[here, 0] < 0, self.surface[here]
             if seam.lower or not outer.all():
                 sides = f"between {'+'.join(seam.lower)} and {'+'.join(seam.upper)} " if seam.lower else ""
-                what = f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, as at {{at}}; {sides}each"
-                needs = "needs a cell on both sides, or all must stand on a rigid base"
-                refuse(outer, self.points[self.surface[here]], f"{what} {needs}")
+                some = f"{{bad}} of {{all}} facets of {name!r} lie on the outer boundary, as at {{at}}; {sides}each"
+                refuse(outer, self.points[nodes], f"{some} needs cells on both sides, or all stand on a rigid base")
             if not outer.any():
-                x = self.points[self.surface[here]].mean(axis=1)
+                x = self.points[nodes].mean(axis=1)
                 if seam.direction is None:
                     right = seam.between_regions(name, x, self.region[out[here]], self.regions)
                 else:
-                    normals = facet_normals(self.points, self.surface[here], self.cell_type).mean(axis=1)
+                    normals = facet_normals(self.points, nodes, self.cell_type).mean(axis=1)
                     to_second = self.points[self.corners[out[here, 1]]].mean(axis=1) - x
                     right = seam.along_direction(name, x, normals, to_second)
                 out[here[~right]] = out[here[~right]][:, ::-1]
@@ -396,24 +393,23 @@ class Joint:
         if profile is None:
             return values
         rows = self.rows_of(name)
-        vertices = np.unique(self.table.vertices[rows])
+        vertices, what = np.unique(self.table.vertices[rows]), "the thickness profile"
         try:
             thickness = np.asarray(profile(self.points[vertices].T))
             if thickness.dtype.kind not in "fiu":
                 raise TypeError(f"it returns {thickness.dtype}")
         except Exception as error:
-            reason = f"the thickness profile is no numpy function of coordinates x (d, n): {error}"
-            raise InputError(reason) from error
+            raise InputError(f"{what} is not a numpy function of coordinates x (d, n): {error}") from error
         if thickness.shape not in ((), vertices.shape):
-            raise InputError(f"the thickness profile returns shape {thickness.shape} for {len(vertices)} points of S")
+            raise InputError(f"{what} returns shape {thickness.shape} for {len(vertices)} points of S")
         values[vertices] = thickness
-        bad = vertices[~(np.isfinite(values[vertices]) & (values[vertices] > 0))]
-        if len(bad):
-            at = place_text(self.points[bad[0]])
-            raise InputError(f"the thickness profile is {values[bad[0]]:g} at {at}; it must be > 0 on S")
-        surface, k = self.surface[np.searchsorted(self.surface_rows, rows)], corner_count(FACET_TYPES[self.cell_type])
+        for vertex in vertices[~(np.isfinite(values[vertices]) & (values[vertices] > 0))][:1]:
+            place = place_text(self.points[vertex])
+            raise InputError(f"{what} is {values[vertex]:g} at {place}; it must be > 0 on S")
         if self.degree == 2:
-            values[surface[:, k:]] = values[surface[:, :k]] @ weights_between(FACET_TYPES[self.cell_type]).T
+            facet_type = FACET_TYPES[self.cell_type]
+            surface, k = self.surface[np.searchsorted(self.surface_rows, rows)], corner_count(facet_type)
+            values[surface[:, k:]] = values[surface[:, :k]] @ weights_between(facet_type).T
         return values
 
     def rotated(self, angle: float) -> Joint:
@@ -434,7 +430,7 @@ class Joint:
         """The joint with the two sides of every seam exchanged: n changes its sign, nothing moves."""
         return replace(self, seams={name: seam.reversed() for name, seam in self.seams.items()})
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """Identity of the joint, as JSON: counts and hashes of its cells, places, regions and named facets."""
         x = self.points if self.parted is None else np.concatenate([self.points, np.concatenate(self.parted)])
         weights = np.cos(np.arange(x.size)).reshape(x.shape)

@@ -9,13 +9,14 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import accumulate
 from mmap import PROT_READ, PROT_WRITE, mmap
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 from mpi4py import MPI
 
 from forms.base import require
 
 ResultType = TypeVar("ResultType")
+Comm = MPI.Intracomm | None  # a communicator; None: the default
 SHARED_MEMORY_BYTES = 100_000  # size from which an array of a result is stored once per machine, bytes
 MAX_MESSAGE_BYTES = 2**30  # largest message, bytes: counts of MPI may be limited to 2**31
 ALIGNMENT_BYTES = 64  # alignment of shared arrays, bytes
@@ -37,7 +38,7 @@ def use_comm(comm: MPI.Intracomm) -> Iterator[None]:
         _DEFAULT_COMM.reset(token)
 
 
-def on_root(comm: MPI.Intracomm | None, build: Callable[[], ResultType]) -> ResultType:
+def on_root(comm: Comm, build: Callable[[], ResultType]) -> ResultType:
     """Run a function on rank 0 only; return its result, or raise its exception, on every rank. Collective.
 
     The ranks of one machine share the large arrays of the result, which are read-only. The exception has an attribute
@@ -50,17 +51,18 @@ def on_root(comm: MPI.Intracomm | None, build: Callable[[], ResultType]) -> Resu
         try:
             result = build()
         except Exception as error:
-            error.on_all_ranks = True  # type: ignore[attr-defined]
             result = error
     received = result
     if comm.size > 1:
         received = _broadcast(comm, _sendable(result) if isinstance(result, Exception) else result)
     if isinstance(received, Exception):
-        raise result if isinstance(result, Exception) else received
+        failure = result if isinstance(result, Exception) else received
+        vars(failure)["on_all_ranks"] = True
+        raise failure
     return cast(ResultType, received)
 
 
-def _broadcast(comm: MPI.Intracomm, result: Any) -> Any:
+def _broadcast(comm: MPI.Intracomm, result: ResultType) -> ResultType:
     """Return the result of rank 0 on every rank. Collective."""
     large: list[memoryview] = []
 
@@ -72,7 +74,8 @@ def _broadcast(comm: MPI.Intracomm, result: Any) -> Any:
 
     content = pickle.dumps(result, 5, buffer_callback=is_small) if comm.rank == 0 else b""
     content, sizes = comm.bcast((content, [raw.nbytes for raw in large]))
-    return pickle.loads(content, buffers=_shared_copies(comm, large, sizes) if sizes else ())
+    received: ResultType = pickle.loads(content, buffers=_shared_copies(comm, large, sizes) if sizes else ())
+    return received
 
 
 def _shared_copies(comm: MPI.Intracomm, sources: list[memoryview], sizes: list[int]) -> list[memoryview]:
@@ -113,6 +116,5 @@ def _sendable(error: Exception) -> Exception:
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:
-        error = RuntimeError(f"{type(error).__name__} on rank 0: {error}")
-        error.on_all_ranks = True  # type: ignore[attr-defined]
+        return RuntimeError(f"{type(error).__name__} on rank 0: {error}")
     return error

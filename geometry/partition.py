@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import dolfinx
 import numpy as np
+import numpy.typing as npt
 from mpi4py import MPI
 
 from geometry.joint import Joint
 from geometry.parallel import on_root
-from geometry.topology import FloatArray, Indices, IntArray
+from geometry.topology import FloatArray, Indices, IntArray, Scalar
+
+Partitioner = Callable[..., dolfinx.cpp.graph.AdjacencyList_int32]
 
 
 def bisected(x: FloatArray, parts: int) -> Indices:
@@ -65,12 +67,12 @@ def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
     return np.append(0, times.cumsum()), np.insert(owner, seen[:, 0] + 1, seen[:, 1])
 
 
-def rows_of_rank(rows: Any, rank: int, ranks: int) -> Any:
+def rows_of_rank(rows: npt.NDArray[Scalar], rank: int, ranks: int) -> npt.NDArray[Scalar]:
     """The rows, of points or cells, that a rank sends to their owners."""
     return rows[len(rows) * rank // ranks : len(rows) * (rank + 1) // ranks]
 
 
-def partitioner(joint: Joint, comm: MPI.Intracomm) -> Callable[..., Any] | None:
+def partitioner(joint: Joint, comm: MPI.Intracomm) -> Partitioner | None:
     """Partitioner for DOLFINx: ranks of the cells this rank sends, with ghosts across facets; None for one rank."""
     if comm.size == 1:
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import scipy.spatial
@@ -10,7 +11,7 @@ import scipy.spatial
 from forms.base import InputError, require
 from geometry.identified_sides import CUT_ADVICE, DISTANCE_TOLERANCE, Periods
 from geometry.joint import Joint
-from geometry.refusals import place_text, refuse, unknown_name_message
+from geometry.refusals import place_text, refuse, require_known
 from geometry.topology import IntArray
 
 
@@ -32,10 +33,9 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
     if joint.band is not None:
         raise InputError("the joint's layer is meshed; in a periodic joint it is a surface with an interface model")
     before = joint.periods or Periods((), ())
-    names = [*before.names, *(name for pair in sides for name in pair)]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise InputError(f"{twice[0]!r} is in two pairs of periodic sides; a side has one other side")
+    names = [*before.names, *chain(*sides)]
+    for name in (name for name in names if names.count(name) > 1):
+        raise InputError(f"{name!r} is in two pairs of periodic sides; a side belongs to one pair")
     pairs = tuple(_matching_nodes(joint, *pair) for pair in sides)
     return replace(joint, periods=Periods(before.sides + sides, before.pairs + pairs))
 
@@ -72,11 +72,10 @@ def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
 
 def _outer_rows(joint: Joint, name: str) -> IntArray:
     """Rows of the joint's table of the facets of a side."""
-    if name not in joint.facets:
-        raise InputError(unknown_name_message("side", name, joint.facets.keys() - joint.seams.keys()))
     if name in joint.seams:
         raise InputError(f"the seam {name!r} cannot be a periodic side: {CUT_ADVICE}")
+    require_known("side", name, joint.facets.keys() - joint.seams.keys())
     rows = np.unique(joint.table.index(joint.facets[name]))
     inner, x = joint.table.cells[rows, 1] >= 0, joint.points[joint.table.vertices[rows]]
-    refuse(inner, x, f"{name!r} is no side of the joint: {{bad}} of its facets lie inside, as at {{at}}")
+    refuse(inner, x, f"{name!r} is not a side of the joint: {{bad}} of its facets lie inside, as at {{at}}")
     return rows

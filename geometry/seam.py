@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from forms.base import InputError, is_finite
+from forms.base import InputError
+from forms.temperature import finite_values
 from geometry.refusals import refuse, require_known
 from geometry.topology import BoolArray, FloatArray, IntArray
 
@@ -85,8 +86,7 @@ class Seam:
         if self.direction is not None:
             if set(self.upper) != set(self.lower):
                 raise InputError(f"{name!r}: a direction tells the upper side, or regions do; give one of them")
-            numbers = np.shape(self.direction) == (dim,) and all(map(is_finite, self.direction))
-            if not numbers or not np.any(self.direction):
+            if finite_values(self.direction, (dim,)) is None or not np.any(self.direction):
                 raise InputError(f"direction is {self.direction}; it needs {dim} components, not all zero")
 
     def along_direction(self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray) -> BoolArray:
@@ -127,6 +127,5 @@ class Seam:
         else:
             second, first = region[:, 1] > region[:, 0], region[:, 1] < region[:, 0]
             what = "have one region on both sides; give the direction of the upper side"
-        reason = f"{name!r} does not separate two bodies: some of its facets {what}, the first at {{at}}"
-        refuse(~(first | second), x, reason)
+        refuse(~(first | second), x, f"{name!r} does not separate two bodies: some facets {what}, the first at {{at}}")
         return np.asarray(second)

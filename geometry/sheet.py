@@ -118,9 +118,8 @@ class Sheet:
     @property
     def planar(self) -> bool:
         """Whether the seam lies in one plane, or in parallel planes."""
-        return bool(
-            np.ptp(self.joint.node_normals[self.facets].reshape(-1, self.joint.dim), axis=0).max() <= PLANAR_TOLERANCE
-        )
+        normals = self.joint.node_normals[self.facets].reshape(-1, self.joint.dim)
+        return bool(np.ptp(normals, axis=0).max() <= PLANAR_TOLERANCE)
 
     @cached_property
     def _edges(self) -> FloatArray:
@@ -243,8 +242,7 @@ class StraightEnd:
 
     def has(self, x: FloatArray) -> BoolArray:
         """(n,) whether places (n, d) of S lie on the end."""
-        allowed = (self.level[1] - self.level[0]) / 2
-        return np.asarray((np.abs(self.distance(x)) <= allowed) & self._reaches(x))
+        return np.asarray((np.abs(self.distance(x)) <= (self.level[1] - self.level[0]) / 2) & self._reaches(x))
 
     def adjoins(self, x: FloatArray) -> BoolArray:
         """(n,) whether places (n, d) of S lie on the end, or inwards of it as in `faces`."""
@@ -279,9 +277,8 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
         label = connected(*links, n_rim + int(rim.vertices.max()) + 1)[:n_rim]
         same = on_line & (label == label[left[0]])
         on_it, others = rim[same], rim[(cosine > CORNER_COSINE) & (cosine <= 1 - PLANAR_TOLERANCE)]
-        touching = np.isin(others.vertices, on_it.vertices).any(axis=1)
         curved = "ends of S must be straight, or meet at angles of 45 degrees or more: one is curved at {at}"
-        refuse(touching, joint.points[others.vertices[:, 0]], curved)
+        refuse(np.isin(others.vertices, on_it.vertices).any(axis=1), joint.points[others.vertices[:, 0]], curved)
         along = x[left[0], -1] - x[left[0], 0]
         length = np.linalg.norm(along)
         along = along / length if length else along

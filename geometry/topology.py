@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, reduce
 from itertools import combinations
+from typing import TypeVar
 
 import basix
 import numpy as np
@@ -22,6 +23,7 @@ from forms.base import InputError
 IntArray = npt.NDArray[np.int64]
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+Scalar = TypeVar("Scalar", bound=np.generic)  # type of the values of an array
 Indices = npt.NDArray[np.int32]  # of entities and degrees of freedom on a rank, as in dolfinx
 
 KEY_BITS = 31  # bits for a vertex number in a key
@@ -316,6 +318,12 @@ class Splitting:
         out = np.zeros(int(self.cells.max(initial=-1)) + 1, np.int64)
         np.maximum.at(out, self._corners.ravel(), self.of_vertices.ravel() + 1)
         return out
+
+
+def unique_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
+    """Unique rows in lexicographic order, and for each row its number among them."""
+    unique, number = np.unique(rows, axis=0, return_inverse=True)
+    return unique, number.ravel()
 
 
 def connected(first: IntArray | Indices, second: IntArray | Indices, n: int) -> IntArray:

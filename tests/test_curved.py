@@ -146,9 +146,9 @@ def test_profiles_are_checked():
         (lambda x: np.full(x.shape[1], np.nan), "profile is nan"),
         (lambda x: np.ones(3), r"returns shape \(3,\) for"),
         (lambda x: x[0] >= 0, "it returns bool"),
-        (lambda x: 1j * x[0], "is no numpy function"),
-        (lambda x, y: x, "is no numpy function"),
-        (lambda x: ufl.sin(x[0]), "is no numpy function"),
+        (lambda x: 1j * x[0], "is not a numpy function"),
+        (lambda x, y: x, "is not a numpy function"),
+        (lambda x: ufl.sin(x[0]), "is not a numpy function"),
     ):
         layer = ThinLayer(GLUE, 0.01, profile=profile, at=1.0)
         refused(InputError, message, plates.interface, layer)

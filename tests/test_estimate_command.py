@@ -152,7 +152,7 @@ def test_wrong_descriptions_write_nothing(lap, tmp_path):
         ("loads=[{place = [0, 0], force = [0, 1], body = 'UP'}]", "unknown body 'UP'"),
         ("goals.pull.place=BACK", "nothing holds 'BACK'"),
         ("mesh.S=GLEU", "unknown set of facets 'GLEU', did you mean 'GLUE'?"),
-        ("mesh.path=other.msh", "other.msh: there is no such file in "),
+        ("mesh.path=other.msh", "other.msh: the file does not exist in "),
         ("layer.eps=1e-300", "layer.eps: 1e-300; allowed in bodies of size "),
     ]:
         done = thinlayer("estimate", lap, "--set", setting, "--out", tmp_path / "out")

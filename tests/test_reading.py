@@ -230,12 +230,12 @@ def test_sets_of_abaqus(tmp_path, part, glue, top):
 def test_what_is_not_read_of_abaqus(tmp_path):
     """Each with its keyword and line."""
     for more, words in [
-        ("*ELSET, ELSET=GLUE|5, G1|", r"a\.inp: \*ELSET in line 29 of a\.inp: there is no 'G1' before it"),
+        ("*ELSET, ELSET=GLUE|5, G1|", r"a\.inp: \*ELSET in line 29 of a\.inp: 'G1' does not exist before it"),
         ("*ELSET, ELSET=GLUE|5|*ELSET, ELSET=GLUE, GENERATE|5|", r"\*ELSET in line 31 of a"),
-        ("*ELSET, ELSET=GLUE|5, 13|", r"\*ELSET in line 29 .* no 13 before it"),
+        ("*ELSET, ELSET=GLUE|5, 13|", r"\*ELSET in line 29 .* 13 does not exist before it"),
         ("*ELSET, ELSET=A|5|*ASSEMBLY|*ELSET, ELSET=a|6|", r"\*ELSET in line 32 of .*: the part has a set 'a' too"),
         ("*ELEMENT, TYPE=COH2D4|8, 4, 5, 6, 9|", r"\*ELEMENT in line 29 of a\.inp: elements COH2D4 of 4 nodes are not"),
-        ("*ELEMENT, TYPE=T2D2|8, 4, 99|", r"\*ELEMENT in line 29 .* no 99 before it"),
+        ("*ELEMENT, TYPE=T2D2|8, 4, 99|", r"\*ELEMENT in line 29 .* 99 does not exist before it"),
         ("*End Part|*Part|*Node|1, 0., 5.|", r"\*NODE in line 31 of .*: a number is in the file twice; write one part"),
         ("*Instance, part=P|0., 1., 0.|", r"\*INSTANCE in line 29 of .*: it is not read; write all nodes"),
         ("*ELGEN, ELSET=LOW|1, 2, 1, 1|", r"\*ELGEN in line 29"),

@@ -100,7 +100,7 @@ def test_arguments(tmp_path):
     for arguments, message in [
         (dict(), "'S' lies inside LOW and UP; name the regions above it in upper.*regions: LOW, UP"),
         (dict(upper="UP", scale=0.0), "scale is 0.0; it must be a number > 0"),
-        (dict(S=["BED", 1]), r"S is \['BED', 1\]; give the name of one set of facets .* or None"),
+        (dict(S=["BED", 1]), r"S is \['BED', 1\]; give the name of one set of facets, .* or None"),
         (dict(S={"BED": 3}), "S: the upper side of 'BED' is 3; give a vector, .* or None"),
         (dict(S={"BED": None}, upper="UP"), "S names several seams: give the sides of each there"),
         (dict(upper=3), "upper is 3; give the name of a region, or several in a list"),
@@ -117,7 +117,7 @@ def test_arguments(tmp_path):
 
 def test_files_that_cannot_be_read(tmp_path, capfd):
     for name, text, message in [
-        ("a.msh", None, "a.msh: there is no such file in "),
+        ("a.msh", None, "a.msh: the file does not exist in "),
         ("a.node", "", "a.node: the file is empty"),
         ("a.mhs", "nothing", r"meshio cannot read this \.mhs file"),
         ("a.msh", "nothing", r"meshio cannot read this \.msh file"),

@@ -64,8 +64,8 @@ def load(path: Path) -> meshio.Mesh:
                     raise ValueError(f"the part has a set {name!r} too; give one of them another name")
                 joined.update(number for number in members if elements[number])
         except (KeyError, ValueError) as error:
-            why = f"there is no {error} before it" if isinstance(error, KeyError) else error
-            raise InputError(f"*{keyword} in {place}: {why}") from None
+            missing = " does not exist before it" if isinstance(error, KeyError) else ""
+            raise InputError(f"*{keyword} in {place}: {error}{missing}") from None
     kinds = dict.fromkeys(kind for kind, _ in elements.values())
     of_kind = {kind: [k for k, (cell_type, _) in elements.items() if cell_type == kind] for kind in kinds}
     cells = [(kind, np.array([elements[k][1] for k in ids])) for kind, ids in of_kind.items()]
@@ -80,8 +80,8 @@ def _blocks(path: Path) -> Iterator[tuple[str, dict[str, str], list[list[str]], 
     line = 1 + start.count("\n")
     for block in blocks:
         head, _, data = re.sub(r"\A(.*,)[ \t]*\n", r"\1", block).partition("\n")
-        first, *others = head.split(",")
-        keyword = first.strip().upper()
+        keyword, *others = head.split(",")
+        keyword = keyword.strip().upper()
         options = {key.strip().upper(): value.strip(' \t"') for key, _, value in (arg.partition("=") for arg in others)}
         if keyword == "INCLUDE":
             yield from _blocks(path.parent / options.get("INPUT", ""))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from operator import index
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import dolfinx
 import numpy as np
@@ -15,16 +15,15 @@ from forms.base import InputError, require
 from geometry.domain import cell_nodes, vertices_of_facets
 from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArguments
 from geometry.joint import Joint
-from geometry.parallel import default_comm, on_root
+from geometry.parallel import Comm, default_comm, on_root
 from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
 
 BODY = "BODY"  # region of all cells if there are no cell tags
 TagNames = Mapping[str, Sequence[int]]  # name -> dimension of the tagged entities, then their tags
+Tags = dict[str, list[int]]  # name -> tags
 
 
-def gather_joint(
-    mesh: Any, names: TagNames | None, scale: float, comm: MPI.Intracomm | None, sides: SideArguments
-) -> Joint:
+def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm, sides: SideArguments) -> Joint:
     """The joint of a mesh of DOLFINx with its tags, as `read` describes it. Collective."""
     comm = comm or default_comm()
     mesh, cell_tags, facet_tags = (*(mesh if isinstance(mesh, (tuple, list)) else [mesh]), None, None)[:3]
@@ -59,17 +58,17 @@ class _Part(NamedTuple):
     tags: IntArray
 
     @classmethod
-    def of(cls, mesh: Any, cell_tags: Any, facet_tags: Any, comm: MPI.Intracomm) -> _Part:
+    def of(cls, mesh: dolfinx.mesh.Mesh, cell_tags: object, facet_tags: object, comm: MPI.Intracomm) -> _Part:
         """The part of this rank; raise InputError if it is unsuitable for a joint."""
         require(isinstance(mesh, dolfinx.mesh.Mesh), "mesh", mesh, "give the name of a file, or a dolfinx.mesh.Mesh")
         if MPI.Comm.Compare(comm, mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
-            remedy = "give comm the communicator that the mesh was made with"
-            raise InputError(f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}; {remedy}")
+            sizes = f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}"
+            raise InputError(f"{sizes}; give comm the communicator that the mesh was made with")
         topology, geometry = mesh.topology, mesh.geometry
         kinds = [dolfinx.mesh.to_string(kind) for kind in topology.entity_types[-1]]
-        if len(kinds) > 1 or kinds[0] not in CELL_TYPES:
-            raise InputError(f"cells are of type {', '.join(kinds)}; allowed: one of {', '.join(CELL_TYPES)}")
         kind, dim, cells = kinds[0], topology.dim, cell_nodes(mesh)
+        if len(kinds) > 1 or kind not in CELL_TYPES:
+            raise InputError(f"cells are of type {', '.join(kinds)}; allowed: one of {', '.join(CELL_TYPES)}")
         geometry_degree(kind, cells.shape[1])
         owned = topology.index_map(dim).size_local
         region, tagged = np.zeros(owned, np.int64), np.full(owned, cell_tags is None)
@@ -83,11 +82,12 @@ class _Part(NamedTuple):
         return cls(kind, points, whole[:owned], region, tagged, vertices, tags)
 
 
-def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[Indices, IntArray]:
+def _tags(mesh: dolfinx.mesh.Mesh, tags: object, dim: int, what: str) -> tuple[Indices, IntArray]:
     """Local entities with a tag, and their tags; both empty without tags."""
     if tags is None:
         return np.empty(0, np.int32), np.empty(0, np.int64)
-    require(isinstance(tags, dolfinx.mesh.MeshTags), what, tags, "give dolfinx.mesh.MeshTags")
+    if not isinstance(tags, dolfinx.mesh.MeshTags):
+        raise InputError(f"{what} is {tags!r:.200}; give dolfinx.mesh.MeshTags")
     if tags.dim != dim:
         raise InputError(f"{what} are of entities of dimension {tags.dim}; those of this mesh have dimension {dim}")
     if tags.topology is not mesh.topology and tags.topology is not mesh.topology._cpp_object:
@@ -97,8 +97,18 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: Any, dim: int, what: str) -> tuple[Indi
     return np.asarray(tags.indices), np.asarray(tags.values, np.int64)
 
 
-def _joint_of(parts: list[Any], names: Any, whole: Any, scale: float, sides: SideArguments) -> Joint:
-    """The joint of all ranks' parts; nodes are sorted by their places, cells by their nodes."""
+def _joint_of(
+    parts: list[_Part | Exception], names: TagNames | None, whole: Tags | None, scale: float, sides: SideArguments
+) -> Joint:
+    """The joint of all ranks' parts; nodes are sorted by their places, cells by their nodes.
+
+    Args:
+        parts: the part of each rank, or its error.
+        names: names of tags, as in `read`.
+        whole: names of tags of cells, if `names` has none; None: their numbers.
+        scale: factor on the coordinates.
+        sides: arguments for S and its sides.
+    """
     for part in parts:
         if isinstance(part, Exception):
             raise part
@@ -108,12 +118,11 @@ def _joint_of(parts: list[Any], names: Any, whole: Any, scale: float, sides: Sid
         raise InputError("the mesh has no cells")
     order = np.lexsort(points.T[::-1])
     number = np.argsort(order)
-    points, nodes, rows = scale * points[order], number[nodes], np.sort(number[rows], axis=1)
-    order = np.lexsort(np.sort(nodes[:, : corner_count(kind)], axis=1).T[::-1])
-    nodes, region, tagged = nodes[order], region[order], tagged[order]
-    cells = FileCells.of(points, nodes, kind, f"{len(nodes)} {kind} cells")
+    nodes, rows = number[nodes], np.sort(number[rows], axis=1)
+    by_nodes = np.lexsort(np.sort(nodes[:, : corner_count(kind)], axis=1).T[::-1])
+    cells = FileCells.of(scale * points[order], nodes[by_nodes], kind, f"{len(nodes)} {kind} cells")
     dim, chosen = cells.points.shape[1], _by_dimension(names or {})
-    groups = _groups(chosen.get(dim, whole), region, tagged, "cell")
+    groups = _groups(chosen.get(dim, whole), region[by_nodes], tagged[by_nodes], "cell")
     if not groups:
         raise InputError("no cell has a tag")
     sets = _groups(chosen.get(dim - 1), tags, np.ones(len(tags), bool), "facet")
@@ -121,27 +130,24 @@ def _joint_of(parts: list[Any], names: Any, whole: Any, scale: float, sides: Sid
     return NamedGroups(cells, groups, named, "tags", SeamSides.of(**sides)).joint()
 
 
-def _by_dimension(names: Any) -> dict[int, dict[str, list[int]]]:
+def _by_dimension(names: TagNames) -> dict[int, Tags]:
     """Tag names sorted by dimension: dimension -> name -> tags."""
-    chosen: dict[int, dict[str, list[int]]] = {}
+    chosen: dict[int, Tags] = {}
     try:
         for name, (dim, first, *others) in names.items():
             if not isinstance(name, str):
-                raise TypeError("a name is a text")
-            chosen.setdefault(index(dim), {})[name] = [index(number) for number in (first, *others)]
+                raise TypeError
+            chosen.setdefault(index(dim), {})[name] = [*map(index, (first, *others))]
     except (AttributeError, TypeError, ValueError):
         raise InputError(f"names is {names!r}; give {{name: (dimension, number of its tags)}}") from None
     return chosen
 
 
-def _groups(names: dict[str, list[int]] | None, values: IntArray, tagged: BoolArray, what: str) -> Groups:
+def _groups(names: Tags | None, values: IntArray, tagged: BoolArray, what: str) -> Groups:
     """Name -> which entities have one of its tags; without names each tag is named by its number."""
-    tags = [int(number) for number in np.unique(values[tagged])]
-    groups: Groups = {}
-    for name, numbers in ({str(number): [number] for number in tags} if names is None else names).items():
-        for number in numbers:
-            if number not in tags:
-                text = ", ".join(map(str, tags)) or "none"
-                raise InputError(f"names: no {what} has the tag {number}, named {name!r}; tags: {text}")
-        groups[name] = tagged & np.isin(values, numbers)
-    return groups
+    tags = [*map(int, np.unique(values[tagged]))]
+    names = {str(tag): [tag] for tag in tags} if names is None else names
+    for name, tag in ((name, tag) for name, numbers in names.items() for tag in numbers if tag not in tags):
+        known = ", ".join(map(str, tags)) or "none"
+        raise InputError(f"names: no {what} has the tag {tag}, named {name!r}; tags: {known}")
+    return {name: tagged & np.isin(values, numbers) for name, numbers in names.items()}

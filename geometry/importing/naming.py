@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from forms.base import InputError, is_finite
+from forms.base import InputError
+from forms.temperature import finite_values
 from geometry.joint import Joint
-from geometry.refusals import place_text, refuse, require_known
+from geometry.refusals import refuse, require_known
 from geometry.seam import S, Seam
 from geometry.topology import (
     FACET_TYPES,
@@ -31,12 +32,13 @@ MIN_JACOBIAN_RATIO = 1e-10  # ratio of the smallest to the largest Jacobian up t
 
 Groups = dict[str, BoolArray]  # name -> which cells are in the group
 Names = tuple[str, ...]
+SeamNames = str | Sequence[str] | Mapping[str, object] | None  # names of seams, or name -> its upper side
 
 
 class SideArguments(TypedDict, total=False):
     """Arguments for S and its sides, as `read` describes them."""
 
-    S: str | Sequence[str] | Mapping[str, Any] | None
+    S: SeamNames
     upper: str | Sequence[str] | None
     lower: str | Sequence[str] | None
     direction: Sequence[float] | None
@@ -78,9 +80,8 @@ class FileCells:
         x = points[used]
         height = x[:, dim:]
         if height.size and np.ptp(height) > NODE_TOLERANCE * np.ptp(x, axis=0).max():
-            where = f"at z = {height.min():g} to {height.max():g}, not in a plane z = const"
-            remedy = "for a solid save the cells of the volume too (gmsh: name them with Physical Volume)"
-            raise InputError(f"2D mesh in 3D: {what} {where}; {remedy}")
+            surface = f"{what} at z = {height.min():g} to {height.max():g}, not in a plane z = const"
+            raise InputError(f"2D mesh in 3D: {surface}; for a solid save its cells too (gmsh: in a Physical Volume)")
         return cls(x[:, :dim].copy(), numbers.reshape(nodes.shape), cell_type, used)
 
     @property
@@ -100,17 +101,14 @@ class FileCells:
         largest = np.abs(jacobian).max(axis=1)
         self.refuse(largest <= MIN_RELATIVE_JACOBIAN * size ** self.points.shape[1], "are degenerate (no volume)")
         smallest = (jacobian * np.sign(jacobian.sum(axis=1))[:, None]).min(axis=1)
-        folded = "are folded (their Jacobian vanishes or changes sign within the cell)"
-        self.refuse(smallest <= MIN_JACOBIAN_RATIO * largest, folded)
-        pairs = cKDTree(self.points).query_pairs(
-            NODE_TOLERANCE * np.ptp(self.points, axis=0).max(), output_type="ndarray"
-        )
-        if len(pairs):
-            x = self.points[pairs[pairs[:, 0].argmin(), 0]]
-            where = f"pairs of nodes at the same place, the first at {place_text(x)}: the cells there are not connected"
-            how = "gmsh: BooleanFragments or Coherence before meshing, removeDuplicateNodes after it"
-            fix = f"let bodies share their nodes ({how}), or draw gaps that stay unbonded wider than {NODE_TOLERANCE:g}"
-            raise InputError(f"{len(pairs)} {where}; {fix} of the mesh")
+        folded = smallest <= MIN_JACOBIAN_RATIO * largest
+        self.refuse(folded, "are folded (their Jacobian vanishes or changes sign within the cell)")
+        distance = NODE_TOLERANCE * np.ptp(self.points, axis=0).max()
+        pairs = cKDTree(self.points).query_pairs(distance, output_type="ndarray")
+        apart = "{bad} pairs of nodes at the same place, the first at {at}, do not connect their cells: let bodies"
+        share = "share nodes (gmsh: BooleanFragments or Coherence before meshing, removeDuplicateNodes after it)"
+        gaps = f"or draw gaps that stay unbonded wider than {NODE_TOLERANCE:g} of the mesh"
+        refuse(np.ones(len(pairs), bool), self.points[np.sort(pairs[:, 0])], f"{apart} {share}, {gaps}")
 
     def facets_among(self, vertices: IntArray) -> FacetTable:
         """Facets of the cells that have a whole facet among `vertices`; cells are numbered as in `nodes`."""
@@ -134,38 +132,39 @@ class SeamSides:
     seams: Mapping[str, Seam] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, S: Any = S, upper: Any = None, lower: Any = None, direction: Any = None) -> SeamSides:
+    def of(
+        cls, S: SeamNames = S, upper: object = None, lower: object = None, direction: Sequence[float] | None = None
+    ) -> SeamSides:
         """The choice from arguments as in `read`; raise InputError for wrong types."""
         above, below = _names_of(upper, "upper"), _names_of(lower, "lower")
-        way: Any = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
+        way = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
         if S is None or isinstance(S, str):
             return cls(S, Seam(below, above, way))
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys(S)
         if not rules or not all(isinstance(name, str) for name in rules):
-            names = "the name of one set of facets (a group can have several parts), the names of several"
-            others = "{name: its upper side}, or None for all facets between the regions lower and upper"
-            raise InputError(f"S is {S!r}; give {names}, {others}")
+            several = "the names of several, {name: its upper side}, or None for all facets between lower and upper"
+            raise InputError(f"S is {S!r}; give the name of one set of facets, {several}")
         if above or below or way:
             raise InputError("S names several seams: give the sides of each there, as {name: (lower, upper)}")
         return cls(None, Seam(), {name: _seam(name, rule) for name, rule in rules.items()})
 
 
-def _seam(name: str, rule: Any) -> Seam:
+def _seam(name: str, rule: object) -> Seam:
     """A seam from its rule in S: None, a direction, or the regions below and above."""
     if rule is None:
         return Seam()
     if isinstance(rule, Seam):
         return rule
-    if np.ndim(rule) == 1 and all(map(is_finite, rule)):
-        return Seam(direction=tuple(map(float, rule)))
+    if (way := finite_values(rule, (-1,))) is not None:
+        return Seam(direction=tuple(map(float, way)))
     if not isinstance(rule, tuple | list) or len(rule) != 2:
-        remedy = "give a vector, (lower, upper) with names of regions, or None for the order of the regions"
-        raise InputError(f"S: the upper side of {name!r} is {rule!r}; {remedy}")
+        sides = "a vector, (lower, upper) with names of regions, or None for the order of the regions"
+        raise InputError(f"S: the upper side of {name!r} is {rule!r}; give {sides}")
     lower, upper = (_names_of(side, f"side of {name!r}") for side in rule)
     return Seam(lower, upper)
 
 
-def _names_of(regions: Any, what: str) -> Names:
+def _names_of(regions: object, what: str) -> Names:
     """Names of the regions of one side; () for None."""
     names = (regions,) if isinstance(regions, str) else () if regions is None else regions
     if not (isinstance(names, Sequence) and all(isinstance(name, str) for name in names)):
@@ -212,12 +211,12 @@ class NamedGroups:
 
     def _disjoint(self) -> Groups:
         """The regions, with each cell in exactly one of them."""
-        regions, cells, sides = self.regions, self.cells, self.sides
-        chosen = sides.single.upper + sides.single.lower
-        chosen += tuple(name for seam in sides.seams.values() for name in seam.lower + seam.upper)
-        both = [name for name in regions if name in self.facets and not name.isdigit()]
-        if both:
-            raise InputError(f"{both[0]!r} names both cells and facets; each needs its own name")
+        regions, cells, single = self.regions, self.cells, self.sides.single
+        chosen = single.upper + single.lower
+        chosen += tuple(name for seam in self.sides.seams.values() for name in seam.lower + seam.upper)
+        for name in regions:
+            if name in self.facets and not name.isdigit():
+                raise InputError(f"{name!r} names both cells and facets; each needs its own name")
         for name in chosen:
             require_known("region", name, regions, self.source)
         count = np.sum(list(regions.values()), axis=0)
@@ -226,15 +225,13 @@ class NamedGroups:
             regions = {name: regions[name] for name in dict.fromkeys(chosen)}
             count = np.sum(list(regions.values()), axis=0)
             cells.refuse(count == 0, f"are in none of {', '.join(regions)}; name every region in upper or lower")
-        several = f"are in several of the groups {', '.join(regions)}; name the regions in upper and lower"
-        cells.refuse(count > 1, several)
+        cells.refuse(count > 1, f"are in several of the groups {', '.join(regions)}; name regions in upper and lower")
         return regions
 
     def _single(self) -> tuple[IntArray, Seam]:
         """Facets (n, k) of the only seam, and the seam."""
-        name, lower, upper = self.sides.S, self.sides.single.lower, self.sides.single.upper
-        way = self.sides.single.direction
-        regions, whole = f"regions: {', '.join(self.regions)}", tuple(self.regions)
+        name, single, whole = self.sides.S, self.sides.single, tuple(self.regions)
+        lower, upper, regions = single.lower, single.upper, f"regions: {', '.join(whole)}"
         if name != S and S in self.facets:
             raise InputError(f"other facets are named {S!r}; rename them, or give S={S!r}")
         if name is None:
@@ -244,18 +241,16 @@ class NamedGroups:
         facets, cells = self.facets[name], self.adjacent_cells(name)
         touched = self.touched(cells)
         if (cells[:, 1] < 0).all() and not lower:
-            other = [region for region in touched if region not in (upper or whole)]
-            if other:
-                where = f"{name!r} lies on the outer boundary of {' and '.join(other)}"
-                why = f"{'+'.join(upper)}, named in upper, does not touch it there"
-                raise InputError(f"{where}, and {why}; have both bodies the same nodes on {name!r}?")
+            if other := " and ".join(region for region in touched if region not in (upper or whole)):
+                apart = f"{'+'.join(upper)}, named in upper, does not touch it there"
+                raise InputError(f"{name!r} lies on the outer boundary of {other}, and {apart}; let them share nodes")
             return facets, Seam((), upper or whole)
-        if way is not None:
-            return facets, Seam(lower or upper or whole, upper or lower or whole, way)
+        if single.direction is not None:
+            return facets, Seam(lower or upper or whole, upper or lower or whole, single.direction)
         if not upper:
-            where = f"{name!r} lies inside {' and '.join(touched)}"
-            remedy = "name the regions above it in upper, or give the direction of the upper side"
-            raise InputError(f"{where}; {remedy} if the same body is on both; {regions}")
+            sides = "name the regions above it in upper, or give the direction of the upper side"
+            inside = f"{name!r} lies inside {' and '.join(touched)}"
+            raise InputError(f"{inside}; {sides} if the same body is on both; {regions}")
         return facets, Seam(lower or tuple(region for region in whole if region not in upper), upper)
 
     def adjacent_cells(self, name: str) -> IntArray:
@@ -287,11 +282,11 @@ def _require_whole(joint: Joint) -> None:
     first, *others = points[facets[inner, :d]].swapaxes(0, 1)
     centres = points[joint.corners].mean(axis=1)[cells[inner]]
     sides = [np.linalg.det(np.stack([*others, centre], axis=1) - first[:, None]) for centre in centres.swapaxes(0, 1)]
-    what = "{bad} facets have both of their cells on one side, the first at {at}: the mesh overlaps itself"
-    refuse(np.sign(sides[0]) == np.sign(sides[1]), points[facets[inner]], f"{what}; move its nodes apart, or mesh anew")
+    overlap = "{bad} facets have both cells on one side, the first at {at}: the mesh overlaps itself; mesh anew"
+    refuse(np.sign(sides[0]) == np.sign(sides[1]), points[facets[inner]], overlap)
     hanging = points[_hanging_nodes(points, facets[~inner])]
-    what = "{bad} nodes hang on facets of cells that do not have them, the first at {at}: these cells are not connected"
-    refuse(np.ones(len(hanging), bool), hanging, f"{what}; make the mesh conforming")
+    gaps = "{bad} nodes hang on facets of other cells, the first at {at}: these cells are not connected"
+    refuse(np.ones(len(hanging), bool), hanging, f"{gaps}; make the mesh conforming")
 
 
 def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:

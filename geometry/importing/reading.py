@@ -12,24 +12,25 @@ from functools import partial
 from itertools import takewhile
 from os.path import isfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, TypeAlias, Unpack
 
 import dolfinx
 import numpy as np
-from mpi4py import MPI
 
 from forms.base import InputError, import_optional, is_finite, require
 from geometry.importing import abaqus
 from geometry.importing.gathering import TagNames, gather_joint
 from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArguments
 from geometry.joint import Joint
-from geometry.parallel import ResultType, on_root
+from geometry.parallel import Comm, ResultType, on_root
 from geometry.refusals import refuse
 from geometry.topology import CELL_TYPES, FACET_TYPES, IntArray, corner_count
 
 if TYPE_CHECKING:
     import meshio
 
+# a file; a mesh; or a mesh, tags of its cells and tags of its facets
+Source: TypeAlias = "str | Path | dolfinx.mesh.Mesh | Sequence[dolfinx.mesh.Mesh | dolfinx.mesh.MeshTags | None]"
 MESHIO_FACETS = {"interval": "line", "triangle": "triangle", "quadrilateral": "quad"}  # start of meshio's names
 GMSH_PHYSICAL = "gmsh:physical"
 MESHIO_NAMES = ("triangle triangle6", "quad quad9", "tetra tetra10", "hexahedron hexahedron27")  # degrees 1 and 2
@@ -43,11 +44,11 @@ ELEMENT_REMEDIES = {
 
 
 def read(
-    mesh: str | Path | dolfinx.mesh.Mesh | Sequence[Any],
+    mesh: Source,
     *,
     names: TagNames | None = None,
     scale: float = 1.0,
-    comm: MPI.Intracomm | None = None,
+    comm: Comm = None,
     **sides: Unpack[SideArguments],
 ) -> Joint:
     """A joint from a mesh file, or from a mesh of DOLFINx with its tags. Collective.
@@ -97,9 +98,8 @@ def read_groups(
     """Apply a function to the named groups of a mesh file; input errors name the file. Not collective."""
     try:
         mesh = _load(path, scale)
-        cells = _cells_of(mesh)
+        cells, (source, array) = _cells_of(mesh), _source(mesh)
         dim = cells.points.shape[1]
-        source, array = _source(mesh)
         regions = _groups(mesh, dim, array)
         if not regions:
             example = f'Physical {"Surface" if dim == 2 else "Volume"}("BODY") = {{...}}'
@@ -116,24 +116,26 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
     Raises:
         InputError: the file is not readable, or two groups have the same physical name.
     """
-    meshio = import_optional("meshio")
+    meshio, suffix = import_optional("meshio"), path.suffix.lower()
     if not isfile(path):
-        raise InputError(f"there is no such file in {path.parent.resolve()}")
+        raise InputError(f"the file does not exist in {path.parent.resolve()}")
     if not path.stat().st_size:  # some readers of meshio would wait for lines forever
         raise InputError("the file is empty")
-    said = io.StringIO()
+    printed = io.StringIO()
     try:
-        with redirect_stdout(said), redirect_stderr(said), warnings.catch_warnings(action="ignore"):
-            mesh = (abaqus.load if path.suffix.lower() == ".inp" else meshio.read)(path)
+        with redirect_stdout(printed), redirect_stderr(printed), warnings.catch_warnings(action="ignore"):
+            mesh = (abaqus.load if suffix == ".inp" else meshio.read)(path)
     except InputError:
         raise
     except (Exception, SystemExit) as error:  # meshio exits Python when no reader succeeds
-        why = " ".join(said.getvalue().split()) if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
-        hint = "in gmsh save with Mesh.SaveAll = 0, Mesh.SaveParametric = 0"
-        if path.suffix.lower() != ".msh":
-            hint = f"install {error.name}" if isinstance(error, ImportError) else "save it as .vtu or .msh"
-        raise InputError(f"meshio cannot read this {path.suffix} file ({why}); {hint}") from None
-    if path.suffix.lower() == ".msh":
+        text = (
+            f"{type(error).__name__}: {error}" if isinstance(error, Exception) else " ".join(printed.getvalue().split())
+        )
+        advice = "in gmsh save with Mesh.SaveAll = 0, Mesh.SaveParametric = 0"
+        if suffix != ".msh":
+            advice = f"install {error.name}" if isinstance(error, ImportError) else "save it as .vtu or .msh"
+        raise InputError(f"meshio cannot read this {path.suffix} file ({text}); {advice}") from None
+    if suffix == ".msh":
         _require_single_names(path)
     mesh.points = np.asarray(mesh.points, float) * scale
     return mesh
@@ -142,9 +144,8 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
 def _require_single_names(path: Path) -> None:
     """Raise InputError if two groups have the same physical name: meshio would drop one of them."""
     end = ("$EndPhysicalNames", "$Nodes", "$Elements")
-    with path.open("rb") as file:
-        lines = (line.decode(errors="replace") for line in file)
-        head = "".join(takewhile(lambda line: not line.startswith(end), lines))
+    with path.open(encoding="utf-8", errors="replace", newline="\n") as file:
+        head = "".join(takewhile(lambda line: not line.startswith(end), file))
     matches = re.findall(r'^\s*(\d)\s+(\d+)\s+"(.*)"\s*$', head.partition("$PhysicalNames")[2], re.MULTILINE)
     for name, count in Counter(name for *_, name in matches).items():
         if count > 1:
@@ -159,10 +160,9 @@ def _cells_of(mesh: meshio.Mesh) -> FileCells:
     kinds = list(dict.fromkeys(block.type for block in blocks))
     if not kinds:
         raise InputError("the file has no cells")
-    types = ", ".join(f"{sum(len(block) for block in blocks if block.type == kind)} {kind}" for kind in kinds)
+    types, kind = ", ".join(f"{sum(len(b) for b in blocks if b.type == kind)} {kind}" for kind in kinds), kinds[0]
     if len(kinds) > 1:
         raise InputError(f"mixed cell types: {types}; a joint needs cells of one type")
-    kind = kinds[0]
     if kind not in MESHIO_CELLS:
         remedy = next(text for pattern, text in ELEMENT_REMEDIES.items() if re.match(pattern, kind))
         raise InputError(f"cells of a type that is not allowed: {types}; allowed: {', '.join(MESHIO_CELLS)}; {remedy}")
@@ -190,11 +190,13 @@ def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
     """The non-empty named groups of cells of a dimension; cells are numbered block after block of the file."""
     blocks = [k for k, block in enumerate(mesh.cells) if block.dim == dim]
     groups: Groups = {}
+    if not blocks:
+        return groups
     for name, members in mesh.cell_sets.items():
-        if blocks and not name.startswith("gmsh:"):
+        if not name.startswith("gmsh:"):
             parts = ((len(mesh.cells[k]), [] if members[k] is None else members[k]) for k in blocks)
             groups[name] = np.concatenate([np.isin(np.arange(n), part) for n, part in parts])
-    if blocks and array is not None:
+    if array is not None:
         numbers = np.concatenate([mesh.cell_data[array][k] for k in blocks]).astype(np.int64)
         for number in np.unique(numbers):
             for name in _names(mesh, dim, array, int(number)):
@@ -225,8 +227,8 @@ def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, 
     number = np.full(len(mesh.points), -1, np.int64)
     number[cells.used] = np.arange(len(cells.used))
     rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)
+    loose, x = (number[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
     for name, member in groups.items():
-        loose, x = member & (number[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
-        what = f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
-        refuse(loose, x, f"{what}; name all bodies, and in gmsh fragment them with it, or embed it")
+        apart = f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
+        refuse(member & loose, x, f"{apart}; name all bodies, and in gmsh fragment them with it, or embed it")
     return {name: np.unique(np.sort(number[rows[member]], axis=1), axis=0) for name, member in groups.items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import basix
 import numpy as np
@@ -42,14 +43,10 @@ class NodeCopies:
         """The copies of a joint's nodes."""
         surface, split, n = joint.surface, joint.split_mesh.of_nodes, len(joint.points)
         on_base = int(split.max(initial=0)) + 1
-        sides = []
-        for cells in joint.surface_cells.T:
-            component = joint.components_at(cells, surface)
-            sides.append(surface * (on_base + 1) + np.where(component < 0, on_base, component))
+        components = np.stack([joint.components_at(cells, surface) for cells in joint.surface_cells.T])
+        sides = surface * (on_base + 1) + np.where(components < 0, on_base, components)
         nodes, first = np.unique(surface, return_index=True)
-        on_s = np.zeros(n, bool)
-        on_s[nodes] = True
-        where = np.nonzero(on_s[joint.cells])
+        where = np.nonzero(np.isin(joint.cells, nodes))
         keys = joint.cells[where] * (on_base + 1) + split[where]
         copy_keys = np.unique(np.concatenate([keys, sides[0].ravel()]))
         new = np.setdiff1d(copy_keys, sides[1].ravel()[first], assume_unique=True)
@@ -118,9 +115,8 @@ class NodeLines:
 
     def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> NodeLines:
         """These lines and further lines."""
-        more = (self.ends, ends), (self.nodes, nodes), (self.kind, np.full(len(nodes), kind))
-        ends, nodes, kinds = map(np.concatenate, more)
-        return replace(self, ends=ends, nodes=nodes, kind=kinds)
+        kinds = np.append(self.kind, np.full(len(nodes), kind))
+        return replace(self, ends=np.append(self.ends, ends, axis=0), nodes=np.append(self.nodes, nodes), kind=kinds)
 
 
 @dataclass(frozen=True)
@@ -153,8 +149,9 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
     _, first, at = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     at = at.ravel()
     ends = np.column_stack([below, above])[first]
-    closed = "one body lies on both sides of S, so that the layer has no room there; use the interface model"
-    refuse(ends[:, 0] == ends[:, 1], joint.points[joint.surface.ravel()[first]], f"at {{at}} {closed}")
+    nodes = joint.surface.ravel()[first]
+    closed = "at {at} one body lies on both sides of S, so that the layer has no room there; use the interface model"
+    refuse(ends[:, 0] == ends[:, 1], joint.points[nodes], closed)
     turned = below != ends[at, 0]
     seam = np.repeat(joint.seam_numbers, joint.surface.shape[1])
     cases, example = np.unique(np.column_stack([seam[first][at], seam, turned]), axis=0, return_index=True)
@@ -162,17 +159,13 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
     for (number, other, way), x in zip(cases, places, strict=True):
         levels, other_levels = heights[number], 1 - heights[other][::-1] if way else heights[other]
         if len(levels) != len(other_levels) or np.abs(levels - other_levels).max() > HEIGHT_TOLERANCE:
-            continued = f"{names[number]!r} and {names[other]!r} continue one another"
-            what = continued if number != other else "the upper side changes"
-            remedy = "give them the same ones, and an upper side on the same body"
-            raise InputError(f"at {place_text(x)} {what}, and their sublayers do not meet: {remedy}")
+            both = f"{names[number]!r} and {names[other]!r} continue one another at {place_text(x)}"
+            apart = both if number != other else f"the upper side changes at {place_text(x)}"
+            raise InputError(f"{apart}, where sublayers do not meet: give equal ones, and an upper side on one body")
         if way and joint.dim == 3:
-            raise InputError(
-                f"the upper side of S changes at {place_text(x)}: in 3D each layer needs one on one side there"
-            )
-    shape, nodes = joint.surface.shape, joint.surface.ravel()[first]
+            raise InputError(f"the upper side of S changes at {place_text(x)}: in 3D it must be on one side there")
     posts = NodeLines(len(joint.points) + len(copies.new), ends, nodes, seam[first], tuple(heights))
-    return posts, FacetLines(at.reshape(shape), turned.reshape(shape))
+    return posts, FacetLines(at.reshape(joint.surface.shape), turned.reshape(joint.surface.shape))
 
 
 def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -> FloatArray:
@@ -185,9 +178,8 @@ def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -
     """
     shares = np.asarray(fractions if len(fractions) else [1.0])
     counts = degree * np.maximum(1, np.rint(cells_through * shares).astype(int))
-    edges = np.concatenate([[0.0], np.cumsum(shares)])
-    edges[-1] = 1.0
-    heights = [np.linspace(edges[k], edges[k + 1], n + 1)[1:] for k, n in enumerate(counts)]
+    edges = [0.0, *np.cumsum(shares)[:-1], 1.0]
+    heights = [np.linspace(*ends, n + 1)[1:] for ends, n in zip(pairwise(edges), counts, strict=True)]
     return np.concatenate([[0.0], *heights])
 
 
@@ -236,9 +228,8 @@ def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Patte
         middle[i, j] = middle[j, i] = n + number
     patterns = []
     for k in range(n):
-        corners = [(i, 0) for i in range(k + 1)] + [(i, degree) for i in range(k, n)]
-        picked = [order[:, i] for i, _ in corners]
-        offsets = [level for _, level in corners]
+        picked = [order[:, i] for i in (*range(k + 1), *range(k, n))]
+        offsets = [0] * (k + 1) + [degree] * (n - k)
         if degree == 2:
             for p, q in basix.topology(basix.CellType[cell_type])[1]:
                 picked.append(middle[picked[p], picked[q]])

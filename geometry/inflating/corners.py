@@ -16,7 +16,7 @@ import numpy as np
 from geometry.inflating.band_cells import FacetLines, NodeLines
 from geometry.joint import PLANAR_TOLERANCE, Joint
 from geometry.refusals import refuse
-from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange, sum_by_number
+from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange, sum_by_number, unique_rows
 
 
 class JunctionCorners(NamedTuple):
@@ -51,22 +51,22 @@ def junction_corners(joint: Joint, posts: NodeLines, footing: FacetLines) -> tup
     k = links.shape[1]
     if not len(links):
         return posts, None
-    vertices, of_link = _unique_rows(posts.nodes[links])
+    vertices, of_link = unique_rows(posts.nodes[links])
     ends = posts.ends[links]
-    copies, at = _unique_rows(np.concatenate([ends[..., 0], ends[..., 1]]))
+    copies, at = unique_rows(np.concatenate([ends[..., 0], ends[..., 1]]))
     of = np.empty(len(copies), np.int64)
     of[at] = np.tile(of_link, 2)
     degree = np.bincount(at)
     loose = (np.bincount(of) - np.bincount(of_link) > 1) | (np.bincount(of, degree > 2) > 0)
     loose |= np.bincount(of_link, facets > 1) > 0  # two layers between the same bodies
     for column in copies.T:  # a body has one corner at each end
-        loose |= np.bincount(_unique_rows(np.column_stack([of, column]))[0][:, 0]) < np.bincount(of)
+        loose |= np.bincount(unique_rows(np.column_stack([of, column]))[0][:, 0]) < np.bincount(of)
     touching = "bodies only touch at a vertex or an edge, between layers that meet there: the layers' ends enclose no"
     refuse(loose, joint.points[vertices], f"at {{at}} {touching} polygon")
 
     alone = np.flatnonzero(degree == 1)
     alone = alone[np.argsort(of[alone], kind="stable")].reshape(-1, 2)
-    pairs, number = _unique_rows(np.sort(copies[alone].swapaxes(1, 2).reshape(-1, 2), axis=1))
+    pairs, number = unique_rows(np.sort(copies[alone].swapaxes(1, 2).reshape(-1, 2), axis=1))
     nodes = np.empty(len(pairs), np.int64)
     nodes[number] = vertices[of[alone[:, 0]]].ravel()
     closing = (len(posts.nodes) + number).reshape(-1, k)
@@ -75,7 +75,7 @@ def junction_corners(joint: Joint, posts: NodeLines, footing: FacetLines) -> tup
     at = np.concatenate([at[: len(of_link)], alone[:, 0], at[len(of_link) :], alone[:, 1]])
     sides = links[np.argsort(at, kind="stable") % len(links)].reshape(-1, 2, k).swapaxes(1, 2)
     polygons = _polygons(sides, of)
-    pairs, _ = _unique_rows(np.column_stack([posts.nodes[sides[..., 0]].ravel(), polygons.ravel()]))
+    pairs, _ = unique_rows(np.column_stack([posts.nodes[sides[..., 0]].ravel(), polygons.ravel()]))
     meet = "where lines along which layers meet come together: these are not meshed; use the interface model"
     refuse(np.diff(pairs[:, 0]) == 0, joint.points[pairs[1:, 0]], f"S branches at {{at}}, {meet}")
     return posts, JunctionCorners(copies, sides, polygons, of)
@@ -89,16 +89,10 @@ def _junction_lines(joint: Joint, posts: NodeLines, footing: FacetLines) -> tupl
     several = np.bincount(posts.nodes)[posts.nodes] > 1
     ridges = lagrange(FACET_TYPES[joint.cell_type], 1).entity_closure_dofs[-2]
     rows = np.concatenate([footing.posts[:, ridge] for ridge in ridges])
-    links, number = _unique_rows(np.sort(rows[several[rows].all(axis=1)], axis=1))
-    _, place = _unique_rows(posts.nodes[links])
+    links, number = unique_rows(np.sort(rows[several[rows].all(axis=1)], axis=1))
+    _, place = unique_rows(posts.nodes[links])
     branches = np.bincount(place)[place] > 1
     return links[branches], np.bincount(number, minlength=len(links))[branches]
-
-
-def _unique_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Unique rows in lexicographic order, and for each row its number among them."""
-    unique, number = np.unique(rows, axis=0, return_inverse=True)
-    return unique, number.ravel()
 
 
 def _polygons(sides: IntArray, of: IntArray) -> IntArray:
@@ -113,7 +107,7 @@ def _polygons(sides: IntArray, of: IntArray) -> IntArray:
     for m in np.unique(count):
         here = np.flatnonzero(count[of] == m)
         here = here[np.argsort(of[here], kind="stable")].reshape(-1, m)
-        polygons, number = _unique_rows(np.sort(sides[here].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2])
+        polygons, number = unique_rows(np.sort(sides[here].swapaxes(1, 2).reshape(-1, 2 * m), axis=1)[:, ::2])
         out[here] = first + number.reshape(-1, 1, k)
         first += len(polygons)
     return out

@@ -47,8 +47,7 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
     n, count = len(face_nodes), np.bincount(index.ravel())
     total, along_n = sum_by_number(index, g[..., None] * normals, n), sum_by_number(index, normals, n)
     moment = sum_by_number(index, normals[..., :, None] * normals[..., None, :], n)
-    overlap = "S is folded at {at}: a layer there would overlap itself"
-    refuse(np.linalg.norm(along_n, axis=1) < MIN_COSINE * count, x, overlap)
+    refuse(np.linalg.norm(along_n, axis=1) < MIN_COSINE * count, x, "S is folded at {at}: a layer would overlap itself")
 
     thick, thin = np.zeros(n), np.full(n, np.inf)
     np.maximum.at(thick, index, g)
@@ -71,8 +70,7 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
     if error.max() > CORNER_ERROR:
         at = index.flat[error.argmax()]
         sizes = f"layers of different thickness, {thin[at]:g} and {thick[at]:g} on one side"
-        why = "the body between them has no corner there; give them one thickness"
-        raise InputError(f"{sizes}, meet nearly in line at {place_text(x[at])}: {why}")
+        raise InputError(f"{sizes}, meet nearly in line at {place_text(x[at])}; give them one thickness")
     return face_nodes, motion
 
 

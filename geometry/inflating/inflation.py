@@ -14,14 +14,12 @@ from geometry.inflating.corners import JunctionCorners, common_normals, junction
 from geometry.inflating.extended_bodies import extended_motion, face_motion
 from geometry.inflating.filling import JunctionCells, junction_cells
 from geometry.inflating.kept_bodies import NOT_KEPT_MESSAGE, THICKNESS_TOLERANCE, kept_motion, require_room
-from geometry.inflating.layering import Layering, check_junctions, check_layering, moved_facets
-from geometry.joint import InflatedBand, Joint, Profile
+from geometry.inflating.layering import Layering, Profiles, Sizes, check_junctions, check_layering, moved_facets
+from geometry.joint import InflatedBand, Joint
 from geometry.periodic import with_periods_of
 from geometry.refusals import refuse
 from geometry.seam import JUNCTIONS, LAYER, FacetName
 from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
-
-Profiles = Profile | Mapping[str, Profile | None] | None
 
 
 def inflate(
@@ -83,11 +81,11 @@ def inflate(
     periods, joint = joint.periods, replace(joint, periods=None)
     fixed: IntArray = np.empty(0, np.int64)
     if periods:
-        fixed, sides = np.unique(np.concatenate(periods.pairs)), " and ".join(map(repr, periods.names))
-        reason = "the layer cannot be meshed, as the sides would not match when it opens"
-        remedy = "cut the cell where S is not, use the interface model, or mesh a large piece that is not periodic"
-        message = f"S reaches one of the periodic sides {sides}, at {{at}}: {reason}; {remedy}"
-        refuse(np.isin(fixed, joint.surface), joint.points[fixed], message)
+        fixed = np.unique(np.concatenate(periods.pairs))
+        sides = f"the periodic sides {' and '.join(map(repr, periods.names))}"
+        reach = f"S reaches one of {sides}, at {{at}}, which would not match when the layer opens; cut the cell where S"
+        others = "is not, use the interface model, or mesh a large piece that is not periodic"
+        refuse(np.isin(fixed, joint.surface), joint.points[fixed], f"{reach} {others}")
     layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps)
     copies = NodeCopies.of(joint)
     posts, footing = node_lines(joint, copies, layers.heights)
@@ -112,16 +110,13 @@ def inflate(
     askew = between.region[askew_cells[:, 0, 0]]
     first = len(joint.regions) + sum(map(len, names.values()))
 
-    used = np.zeros(len(foot), bool)
-    for some in (copies.cells, bands.cells, between.cells):
-        used[some] = True
+    cells, used = np.concatenate([copies.cells, bands.cells, between.cells]), np.zeros(len(foot), bool)
+    used[cells] = True
     number = np.where(used, np.cumsum(used) - 1, -1)
-    foot, motion = foot[used], motion[used]
-    points, copies = joint.points[foot] + motion, copies.renumbered(number)
-    in_layers = number[np.concatenate([bands.cells, between.cells])]
-    cells = np.concatenate([copies.cells, in_layers])
+    foot, cells, copies = foot[used], number[cells], copies.renumbered(number)
+    points = joint.points[foot] + motion[used]
     _check_cells(joint, points, cells, len(bands.cells))
-    corners = in_layers[:, : joint.corners.shape[1]]
+    corners = cells[len(joint.cells) :, : joint.corners.shape[1]]
     facets, faces = moved_facets(joint, copies, layers, corners, len(bands.cells), foot)
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
     aligned = tuple(name for name, seam in shared.items() if seams.index(seam) not in askew)
@@ -252,11 +247,10 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
     refuse((before * after[:n] <= 0).any(axis=1), joint.points[joint.cells], f"{large}, {remedy}")
     folded = np.abs(np.sign(after[n:]).sum(axis=1)) < after.shape[1]
     where = "the layer" if folded[:n_bands].any() else "a junction of layers"
-    what = f"S turns too sharply for this eps: {{bad}} cells of {where} are folded, the first at {{at}}"
-    refuse(folded, points[cells[n:]], what)
+    refuse(folded, points[cells[n:]], f"S turns too sharply for eps: {{bad}} cells of {where} are folded, as at {{at}}")
 
 
-def with_gaps(joint: Joint, eps: float | Mapping[str, float], *, profile: Profiles = None) -> Joint:
+def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
     """The same joint with bodies parted by the thickness, as in `inflate(..., bodies="extended")`, without layer cells.
 
     Cells, names and numbers stay, and so do `points`, in which S is one surface. The parted places of the cells' nodes

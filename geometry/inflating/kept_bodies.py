@@ -11,7 +11,7 @@ from forms.traits import warn_of_range
 from geometry.joint import PLANAR_TOLERANCE, Joint
 from geometry.refusals import place_text, refuse
 from geometry.sheet import Sheet
-from geometry.topology import FloatArray, IntArray, connected, is_tensor, sum_by_number
+from geometry.topology import FloatArray, IntArray, connected, is_tensor, sum_by_number, unique_rows
 
 THICKNESS_TOLERANCE = 1e-12  # relative difference of thicknesses that counts as zero
 FLAT_GAP_TOLERANCE = 1e-9  # relative error of the thickness between bodies that are kept
@@ -46,8 +46,7 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     refuse(ends[:, 0] == ends[:, 1], joint.points[joint.corners[cells[:, 1]]], around)
     sheet = Sheet(joint)
     area = np.bincount(sheet.parts[0], sheet.areas)
-    pairs, at = np.unique(ends, axis=0, return_inverse=True)
-    at = at.ravel()
+    pairs, at = unique_rows(ends)
     weight: FloatArray = np.bincount(at, area).astype(float)
     moment = sum_by_number(at, area[:, None, None] * n[:, :, None] * n[:, None, :], len(pairs))
     opened = sum_by_number(at, (area * eps)[:, None] * n, len(pairs))
@@ -72,9 +71,10 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
         refuse(wrong, joint.points[joint.surface], f"{reason}: {NOT_KEPT_MESSAGE}")
     opening = np.einsum("nd,nkd->nk", wanted[at], joint.node_normals) / eps[:, None]
     if np.abs(opening - 1).max() > GAP_WARNING_ERROR:
-        moved = f"its thickness is {opening.min():.3f} to {opening.max():.3f} of eps"
-        why = "S is curved, and bodies='kept' moves the bodies apart in one piece"
-        warn_of_range("curved", f"the meshed layer: {moved}, as {why}; use bodies='extended' for a uniform one")
+        moved = f"S is curved, and its thickness is {opening.min():.3f} to {opening.max():.3f} of eps"
+        warn_of_range(
+            "curved", f"the meshed layer: {moved} with bodies='kept'; use bodies='extended' for a uniform one"
+        )
     based = np.zeros(part.max() + 1, bool)
     based[part[ends[cells[:, 0] < 0, 1]]] = True
     on_base, mine = cells[:, 0] < 0, part[ends[:, 1]]
@@ -144,9 +144,7 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
                 probes = np.concatenate([joint.points[np.unique(corners)], weights @ joint.points[corners]])
                 hit = _first_hit(joint, probes, outer[piece == fixed], sign * way / eps, eps)
                 if hit is not None:
-                    raise InputError(
-                        f"no room for a layer of thickness {eps:g} at {place_text(hit)}: bodies would overlap"
-                    )
+                    raise InputError(f"no room for a layer of thickness {eps:g} at {place_text(hit)}: bodies overlap")
 
 
 def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:

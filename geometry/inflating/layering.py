@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,10 @@ from geometry.topology import BoolArray, FacetTable, FloatArray, IntArray, keys_
 BODY_CHOICES = ("kept", "extended")
 MIN_THICKNESS = 1e-11  # smallest thickness of a meshed layer, over the size of its joint
 ValueType = TypeVar("ValueType")
+Names = Sequence[str]
+Sizes = float | Mapping[str, float]
+Shares = Sequence[float] | Mapping[str, Sequence[float]]
+Profiles = Profile | Mapping[str, Profile | None] | None
 
 
 def value_by_seam(
@@ -68,7 +72,9 @@ class Layering:
     with_cells: BoolArray
 
     @classmethod
-    def of(cls, joint: Joint, eps: Any, profile: Any, through: int, fractions: Any, junctions: Any, gaps: Any) -> Self:
+    def of(
+        cls, joint: Joint, eps: Sizes, profile: Profiles, through: int, fractions: Shares, junctions: Names, gaps: Names
+    ) -> Self:
         """Check the arguments of `inflate`; raise InputError if they are out of range, or S ends inside the bodies."""
         for what, names in (("junctions", junctions), ("gaps", gaps)):
             for name in names:
@@ -76,28 +82,26 @@ class Layering:
         in_gaps = np.isin(np.array([*joint.seams])[joint.seam_numbers], list(gaps))
         if in_gaps.all():
             raise InputError("all seams are gaps: there is no layer to mesh; use the interface model")
-        sizes: dict[str, float] = value_by_seam(joint, eps, "eps")
+        sizes = value_by_seam(joint, eps, "eps")
         shares: dict[str, Sequence[float]] = value_by_seam(joint, fractions, "fractions", ())
         profiles: dict[str, Profile | None] = value_by_seam(joint, profile, "profile", None)
-        whole = joint.size
+        unresolved = f"the coordinates of bodies of size {joint.size:.3g} do not resolve it; use the interface model"
         for name, size in sizes.items():
             which, some = "" if len(joint.seams) == 1 else f" of {name!r}", shares[name]
             require(is_finite(size) and size > 0, f"the layer's thickness eps{which}", size, "it must be > 0")
-            if size < MIN_THICKNESS * whole:
-                tiny = f"which coordinates do not resolve beside bodies of {whole:.3g}; use the interface model"
-                raise InputError(f"the layer's thickness eps{which} is {size:.3g}, {tiny}")
+            require(size >= MIN_THICKNESS * joint.size, f"the layer's thickness eps{which}", size, unresolved)
             if len(some) and not (all(map(is_finite, some)) and min(some) > 0 and abs(sum(some) - 1) <= 1e-12):
                 raise InputError(f"the fractions {tuple(some)}{which} of sublayers must be numbers > 0 and add up to 1")
         if joint.tip is not None:
-            reason = "the layer has no room at its tip and cannot be meshed; use the interface model"
-            raise InputError(f"S ends inside the bodies (near {place_text(joint.tip)}): {reason}")
+            tip = f"S ends inside the bodies (near {place_text(joint.tip)})"
+            raise InputError(f"{tip}: the layer has no room there and cannot be meshed; use the interface model")
         relative = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in sizes.items()])
         thickness = relative[joint.seam_numbers[:, None], joint.surface]
         heights = [level_heights(joint.degree, through, some) for some in shares.values()]
         varying = tuple(name for name in joint.seams if profiles[name] is not None)
         claims = [name for name in dict.fromkeys([*junctions, *joint.seams]) if name not in gaps]
-        floats = {name: float(size) for name, size in sizes.items()}
-        return cls(floats, shares, heights, thickness, varying, claims, ~in_gaps)
+        sizes = {name: float(size) for name, size in sizes.items()}
+        return cls(sizes, shares, heights, thickness, varying, claims, ~in_gaps)
 
 
 def check_junctions(joint: Joint, posts: NodeLines, layers: Layering) -> None:
@@ -116,8 +120,7 @@ def check_junctions(joint: Joint, posts: NodeLines, layers: Layering) -> None:
         ("junctions are meshed between layers of uniform thickness only", list(layers.varying)),
         ("junctions are meshed between straight-sided cells only", [*joint.seams] if joint.degree == 2 else []),
     ):
-        where = "S branches at {at}, where three or more bodies meet"
-        refuse(np.isin(names, of_seams), x, f"{where}: {reason}; use the interface model")
+        refuse(np.isin(names, of_seams), x, f"S branches at {{at}}: {reason}; use the interface model")
     refuse(posts.top[meeting] % 2 > 0, x, "layers meet at {at} and need an even number of cells (cells_through) there")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from scipy.spatial import Voronoi, cKDTree
@@ -25,6 +25,10 @@ MIN_GRAIN_SIDE = 0.12  # least side of relaxed grains, over the root of their me
 LLOYD_STEPS = 3  # number of steps that move points to the centres of their cells
 MAX_RELAXATION_STEPS = 100  # largest number of relaxation steps
 COORDINATE_DECIMALS = 10  # decimals of coordinates passed to gmsh, the largest between 1 and 1000
+
+
+Places = Sequence[tuple[float, float]]
+SeamNames = Callable[[int, int], str]  # numbers of two parts that touch -> name of their seam
 
 
 @dataclass(frozen=True)
@@ -84,9 +88,8 @@ class CutRectangle(Shape):
             tags = np.array([tag for _, tag in pieces])
             kept = self.inside(np.array([kernel.getCenterOfMass(1, tag)[:2] for tag in tags]), near)
             facets.setdefault(name, []).extend(map(int, tags if name in SIDE_NAMES else tags[kept]))
-        for name in self.seams:
-            if not facets[name]:
-                raise InputError(f"the fault {name!r} lies outside the block")
+        for name in (name for name in self.seams if not facets[name]):
+            raise InputError(f"the fault {name!r} lies outside the block")
         tags = np.array([tag for _, tag in parts])
         middles = np.array([kernel.getCenterOfMass(2, tag)[:2] for tag in tags])
         order = np.lexsort(np.round(middles / self.extent.span, COORDINATE_DECIMALS).T[::-1])
@@ -110,48 +113,46 @@ class CutRectangle(Shape):
         return self
 
 
-def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: Mapping[str, Any]) -> CutRectangle:
+def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: Mapping[str, Places]) -> CutRectangle:
     """A block with faults: name -> points, from one end to the other. Raises InputError, see `builders.faults`."""
     cells.check({"width": width, "height": height}, 2)
     if not isinstance(faults, Mapping) or not faults:
         raise InputError(f"faults is {faults!r}; it must be {{name: points of the fault}}, one or more")
     paths = {name: _path(name, points) for name, points in faults.items()}
-    ways = {name: x[-1] - x[0] for name, x in paths.items()}
-    seams = {name: Seam(direction=(-float(way[1]), float(way[0]))) for name, way in ways.items()}
+    seams = {name: Seam(direction=(-float(x[-1, 1] - x[0, 1]), float(x[-1, 0] - x[0, 0]))) for name, x in paths.items()}
     names = [name for name, x in paths.items() for _ in x[1:]]
     cuts = np.concatenate([np.stack([x[:-1], x[1:]], axis=1) for x in paths.values()])
     shape = CutRectangle(cells, width, height, min(width, height), cuts, names, seams, "BLOCK")
     return shape.require_apart("faults", "let them meet, draw them farther apart, or use smaller cells")
 
 
-def _points(points: Any, what: str) -> FloatArray:
+def _points(points: object, what: str) -> FloatArray:
     """Points as an array (n, 2); raise InputError unless there are two or more finite points."""
     if (x := finite_values(points, (-1, 2))) is None or len(x) < 2:
         raise InputError(f"{what} is {points!r}; it must be two points (x, y) or more")
     return x
 
 
-def _path(name: str, points: Any) -> FloatArray:
+def _path(name: str, points: object) -> FloatArray:
     """Points of a fault as an array (n, 2); raise InputError if it turns back."""
     x = _points(points, f"the fault {name!r}")
     way, whole = np.diff(x, axis=0), x[-1] - x[0]
     back = way @ whole <= MIN_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
-    reason = "so that its left side cannot be told by one vector; give its parts names of their own"
-    refuse(back, x[:-1], f"the fault {name!r} turns back at {{at}}, {reason}")
+    refuse(back, x[:-1], f"the fault {name!r} turns back at {{at}}; give its parts before and after it different names")
     return x
 
 
 def grain_rectangle(
-    cells: MeshOptions, width: float, height: float, grains: Any, seed: int, seams: Callable[[int, int], str] | None
+    cells: MeshOptions, width: float, height: float, grains: int | Places, seed: int, seams: SeamNames | None
 ) -> CutRectangle:
     """A rectangle of Voronoi grains, of prescribed or random points. Raises InputError, see `builders.grains`."""
     cells.check({"width": width, "height": height}, 2)
     size = max(width, height)
     box = np.array([width, height]) / size
-    if np.ndim(grains) == 0:
+    if (number := np.asarray(grains)).ndim == 0:
         require(is_integer(grains, 2), "grains", grains, "it must be a whole number >= 2, or points (x, y)")
         require(is_integer(seed, 0), "seed", seed, "it must be a whole number >= 0")
-        points = _relaxed_points(np.random.default_rng(int(seed)).random((int(grains), 2)) * box, box)
+        points = _relaxed_points(np.random.default_rng(int(seed)).random((int(number), 2)) * box, box)
     else:
         points = np.asarray(_grain_points(grains, width, height) / size, float)
     ridges, pairs = _ridges(points, box)
@@ -162,7 +163,7 @@ def grain_rectangle(
     return shape.require_apart("boundaries of grains", "use smaller cells, another seed or other points")
 
 
-def _grain_points(points: Any, width: float, height: float) -> FloatArray:
+def _grain_points(points: object, width: float, height: float) -> FloatArray:
     """Points of grains as an array (n, 2); raise InputError if one is outside or two coincide."""
     x = _points(points, "grains")
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"

@@ -98,8 +98,8 @@ class Shape(ABC):
 
     def scaled(self, factor: float) -> Self:
         """The shape with all lengths, including cell sizes, times a factor."""
-        lengths = [f.name for f in fields(self) if f.name not in self.angles]
-        return replace(self, **{name: _scaled(getattr(self, name), factor) for name in lengths})
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.angles}
+        return replace(self, **{name: _scaled(value, factor) for name, value in values.items()})
 
     @abstractmethod
     def draw(self) -> Drawing:
@@ -266,10 +266,10 @@ class Prism(Shape):
 
 
 def _scaled(value: Any, factor: float) -> Any:
-    """Scale numbers, arrays, items of tuples and objects with a method `scaled`; return other values unchanged."""
+    """Scale numbers, arrays, items of tuples and mesh options; return other values unchanged."""
     if isinstance(value, tuple):
         return tuple(_scaled(part, factor) for part in value)
-    if hasattr(value, "scaled"):
+    if isinstance(value, MeshOptions):
         return value.scaled(factor)
     if isinstance(value, np.ndarray):
         return value * factor
@@ -304,7 +304,6 @@ def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], 
     goal = radius.copy()
     goal[cells[:, corners:]] = radius[cells[:, :corners]] @ weights_between(kind).T
     share = np.clip((radius - core) / (radius.max() - core), 0.0, 1.0) if core else 1.0
-    scale = 1 + share * (goal / np.where(radius > 0, radius, 1.0) - 1)
     points = points.copy()
-    points[:, axes] *= scale[:, None]
+    points[:, axes] *= (1 + share * (goal / np.where(radius > 0, radius, 1.0) - 1))[:, None]
     return points

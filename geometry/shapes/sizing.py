@@ -59,9 +59,8 @@ def scaled_length(length: float, factor: float) -> float:
 
 def require_width(what: str, length: float, largest: float) -> None:
     """Raise InputError for a part of a shape that is too thin for gmsh."""
-    if length < MIN_LENGTH_RATIO * largest:
-        least = f"{MIN_LENGTH_RATIO * largest:g} ({MIN_LENGTH_RATIO:g} of the largest length)"
-        raise InputError(f"{what} is {length:g}; allowed: at least {least}")
+    least = MIN_LENGTH_RATIO * largest
+    require(length >= least, what, length, f"allowed: at least {least:g} ({MIN_LENGTH_RATIO:g} of the largest length)")
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class MeshOptions:
     arrangement: str = "Right"
 
     @classmethod
-    def of(cls, h: float | None, options: Mapping[str, Any], allowed: type[SizeArgs]) -> Self:
+    def of(cls, h: float | None, options: SizeArgs, allowed: type[SizeArgs]) -> Self:
         """Options from a builder's keywords; raise InputError for a keyword that is not in `allowed`."""
         for name in options.keys() - (keywords := get_type_hints(allowed)):
             raise InputError(unknown_name_message("keyword", name, keywords))
