@@ -447,8 +447,8 @@ class Joint:
     def __repr__(self) -> str:
         size = " x ".join(f"{length:.6g}" for length in np.ptp(self.points, axis=0))
         facets = ", ".join(f"{name} {len(facets)}" for name, facets in self.facets.items())
-        what = f"{len(self.cells)} {self.cell_type} cells, {size}, of {', '.join(self.regions)}"
-        return f"Joint({what}; facets: {facets})"
+        cells = f"{len(self.cells)} {self.cell_type} cells, {size}, of {', '.join(self.regions)}"
+        return f"Joint({cells}; facets: {facets})"
 
     def nearest_point(self, x: Sequence[float]) -> int:
         """Number of the mesh vertex at x; raise InputError that names the nearest vertex if there is none at x."""

@@ -103,8 +103,7 @@ class Seam:
         """
         way = np.asarray(self.direction, float)
         cosine = normals @ way / np.linalg.norm(normals, axis=1) / np.linalg.norm(way)
-        what = f"direction {self.direction} does not tell the upper side of {name!r}: it lies in the facet near {{at}}"
-        refuse(np.abs(cosine) < MIN_COSINE, x, what)
+        refuse(np.abs(cosine) < MIN_COSINE, x, f"direction {self.direction} of {name!r} lies in the facet near {{at}}")
         return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
 
     def between_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> BoolArray:

@@ -159,10 +159,8 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
         facets: (n_facets, m) nodes in the order of the facet's own element.
         cell_type: type of the cells.
     """
-    element = lagrange(FACET_TYPES[cell_type], 1)
-    rows = np.concatenate([facets[:, ridge] for ridge in element.entity_closure_dofs[-2]])
-    vertices, counts = np.unique(np.sort(rows, axis=1), axis=0, return_counts=True)
-    return vertices, counts
+    rows = np.concatenate([facets[:, ridge] for ridge in local_facets(FACET_TYPES[cell_type])])
+    return np.unique(np.sort(rows, axis=1), axis=0, return_counts=True)
 
 
 def ridge_keys(rows: IntArray) -> IntArray:

@@ -268,7 +268,7 @@ def test_refused_meshes():
         (dict(eps=both, gaps=["HAED"]), "gaps: unknown seam 'HAED', did you mean 'HEAD'"),
         (dict(eps=both, junctions=["HAED"]), "junctions: unknown seam 'HAED', did you mean 'HEAD'"),
         (dict(eps=both, cells_through=3), r"layers meet at \(.*, 0.5\) and need an even number"),
-        (dict(eps=both, fractions={"HEAD": (0.5, 0.5)}), r"S branches at \(.*, 0.5\), .*sublayers .*no"),
+        (dict(eps=both, fractions={"HEAD": (0.5, 0.5)}), r"S branches at \(.*, 0.5\): .*sublayers .*no"),
         (dict(eps=both, profile={"BED": lambda x: 1 + x[0]}, bodies="extended"), r"S branches at \(.*uniform thicknes"),
         (dict(eps={"BED": 0.3, "HEAD": 1.2}, bodies="extended"), r"turn inside out, the first at \("),
     ):

@@ -95,7 +95,7 @@ def test_directions_are_checked():
     whole = sandwich(1.0, 0.5, 0.5, 0.25)
     merged = in_one_body(whole, (0.0, 1.0))
     for joint, seam, message in (
-        (merged, Seam(direction=(1.0, 0.0)), r"direction \(1.0, 0.0\) does not tell .* 'S': it lies in the facet near"),
+        (merged, Seam(direction=(1.0, 0.0)), r"direction \(1.0, 0.0\) of 'S' lies in the facet near"),
         (merged, Seam(direction=(0.0, 0.0)), "needs 2 components, not all zero"),
         (
             whole,
@@ -106,7 +106,7 @@ def test_directions_are_checked():
         (merged, Seam(), "have one region on both sides; give the direction of the upper side"),
     ):
         refused(InputError, message, replace, joint, seams={"S": seam})
-    refused(InputError, "does not tell the upper side of 'S'", in_one_body, ring(0.5, 1.0, 2.0, 0.2), (0.1, 1.0))
+    refused(InputError, " of 'S' lies in the facet near", in_one_body, ring(0.5, 1.0, 2.0, 0.2), (0.1, 1.0))
 
 
 def test_upper_side_that_changes():
@@ -126,7 +126,7 @@ def test_upper_side_that_changes():
     assert values[1] == pytest.approx(values[0], abs=0.03 * max(map(abs, values[0].values())))
     opened = [inflate(joint, 0.01, bodies="extended") for joint in (two, merged)]
     assert [np.sort(volumes(joint)) for joint in opened][1] == pytest.approx(np.sort(volumes(opened[0])), rel=1e-9)
-    words, shares = r"the upper side changes at \(.*, where sublayers do not meet", (0.3, 0.7)
+    words, shares = r"the upper side changes at \(.*: sublayers do not meet", (0.3, 0.7)
     refused(InputError, words, inflate, merged, 0.01, bodies="extended", fractions=shares)
     law = HolonomicCoulomb(30.0, 10.0, 0.3)  # the pair of nodes there is two, each with the normal of its own facets
     pressed = {"body": BODY, "supports": {"INSIDE": 0.0}, "tractions": {"OUTSIDE": (0.5, -0.3)}, "element": "P1"}

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from forms.base import InputError, require
 from geometry.domain import cell_nodes, vertices_of_facets
-from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArguments
+from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArgs
 from geometry.joint import Joint
 from geometry.parallel import Comm, default_comm, on_root
 from geometry.topology import CELL_TYPES, BoolArray, FloatArray, Indices, IntArray, corner_count, geometry_degree
@@ -23,7 +23,7 @@ TagNames = Mapping[str, Sequence[int]]  # name -> dimension of the tagged entiti
 Tags = dict[str, list[int]]  # name -> tags
 
 
-def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm, sides: SideArguments) -> Joint:
+def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm, sides: SideArgs) -> Joint:
     """The joint of a mesh of DOLFINx with its tags, as `read` describes it. Collective."""
     comm = comm or default_comm()
     mesh, cell_tags, facet_tags = (*(mesh if isinstance(mesh, (tuple, list)) else [mesh]), None, None)[:3]
@@ -98,7 +98,7 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: object, dim: int, what: str) -> tuple[I
 
 
 def _joint_of(
-    parts: list[_Part | Exception], names: TagNames | None, whole: Tags | None, scale: float, sides: SideArguments
+    parts: list[_Part | Exception], names: TagNames | None, whole: Tags | None, scale: float, sides: SideArgs
 ) -> Joint:
     """The joint of all ranks' parts; nodes are sorted by their places, cells by their nodes.
 
@@ -147,7 +147,7 @@ def _groups(names: Tags | None, values: IntArray, tagged: BoolArray, what: str) 
     """Name -> which entities have one of its tags; without names each tag is named by its number."""
     tags = [*map(int, np.unique(values[tagged]))]
     names = {str(tag): [tag] for tag in tags} if names is None else names
-    for name, tag in ((name, tag) for name, numbers in names.items() for tag in numbers if tag not in tags):
-        known = ", ".join(map(str, tags)) or "none"
-        raise InputError(f"names: no {what} has the tag {tag}, named {name!r}; tags: {known}")
+    for name, tag in ((name, tag) for name, of in names.items() for tag in of if tag not in tags):
+        numbers = ", ".join(map(str, tags)) or "none"
+        raise InputError(f"names: no {what} has the tag {tag}, named {name!r}; tags: {numbers}")
     return {name: tagged & np.isin(values, numbers) for name, numbers in names.items()}

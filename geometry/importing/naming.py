@@ -35,7 +35,7 @@ Names = tuple[str, ...]
 SeamNames = str | Sequence[str] | Mapping[str, object] | None  # names of seams, or name -> its upper side
 
 
-class SideArguments(TypedDict, total=False):
+class SideArgs(TypedDict, total=False):
     """Arguments for S and its sides, as `read` describes them."""
 
     S: SeamNames
@@ -105,10 +105,9 @@ class FileCells:
         self.refuse(folded, "are folded (their Jacobian vanishes or changes sign within the cell)")
         distance = NODE_TOLERANCE * np.ptp(self.points, axis=0).max()
         pairs = cKDTree(self.points).query_pairs(distance, output_type="ndarray")
-        apart = "{bad} pairs of nodes at the same place, the first at {at}, do not connect their cells: let bodies"
-        share = "share nodes (gmsh: BooleanFragments or Coherence before meshing, removeDuplicateNodes after it)"
-        gaps = f"or draw gaps that stay unbonded wider than {NODE_TOLERANCE:g} of the mesh"
-        refuse(np.ones(len(pairs), bool), self.points[np.sort(pairs[:, 0])], f"{apart} {share}, {gaps}")
+        pairs_text = "{bad} pairs of nodes at the same place, the first at {at}, do not connect cells: let bodies share"
+        how = f"them (gmsh: BooleanFragments, removeDuplicateNodes), or draw gaps > {NODE_TOLERANCE:g} of the mesh"
+        refuse(np.ones(len(pairs), bool), self.points[np.sort(pairs[:, 0])], f"{pairs_text} {how}")
 
     def facets_among(self, vertices: IntArray) -> FacetTable:
         """Facets of the cells that have a whole facet among `vertices`; cells are numbered as in `nodes`."""
@@ -242,15 +241,14 @@ class NamedGroups:
         touched = self.touched(cells)
         if (cells[:, 1] < 0).all() and not lower:
             if other := " and ".join(region for region in touched if region not in (upper or whole)):
-                apart = f"{'+'.join(upper)}, named in upper, does not touch it there"
-                raise InputError(f"{name!r} lies on the outer boundary of {other}, and {apart}; let them share nodes")
+                bodies = f"{other}, and {'+'.join(upper)}, named in upper, does not touch it there"
+                raise InputError(f"{name!r} lies on the outer boundary of {bodies}; let both share their nodes")
             return facets, Seam((), upper or whole)
         if single.direction is not None:
             return facets, Seam(lower or upper or whole, upper or lower or whole, single.direction)
         if not upper:
-            sides = "name the regions above it in upper, or give the direction of the upper side"
-            inside = f"{name!r} lies inside {' and '.join(touched)}"
-            raise InputError(f"{inside}; {sides} if the same body is on both; {regions}")
+            sides = "name the regions above it in upper, or give the direction upwards if one body is on both sides"
+            raise InputError(f"{name!r} lies inside {' and '.join(touched)}; {sides}; {regions}")
         return facets, Seam(lower or tuple(region for region in whole if region not in upper), upper)
 
     def adjacent_cells(self, name: str) -> IntArray:

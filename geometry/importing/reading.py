@@ -20,7 +20,7 @@ import numpy as np
 from forms.base import InputError, import_optional, is_finite, require
 from geometry.importing import abaqus
 from geometry.importing.gathering import TagNames, gather_joint
-from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArguments
+from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides, SideArgs
 from geometry.joint import Joint
 from geometry.parallel import Comm, ResultType, on_root
 from geometry.refusals import refuse
@@ -44,12 +44,7 @@ ELEMENT_REMEDIES = {
 
 
 def read(
-    mesh: Source,
-    *,
-    names: TagNames | None = None,
-    scale: float = 1.0,
-    comm: Comm = None,
-    **sides: Unpack[SideArguments],
+    mesh: Source, *, names: TagNames | None = None, scale: float = 1.0, comm: Comm = None, **sides: Unpack[SideArgs]
 ) -> Joint:
     """A joint from a mesh file, or from a mesh of DOLFINx with its tags. Collective.
 
@@ -121,16 +116,14 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
         raise InputError(f"the file does not exist in {path.parent.resolve()}")
     if not path.stat().st_size:  # some readers of meshio would wait for lines forever
         raise InputError("the file is empty")
-    printed = io.StringIO()
+    log = io.StringIO()
     try:
-        with redirect_stdout(printed), redirect_stderr(printed), warnings.catch_warnings(action="ignore"):
+        with redirect_stdout(log), redirect_stderr(log), warnings.catch_warnings(action="ignore"):
             mesh = (abaqus.load if suffix == ".inp" else meshio.read)(path)
     except InputError:
         raise
     except (Exception, SystemExit) as error:  # meshio exits Python when no reader succeeds
-        text = (
-            f"{type(error).__name__}: {error}" if isinstance(error, Exception) else " ".join(printed.getvalue().split())
-        )
+        text = " ".join(log.getvalue().split()) if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
         advice = "in gmsh save with Mesh.SaveAll = 0, Mesh.SaveParametric = 0"
         if suffix != ".msh":
             advice = f"install {error.name}" if isinstance(error, ImportError) else "save it as .vtu or .msh"
@@ -229,6 +222,8 @@ def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, 
     rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)
     loose, x = (number[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
     for name, member in groups.items():
-        apart = f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
-        refuse(member & loose, x, f"{apart}; name all bodies, and in gmsh fragment them with it, or embed it")
+        loose_facets = (
+            f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
+        )
+        refuse(member & loose, x, f"{loose_facets}; name all bodies, and in gmsh fragment them with it, or embed it")
     return {name: np.unique(np.sort(number[rows[member]], axis=1), axis=0) for name, member in groups.items()}

@@ -159,9 +159,8 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
     for (number, other, way), x in zip(cases, places, strict=True):
         levels, other_levels = heights[number], 1 - heights[other][::-1] if way else heights[other]
         if len(levels) != len(other_levels) or np.abs(levels - other_levels).max() > HEIGHT_TOLERANCE:
-            both = f"{names[number]!r} and {names[other]!r} continue one another at {place_text(x)}"
-            apart = both if number != other else f"the upper side changes at {place_text(x)}"
-            raise InputError(f"{apart}, where sublayers do not meet: give equal ones, and an upper side on one body")
+            sides = "the upper side changes" if number == other else f"{names[number]!r} continues {names[other]!r}"
+            raise InputError(f"{sides} at {place_text(x)}: sublayers do not meet; give equal ones, upwards on one body")
         if way and joint.dim == 3:
             raise InputError(f"the upper side of S changes at {place_text(x)}: in 3D it must be on one side there")
     posts = NodeLines(len(joint.points) + len(copies.new), ends, nodes, seam[first], tuple(heights))

@@ -16,7 +16,7 @@ import numpy as np
 from geometry.inflating.band_cells import FacetLines, NodeLines
 from geometry.joint import PLANAR_TOLERANCE, Joint
 from geometry.refusals import refuse
-from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, lagrange, sum_by_number, unique_rows
+from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, local_facets, sum_by_number, unique_rows
 
 
 class JunctionCorners(NamedTuple):
@@ -87,8 +87,7 @@ def _junction_lines(joint: Joint, posts: NodeLines, footing: FacetLines) -> tupl
     Also (n,) the number of facets of S that join each of these layers to the junction.
     """
     several = np.bincount(posts.nodes)[posts.nodes] > 1
-    ridges = lagrange(FACET_TYPES[joint.cell_type], 1).entity_closure_dofs[-2]
-    rows = np.concatenate([footing.posts[:, ridge] for ridge in ridges])
+    rows = np.concatenate([footing.posts[:, ridge] for ridge in local_facets(FACET_TYPES[joint.cell_type])])
     links, number = unique_rows(np.sort(rows[several[rows].all(axis=1)], axis=1))
     _, place = unique_rows(posts.nodes[links])
     branches = np.bincount(place)[place] > 1

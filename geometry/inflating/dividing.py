@@ -121,15 +121,14 @@ def _refined_joint(layers: Joint, parent: IntArray, corners: FloatArray) -> Refi
 
     local = local_facets(kind)
     off = np.array([np.isin(np.arange(linear.shape[2]), facet, invert=True) for facet in local])
-    beyond = np.einsum("nqk,fk->nqf", linear, off)[:, local]  # (n, its facets, their vertices, the parent's facets)
-    on = (beyond < LENGTH_TOLERANCE).all(axis=2)
-    vertices = cells[:, : local.max() + 1][:, local]
+    # whether all vertices of a facet of a cell lie on a facet of the parent: (n, its facets, the parent's facets)
+    on = (np.einsum("nqk,fk->nqf", linear, off)[:, local] < LENGTH_TOLERANCE).all(axis=2)
     facets = {}
     for name, parent_facets in layers.facets.items():
         rows = layers.table.index(parent_facets)
         named = np.zeros((len(layers.cells), len(local)), bool)
         named[layers.table.cells[rows, 0], layers.table.local[rows, 0]] = True
-        facets[name] = vertices[(on & named[parent][:, None]).any(axis=2)]
+        facets[name] = cells[:, local][(on & named[parent][:, None]).any(axis=2)]
     points, region = x[chosen], layers.region[parent]
     parts = replace(band, reference=reference[chosen], director=director)
     joint = replace(layers, points=points, cells=cells, region=region, facets=facets, band=parts)

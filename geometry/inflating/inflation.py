@@ -14,7 +14,7 @@ from geometry.inflating.corners import JunctionCorners, common_normals, junction
 from geometry.inflating.extended_bodies import extended_motion, face_motion
 from geometry.inflating.filling import JunctionCells, junction_cells
 from geometry.inflating.kept_bodies import NOT_KEPT_MESSAGE, THICKNESS_TOLERANCE, kept_motion, require_room
-from geometry.inflating.layering import Layering, Profiles, Sizes, check_junctions, check_layering, moved_facets
+from geometry.inflating.layering import Layering, Names, Profiles, Sizes, check_junctions, check_layering, moved_facets
 from geometry.joint import InflatedBand, Joint
 from geometry.periodic import with_periods_of
 from geometry.refusals import refuse
@@ -167,12 +167,7 @@ class _BandCells(NamedTuple):
 
 
 def _junctions(
-    joint: Joint,
-    posts: NodeLines,
-    footing: FacetLines,
-    corners: JunctionCorners,
-    claims: list[str],
-    filled: JunctionCells,
+    joint: Joint, posts: NodeLines, footing: FacetLines, corners: JunctionCorners, claims: Names, filled: JunctionCells
 ) -> _BandCells:
     """The cells of junctions; `region` is the number of the seam to which a junction belongs.
 

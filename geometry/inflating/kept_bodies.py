@@ -71,17 +71,13 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
         refuse(wrong, joint.points[joint.surface], f"{reason}: {NOT_KEPT_MESSAGE}")
     opening = np.einsum("nd,nkd->nk", wanted[at], joint.node_normals) / eps[:, None]
     if np.abs(opening - 1).max() > GAP_WARNING_ERROR:
-        moved = f"S is curved, and its thickness is {opening.min():.3f} to {opening.max():.3f} of eps"
-        warn_of_range(
-            "curved", f"the meshed layer: {moved} with bodies='kept'; use bodies='extended' for a uniform one"
-        )
-    based = np.zeros(part.max() + 1, bool)
-    based[part[ends[cells[:, 0] < 0, 1]]] = True
-    on_base, mine = cells[:, 0] < 0, part[ends[:, 1]]
+        thickness = f"its thickness is {opening.min():.3f} to {opening.max():.3f} of eps with bodies='kept'"
+        warn_of_range("curved", f"the meshed layer is curved: {thickness}; use bodies='extended' for a uniform one")
+    on_base, mine, n_parts = cells[:, 0] < 0, part[ends[:, 1]], int(part.max()) + 1
     middle = np.where(on_base[:, None], T[ends[:, 1]], (T[ends[:, 0]] + T[ends[:, 1]]) / 2)
-    share = np.where(based[mine] & ~on_base, 0.0, area)
-    total = np.maximum(np.bincount(mine, share, len(based)), np.finfo(float).tiny)
-    shift = np.stack([np.bincount(mine, share * middle[:, k], len(based)) / total for k in range(d)], axis=1)
+    share = np.where(np.isin(mine, mine[on_base]) & ~on_base, 0.0, area)
+    total = np.maximum(np.bincount(mine, share, n_parts), np.finfo(float).tiny)
+    shift = np.stack([np.bincount(mine, share * middle[:, k], n_parts) / total for k in range(d)], axis=1)
     return np.asarray(T - shift[part])
 
 

@@ -162,8 +162,8 @@ def moved_facets(
         rows = joint.table.index(facets)
         out[name] = joint.table.nodes(rows, copies.cells[:, : joint.corners.shape[1]], joint.cell_type)
         on = np.isin(below_sides, continued_ridges(joint, facets)).any(axis=1)
-        around = stands[on & of_band]  # in 3D the end of a junction continues the same sets as its layers
-        on |= upright & np.isin(stands[:, 0], around)
+        # in 3D the end of a junction continues the same sets as its layers
+        on |= upright & np.isin(stands[:, 0], stands[on & of_band])
         if on.any():
             out[str(FacetName(name, LAYER))] = sides[on]
     return out, tuple(faces)

@@ -181,8 +181,7 @@ def repeated_bond(cells: MeshOptions, size: Sequence[float], cut: tuple[float, f
         raise InputError(f"cut is {cut!r}; it must be two shares of a brick's width and height, between 0 and 1")
     start = round(2 * half * cut[0]), round(height * cut[1])
     if start[0] % half == 0 or start[1] % height == 0:
-        grid = f"a grid with {2 * half} x {height} cells in a brick"
-        raise InputError(f"cut is {tuple(cut)}, which is along a joint of {grid}; cut through bricks")
+        raise InputError(f"cut is {tuple(cut)}, along a joint of a grid {2 * half} x {height}; cut through bricks")
     return _joint(cells, [size[0], 2 * size[1], *size[2:]], [2 * half, 2 * height, *others], (half, height), start)
 
 

@@ -186,13 +186,9 @@ def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
 
 def _voronoi(points: FloatArray, box: FloatArray) -> Voronoi:
     """Voronoi cells of points and of their mirror images beyond the four sides, so that the sides bound cells."""
-    images = [points]
-    for axis in (0, 1):
-        for side in (0.0, box[axis]):
-            image = points.copy()
-            image[:, axis] = 2 * side - image[:, axis]
-            images.append(image)
-    return Voronoi(np.concatenate(images))
+    mirrors = [(axis, side) for axis in (0, 1) for side in (0.0, box[axis])]
+    images = [np.where(np.arange(2) == axis, 2 * side - points, points) for axis, side in mirrors]
+    return Voronoi(np.concatenate([points, *images]))
 
 
 def _relaxed_points(points: FloatArray, box: FloatArray) -> FloatArray:

@@ -83,9 +83,7 @@ class Rings(Prism):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.inner < self.interface < self.outer:
-            raise InputError(
-                f"radii inner={self.inner}, interface={self.interface}, outer={self.outer}: they must grow"
-            )
+            raise InputError(f"inner={self.inner}, interface={self.interface}, outer={self.outer}: radii must grow")
         if not (is_finite(self.angle) and (0 < self.angle < tau or is_circle(self.angle))):
             raise InputError(f"angle is {self.angle!r}; it must be > 0 and at most 2 pi, the full circle")
 

@@ -59,8 +59,9 @@ def scaled_length(length: float, factor: float) -> float:
 
 def require_width(what: str, length: float, largest: float) -> None:
     """Raise InputError for a part of a shape that is too thin for gmsh."""
-    least = MIN_LENGTH_RATIO * largest
-    require(length >= least, what, length, f"allowed: at least {least:g} ({MIN_LENGTH_RATIO:g} of the largest length)")
+    if length < (least := MIN_LENGTH_RATIO * largest):
+        share = f"{MIN_LENGTH_RATIO:g} of the largest length"
+        raise InputError(f"{what} is {length:g}; allowed: at least {least:g} ({share})")
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,7 @@ class MeshOptions:
             require(allowed, f"cell size {what}", size, f"allowed: {smallest:g} to {largest:g}")
         if self.cell is not None:
             require_known(f"cell in {dim}D", self.cell, CELL_TYPES_OF_DIM[dim])
-        good = is_finite(self.degree) and self.degree in (1, 2)
-        require(good, "degree", self.degree, "allowed: 1 (straight cells), 2 (curved cells)")
+        require(is_finite(self.degree) and self.degree in (1, 2), "degree", self.degree, "allowed: 1, 2 (curved cells)")
         require_known("arrangement", self.arrangement, ARRANGEMENTS)
 
     def scaled(self, factor: float) -> MeshOptions:
