@@ -26,7 +26,7 @@ from geometry.partition import Partitioner, partitioner, rows_of_rank
 from geometry.refusals import require_known
 from geometry.seam import BASE, LAYER, FacetName, S
 from geometry.sheet import continued_ridges
-from geometry.topology import FloatArray, Indices, IntArray, Scalar, geometry_degree, local_facets
+from geometry.topology import FloatArray, Indices, IntArray, Scalar, geometry_degree, local_facets, positions
 
 MESHES_PER_COLLECTION = 100  # number of meshes after which Python's garbage collector frees meshes in reference cycles
 _MESH_COUNT = count(1)
@@ -183,8 +183,7 @@ class Domain:
         joint = self.joint
         if dim == joint.dim:
             return self.original_cells[entities]
-        corners = self.on_cells(joint.corners)
-        return joint.table.index(vertices_of_facets(self.mesh, joint.cell_type, entities, corners))
+        return joint.table.index(vertices_of_facets(self.mesh, joint.cell_type, entities, self.on_cells(joint.corners)))
 
     def on_cells(self, values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
         """Values of the joint's cells, (n_cells, ...), at the local cells (ghosts included)."""
@@ -243,9 +242,7 @@ def _local_facets(
     A cell of the mesh has its vertices, and so its facets, in the order of the joint's cell.
     """
     create_connectivity(mesh, joint.dim - 1)
-    local = np.full(len(joint.cells), -1)
-    local[original] = np.arange(len(original))
-    cells, which = local[joint.table.cells[rows]], joint.table.local[rows]
+    cells, which = positions(original, len(joint.cells))[joint.table.cells[rows]], joint.table.local[rows]
     here = (cells >= 0) & (which >= 0)
     kept = np.flatnonzero(here.any(axis=1))
     side = here[kept].argmax(axis=1)

@@ -162,8 +162,7 @@ class Joint:
     @cached_property
     def masters(self) -> IntArray:
         """(n_points,) master of each node: the first node that periods identify with it; else the node itself."""
-        n = len(self.points)
-        return self.periods.masters(n) if self.periods else np.arange(n)
+        return self.periods.masters(len(self.points)) if self.periods else np.arange(len(self.points))
 
     @property
     def dim(self) -> int:

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from geometry.joint import Joint
 from geometry.parallel import on_root
-from geometry.topology import FloatArray, Indices, IntArray, Scalar
+from geometry.topology import FloatArray, Indices, IntArray, Scalar, positions
 
 Partitioner = Callable[..., dolfinx.cpp.graph.AdjacencyList_int32]
 
@@ -40,9 +40,7 @@ def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
     """
     if joint.band is None:
         rows = joint.surface_rows
-        numbers = np.full(len(joint.table.vertices), -1, np.int64)
-        numbers[rows] = np.arange(len(rows))
-        return numbers, joint.points[joint.table.vertices[rows]].mean(axis=1)
+        return positions(rows, len(joint.table.vertices)), joint.points[joint.table.vertices[rows]].mean(axis=1)
     layer = np.flatnonzero(np.isin(joint.region, [joint.regions.index(name) for name in joint.band.regions]))
     places, place = np.unique(joint.reference, axis=0, return_inverse=True)
     below = np.sort(place.ravel()[joint.corners[layer]], axis=1)  # the facet's vertices, some of them twice

@@ -68,6 +68,13 @@ def sum_by_number(number: IntArray, values: FloatArray, n: int) -> FloatArray:
     return out
 
 
+def positions(items: IntArray | Indices, n: int) -> IntArray:
+    """(n,) position of each number from 0 to n - 1 among items, which differ; -1 for numbers that are not there."""
+    out = np.full(n, -1, np.int64)
+    out[items] = np.arange(len(items))
+    return out
+
+
 def is_tensor(cell_type: str) -> bool:
     """Whether cells are quadrilaterals or hexahedra."""
     return cell_type in ("quadrilateral", "hexahedron")
@@ -165,8 +172,7 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
 
 def ridge_keys(rows: IntArray) -> IntArray:
     """(n,) unique number of each ridge, given by its one or two vertices (n, k)."""
-    ordered = np.sort(rows, axis=1)
-    return np.asarray((ordered[:, 0] << KEY_BITS) + ordered[:, -1])
+    return np.asarray((rows.min(axis=1) << KEY_BITS) + rows.max(axis=1))
 
 
 def keys_of_ridges(facets: IntArray, k: int) -> IntArray:
@@ -258,9 +264,7 @@ class Splitting:
         on_cut[self.table.vertices[self.cut]] = True
         touched = on_cut[self._corners]
         near = np.flatnonzero(touched.any(axis=1))  # other cells have no split entities
-        place = np.full(len(self.cells), -1)
-        place[near] = np.arange(len(near))
-        pairs = place[self.table.cells]
+        pairs = positions(near, len(self.cells))[self.table.cells]
         linked = (self.table.cells[:, 1] >= 0) & (pairs >= 0).all(axis=1)
         linked[self.cut] = False
         keys = self.entities(dim, self._corners[near])

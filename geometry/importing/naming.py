@@ -154,7 +154,7 @@ def _seam(name: str, rule: object) -> Seam:
         return Seam()
     if isinstance(rule, Seam):
         return rule
-    if (way := finite_values(rule, (-1,))) is not None:
+    if (way := finite_values(rule, (-1,))) is not None and way.ndim:
         return Seam(direction=tuple(map(float, way)))
     if not isinstance(rule, tuple | list) or len(rule) != 2:
         sides = "a vector, (lower, upper) with names of regions, or None for the order of the regions"

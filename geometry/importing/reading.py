@@ -24,7 +24,7 @@ from geometry.importing.naming import FileCells, Groups, NamedGroups, SeamSides,
 from geometry.joint import Joint
 from geometry.parallel import Comm, ResultType, on_root
 from geometry.refusals import refuse
-from geometry.topology import CELL_TYPES, FACET_TYPES, IntArray, corner_count
+from geometry.topology import CELL_TYPES, FACET_TYPES, IntArray, corner_count, positions
 
 if TYPE_CHECKING:
     import meshio
@@ -136,9 +136,8 @@ def _load(path: Path, scale: float) -> meshio.Mesh:
 
 def _require_single_names(path: Path) -> None:
     """Raise InputError if two groups have the same physical name: meshio would drop one of them."""
-    end = ("$EndPhysicalNames", "$Nodes", "$Elements")
     with path.open(encoding="utf-8", errors="replace", newline="\n") as file:
-        head = "".join(takewhile(lambda line: not line.startswith(end), file))
+        head = "".join(takewhile(lambda line: not line.startswith(("$EndPhysicalNames", "$Nodes", "$Elements")), file))
     matches = re.findall(r'^\s*(\d)\s+(\d+)\s+"(.*)"\s*$', head.partition("$PhysicalNames")[2], re.MULTILINE)
     for name, count in Counter(name for *_, name in matches).items():
         if count > 1:
@@ -217,13 +216,10 @@ def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, 
     odd = [block.type for block in blocks if not block.type.startswith(MESHIO_FACETS[kind])]
     if odd:
         raise InputError(f"the file has {odd[0]} facets, but its {cells.type} cells have {MESHIO_FACETS[kind]} facets")
-    number = np.full(len(mesh.points), -1, np.int64)
-    number[cells.used] = np.arange(len(cells.used))
+    number = positions(cells.used, len(mesh.points))
     rows = np.concatenate([block.data[:, : corner_count(kind)] for block in blocks]).astype(np.int64)
     loose, x = (number[rows] < 0).any(axis=1), mesh.points[rows, : cells.points.shape[1]]
     for name, member in groups.items():
-        loose_facets = (
-            f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
-        )
-        refuse(member & loose, x, f"{loose_facets}; name all bodies, and in gmsh fragment them with it, or embed it")
+        some = f"{{bad}} of {member.sum()} facets named {name!r} are not part of the bodies' mesh, the first at {{at}}"
+        refuse(member & loose, x, f"{some}; name all bodies, and in gmsh fragment them with it, or embed it")
     return {name: np.unique(np.sort(number[rows[member]], axis=1), axis=0) for name, member in groups.items()}

@@ -42,7 +42,6 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
     normals = np.concatenate([upper, -upper[there]])
     g = np.concatenate([depths[1], depths[0][there]])
     face_nodes, first, index = np.unique(at, return_index=True, return_inverse=True)
-    index = index.reshape(at.shape)
     x = joint.points[np.concatenate([joint.surface, joint.surface[there]]).ravel()[first]]
     n, count = len(face_nodes), np.bincount(index.ravel())
     total, along_n = sum_by_number(index, g[..., None] * normals, n), sum_by_number(index, normals, n)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from forms.base import InputError
+from forms.base import InputError, require
 from geometry.inflating.band_cells import FacetLines, NodeCopies, NodeLines, band_cells, node_lines
 from geometry.inflating.corners import JunctionCorners, common_normals, junction_corners
 from geometry.inflating.extended_bodies import extended_motion, face_motion
@@ -19,7 +19,7 @@ from geometry.joint import InflatedBand, Joint
 from geometry.periodic import with_periods_of
 from geometry.refusals import refuse
 from geometry.seam import JUNCTIONS, LAYER, FacetName
-from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians
+from geometry.topology import FacetTable, FloatArray, IntArray, node_jacobians, positions
 
 
 def inflate(
@@ -74,8 +74,7 @@ def inflate(
             along an edge.
     """
     check_layering(cells_through, bodies)
-    if not isinstance(joint, Joint):
-        raise InputError(f"inflate takes a joint, not {joint!r}")
+    require(isinstance(joint, Joint), "joint", joint, "it must be a Joint")
     if joint.band is not None:
         raise InputError("this joint is inflated already; inflate the joint it came from")
     periods, joint = joint.periods, replace(joint, periods=None)
@@ -106,8 +105,7 @@ def inflate(
     owners = np.unique(between.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
     shared = {prefix if len(owners) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owners}
-    askew_cells = (between.director == 0).all(axis=(1, 2), keepdims=True)
-    askew = between.region[askew_cells[:, 0, 0]]
+    askew = (between.director == 0).all(axis=(1, 2))
     first = len(joint.regions) + sum(map(len, names.values()))
 
     cells, used = np.concatenate([copies.cells, bands.cells, between.cells]), np.zeros(len(foot), bool)
@@ -119,8 +117,8 @@ def inflate(
     corners = cells[len(joint.cells) :, : joint.corners.shape[1]]
     facets, faces = moved_facets(joint, copies, layers, corners, len(bands.cells), foot)
     regions = (*(name for of_seam in names.values() for name in of_seam), *shared)
-    aligned = tuple(name for name, seam in shared.items() if seams.index(seam) not in askew)
-    director = np.concatenate([bands.director, np.where(askew_cells, np.eye(joint.dim)[1], between.director)])
+    aligned = tuple(name for name, seam in shared.items() if seams.index(seam) not in between.region[askew])
+    director = np.concatenate([bands.director, np.where(askew[:, None, None], np.eye(joint.dim)[1], between.director)])
     band = InflatedBand(layers.eps, bodies, regions, names, shared, aligned, faces, joint, joint.points[foot], director)
     region = np.concatenate([joint.region, bands.region, first + np.searchsorted(owners, between.region)])
     opened = Joint(points, cells, joint.cell_type, region, joint.regions + regions, facets, joint.seams, band)
@@ -137,9 +135,7 @@ def without_bodies(inflated: Joint) -> Joint:
     first = len(inflated.regions) - len(band.regions)
     mine = inflated.region >= first
     used, cells = np.unique(inflated.cells[mine], return_inverse=True)
-    cells = cells.reshape(inflated.cells[mine].shape)
-    number = np.full(len(inflated.points), -1)
-    number[used] = np.arange(len(used))
+    number = positions(used, len(inflated.points))
     table = FacetTable.of(cells[:, : inflated.corners.shape[1]], inflated.cell_type)
     facets: dict[str, IntArray] = {}
     for name, of_name in inflated.facets.items():

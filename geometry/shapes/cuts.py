@@ -217,8 +217,7 @@ def _centres(points: FloatArray, box: FloatArray) -> FloatArray:
     """(n, 2) centres of the areas of the Voronoi cells of points."""
     cells, n = _voronoi(points, box), len(points)
     first, other = cells.ridge_points.T
-    ends = np.array(cells.ridge_vertices)
-    cell, ends = np.concatenate([first, other]), np.concatenate([ends, ends])
+    cell, ends = np.concatenate([first, other]), np.tile(cells.ridge_vertices, (2, 1))
     kept = (cell < n) & (ends >= 0).all(axis=1)
     cell, x = cell[kept], cells.vertices[ends[kept]]
     to = x - points[cell][:, None]

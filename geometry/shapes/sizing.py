@@ -153,8 +153,7 @@ class Grading:
         """The ends of the cells, as increasing fractions of the line, up to 1."""
         k = np.arange(self.n)
         sizes = self.growth ** (np.minimum(k, k[::-1]) if self.symmetric else k[::-1] if self.backwards else k)
-        ends = np.cumsum(sizes) / sizes.sum()
-        return [*ends[:-1].tolist(), 1.0]
+        return [*(np.cumsum(sizes) / sizes.sum())[:-1].tolist(), 1.0]
 
     def along(self, length: float) -> FloatArray:
         """(n + 1,) ends of the cells along a line of this length."""
@@ -162,7 +161,7 @@ class Grading:
 
     def put(self, curve: int) -> None:
         """Prescribe the cells of a curve of the gmsh model."""
-        bump = self.symmetric and self.first != self.last
-        ratio = 1 / self.growth if self.backwards else self.growth
-        law = ("Bump", self.first / self.last) if bump else ("Progression", ratio)
+        law = ("Progression", 1 / self.growth if self.backwards else self.growth)
+        if self.symmetric and self.first != self.last:
+            law = ("Bump", self.first / self.last)
         gmsh.model.mesh.setTransfiniteCurve(curve, self.n + 1, *law)
