@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Hashable
 
 import numpy as np
@@ -33,6 +34,5 @@ def refuse(bad: BoolArray | np.bool_, x: FloatArray, message: str) -> None:
     """
     if bad.any():
         first = x[bad.argmax()].reshape(-1, x.shape[-1]).mean(axis=0)
-        for name, value in {"at": place_text(first), "bad": bad.sum(), "all": np.size(bad)}.items():
-            message = message.replace(f"{{{name}}}", str(value))
-        raise InputError(message)
+        texts = {"{at}": place_text(first), "{bad}": str(bad.sum()), "{all}": str(np.size(bad))}
+        raise InputError(re.sub(r"\{(at|bad|all)\}", lambda match: texts[match[0]], message))

@@ -48,13 +48,12 @@ class Boxes(Prism):
     def draw_plane(self) -> Drawing:
         """Draw rectangles; a grid needs no drawing."""
         kernel = gmsh.model.geo
-        two = len(self.bodies) == 2
-        heights = [-self.bodies[0][1], 0.0, self.bodies[1][1]] if two else [0.0, self.bodies[0][1]]
+        heights = [*(-height for _, height in self.bodies[:-1]), 0.0, self.bodies[-1][1]]
         corners = [[kernel.addPoint(x, y, 0) for x in (0.0, self.width)] for y in heights]
         across = [kernel.addLine(left, right) for left, right in corners]
         rise = [[kernel.addLine(a[k], b[k]) for k in (0, 1)] for a, b in pairwise(corners)]
         curves = {"LEFT": [r[0] for r in rise], "RIGHT": [r[1] for r in rise], "TOP": [across[-1]], S: [across[-2]]}
-        if two:
+        if len(self.bodies) == 2:
             curves["BOTTOM"] = [across[0]]
         rows = zip(pairwise(across), rise, strict=True)
         surfaces = [plane_surface([low, right, -high, -left]) for (low, high), (left, right) in rows]
@@ -217,7 +216,7 @@ def _joint(cells: MeshOptions, lengths: Sequence[float], counts: list[int], bric
     heads = (second >= 0) & ~beds & (number[first] != number[second])
     facets = {BED: table.vertices[beds], HEAD: table.vertices[heads], **grid.sides()}
     facets = {name: of_name for name, of_name in facets.items() if len(of_name)}
-    ways = {BED: 1, HEAD: 0}
-    seams = {name: Seam(direction=tuple(map(float, np.eye(d)[k]))) for name, k in ways.items() if name in facets}
+    ways = (BED, np.eye(d)[1]), (HEAD, np.eye(d)[0])
+    seams = {name: Seam(direction=tuple(map(float, way))) for name, way in ways if name in facets}
     regions = tuple(f"COURSE {k + 1}" for k in range(int(region.max()) + 1))
     return Joint(grid.points, rows, kind, region, regions, facets, seams)

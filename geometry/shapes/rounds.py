@@ -58,10 +58,8 @@ class PolarLines:
         if chords:
             arcs.insert(0, [kernel.addLine(a, b) for a, b in neighbours(points[0])])
         spokes = [[kernel.addLine(a, b) for a, b in zip(*rows, strict=True)] for rows in pairwise(points)]
-        patches = []
-        for ring, (low, high) in zip(spokes, pairwise(arcs), strict=True):
-            sides = zip(low, high, neighbours(ring), strict=True)
-            patches.append([plane_surface([start, far, -end, -near]) for near, far, (start, end) in sides])
+        rings = [zip(*both, neighbours(ring), strict=True) for ring, both in zip(spokes, pairwise(arcs), strict=True)]
+        patches = [[plane_surface([start, far, -end, -near]) for near, far, (start, end) in ring] for ring in rings]
         return cls(arcs, spokes, patches)
 
 
@@ -183,8 +181,8 @@ class Discs(Shape):
         bodies = {name: [volume for volume, _ in swept.values()] for name, swept in (("LOWER", low), ("UPPER", high))}
         along = min(h_S, MAX_CELL_ANGLE * self.radius)
         gradings = dict.fromkeys(chain.from_iterable(web.arcs), Grading.of(self.radius * pi / 2, along, along))
-        both = bool(self.hole)  # circles at both ends of the spokes
-        radial = Grading.of(self.radius - start, h_ends, h_S, symmetric=both, backwards=not both)
+        # with a hole there are circles at both ends of the spokes
+        radial = Grading.of(self.radius - start, h_ends, h_S, symmetric=bool(self.hole), backwards=not self.hole)
         gradings |= dict.fromkeys(chain.from_iterable(web.spokes), radial)
         return Drawing(bodies, facets, disc, gradings, circles=([0, 2], core))
 
