@@ -1,4 +1,4 @@
-"""Bands: copies of the nodes of S for each body, node lines ("posts") between two copies, and cells between lines."""
+"""Bands: copies of the nodes of S for each body, node lines between two copies, and cells between lines."""
 
 from __future__ import annotations
 
@@ -100,18 +100,18 @@ class NodeLines:
         """Number of nodes between copies."""
         return int((self.top - 1).sum())
 
-    def number(self, posts: IntArray, level: IntArray | int) -> IntArray:
-        """Nodes of the lines `posts` at levels."""
-        second = np.where(level == self.top[posts], self.ends[posts, 1], self.start[posts] + np.asarray(level) - 1)
-        return np.where(np.asarray(level) == 0, self.ends[posts, 0], second)
+    def number(self, lines: IntArray, level: IntArray | int) -> IntArray:
+        """Nodes of the lines with these numbers at levels."""
+        second = np.where(level == self.top[lines], self.ends[lines, 1], self.start[lines] + np.asarray(level) - 1)
+        return np.where(np.asarray(level) == 0, self.ends[lines, 0], second)
 
     def between(self, values: FloatArray) -> tuple[FloatArray, IntArray]:
         """Values at the nodes between copies, linear between values (n_nodes, d) at copies; and their nodes of S."""
-        post = np.repeat(np.arange(len(self.top)), self.top - 1)
-        first = np.cumsum([0, *map(len, self.heights)])[self.kind[post]]
-        level = np.arange(self.first_new, self.first_new + self.size) - self.start[post] + 1
+        line = np.repeat(np.arange(len(self.top)), self.top - 1)
+        first = np.cumsum([0, *map(len, self.heights)])[self.kind[line]]
+        level = np.arange(self.first_new, self.first_new + self.size) - self.start[line] + 1
         z = np.concatenate(self.heights)[first + level][:, None]
-        return (1 - z) * values[self.ends[post, 0]] + z * values[self.ends[post, 1]], self.nodes[post]
+        return (1 - z) * values[self.ends[line, 0]] + z * values[self.ends[line, 1]], self.nodes[line]
 
     def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> NodeLines:
         """These lines and further lines."""
@@ -124,11 +124,11 @@ class FacetLines:
     """Node lines at the nodes of each facet of S.
 
     Attributes:
-        posts: (n_S, k) the line at each node of each facet.
+        lines: (n_S, k) the line at each node of each facet.
         turned: (n_S, k) whether the line leads from the upper side of this facet to the lower side.
     """
 
-    posts: IntArray
+    lines: IntArray
     turned: BoolArray
 
 
@@ -163,8 +163,8 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
             raise InputError(f"{sides} at {place_text(x)}: sublayers do not meet; give equal ones, upwards on one body")
         if way and joint.dim == 3:
             raise InputError(f"the upper side of S changes at {place_text(x)}: in 3D it must be on one side there")
-    posts = NodeLines(len(joint.points) + len(copies.new), ends, nodes, seam[first], tuple(heights))
-    return posts, FacetLines(at.reshape(joint.surface.shape), turned.reshape(joint.surface.shape))
+    lines = NodeLines(len(joint.points) + len(copies.new), ends, nodes, seam[first], tuple(heights))
+    return lines, FacetLines(at.reshape(joint.surface.shape), turned.reshape(joint.surface.shape))
 
 
 def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -> FloatArray:
@@ -183,7 +183,7 @@ def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -
 
 
 def band_cells(
-    joint: Joint, posts: NodeLines, footing: FacetLines, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
+    joint: Joint, lines: NodeLines, footing: FacetLines, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Cells of the band over the facets `rows` of S, their sublayers, and the normals of S at their corners."""
     surface, normals, degree = joint.surface[rows], joint.node_normals[rows], joint.degree
@@ -197,9 +197,9 @@ def band_cells(
     for base in range(0, top, degree):
         middle = (heights[base] + heights[base + degree]) / 2
         for picked, offsets in patterns:
-            at = np.take_along_axis(footing.posts[rows], picked, axis=1)
+            at = np.take_along_axis(footing.lines[rows], picked, axis=1)
             turned = np.take_along_axis(footing.turned[rows], picked, axis=1)
-            cells.append(posts.number(at, np.where(turned, top - base - offsets, base + offsets)))
+            cells.append(lines.number(at, np.where(turned, top - base - offsets, base + offsets)))
             director.append(np.take_along_axis(normals, picked[:, :k, None], axis=1))
             sublayer.append(np.full(len(surface), np.searchsorted(edges, middle)))
     return np.concatenate(cells), np.concatenate(sublayer), np.concatenate(director)

@@ -35,24 +35,24 @@ class JunctionCorners(NamedTuple):
     of: IntArray
 
 
-def junction_corners(joint: Joint, posts: NodeLines, footing: FacetLines) -> tuple[NodeLines, JunctionCorners | None]:
+def junction_corners(joint: Joint, lines: NodeLines, footing: FacetLines) -> tuple[NodeLines, JunctionCorners | None]:
     """All node lines, with lines that close polygons on the outer boundary, and the corners of junctions (or None).
 
     Args:
         joint: the joint before inflating.
-        posts: all node lines at the nodes of S; at junctions they have one number of levels.
+        lines: all node lines at the nodes of S; at junctions they have one number of levels.
         footing: node lines of the facets of S.
 
     Raises:
         InputError: between layers that meet, bodies touch only at a vertex or along an edge; in 3D, edges where layers
             meet come together at a vertex.
     """
-    links, facets = _junction_lines(joint, posts, footing)
+    links, facets = _junction_lines(joint, lines, footing)
     k = links.shape[1]
     if not len(links):
-        return posts, None
-    vertices, of_link = unique_rows(posts.nodes[links])
-    ends = posts.ends[links]
+        return lines, None
+    vertices, of_link = unique_rows(lines.nodes[links])
+    ends = lines.ends[links]
     copies, at = unique_rows(np.concatenate([ends[..., 0], ends[..., 1]]))
     of = np.empty(len(copies), np.int64)
     of[at] = np.tile(of_link, 2)
@@ -69,27 +69,27 @@ def junction_corners(joint: Joint, posts: NodeLines, footing: FacetLines) -> tup
     pairs, number = unique_rows(np.sort(copies[alone].swapaxes(1, 2).reshape(-1, 2), axis=1))
     nodes = np.empty(len(pairs), np.int64)
     nodes[number] = vertices[of[alone[:, 0]]].ravel()
-    closing = (len(posts.nodes) + number).reshape(-1, k)
-    posts = posts.joined(pairs, nodes, int(posts.kind[links[0, 0]]))
+    closing = (len(lines.nodes) + number).reshape(-1, k)
+    lines = lines.joined(pairs, nodes, int(lines.kind[links[0, 0]]))
     links = np.concatenate([links, closing])
     at = np.concatenate([at[: len(of_link)], alone[:, 0], at[len(of_link) :], alone[:, 1]])
     sides = links[np.argsort(at, kind="stable") % len(links)].reshape(-1, 2, k).swapaxes(1, 2)
     polygons = _polygons(sides, of)
-    pairs, _ = unique_rows(np.column_stack([posts.nodes[sides[..., 0]].ravel(), polygons.ravel()]))
+    pairs, _ = unique_rows(np.column_stack([lines.nodes[sides[..., 0]].ravel(), polygons.ravel()]))
     meet = "where lines along which layers meet come together: these are not meshed; use the interface model"
     refuse(np.diff(pairs[:, 0]) == 0, joint.points[pairs[1:, 0]], f"S branches at {{at}}, {meet}")
-    return posts, JunctionCorners(copies, sides, polygons, of)
+    return lines, JunctionCorners(copies, sides, polygons, of)
 
 
-def _junction_lines(joint: Joint, posts: NodeLines, footing: FacetLines) -> tuple[IntArray, IntArray]:
+def _junction_lines(joint: Joint, lines: NodeLines, footing: FacetLines) -> tuple[IntArray, IntArray]:
     """(n, k) node lines at the k vertices of each junction, in ascending order, for each layer that ends there.
 
     Also (n,) the number of facets of S that join each of these layers to the junction.
     """
-    several = np.bincount(posts.nodes)[posts.nodes] > 1
-    rows = np.concatenate([footing.posts[:, ridge] for ridge in local_facets(FACET_TYPES[joint.cell_type])])
+    several = np.bincount(lines.nodes)[lines.nodes] > 1
+    rows = np.concatenate([footing.lines[:, ridge] for ridge in local_facets(FACET_TYPES[joint.cell_type])])
     links, number = unique_rows(np.sort(rows[several[rows].all(axis=1)], axis=1))
-    _, place = unique_rows(posts.nodes[links])
+    _, place = unique_rows(lines.nodes[links])
     branches = np.bincount(place)[place] > 1
     return links[branches], np.bincount(number, minlength=len(links))[branches]
 
@@ -119,9 +119,9 @@ def common_normals(joint: Joint, footing: FacetLines, corners: JunctionCorners, 
         joint: the joint before inflating.
         footing: node lines of the facets of S.
         corners: corners of junctions.
-        gap: (n_posts,) whether each line belongs to a gap, or closes a polygon on the outer boundary.
+        gap: (n_lines,) whether each line belongs to a gap, or closes a polygon on the outer boundary.
     """
-    normals = sum_by_number(footing.posts, joint.node_normals, len(gap))
+    normals = sum_by_number(footing.lines, joint.node_normals, len(gap))
     normals[gap] = 0.0
     normals[~gap] /= np.maximum(np.linalg.norm(normals[~gap], axis=1, keepdims=True), np.finfo(float).tiny)
     total = sum_by_number(corners.of, normals[corners.sides].sum(axis=(1, 2)), int(corners.of.max()) + 1)

@@ -34,25 +34,25 @@ class JunctionCells(NamedTuple):
 
 
 def junction_cells(
-    joint: Joint, posts: NodeLines, corners: JunctionCorners, values: FloatArray, nodes: IntArray
+    joint: Joint, lines: NodeLines, corners: JunctionCorners, values: FloatArray, nodes: IntArray
 ) -> JunctionCells:
     """Cells in junctions. Their new nodes are numbered after the nodes of the node lines.
 
     Args:
         joint: the joint before inflating.
-        posts: all node lines; at junctions they have one even number of cells.
+        lines: all node lines; at junctions they have one even number of cells.
         corners: corners of the polygons at the vertices of each junction.
         values: (n, d) values at the copies of nodes, interpolated bilinearly in the blocks.
         nodes: (n,) the node of S below each copy.
     """
-    half, k = int(posts.top[corners.sides.flat[0]]) // 2, corners.copies.shape[1]
+    half, k = int(lines.top[corners.sides.flat[0]]) // 2, corners.copies.shape[1]
     copies, sides, polygons = corners.copies.ravel(), corners.sides.reshape(-1, 2), corners.polygons.ravel()
     count, of_centres = np.bincount(polygons), np.empty(int(polygons.max()) + 1, np.int64)
     of_centres[polygons] = nodes[copies]
     centres = sum_by_number(polygons, values[copies], len(count)) / count[:, None]
-    key_values = np.concatenate([values, values[posts.ends].mean(axis=1), centres])
-    key_nodes = np.concatenate([nodes, posts.nodes, of_centres])
-    keys = np.column_stack([copies, len(values) + sides, len(values) + len(posts.nodes) + polygons])
+    key_values = np.concatenate([values, values[lines.ends].mean(axis=1), centres])
+    key_nodes = np.concatenate([nodes, lines.nodes, of_centres])
+    keys = np.column_stack([copies, len(values) + sides, len(values) + len(lines.nodes) + polygons])
 
     level = np.arange(half + 1)
     p, q = np.meshgrid(level, level, indexing="ij")  # from the corner towards the first and the second middle
@@ -62,10 +62,10 @@ def junction_cells(
     unique_codes, inverse = np.unique(np.sort(codes.reshape(-1, 4), axis=1), axis=0, return_inverse=True)
     at, number = inverse.reshape(codes.shape[:3]), np.full(len(unique_codes), -1)
     for side, on_side in zip(sides.T, (at[:, :, 0], at[:, 0]), strict=True):
-        first = (posts.ends[side, 0] == copies)[:, None]
-        number[on_side] = posts.number(side[:, None], np.where(first, level, 2 * half - level))
+        first = (lines.ends[side, 0] == copies)[:, None]
+        number[on_side] = lines.number(side[:, None], np.where(first, level, 2 * half - level))
     new = np.flatnonzero(number < 0)
-    number[new] = posts.first_new + posts.size + np.arange(len(new))
+    number[new] = lines.first_new + lines.size + np.arange(len(new))
     key, weight = np.divmod(unique_codes[new], base)
     added = np.einsum("nk,nkd->nd", np.where(key < 0, 0, weight) / half**2, key_values[key])
 
@@ -75,7 +75,7 @@ def junction_cells(
     if is_tensor(joint.cell_type):
         cells: IntArray = quads.swapaxes(1, 2).reshape(len(quads), half * half, 4 * k)
     else:
-        cells = _extruded(_halved(quads, posts.ends[corners.sides[:, 0], 0] != corners.copies[:, :1]))
+        cells = _extruded(_halved(quads, lines.ends[corners.sides[:, 0], 0] != corners.copies[:, :1]))
     rows = np.repeat(np.arange(len(quads)), cells.shape[1])
     return JunctionCells(cells.reshape(-1, cells.shape[2]), rows, added, key_nodes[key[:, -1]])
 

@@ -87,21 +87,21 @@ def inflate(
         refuse(np.isin(fixed, joint.surface), joint.points[fixed], f"{reach} {others}")
     layers = Layering.of(joint, eps, profile, cells_through, fractions, junctions, gaps)
     copies = NodeCopies.of(joint)
-    posts, footing = node_lines(joint, copies, layers.heights)
-    check_junctions(joint, posts, layers)
-    posts, meetings = junction_corners(joint, posts, footing)
+    lines, footing = node_lines(joint, copies, layers.heights)
+    check_junctions(joint, lines, layers)
+    lines, meetings = junction_corners(joint, lines, footing)
 
     copied = _motion(joint, copies, layers.thickness, bodies, fixed)
-    moved, below = posts.between(copied)
+    moved, below = lines.between(copied)
     motion = np.concatenate([copied, moved])
     foot = np.concatenate([np.arange(len(joint.points)), copies.new, below])
 
-    bands, names = _bands(joint, posts, footing, layers)
+    bands, names = _bands(joint, lines, footing, layers)
     between = _BandCells(joint.cells[:0], joint.region[:0], bands.director[:0])
     if meetings:
-        filled = junction_cells(joint, posts, meetings, copied, foot[: len(copied)])
+        filled = junction_cells(joint, lines, meetings, copied, foot[: len(copied)])
         motion, foot = np.concatenate([motion, filled.values]), np.concatenate([foot, filled.nodes])
-        between = _junctions(joint, posts, footing, meetings, layers.claims, filled)
+        between = _junctions(joint, lines, footing, meetings, layers.claims, filled)
     owners = np.unique(between.region)
     seams, prefix = list(joint.seams), f"{LAYER}/{JUNCTIONS}"
     shared = {prefix if len(owners) == 1 else f"{prefix}/{seams[k]}": seams[k] for k in owners}
@@ -163,13 +163,13 @@ class _BandCells(NamedTuple):
 
 
 def _junctions(
-    joint: Joint, posts: NodeLines, footing: FacetLines, corners: JunctionCorners, claims: Names, filled: JunctionCells
+    joint: Joint, lines: NodeLines, footing: FacetLines, corners: JunctionCorners, claims: Names, filled: JunctionCells
 ) -> _BandCells:
     """The cells of junctions; `region` is the number of the seam to which a junction belongs.
 
     Args:
         joint: the joint before inflating.
-        posts: all node lines.
+        lines: all node lines.
         footing: node lines of the facets of S.
         corners: corners of junctions.
         claims: names of the seams with cells, in order of priority.
@@ -177,12 +177,12 @@ def _junctions(
     """
     seams, last = list(joint.seams), len(claims)
     rank = np.array([claims.index(name) if name in claims else last for name in seams])
-    of_posts = np.full(len(posts.nodes), last)  # the sides that close a polygon have no seam
-    of_posts[: footing.posts.max() + 1] = rank[posts.kind[: footing.posts.max() + 1]]
+    of_lines = np.full(len(lines.nodes), last)  # the sides that close a polygon have no seam
+    of_lines[: footing.lines.max() + 1] = rank[lines.kind[: footing.lines.max() + 1]]
     first = np.full(int(corners.of.max()) + 1, last)
-    np.minimum.at(first, corners.of, of_posts[corners.sides].min(axis=(1, 2)))
+    np.minimum.at(first, corners.of, of_lines[corners.sides].min(axis=(1, 2)))
     owners = np.array([*map(seams.index, claims), -1])[first[corners.of]]
-    gap = of_posts == last
+    gap = of_lines == last
     # where a body has a corner between two gaps there are no cells: it would touch them at that corner only
     empty = np.bincount(corners.of, gap[corners.sides[:, 0]].all(axis=1)) > 0
     kept = ~empty[corners.of][filled.corners]
@@ -192,7 +192,7 @@ def _junctions(
 
 
 def _bands(
-    joint: Joint, posts: NodeLines, footing: FacetLines, layers: Layering
+    joint: Joint, lines: NodeLines, footing: FacetLines, layers: Layering
 ) -> tuple[_BandCells, dict[str, tuple[str, ...]]]:
     """Cells of the bands, and seam -> names of its regions from the lower to the upper face; gaps are left out."""
     bands: list[_BandCells] = []
@@ -202,7 +202,7 @@ def _bands(
         if seam not in layers.claims:
             continue
         rows, fractions = np.flatnonzero((joint.seam_numbers == number) & layers.with_cells), layers.fractions[seam]
-        cells, sublayer, director = band_cells(joint, posts, footing, rows, layers.heights[number], fractions)
+        cells, sublayer, director = band_cells(joint, lines, footing, rows, layers.heights[number], fractions)
         whole = LAYER if len(joint.seams) == 1 else f"{LAYER}/{seam}"
         names[seam] = tuple(f"{whole}/{k + 1}" for k in range(len(fractions))) if len(fractions) else (whole,)
         bands.append(_BandCells(cells, first + sublayer, director))

@@ -104,16 +104,16 @@ class Layering:
         return cls(sizes, shares, heights, thickness, varying, claims, ~in_gaps)
 
 
-def check_junctions(joint: Joint, posts: NodeLines, layers: Layering) -> None:
+def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
     """Raise InputError where layers meet that cannot be meshed there.
 
     Args:
         joint: the joint before inflating.
-        posts: all node lines at the nodes of S.
+        lines: all node lines at the nodes of S.
         layers: the layers.
     """
-    meeting = np.flatnonzero(np.bincount(posts.nodes)[posts.nodes] > 1)
-    names, x = np.array([*joint.seams])[posts.kind[meeting]], joint.points[posts.nodes[meeting]]
+    meeting = np.flatnonzero(np.bincount(lines.nodes)[lines.nodes] > 1)
+    names, x = np.array([*joint.seams])[lines.kind[meeting]], joint.points[lines.nodes[meeting]]
     layered = [name for name, some in layers.fractions.items() if len(some)]
     for reason, of_seams in (
         ("the sublayers of one layer have no place in the others", layered),
@@ -121,7 +121,7 @@ def check_junctions(joint: Joint, posts: NodeLines, layers: Layering) -> None:
         ("junctions are meshed between straight-sided cells only", [*joint.seams] if joint.degree == 2 else []),
     ):
         refuse(np.isin(names, of_seams), x, f"S branches at {{at}}: {reason}; use the interface model")
-    refuse(posts.top[meeting] % 2 > 0, x, "layers meet at {at} and need an even number of cells (cells_through) there")
+    refuse(lines.top[meeting] % 2 > 0, x, "layers meet at {at} and need an even number of cells (cells_through) there")
 
 
 def moved_facets(
