@@ -8,7 +8,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, reduce
 from operator import add
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 import ufl
@@ -70,17 +70,37 @@ from thinlayer.system.fingerprint import describe, digest
 from thinlayer.system.ranks import collect, errors_on_all, require_same
 
 
+class Freeable(Protocol):
+    """Matrices and factors that a solver passes on to the next solver."""
+
+    def free(self) -> None:
+        """Free them."""
+
+
 @dataclass
 class ModelFamily:
-    """Data that models share, like mesh and space, if they differ in the laws of their layers or in their loads.
+    """Models that share mesh and space, and matrices, as they differ in the laws of their layers or in their loads.
+
+    One solver at a time has the family's matrices. A solver that begins meanwhile makes its own.
 
     Attributes:
-        several: whether models were derived from others; without them no matrices are kept.
-        kept: matrices for later solves, freed with the last model; None if there are none, or a solver has them.
+        several: whether models were derived from others; without them no matrices wait for later solvers.
     """
 
     several: bool = False
-    kept: Any = None
+    _idle: Freeable | None = None  # matrices that no solver has at present; they end with the last model
+
+    def acquire(self) -> Freeable | None:
+        """Take the matrices of an earlier solver, for one solver alone; None if there are none, or another has them."""
+        matrices, self._idle = self._idle, None
+        return matrices
+
+    def release(self, matrices: Freeable) -> None:
+        """Leave matrices to the next solver of the family, in place of others that wait; free them if none can come."""
+        unused = self._idle if self.several else matrices
+        if unused is not None:
+            unused.free()
+        self._idle = matrices if self.several else None
 
 
 class Model(ABC):

@@ -69,22 +69,22 @@ class Equations(PartSum):
         self.constraints = model.constraints
         self._strains = VaryingStrainIntegrals(model.terms, model.coordinates)
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
-        self._kept = kept = SharedMatrices.of(model)
-        self.bodies = kept.bodies = kept.bodies or body_parts(model)
-        self.layers = layer_parts(model, self.constraints.bc_dofs, kept.bodies)
+        self._shared = shared = SharedMatrices.acquire(model)
+        self.bodies = shared.bodies = shared.bodies or body_parts(model)
+        self.layers = layer_parts(model, self.constraints.bc_dofs, shared.bodies)
         added = [part for addition in model.parts if (part := addition.part(model)) is not None]
         self._own_parts = [*self.layers, *added]
-        super().__init__([*kept.bodies, *self._own_parts])
+        super().__init__([*shared.bodies, *self._own_parts])
         self._layout = UnknownLayout(self.comm, {DISPLACEMENT_KEY: self.u, **{p.key: p.field for p in self.with_own}})
-        kept.matrix = self._matrix = kept.matrix or TangentMatrix(self.comm, self._layout.sizes)
-        self.factor = kept.factor
+        shared.matrix = self._matrix = shared.matrix or TangentMatrix(self.comm, self._layout.sizes)
+        self.factor = shared.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENT_KEY]
         self._T = self._layout.widened(self.constraints.T)
         self._product: PETSc.Mat | None = None
         self.bc_dofs = self._prescribed(None)[0].astype(np.int32)
         diag = diagonal_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
         self._rigid = RigidMotions(model, float(diag.norm()))
-        (self.block_of, self.within), self.last_body = self._rigid.blocks, [None, *kept.bodies][-1]
+        (self.block_of, self.within), self.last_body = self._rigid.blocks, [None, *shared.bodies][-1]
         self.n_blocks = self.within.shape[0]
         self.scale = ForceScale(self.norms(diag.array_r), max([0.0, *self.call_optional("cancelling")]), self.within)
         self.mean_stiffness = float(diag.norm(PETSc.NormType.NORM_1)) / diag.getSize()
@@ -406,4 +406,4 @@ class Equations(PartSum):
     def destroy(self) -> None:
         """Free the matrices, except matrices that other models of the family may use."""
         destroy(*self._own_parts)
-        self._kept.give_back(self.model)
+        self._shared.release(self.model)

@@ -204,7 +204,7 @@ class Factor:
 
 
 class SharedMatrices:
-    """Matrices of the equations of a model, which other models of its family may use.
+    """Matrices of the equations of a model, which the solvers of its family use one after the other.
 
     Attributes:
         bodies: parts that depend on mesh and bodies alone; empty: not created.
@@ -217,32 +217,29 @@ class SharedMatrices:
         self.matrix: TangentMatrix | None = None
         self.factor = Factor()
         self._terms: Sequence[Term] = ()
-        self._pattern: Any = None
+        self._pattern: object = None
 
     @classmethod
-    def of(cls, model: Model) -> SharedMatrices:
+    def acquire(cls, model: Model) -> SharedMatrices:
         """Take the matrices from the model's family, without any that do not suit this model; new if there are none."""
-        kept = model.family.kept or cls()
-        model.family.kept = None
+        waiting = model.family.acquire()
+        shared = waiting if isinstance(waiting, cls) else cls()
         pattern = (
             [(p.key, type(p.law), p.law.traits, len(p.law.sublayers)) for p in model.layer_terms],
             [(name, type(s.law), s.thin_layer and s.thin_layer.order) for name, s in model.layers.items()],
         )
-        if pattern != kept._pattern:
-            kept.free()
-        if model.layer_terms is not kept._terms:
-            kept.factor.of = None
-        kept._terms, kept._pattern = model.layer_terms, pattern
-        return kept
+        if pattern != shared._pattern:
+            shared.free()
+        if model.layer_terms is not shared._terms:
+            shared.factor.of = None
+        shared._terms, shared._pattern = model.layer_terms, pattern
+        return shared
 
-    def give_back(self, model: Model) -> None:
-        """Return the matrices to the family if it has other models, else free them."""
+    def release(self, model: Model) -> None:
+        """Leave the matrices to the next solver of the model's family, see `ModelFamily.release`."""
         for part in self.bodies:
             vars(part).pop("interval", None)  # its state refers to a model of the family
-        if model.family.several:
-            model.family.kept = self
-        else:
-            self.free()
+        model.family.release(self)
 
     def free(self) -> None:
         """Free the tangent and its factor."""
