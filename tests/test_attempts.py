@@ -54,7 +54,7 @@ def test_the_next_attempt_is_told_with_the_reason(caplog, monkeypatch):
     failing(monkeypatch, 1)
     with caplog.at_level(logging.INFO, "thinlayer"):
         state = solve(model(), 1.0)
-    assert messages(caplog, "thinlayer.solve") == ["t = 1: eased laws is tried, as newton, lu failed: it was told to"]
+    assert messages(caplog, "thinlayer.solve") == ["t = 1: homotopy is tried, as newton, lu failed: it was told to"]
     assert state.report.iterations >= 2
     assert state.report.homotopy_steps > 0
     near = 1e-8 * np.abs(straight.u.x.array).max()

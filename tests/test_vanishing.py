@@ -106,4 +106,4 @@ def test_an_error_of_a_law_within_newtons_method_is_told(monkeypatch):
     with Solver(model) as solver:
         refused(InputError, "told by a law", lambda: solver.step(solver.rest(0.0), 0.0))
         assert solver.step(solver.rest(0.0), 0.0).report.residual < 1e-8
-        assert isinstance(solver._finder, NewtonSolver)
+        assert isinstance(solver._solver, NewtonSolver)

@@ -9,7 +9,6 @@ gives the compliance under waves as long as cells. Where bodies are stiff, or wa
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any
 
 from petsc4py import PETSc
 
@@ -37,9 +36,7 @@ ORDERING_OPTIONS: dict[int, dict[str, OptionValue]] = {
 }
 # for saddle points at which MUMPS delays many pivots: more memory and smaller pivots
 LENIENT_OPTIONS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 1000, "mat_mumps_cntl_1": 1e-4}
-MULTIGRID_OPTIONS: dict[str, OptionValue] = {
-    **DIRECT_OPTIONS,
-    "ksp_max_it": 200,
+HIERARCHY_OPTIONS: dict[str, OptionValue] = {  # algebraic multigrid as a preconditioner
     "pc_type": "gamg",
     "pc_gamg_threshold": 0.01,
     "pc_gamg_aggressive_coarsening": 2,
@@ -47,6 +44,7 @@ MULTIGRID_OPTIONS: dict[str, OptionValue] = {
     "mg_levels_ksp_type": "chebyshev",
     "mg_levels_pc_type": "jacobi",
 }
+MULTIGRID_OPTIONS: dict[str, OptionValue] = {**DIRECT_OPTIONS, "ksp_max_it": 200, **HIERARCHY_OPTIONS}
 MULTIGRID_TYPES = ("gamg", "hypre", "ml")  # PETSc's kinds of algebraic multigrid, for the displacements
 # for saddle points: multigrid for the displacements after a factorisation for the pressures on S, see above. This
 # preconditioner is not symmetric. It takes half the iterations of a symmetric one for MINRES, at the same cost each.
@@ -61,17 +59,9 @@ FIELD_SPLIT_OPTIONS: dict[str, OptionValue] = {
     "pc_fieldsplit_type": "schur",
     "pc_fieldsplit_schur_fact_type": "upper",
     "pc_fieldsplit_schur_precondition": "selfp",
-    **{
-        f"fieldsplit_u_{name}": MULTIGRID_OPTIONS[name]
-        for name in MULTIGRID_OPTIONS
-        if name.startswith(("pc_gamg", "pc_type", "mg_"))
-    },
+    **{f"fieldsplit_u_{name}": value for name, value in HIERARCHY_OPTIONS.items()},
     "fieldsplit_u_ksp_type": "preonly",
-    **{
-        f"fieldsplit_p_{name}": value
-        for name, value in (DIRECT_OPTIONS | ORDERING_OPTIONS[2]).items()
-        if name != "ksp_rtol"
-    },
+    **{f"fieldsplit_p_{name}": v for name, v in (DIRECT_OPTIONS | ORDERING_OPTIONS[2]).items() if name != "ksp_rtol"},
     "fieldsplit_p_pc_type": "cholesky",
 }
 # dimension -> number of unknowns from which on multigrid is faster than a factor, even if steps share the factor
@@ -102,8 +92,8 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
         attempts = [direct, {**direct, **LENIENT_OPTIONS}]
         unsuited = [part.key for part in parts if isinstance(part, FieldPart) and not part.on_S]
         if chosen == "fieldsplit" and unsuited:
-            others = f"the unknowns {unsuited[0]!r} are others (of a meshed layer, a plate or a mean stress)"
-            raise InputError(f"pc_type fieldsplit is for displacements and pressures on S; {others}")
+            other = f"not for {unsuited[0]!r} (of a meshed layer, a plate or a mean stress); use pc_type cholesky"
+            raise InputError(f"pc_type fieldsplit is for displacements and pressures on S, {other}")
         return [FIELD_SPLIT_OPTIONS, *attempts] if chosen == "fieldsplit" or (large and not unsuited) else attempts
     iterative = {**MULTIGRID_OPTIONS, "ksp_type": "cg" if model.symmetric else "gmres"}
     if chosen in MULTIGRID_TYPES:
@@ -140,23 +130,23 @@ class Factor:
     """KSP and the matrix that it has factorised. Collective.
 
     Attributes:
-        ksp: the linear solver; None: not created.
+        ksp: the linear solver; None before the first `renew`.
         of: key that identifies the factorised matrix; None: unknown.
     """
 
     def __init__(self) -> None:
-        self.ksp: Any = None
+        self.ksp: PETSc.KSP = None
         self.of: Hashable = None
-        self._options: dict[str, Any] = {}
+        self._options: dict[str, str] = {}
         self._blocks: PETSc.Mat | None = None
 
-    def renew(self, A: PETSc.Mat, of: Hashable, tell: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
+    def renew(self, A: PETSc.Mat, of: Hashable, set_data: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
         """Set another matrix, which the next solve factorises.
 
         Args:
             A: the matrix.
             of: key that identifies it.
-            tell: function that passes data to the preconditioner, see `Equations.set_preconditioner_data`.
+            set_data: function that passes data to the preconditioner, see `Equations.set_preconditioner_data`.
 
         Returns:
             Whether the KSP stays: it then orders the unknowns anew only if A has another nonzero pattern.
@@ -171,7 +161,7 @@ class Factor:
         self.ksp.getPC().setReusePreconditioner(False)
         if not stays:
             self.ksp.setFromOptions()
-        tell(self.ksp, A)
+        set_data(self.ksp, A)
         if self.ksp.getPC().getType() == "gamg":
             self._set_up_in_blocks(A)
         self._options, self.of = options, of
@@ -251,8 +241,8 @@ class SharedMatrices:
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
     """Orthonormalise independent vectors in place."""
     for k, v in enumerate(vectors):
-        for b in vectors[:k]:
-            v.axpy(-v.dot(b), b)
+        for earlier in vectors[:k]:
+            v.axpy(-v.dot(earlier), earlier)
         v.normalize()
     return vectors
 
@@ -267,10 +257,10 @@ def set_field_split(pc: PETSc.PC, A: PETSc.Mat, layout: UnknownLayout, motions: 
         motions: vectors of rigid motions, of the displacements or of all unknowns.
     """
     first, last = A.getOwnershipRange()
-    n, bs = layout.sizes[DISPLACEMENT_KEY], layout.fields[DISPLACEMENT_KEY].function_space.dofmap.index_map_bs
-    of_u = PETSc.IS().createStride(n, first, 1, comm=A.comm)
-    of_u.setBlockSize(bs)
-    of_p = PETSc.IS().createStride(last - first - n, first + n, 1, comm=A.comm)
-    modes = [PETSc.Vec().createWithArray(v.array_r[:n].copy(), (n, None), bsize=bs, comm=A.comm) for v in motions]
-    of_u.compose("nearnullspace", PETSc.NullSpace().create(vectors=orthonormal(modes), comm=A.comm))
-    pc.setFieldSplitIS(("u", of_u), ("p", of_p))
+    n_u, bs = layout.sizes[DISPLACEMENT_KEY], layout.fields[DISPLACEMENT_KEY].function_space.dofmap.index_map_bs
+    rows_u = PETSc.IS().createStride(n_u, first, 1, comm=A.comm)
+    rows_u.setBlockSize(bs)
+    rows_p = PETSc.IS().createStride(last - first - n_u, first + n_u, 1, comm=A.comm)
+    modes = [PETSc.Vec().createWithArray(v.array_r[:n_u].copy(), (n_u, None), bsize=bs, comm=A.comm) for v in motions]
+    rows_u.compose("nearnullspace", PETSc.NullSpace().create(vectors=orthonormal(modes), comm=A.comm))
+    pc.setFieldSplitIS(("u", rows_u), ("p", rows_p))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
 
 from petsc4py import PETSc
 
@@ -21,7 +20,7 @@ REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residu
 REFINE_BELOW = {True: 1e-3, False: 0.5}  # refinement starts below this residual; Krylov methods test another norm
 REFINE_RATIO = {True: 0.1, False: 0.5}  # another refinement follows if one reduces the residual below this ratio
 KRYLOV_REDUCTION = 0.3  # target of a Krylov method that refines, relative to REFINED_RESIDUAL
-MIN_DETERMINED_PIVOT = 1e-6  # smallest over largest pivot above which rounding of the forces is harmless
+MIN_SAFE_PIVOT = 1e-6  # smallest over largest pivot above which rounding of the forces is harmless
 # The next two are changes of displacements by a refinement, relative to `_displacements_at_play`.
 SINGULAR_REFINEMENT = 1e-3  # change by the first refinement above which the matrix is singular
 SPOILT_REFINEMENT = 1e-5  # change by the last refinement above which rounding has spoilt the solution
@@ -100,7 +99,7 @@ class EquilibriumSolver(ABC):
         """Drop data of earlier steps; return whether the last step used them, so that another attempt may succeed."""
         return False
 
-    def close(self) -> None:  # noqa: B027  some finders have nothing to free
+    def close(self) -> None:  # noqa: B027  some solvers have nothing to free
         """Free matrices and factors."""
 
 
@@ -181,14 +180,14 @@ class NewtonSolver(EquilibriumSolver):
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
         """Compute the linear step d with the stiffness of an elastic layer."""
-        equations, ease = self.equations, self.equations.homotopy_parameter
+        equations, homotopy_parameter = self.equations, self.equations.homotopy_parameter
         equations.residual(x, r)
         r.scale(-1.0)
         equations.set_homotopy(1.0)
         try:
             equations.residual(x, d)
         finally:
-            equations.set_homotopy(ease)
+            equations.set_homotopy(homotopy_parameter)
         self._prepare(move, r)
         self._solve_linear(r, d)
 
@@ -206,7 +205,7 @@ class NewtonSolver(EquilibriumSolver):
         """Assemble and factorise the matrix of the step, and add the forces of support displacements `move` to b."""
         equations = self.equations
         dt = equations.interval.dt if equations.depends_on_dt else 0.0
-        key = (float(f"{dt:.12g}"), equations.interval.theta)  # lengths of equal steps differ by rounding
+        key = float(f"{dt:.12g}"), equations.interval.theta  # lengths of equal steps differ by rounding
         if move is None and self._factor.of == key:
             self.reused = True
             return
@@ -239,14 +238,9 @@ class NewtonSolver(EquilibriumSolver):
             SolveError: the solution is not unique, or its residual is too large.
         """
         equations, ksp = self.equations, self._factor.ksp
-        reason = ksp.getConvergedReason()
-        direct = ksp.getType() == "preonly"
+        reason, direct = ksp.getConvergedReason(), ksp.getType() == "preonly"
         residual, first, moved, iterations, rtol = self._relative(r), True, 0.0, 0, ksp.getTolerances()[0]
-        if (
-            residual < SOLVER_TOLERANCE
-            and not equations.traits.saddle
-            and least_pivot(ksp.getPC()) > MIN_DETERMINED_PIVOT
-        ):
+        if residual < SOLVER_TOLERANCE and not equations.traits.saddle and least_pivot(ksp.getPC()) > MIN_SAFE_PIVOT:
             return residual, 0
         while REFINED_RESIDUAL[direct] < residual < REFINE_BELOW[direct]:
             r.scale(-1.0)
@@ -271,22 +265,21 @@ class NewtonSolver(EquilibriumSolver):
                 break
             residual = refined
         if direct and moved > SPOILT_REFINEMENT:
-            allowed = f"allowed: {SPOILT_REFINEMENT:g}"
-            what = f"rounding of the forces changes the displacements by {moved:.1e} of them, {allowed}"
-            why = "the bodies are so much stiffer than what holds them that their strains are lost in rounding"
+            spoilt = f"by {moved:.1e} of them, allowed: {SPOILT_REFINEMENT:g}; bodies are too stiff for what holds them"
             advice = f"take their moduli {10 * moved / SPOILT_REFINEMENT:.0e} times smaller, or larger cells"
-            raise SolveError(f"linear solve failed: {what}: {why}", advice=advice)
+            raise SolveError(f"linear solve failed: rounding changes the displacements {spoilt}", advice=advice)
         if not residual < STATE_TOLERANCE:
             equations.put_state(equations.interval.old, d)
             equations.start(d, r)
             equations.residual(x, r)
             residual = self._relative(r)
         if not residual < STATE_TOLERANCE:
-            hints = "".join(f", or {part.hint}" for part in equations.with_own if part.hint)
             what = f"{reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}"
-            why = f"a body can move freely, or a law is not as linear as it says{hints}"
+            hints = "".join(f", or {part.hint}" for part in equations.with_own if part.hint)
             advice = f"with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
-            raise SolveError(f"linear solve failed: {what}; {why}", advice=advice)
+            raise SolveError(
+                f"linear solve failed: {what}; a body is free, or a law is not linear{hints}", advice=advice
+            )
         return residual, 0 if direct else iterations
 
     def _displacements_at_play(self, x: PETSc.Vec) -> float:
@@ -321,8 +314,7 @@ class NewtonSolver(EquilibriumSolver):
                 PETSc itself has failed. Errors of the equations, such as an InputError, pass unchanged.
         """
         equations, largest = self.equations, DIVERGED_DISPLACEMENT * _largest(x)
-        residuals: list[float] = []
-        given_up = ""
+        residuals, divergence = list[float](), ""
 
         def function(_: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
             equations.residual(x, b)
@@ -332,17 +324,17 @@ class NewtonSolver(EquilibriumSolver):
             equations.tangent()
             equations.apply_bcs(P)
 
-        def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> Any:
-            nonlocal given_up
+        def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> int:
+            nonlocal divergence
             x, r = snes.getSolution(), snes.getFunction()[0]
             residuals.append(equations.relative(r))
             if math.isnan(norms[2]):
                 return Reason.DIVERGED_FNORM_NAN
             if self._yields and _stagnates(residuals):
-                given_up = f"the residual has not fallen for {STAGNATION_STEPS} steps"
+                divergence = f"the residual has not fallen for {STAGNATION_STEPS} steps"
             elif self._yields and not _largest(x) <= largest:
-                given_up = "displacements grow without bound"
-            if given_up:
+                divergence = "displacements grow without bound"
+            if divergence:
                 return Reason.DIVERGED_DTOL
             return Reason.CONVERGED_FNORM_ABS if equations.is_balanced(x, r) else False
 
@@ -360,24 +352,22 @@ class NewtonSolver(EquilibriumSolver):
         reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
         if self._own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
             raise InputError(f"-{PREFIX}snes_type {snes.getType()} does not look at the residual; use another one")
-        last = equations.relative(snes.getFunction()[0])
-        ksp_reason = snes.getKSP().getConvergedReason()
+        last, ksp_reason = equations.relative(snes.getFunction()[0]), snes.getKSP().getConvergedReason()
         stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < STATE_TOLERANCE
         if stalled:  # by rounding, unless no equilibrium is near: then another step would be long
             solve_linear(snes.getKSP(), snes.getFunction()[0], d := self._vectors[2])
             stalled = _largest(d) <= SPOILT_REFINEMENT * self._displacements_at_play(x)
-            given_up = "" if stalled else "no step reduces the residual"
+            divergence = "" if stalled else "no step reduces the residual"
         snes.destroy()
-        # whether a test other than ours ended the solve
-        stopped = self._own_test and reason >= 0 and not last < STATE_TOLERANCE
-        if stopped or (reason < 0 and not stalled):
-            failed = f"; {equations.failure()}" if equations.failed else ""
-            why = f"{given_up or reason_name(Reason, reason)}, residual {last:.1e} of the forces"
+        # for reasons >= 0 a test other than ours may have ended the solve
+        failed = not stalled if reason < 0 else self._own_test and not last < STATE_TOLERANCE
+        if failed:
+            what = f"{divergence or reason_name(Reason, reason)}, residual {last:.1e} of the forces"
             if ksp_reason < 0:
-                why += f", linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)}"
+                what += f", linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)}"
+            what += f"; {equations.failure()}" if equations.failed else ""
             advice = f"try {self._advice}, or -{PREFIX}snes_monitor to watch it"
-            what = f"Newton's method failed after {steps} steps: {why}{failed}"
-            raise SolveError(what, residuals=tuple(residuals), advice=advice)
+            raise SolveError(f"Newton's method failed after {steps} steps: {what}", None, tuple(residuals), advice)
         if not equations.traits.releases:
             equations.require_unique()
         return StepSolution(x, steps + 1, last)

@@ -8,17 +8,16 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from functools import cache
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
+from geometry.topology import Indices
 from thinlayer.errors import SolveError
 
 PREFIX = "thinlayer_"
@@ -27,8 +26,7 @@ PREFIX = "thinlayer_"
 OPTION_ERROR_CODES = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
 Options = Mapping[str, OptionValue]  # names without the prefix -> values
-# names, without the prefix, of the options that `default_options` has put into PETSc's database
-_DEFAULT_NAMES: set[str] = set()
+_DEFAULT_NAMES: set[str] = set()  # names, with their prefix, of the options that `default_options` has set
 C_POINTER = ctypes.c_void_p
 C_ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code
     "PetscOptionsUsed": (C_POINTER, ctypes.c_char_p, C_POINTER),
@@ -41,20 +39,20 @@ C_ARGUMENTS = {  # name of a function -> types of its arguments; all functions r
 
 
 @contextmanager
-def default_options(options: Options) -> Iterator[None]:
-    """Within a `with` block, set these options under our prefix in PETSc's database, unless the user has set them."""
+def default_options(options: Options, prefix: str = PREFIX) -> Iterator[None]:
+    """Within a `with` block, set these options under a prefix in PETSc's database, unless the user has set them."""
     database = PETSc.Options()
     theirs = database.getAll()  # hasName would mark the option as read
-    ours = {PREFIX + name: value for name, value in options.items() if PREFIX + name not in theirs}
+    ours = {prefix + name: value for name, value in options.items() if prefix + name not in theirs}
     for name, value in ours.items():
         database.setValue(name, value)
-        _DEFAULT_NAMES.add(name.removeprefix(PREFIX))
+    _DEFAULT_NAMES.update(ours)
     try:
         yield
     finally:
         for name in ours:
             database.delValue(name)
-            _DEFAULT_NAMES.discard(name.removeprefix(PREFIX))
+        _DEFAULT_NAMES.difference_update(ours)
 
 
 def options_set() -> dict[str, str]:
@@ -79,13 +77,16 @@ def database_options() -> str:
     return " ".join(f"-{PREFIX}{name} {value}".rstrip() for name, value in sorted(options_set().items()))
 
 
+def _options_of_user(ours: Collection[str]) -> list[str]:
+    """Names without our prefix of the options in PETSc's database, except those of `ours` that have our values."""
+    return sorted(name for name in options_set() if name not in ours or PREFIX + name not in _DEFAULT_NAMES)
+
+
 def require_all_read(solver: str, ours: Collection[str]) -> None:
     """Raise InputError unless the last solve has read all options that the user has set; `ours` may stay unread."""
-    theirs = options_set().keys() - _DEFAULT_NAMES.intersection(ours)
-    if names := sorted(name for name in theirs if not was_read(PREFIX + name)):
-        listed = ", ".join(f"-{PREFIX}{name}" for name in names)
+    if unread := ", ".join(f"-{PREFIX}{name}" for name in _options_of_user(ours) if not was_read(PREFIX + name)):
         remedy = f"a direct solver has no tolerances, -{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
-        raise InputError(f"PETSc options not read by the {solver} solver: {listed}; {remedy}")
+        raise InputError(f"PETSc options not read by the {solver} solver: {unread}; {remedy}")
 
 
 @contextmanager
@@ -101,24 +102,23 @@ def chosen_options(ours: Options, user_options: Options | None = None) -> Iterat
         try:
             yield
         except PETSc.Error as error:
-            options = options_set()
-            theirs = sorted(options.keys() - _DEFAULT_NAMES.intersection(ours.keys() - user_options.keys()))
+            options, theirs = options_set(), _options_of_user(ours.keys() - user_options.keys())
             if error.ierr in OPTION_ERROR_CODES and theirs:
                 listed = ", ".join(f"-{PREFIX}{name} {options[name]}" for name in theirs)
                 raise InputError(f"PETSc does not take the value of one of these options: {listed}") from error
-            said = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
-            raise SolveError(f"PETSc: {said[-1] if said else ''} (error {error.ierr})") from error
+            lines = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
+            raise SolveError(f"PETSc: {lines[-1] if lines else ''} (error {error.ierr})") from error
 
 
 @cache
-def c_function(name: str) -> Any:
+def c_function(name: str) -> Callable[..., int]:
     """PETSc's C function with a name of `C_ARGUMENTS`.
 
     Raises:
         ImportError: the library of this PETSc has no such function.
     """
     try:
-        function = getattr(ctypes.CDLL(PETSc.__file__), name)
+        function: ctypes._NamedFuncPointer = getattr(ctypes.CDLL(PETSc.__file__), name)
     except (OSError, AttributeError) as error:
         remedy = "use a petsc4py that is linked to a shared library of PETSc 3.22 or newer"
         raise ImportError(f"PETSc, from {PETSc.__file__}, does not export its function {name}; {remedy}") from error
@@ -126,7 +126,7 @@ def c_function(name: str) -> Any:
     return function
 
 
-def _checked_call(name: str, *arguments: Any) -> None:
+def _checked_call(name: str, *arguments: object) -> None:
     if code := c_function(name)(*arguments):
         raise PETSc.Error(code)
 
@@ -138,10 +138,10 @@ def was_read(option: str) -> bool:
     return bool(used.value)
 
 
-def keep_unknowns(factor: PETSc.Mat, unknowns: npt.NDArray[Any]) -> None:
+def keep_unknowns(factor: PETSc.Mat, unknowns: Indices) -> None:
     """Set, before the factorisation, which unknowns (c,) a factor keeps: it then computes their Schur complement."""
-    places = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
-    _checked_call("MatFactorSetSchurIS", factor.handle, places.handle)
+    rows = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
+    _checked_call("MatFactorSetSchurIS", factor.handle, rows.handle)
 
 
 def schur_complement(factor: PETSc.Mat, c: int) -> Array:
@@ -157,26 +157,12 @@ def schur_complement(factor: PETSc.Mat, c: int) -> Array:
 
 def faster_products(*, serial: bool) -> AbstractContextManager[None]:
     """Within a `with` block, PETSc computes A P before P^T A P if `serial`: less time, more memory."""
-    return _products({"matptap_via": "rap"} if serial else {})
+    return default_options({"matptap_via": "rap"} if serial else {}, prefix="")
 
 
 def lean_products() -> AbstractContextManager[None]:
     """Within a `with` block, PETSc frees the data that are needed to compute a product again with other values."""
-    return _products({"mat_product_clear": True})
-
-
-@contextmanager
-def _products(options: dict[str, OptionValue]) -> Iterator[None]:
-    """Within a `with` block, set options of products (read without a prefix), unless the user has set them."""
-    database = PETSc.Options()
-    ours = [name for name in options if not database.hasName(name)]
-    for name in ours:
-        database.setValue(name, options[name])
-    try:
-        yield
-    finally:
-        for name in ours:
-            database.delValue(name)
+    return default_options({"mat_product_clear": True}, prefix="")
 
 
 def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
@@ -185,11 +171,11 @@ def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
     d, shape = A.getBlockSize(), (A.getLocalSize()[0], A.getSize()[1])
     blocks = scipy.sparse.csr_matrix((values, indices, indptr), shape=shape, copy=False).tobsr((d, d))
     del indptr, indices, values  # they are copies, and take memory
-    csr = (*(a.astype(PETSc.IntType, copy=False) for a in (blocks.indptr, blocks.indices)), blocks.data)
+    places = (a.astype(PETSc.IntType, copy=False) for a in (blocks.indptr, blocks.indices))
     target = into or A
     target.setSizes(A.getSizes(), d)
     target.setType("baij")
-    target.setPreallocationCSR(csr)
+    target.setPreallocationCSR((*places, blocks.data))
     return target
 
 
@@ -232,7 +218,7 @@ def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec) -> None:
     inside.copy(x)
 
 
-def reason_name(kind: Any, value: int) -> str:
-    """PETSc's name of the reason why a solver stopped."""
-    names = {v: k for k, v in vars(kind).items() if isinstance(v, int) and not k.startswith("_")}
+def reason_name(reasons: type, value: int) -> str:
+    """PETSc's name of the reason why a solver stopped; `reasons` is its class `ConvergedReason`."""
+    names = {v: name for name, v in vars(reasons).items() if isinstance(v, int) and not name.startswith("_")}
     return names.get(value, str(value))

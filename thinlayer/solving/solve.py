@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, TypedDict
+from typing import TypedDict
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -48,9 +48,7 @@ from thinlayer.system.progress import logger
 from thinlayer.system.ranks import collect, errors_on_all, require_same
 
 # a reason, see `PartSum.refuse`
-SOFTENING_ADVICE = (
-    "the stress of {} falls as jumps grow, with several equilibria; follow them from rest with march(model, times)"
-)
+SOFTENING_ADVICE = "the stress of {} falls as jumps grow, with several equilibria; follow them by march(model, times)"
 FIRST_DECREMENT, MIN_DECREMENT = 0.5, 1 / 64  # decrements of the continuation parameter
 MAX_HOMOTOPY_SOLVES = 30  # number of solves after which a homotopy is given up
 FAIL_FAST: dict[str, OptionValue] = {"snes_max_it": 30, "snes_max_linear_solve_fail": 1}  # if another method follows
@@ -111,18 +109,18 @@ class SolverChoices(TypedDict, total=False):
     method: str | None
 
 
-def comm_of(model: Any) -> MPI.Intracomm:
+def comm_of(model: object) -> MPI.Intracomm:
     """Communicator of a model; the default communicator if `model` is not a Model."""
     return model.comm if isinstance(model, Model) else default_comm()
 
 
-def _check_like(model: Model, like: Any) -> None:
-    if not isinstance(like, State) or like.model.joint is not model.joint:
-        text = f"a state of a model of another joint ({like.model!r})" if isinstance(like, State) else repr(like)[:200]
-        raise InputError(f"like is {text}; it must be a state of a model of the same joint")
+def _check_like(model: Model, like: State) -> None:
+    require(isinstance(like, State), "like", like, "it must be a state of a model of the same joint")
     other = like.model
+    same_joint = other.joint is model.joint
+    require(same_joint, "the model of like", other, "it must be a model of the same joint")
     if not (model.broken and other.broken) or (model.element, model.bonds) != (other.element, other.bonds):
-        raise InputError("like is a state of an interface model for another one, with the same element and bonds")
+        raise InputError("like must be a state of an interface model with the same element and bonds as this model")
 
 
 SolveWay = tuple[str, dict[str, OptionValue]]  # a method, and PETSc options of its linear solver
@@ -167,9 +165,9 @@ class Solver(AbstractContextManager["Solver"]):
                 _check_like(model, like)
             named = isinstance(options or {}, Mapping) and all(isinstance(name, str) for name in options or {})
             require(named, "options", options, "it must be {name without prefix: value}")
-        self._given, self._like = dict(options or {}), like
+        self._user_options, self._like = dict(options or {}), like
         marks = {"models": model.data_hash, "like": like and [like.model.data_hash, like.t]}
-        require_same(model.comm, **marks, options=self._given, method=self.method)
+        require_same(model.comm, **marks, options=self._user_options, method=self.method)
         self._log = logger("solve", model.comm)
         for line in model.remarks:
             self._log.info(line)
@@ -178,10 +176,10 @@ class Solver(AbstractContextManager["Solver"]):
         self.yields, self.bounded = traits.bounded, traits.bounded or traits.releases
         self._warned = False  # whether the user was warned of a law that softens
         self._solve_ways = self._ways_of(self.method)  # later without the ways that failed before one succeeded
-        if method is None and self.method == "multigrid" and not (self._given or options_set()):
+        if method is None and self.method == "multigrid" and not (self._user_options or options_set()):
             self._solve_ways += self._ways_of("newton")
-        self._finders = dict[str, EquilibriumSolver]()
-        self._finder = self._finder_of(self.method)
+        self._solvers = dict[str, EquilibriumSolver]()
+        self._solver = self._solver_of(self.method)
 
     def _check(self) -> None:
         """Raise InputError unless the method suits the model."""
@@ -202,20 +200,19 @@ class Solver(AbstractContextManager["Solver"]):
         """A method, combined with each of its linear solvers in the order in which they are tried."""
         if method in METHODS:
             return [(method, {})]
-        ways = [
-            (method, ksp) for ksp in linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._given))
-        ]
-        return ways[:1] if is_set("ksp_type", self._given) or is_set("pc_type", self._given) else ways
+        kinds = linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._user_options))
+        user_chooses = is_set("ksp_type", self._user_options) or is_set("pc_type", self._user_options)
+        return [(method, options) for options in (kinds[:1] if user_chooses else kinds)]
 
-    def _finder_of(self, method: str) -> EquilibriumSolver:
+    def _solver_of(self, method: str) -> EquilibriumSolver:
         """Solver of a method, created at its first use."""
-        if method not in self._finders:
+        if method not in self._solvers:
             made = SOLVER_OF_METHOD[method](self.equations, self._like) if method in METHODS else self._newton(method)
-            self._finders[method] = made
-        return self._finders[method]
+            self._solvers[method] = made
+        return self._solvers[method]
 
     def _newton(self, method: str) -> NewtonSolver:
-        own_test = not (is_set("snes_atol", self._given) or is_set("snes_rtol", self._given))
+        own_test = not (is_set("snes_atol", self._user_options) or is_set("snes_rtol", self._user_options))
         advice = "a march from less (loads may have a limit)" if self.yields else f"-{PREFIX}snes_linesearch_type basic"
         if self.model.contact:
             advice = "another method, supports (is a body pulled off, or pushed harder than friction holds?)"
@@ -224,8 +221,8 @@ class Solver(AbstractContextManager["Solver"]):
 
     def close(self) -> None:
         """Free matrices and factors."""
-        for finder in self._finders.values():
-            finder.close()
+        for solver in self._solvers.values():
+            solver.close()
         self.equations.destroy()
 
     def rest(self, t: float) -> State:
@@ -256,9 +253,9 @@ class Solver(AbstractContextManager["Solver"]):
         while not keep_phases and self.equations.switch():
             self._log.info("t = %g: columns change their phase; the equilibrium is found again", t)
             solves.append(self._try_in_turn(attempts))
-        last_solution, iterations = solves[-1][0], sum(solution.iterations for solution, _ in solves)
-        seconds, eased = time.perf_counter() - start, sum(eased for _, eased in solves)
-        return self._accept(last_solution.x, Report(self.method, iterations, last_solution.residual, seconds, eased))
+        last, iterations = solves[-1][0], sum(solution.iterations for solution, _ in solves)
+        seconds, homotopy_steps = time.perf_counter() - start, sum(steps for _, steps in solves)
+        return self._accept(last.x, Report(self.method, iterations, last.residual, seconds, homotopy_steps))
 
     def solve_regularised(self, old: State, t: float, theta: float = 1.0) -> State:
         """State at the end of a step for which `step` has failed, by weak springs at all nodes. Collective.
@@ -271,16 +268,16 @@ class Solver(AbstractContextManager["Solver"]):
         self._log.info("t = %g: weak springs at all nodes are tried", t)
         # methods for contact have no options of a linear solver
         linear = self._solve_ways[0][1] or linear_solvers(self.model, self.equations.parts)[0]
-        springs = WeakSprings(self.equations, {**linear, **self._given})
+        springs = WeakSprings(self.equations, {**linear, **self._user_options})
 
         def follow(end: float) -> StepSolution:
             step = TimeStep(old, end, end - old.t, theta)
             return springs.follow(self.rest(end), step, lambda begin: self._try_in_turn(near, begin))[0]
 
         solution = follow(t)
-        seconds = time.perf_counter() - start
+        report = Report(self.method, solution.iterations, solution.residual, time.perf_counter() - start)
         try:
-            return self._accept(solution.x, Report(self.method, solution.iterations, solution.residual, seconds))
+            return self._accept(solution.x, report)
         except LooseBody:  # the loads may be exactly at their limit: then slightly higher loads have no equilibrium
             with suppress(InputError):  # tables of loads may end before this time
                 follow(2 * t - old.t)
@@ -306,27 +303,28 @@ class Solver(AbstractContextManager["Solver"]):
         falling = [] if self._warned else [*filter(None, self.equations.call_optional("undeclared_softening"))]
         for name, where in falling[:1]:
             self._warned = True
-            what = f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow"
-            why = "this equilibrium may be one of several, and steps may pass over others"
-            remedy = "write softens = True in the class and follow them with march(model, ArcLength(...))"
-            self.model.warn("softens", f"{what}: {why}; {remedy}", state.t)
+            what = f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow: there may be other"
+            remedy = "write softens = True in the class, and follow them by march(model, ArcLength(...))"
+            self.model.warn("softens", f"{what} equilibria, over which steps may pass; {remedy}", state.t)
         return state
 
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[SolveAttempt]:
         """Attempts in the order in which they are tried: every method with its linear solvers, then a homotopy."""
-        has, contact, out = self.equations.traits, CONTACT_OPTIONS if self.model.contact else {}, list[SolveAttempt]()
-        newton = (
-            NEWTON_OPTIONS | (YIELDING_OPTIONS if self.yields else SINGULAR_OPTIONS if has.singular else {}) | contact
+        traits, contact, out = (
+            self.equations.traits,
+            CONTACT_OPTIONS if self.model.contact else {},
+            list[SolveAttempt](),
         )
+        law_options = YIELDING_OPTIONS if self.yields else SINGULAR_OPTIONS if traits.singular else {}
+        newton = {**NEWTON_OPTIONS, **law_options, **contact}
         for method, linear in self._solve_ways:
             name = ", ".join(filter(None, (method, str(linear.get("pc_type", "")))))
             options = newton if method == "newton" else FAIL_FAST if len(self._solve_ways) > 1 else {}
             out.append(SolveAttempt(name, (method, linear), options))
-        last = out[-1]
-        if has.has_homotopy and self._finder.has_homotopy:
-            options = {**last.options, **(CONTACT_HOMOTOPY_OPTIONS if contact else {})}
-            out.append(replace(last, name="eased laws", options=options, uses_homotopy=True))
+        if traits.has_homotopy and self._solver.has_homotopy:
+            options = {**out[-1].options, **(CONTACT_HOMOTOPY_OPTIONS if contact else {})}
+            out.append(replace(out[-1], name="homotopy", options=options, uses_homotopy=True))
         return out
 
     def _try_in_turn(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
@@ -345,7 +343,7 @@ class Solver(AbstractContextManager["Solver"]):
             if why:
                 self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, why)
             try:
-                solution, solves = self._try_eased(attempt) if attempt.uses_homotopy else (self._try(attempt, start), 0)
+                solution, solves = self._follow(attempt) if attempt.uses_homotopy else (self._try(attempt, start), 0)
             except SolveError as error:
                 why = f"{attempt.name} failed: {error.reason}"
                 if attempt.way == self._solve_ways[-1]:
@@ -364,23 +362,23 @@ class Solver(AbstractContextManager["Solver"]):
         If it fails with the factor of an earlier step, it is repeated with a new factor.
         """
         began, ours = time.perf_counter(), {**attempt.way[1], **attempt.options}
-        self._finder = self._finder_of(attempt.way[0])
+        self._solver = self._solver_of(attempt.way[0])
         while True:
             try:
-                with chosen_options(ours, self._given), faster_products(serial=self.equations.comm.size == 1):
-                    solution = self._finder.solve_step(start)
-                    if not self._finder.reused:
-                        require_all_read(attempt.way[0], ours.keys() - self._given.keys())
+                with chosen_options(ours, self._user_options), faster_products(serial=self.equations.comm.size == 1):
+                    solution = self._solver.solve_step(start)
+                    if not self._solver.reused:
+                        require_all_read(attempt.way[0], ours.keys() - self._user_options.keys())
             except SolveError as error:
                 self._log.debug("%s: failed after %d iterations: %s", attempt.name, len(error.residuals), error.reason)
-                if not self._finder.reset():
+                if not self._solver.reset():
                     raise
             else:
                 done = attempt.name, solution.iterations, solution.residual, time.perf_counter() - began
                 self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *done)
                 return solution
 
-    def _try_eased(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
+    def _follow(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
         """Lower the continuation parameter from 1 (elastic layer) to 0 (the law); return solution and number of solves.
 
         Its decrement is doubled after a solve that converges and halved after a solve that fails. Each solve starts
@@ -391,16 +389,16 @@ class Solver(AbstractContextManager["Solver"]):
                 been released.
         """
         reached, limit = self.equations.vector(), math.inf
-        ease, lower, decrement, solves, spent = 1.0, 1.0, FIRST_DECREMENT, 0, 0
+        converged, parameter, decrement, solves, spent = 1.0, 1.0, FIRST_DECREMENT, 0, 0
         begin: PETSc.Vec | None = None
         try:
             while True:
                 solves += 1
-                self.equations.set_homotopy(lower)
+                self.equations.set_homotopy(parameter)
                 try:
-                    solution = self._try(replace(attempt, name=f"{attempt.name}, ease {lower:g}"), begin)
+                    solution = self._try(replace(attempt, name=f"{attempt.name} at {parameter:g}"), begin)
                 except SolveError as error:
-                    spent, decrement = spent + len(error.residuals), (ease - lower) / 2
+                    spent, decrement = spent + len(error.residuals), (converged - parameter) / 2
                     if begin is None or decrement < MIN_DECREMENT or solves >= MAX_HOMOTOPY_SOLVES:
                         raise
                 else:
@@ -408,13 +406,13 @@ class Solver(AbstractContextManager["Solver"]):
                     solution.x.copy(reached)
                     if size > limit:
                         raise SolveError(f"displacements are {HOMOTOPY_DIVERGENCE:g} times those of an elastic layer")
-                    if not lower:
+                    if not parameter:
                         return replace(solution, iterations=spent), solves
                     if begin is None:
                         begin, limit = reached, HOMOTOPY_DIVERGENCE * size
                     else:
-                        ease, decrement = lower, 2 * decrement
-                lower = max(ease - decrement, 0.0)
+                        converged, decrement = parameter, 2 * decrement
+                parameter = max(converged - decrement, 0.0)
         except SolveError as error:
             if not self.equations.traits.releases:
                 raise
@@ -423,8 +421,8 @@ class Solver(AbstractContextManager["Solver"]):
             try:
                 self.equations.require_unique()
             except LooseBody as loose:
-                reason = f"no equilibrium found ({error.reason}): where the search ended, {loose.motion}"
                 advice = "is it pulled off, or pushed harder than friction holds? Give it supports or a smaller load"
+                reason = f"no equilibrium found ({error.reason}): where the search ended, {loose.motion}"
                 raise LooseBody(reason, loose.motion, advice, error.residuals) from error
             raise
         finally:

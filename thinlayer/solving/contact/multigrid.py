@@ -18,7 +18,7 @@ from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.contact_tangent import ContactTangent
 from thinlayer.solving.contact.pairs import C_SOURCE, ContactPairs
 from thinlayer.solving.equations import Equations
-from thinlayer.solving.linear_solvers import DIRECT_OPTIONS, MULTIGRID_OPTIONS
+from thinlayer.solving.linear_solvers import HIERARCHY_OPTIONS
 from thinlayer.solving.part_sum import MIN_DIVISOR, SOLVER_TOLERANCE
 from thinlayer.solving.petsc import (
     PREFIX,
@@ -46,9 +46,6 @@ LARGE_RESIDUAL = 3e-5
 MIN_REDUCTION = 0.05  # least factor by which a linear solve after sweeps reduces a residual below the forces
 LAST_SOLVE_TARGET = 0.7  # target of the last linear solve, relative to NEWTON_TOLERANCE
 
-HIERARCHY_OPTIONS: dict[str, OptionValue] = {
-    k: v for k, v in MULTIGRID_OPTIONS.items() if k not in (*DIRECT_OPTIONS, "ksp_max_it")
-}
 NEWTON_OPTIONS: dict[str, OptionValue] = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "basic",  # the residual grows on good steps, as springs of S are stiff
