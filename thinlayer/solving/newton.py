@@ -277,9 +277,7 @@ class NewtonSolver(EquilibriumSolver):
             what = f"{reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}"
             hints = "".join(f", or {part.hint}" for part in equations.with_own if part.hint)
             advice = f"with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
-            raise SolveError(
-                f"linear solve failed: {what}; a body is free, or a law is not linear{hints}", advice=advice
-            )
+            raise SolveError(f"linear solve failed: {what}; a body is free, or a law not linear{hints}", advice=advice)
         return residual, 0 if direct else iterations
 
     def _displacements_at_play(self, x: PETSc.Vec) -> float:

@@ -58,24 +58,24 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
         lmbda, mu = average_lame(C) if C is not None else (0.0, 1.0)
         nu = lmbda / (2 * (lmbda + mu))
         if setup.degree == 1 and nu > LOCKING_NU and model.volume_degree(law) is None:
-            what = (
-                f"the Poisson's ratio of a body of {type(law).__name__} is {nu:.4g}, and {setup.element} locks near 0.5"
-            )
-            why = "a bonded block of 10 by 5 cells is 4 % too stiff at 0.45, 18 % at 0.49, and three times at 0.4995"
             solid = model.contact is not None and setup.joint.cell_type == "tetrahedron"
             remedy = "hexahedra with element='Q2'" if solid else f"element='{setup.element[0]}2'"
+            what = (
+                f"a body of {type(law).__name__} has the Poisson's ratio {nu:.4g}, and {setup.element} locks near 0.5"
+            )
+            why = "a block of 10 by 5 cells is 4 % too stiff at 0.45, 18 % at 0.49, and three times at 0.4995"
             model.warn("locking", f"{what}: {why}; use {remedy}", law)
     for layer in _strain_layers(model):
         for key, remark in _model_remarks(model, layer, lasting):
             model.warn(key, remark, layer.name)
-    for name, r in model.applicability.items() if model.broken else ():
-        if r.layer.has_pressure_flow and r.is_coarse.any():
-            delta, largest = r.pressure_lengths[r.is_coarse].min(), r.loose[r.is_coarse].depth.max()
-            what = f"the pressure of {r.layer} falls to zero at free ends over delta = {delta:.3g}"
-            remedy = "it is not set to zero there, as if they were held; make cells there shorter"
-            model.warn("coarse ends", f"{what}, and cells there are up to {largest:.3g} long: {remedy}", name)
-        if refused := r.why_not("sides"):
-            model.warn(refused.key, f"{refused.reason}: what it bears is left out; {refused.remedy}", name)
+    for name, applicability in model.applicability.items() if model.broken else ():
+        if applicability.layer.has_pressure_flow and (coarse := applicability.is_coarse).any():
+            delta, largest = applicability.pressure_lengths[coarse].min(), applicability.loose[coarse].depth.max()
+            what = f"the pressure of {applicability.layer} falls to zero at free ends over delta = {delta:.3g}"
+            effect = f"cells there are up to {largest:.3g} long, and it is not set to zero; make them shorter"
+            model.warn("coarse ends", f"{what}: {effect}", name)
+        if violation := applicability.why_not("sides"):
+            model.warn(violation.key, f"{violation.reason}: what it bears is left out; {violation.remedy}", name)
 
 
 def _model_remarks(model: Model, layer: SeamLayer, lasting: Sequence[float]) -> Iterator[Remark]:
@@ -103,20 +103,17 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         return
     model = states[0].model
     warn_of_strains(states)
-    for reduction in model.applicability.values() if model.broken else ():
-        layer, pulls = reduction.layer, [_largest_tension(reduction, state) for state in states]
-        if max(pulls) > CAVITATION_STRESS_RATIO:
-            t, ratio = states[int(np.argmax(pulls))].t, max(pulls)
-            what = f"at t = {t:.4g} the pressure of {layer} is a tension, {ratio:.3g} times its shear modulus"
-            why = f"from about {CAVITATION_STRESS_RATIO:g} times on small holes in rubber grow and tear it (cavitation)"
-            remedy = "which its law does not contain; do not use results under such loads"
-            model.warn("cavitation", f"{what}: {why}, {remedy}", layer.name, states[-1].t)
+    for applicability in model.applicability.values() if model.broken else ():
+        layer, tensions = applicability.layer, [_largest_tension(applicability, state) for state in states]
+        if (ratio := max(tensions)) > CAVITATION_STRESS_RATIO:
+            t, why = states[int(np.argmax(tensions))].t, f"rubber cavitates from {CAVITATION_STRESS_RATIO:g} times on"
+            what = f"at t = {t:.4g} the pressure of {layer} is a tension, {ratio:.3g} times its shear modulus: {why}"
+            model.warn("cavitation", f"{what}, unlike its law; do not use such results", layer.name, states[-1].t)
     worst = max(states, key=lambda state: state.elastic_share)
     if worst.elastic_share > MIN_SPRING_SHARE:
         what = f"at t = {worst.t:.4g} springs parallel to what yields carry {worst.elastic_share:.2g} of its load"
-        why = "they are the elastic_fraction of its stiffness, and hide its limit load"
         remedy = "take a smaller elastic_fraction, 0 if Newton's method then converges"
-        model.warn("elastic share", f"{what}: {why}; {remedy}", "", states[-1].t)
+        model.warn("elastic share", f"{what}, and hide its limit load; {remedy}", "", states[-1].t)
     for layer in _strain_layers(model):
         for key, remark in _state_remarks(states, layer, start):
             model.warn(key, remark, layer.name, states[-1].t)
@@ -148,10 +145,8 @@ def warn_of_strains(states: Sequence[State]) -> None:
         worst, name = max(beyond, key=strains.__getitem__), Key.parse(term.key).name
         body = f"the body {name!r}" if name else "the bodies"
         what = f"at t = {worst:.4g} strains of {body} are {strains[worst]:.3g} (root mean square over its volume)"
-        why = "the theory is for small strains; what yields there flows at loads that it cannot bear"
-        remedy = "take smaller loads or motions of supports, or check the units of the moduli"
-        since = f"beyond {MAX_SMALL_STRAIN:g} from t = {beyond[0]:.4g} on"
-        model.warn("strains", f"{what}, {since}: {why}: {remedy}", name, states[-1].t)
+        since = f"beyond {MAX_SMALL_STRAIN:g} from t = {beyond[0]:.4g} on: the theory is for small strains"
+        model.warn("strains", f"{what}, {since}; take smaller loads, or check the moduli's units", name, states[-1].t)
 
 
 def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | None) -> Iterator[Remark]:
@@ -162,15 +157,13 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
         # under the same load jumps do not vanish with the thickness. Linear models are not tested: their results are
         # proportional to loads of any size.
         closings = [FaceDisplacements.of(state, layer).mean_closing for state in states]
-        if max(closings) > MIN_OVERLAP:
+        if (mean := max(closings)) > MIN_OVERLAP:
             faces = FaceDisplacements.of(states[int(np.argmax(closings))], layer)
             facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
             x = place_text(faces.surface.corner_points.x[:, facet, corner])
-            t, times = faces.state.t, max(closings)
-            what = f"at t = {t:.4g} {layer} closes by {times:.3g} times its thickness, on average over S"
+            what = f"at t = {faces.state.t:.4g} {layer} closes by {mean:.3g} times its thickness, on average over S"
             most = f"most near {x}, by {faces.closing.max():.3g} times"
-            remedy = "bodies overlap, and the law is for small strains; check loads, thickness and parameters"
-            yield "overlap", f"{what} ({most}): {remedy}"
+            yield "overlap", f"{what} ({most}): bodies overlap; check loads, thickness and parameters"
     if layer.law.traits.linear and not layer.has_pressure_flow:
         remarks = [*stiffness_remark(layer, states, start)]
         yield from remarks or (free_end_remark(model, layer, [sublayers]) if _jumps_tell_more(layer, sublayers) else ())
@@ -204,8 +197,8 @@ def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
     angle = surface.norm(surface.between(np.moveaxis(tilt, -1, 0))) / math.sqrt(surface.integral(1.0))
     normal, tangential = jump_stiffness(layer)
     if normal * angle**2 > MIN_STIFFNESS_ERROR * tangential:
-        share = normal * angle**2 / tangential if tangential else math.inf
-        effect = f"is about {1 + share:.3g} times too stiff against it," if tangential else "resists"
+        ratio = 1 + normal * angle**2 / tangential if tangential else math.inf
+        effect = f"is about {ratio:.3g} times too stiff against it," if tangential else "resists"
         what = f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average"
         remedy = "use curved cells (degree 2) or a finer mesh"
         yield "facets", f"{what}: a slip along S opens the layer there, which {effect} by the mesh alone; {remedy}"
@@ -221,9 +214,8 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSu
     height, thin_layer = on_root(model.comm, lambda: min(layer.sheet.heights)), layer.thin_layer
     assert thin_layer
     if thin_layer.eps > height:
-        what = f"{layer} is {thin_layer.eps:.4g} thick, the thinner body {height:.4g} high"
-        remedy = "mesh the layer (structure.full), or check eps"
-        yield "thick", f"{what}: the interface law is for thicknesses well below that of the bodies; {remedy}"
+        what = f"{layer} is {thin_layer.eps:.4g} thick, the thinner body {height:.4g} high: its law is for thin layers"
+        yield "thick", f"{what}; mesh the layer (structure.full), or check eps"
     if thin_layer.order == 1 or not sublayers or any(C is None for C in model.structure.bodies_at_rest):
         return
     softer = min(in_plane_modulus(C, layer.initial_tangents.n) for C in model.structure.bodies_at_rest if C is not None)
@@ -232,31 +224,30 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSu
         what = f"{layer} is {hardest / softer:.3g} times as hard as the softer body (moduli in the plane of S)"
         remedy = "use order=1, mesh the layer (structure.full), or check its parameters"
         yield "hard", f"{what}: its jump is less than what order 0 leaves out; {remedy}"
-    length, mean = (
-        float(np.ptp(layer.sheet.joint.points[layer.sheet.vertices], axis=(0, 1)).max()),
-        np.mean(layer.sheet.heights),
-    )
-    if len(layer.sheet.heights) == 2 and layer.sheet.planar and length > SLENDERNESS * 2 * mean and softer > 0:
+    sheet = layer.sheet
+    length, mean = float(np.ptp(sheet.joint.points[sheet.vertices], axis=(0, 1)).max()), np.mean(sheet.heights)
+    if len(sheet.heights) == 2 and sheet.planar and length > SLENDERNESS * 2 * mean and softer > 0:
         # two beams of equal height under a half-wave of load; without the thickness the lever of their forces is mean,
         # not mean + eps
         slip = 2 * jump_stiffness(layer)[1] * (length / math.pi) ** 2 / (softer * mean)
         error = 6 * slip / (1 + 4 * slip) * thin_layer.eps / mean
         if error > MIN_STIFFNESS_ERROR / 2:
-            what = f"{layer} joins plates {mean:.4g} high, and order 0 has them meet on S, without its thickness"
-            yield "plates", f"{what} between: if they bend, they do so about {error:.2g} too much; use order=1"
+            what = f"{layer} joins plates {mean:.4g} high, which meet on S in order 0, without its thickness between"
+            yield "plates", f"{what}: if they bend, they do so about {error:.2g} too much; use order=1"
 
 
-def _largest_tension(reduction: Applicability, state: State) -> float:
+def _largest_tension(applicability: Applicability, state: State) -> float:
     """Largest pressure p (tension > 0) of a layer over its shear modulus, at the vertices of S. Collective.
 
     It is 0 for a layer without pressure flow, and without tension.
     """
-    p = state.fields.get(reduction.layer.pressure_key) if reduction.layer.has_pressure_flow else None
+    layer = applicability.layer
+    p = state.fields.get(layer.pressure_key) if layer.has_pressure_flow else None
     if p is None:
         return 0.0
     n_owned = p.function_space.dofmap.index_map.size_local
-    x = p.function_space.tabulate_dof_coordinates()[:n_owned, : reduction.layer.structure.joint.dim]
-    mu = reduction.law.fields_at(x.T).get("mu", reduction.law.parameters()["mu"])
+    x = p.function_space.tabulate_dof_coordinates()[:n_owned, : layer.structure.joint.dim]
+    mu = applicability.law.fields_at(x.T).get("mu", applicability.law.parameters()["mu"])
     return float(state.model.comm.allreduce((p.x.array[:n_owned] / mu).max(initial=0.0), MPI.MAX))
 
 
@@ -267,26 +258,25 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
     Only steps that begin within this time constant after the start or a break of the data are tested. Later steps
     follow slow changes.
     """
-    begun = [start, *(t for t in model.break_times if t > start)]
+    changes = [start, *(t for t in model.break_times if t > start)]
     steps = (
-        (_step_error((b - a) / tau, theta), b - a, a, tau, name)
+        (_step_error((end - t) / tau, theta), end - t, t, tau, name)
         for name, tau in _law_times(model)
-        for a, b in pairwise([start, *times])
-        if any(0 <= a - t < tau for t in begun)
+        for t, end in pairwise([start, *times])
+        if any(0 <= t - change < tau for change in changes)
     )
     if (worst := max(steps, default=None)) and worst[0] > MAX_STEP_ERROR:
         error, step, t, tau, name = worst
-        what = f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {tau:.3g}"
-        effect = f"such steps leave an error of about {error:.0%} of what creeps or relaxes"
+        what = f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {tau:.3g}: an error of about"
         remedy = f"take steps below {tau / 4:.2g} while this lasts, or Adaptive(end=..., first=..., tolerance=...)"
-        model.warn("time step", f"{what}: {effect}; {remedy}", start, *times)
+        model.warn("time step", f"{what} {error:.0%} of what creeps or relaxes; {remedy}", start, *times)
 
 
 def warn_of_no_time(model: Model) -> None:
     """Warn that `solve` gives the instantaneous response of a law that relaxes. Collective."""
     for name, tau in _law_times(model)[:1]:
-        what = f"{name} relaxes with the time {tau:.3g}, and a solve knows no time: this is the answer to sudden loads"
-        model.warn("no time", f"{what} just after they have come; for a later one march(model, times), or give times")
+        what = f"{name} relaxes with the time {tau:.3g}, and a solve knows no time: this is the response just after"
+        model.warn("no time", f"{what} sudden loads; for a later one march(model, times), or give times")
 
 
 def _law_times(model: Model) -> list[tuple[str, float]]:

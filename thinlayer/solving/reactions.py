@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 from scipy.sparse.linalg import splu
@@ -45,7 +43,7 @@ class SupportReactions:
     def __init__(self, model: Model, parts: Sequence[Part]) -> None:
         self.model, self.parts = model, parts
 
-    def _motions(self, rows: npt.NDArray[Any]) -> Array:
+    def _motions(self, rows: IntArray) -> Array:
         """Values (m, k) of the k rigid motions about `Model.centre` at m displacements `rows` of this rank."""
         return motion_values(self.model.places, self.model.centre, rows)
 
@@ -114,11 +112,11 @@ class RigidMotions:
         """Connected piece of each node of this rank, ghosts included."""
         model, V = self.model, self.model.V
         pieces, dofs = model.split_mesh.pieces, np.asarray(V.dofmap.list)
-        of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int32)
-        of[dofs] = model.domain.on_cells(pieces)[: len(dofs), None]
+        piece_of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int32)
+        piece_of[dofs] = model.domain.on_cells(pieces)[: len(dofs), None]
         joint, first = model.domain.joint, np.unique(pieces, return_index=True)[1]
         self._names = [joint.regions[k] for k in joint.region[first]]
-        return of
+        return piece_of
 
     @cached_property
     def blocks(self) -> tuple[IntArray, scipy.sparse.csr_matrix]:
@@ -131,27 +129,26 @@ class RigidMotions:
         model, V, joint = self.model, self.model.V, self.model.domain.joint
         pieces = (model.split_mesh if joint.band is None else cut_at_faces(joint)).pieces
         count, dofs = int(pieces.max()) + 1, np.asarray(V.dofmap.list)
-        of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int64)
-        in_layer = np.isin(
-            joint.region, [joint.regions.index(name) for name in joint.band.regions] if joint.band else []
-        )
+        block_of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int64)
+        meshed = [joint.regions.index(name) for name in joint.band.regions] if joint.band else []
+        in_layer = np.isin(joint.region, meshed)
         pieces = np.where(in_layer, pieces[in_layer].min(initial=count), pieces)  # all layers are one block
         of_cells = model.domain.on_cells(pieces)[: len(dofs)]
         for cells in (~in_layer, in_layer):
             here = model.domain.on_cells(cells)[: len(dofs)]
-            of[dofs[here]] = of_cells[here, None]
+            block_of[dofs[here]] = of_cells[here, None]
         for k, name in enumerate(model.layers if joint.band is None else (), 1):
             nodes = np.concatenate([side.ravel() for side in nodes_of_sides(model, V, name)])
-            of[nodes] = of[nodes] % count + k * count
-        of = of.repeat(joint.dim)[: model.constraints.n]
-        of[model.constraints.bc_dofs] %= count
-        every = np.unique(np.concatenate(model.comm.allgather(np.unique(of))))
-        layers = np.isin(every, pieces[in_layer])
-        inside = (every[:, None] == every % count) | (layers & (every < count)[:, None])
+            block_of[nodes] = block_of[nodes] % count + k * count
+        block_of = block_of.repeat(joint.dim)[: model.constraints.n]
+        block_of[model.constraints.bc_dofs] %= count
+        blocks = np.unique(np.concatenate(model.comm.allgather(np.unique(block_of))))
+        layers = np.isin(blocks, pieces[in_layer])
+        inside = (blocks[:, None] == blocks % count) | (layers & (blocks < count)[:, None])
         np.fill_diagonal(inside, True)
-        return 1 + np.searchsorted(every, of), scipy.sparse.block_diag([1.0, inside], format="csr")
+        return 1 + np.searchsorted(blocks, block_of), scipy.sparse.block_diag([1.0, inside], format="csr")
 
-    def _motions(self, rows: npt.NDArray[Any]) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
+    def _motions(self, rows: IntArray) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
         """Sparse motions (n, c) of pieces, then of plates, without components that supports prevent; and a matrix.
 
         The matrix (c, c) is zero for combinations of motions that supports allow, see `Constraints.admissible`.
@@ -163,7 +160,7 @@ class RigidMotions:
         model, constraints = self.model, self.model.constraints
         n, rows = constraints.n, rows if constraints.T is None else np.arange(constraints.n)
         piece, values = self._pieces[rows // model.joint.dim], model_motion_values(model, rows)
-        self._per = per = values.shape[1]
+        self._per_piece = per = values.shape[1]
         starts = np.zeros(n + 1, np.int64)
         starts[rows + 1] = per
         csr = values.ravel(), (piece[:, None] * per + np.arange(per)).ravel(), starts.cumsum()
@@ -173,12 +170,10 @@ class RigidMotions:
     def _allowed(self) -> scipy.sparse.csc_matrix:
         """(c, k) coefficients, in the motions of `_motions`, of the k motions that supports allow."""
         gram = self._motions(np.unique(self.model.constraints.prescribed.conditions.indices))[1]
-        each, touched = scipy.sparse.eye(gram.shape[0], format="csc"), gram.diagonal() > 0
+        unit, touched = scipy.sparse.eye(gram.shape[0], format="csc"), gram.diagonal() > 0
         values, vectors = np.linalg.eigh(gram[touched][:, touched].toarray())
-        allowed = vectors[:, values <= ALLOWED_MOTION * values.max(initial=1.0)]
-        return scipy.sparse.hstack(
-            [each[:, ~touched], each[:, touched] @ scipy.sparse.csc_matrix(allowed)], format="csc"
-        )
+        allowed = scipy.sparse.csc_matrix(vectors[:, values <= ALLOWED_MOTION * values.max(initial=1.0)])
+        return scipy.sparse.hstack([unit[:, ~touched], unit[:, touched] @ allowed], format="csc")
 
     def require_resisted(self, blocks: Sequence[Block]) -> None:
         """Raise LooseBody if tangent blocks do not resist a motion that supports allow; destroy blocks not kept."""
@@ -197,25 +192,25 @@ class RigidMotions:
         least = RESISTED_MOTION * self._stiffness
         if not allowed.shape[1] or _is_definite(resistance, least):
             return
-        _, sizes, ways = np.linalg.svd(resistance.toarray())
+        _, sizes, directions = np.linalg.svd(resistance.toarray())
         if not (sizes <= least).any():
             return
-        motion = self._described(allowed @ ways[sizes <= least].T)
+        motion = self._described(allowed @ directions[sizes <= least].T)
         reason = f"no unique solution: {motion}, and neither supports nor the layer resist it (to rounding)"
         raise LooseBody(reason, motion, advice="add supports, or give the layer's law a stiffness in this direction")
 
     def _described(self, motions: Array) -> str:
         """Text on how the piece that moves most in the last of k motions can move; rows as in `_motions`."""
         d, pieces = self.model.joint.dim, len(self._names)
-        each = motions[: pieces * self._per].reshape(pieces, self._per, -1)  # motions of plates come last
-        k = int(np.abs(each[..., -1]).max(axis=1).argmax())
+        by_piece = motions[: pieces * self._per_piece].reshape(pieces, self._per_piece, -1)  # plates come last
+        k = int(np.abs(by_piece[..., -1]).max(axis=1).argmax())
         axes, shift = [*self.model.kinematics.translations(d)], np.zeros(d)
-        shift[axes], turn = np.split(each[k, :, -1], [len(axes)])
+        shift[axes], turn = np.split(by_piece[k, :, -1], [len(axes)])
         joint = self.model.domain.joint
         middle = joint.points[joint.corners[self.model.split_mesh.pieces == k]].mean(axis=(0, 1))
-        where = f" at {place_text(middle)}" if self._names.count(self._names[k]) > 1 else ""
-        body = f"body {self._names[k]!r}{where}"
-        if self.model.kinematics.rotations and np.linalg.matrix_rank(each[k], tol=INDEPENDENCE_TOLERANCE) == self._per:
+        body = f"body {self._names[k]!r}" + f" at {place_text(middle)}" * (self._names.count(self._names[k]) > 1)
+        rank = np.linalg.matrix_rank(by_piece[k], tol=INDEPENDENCE_TOLERANCE)
+        if self.model.kinematics.rotations and rank == self._per_piece:
             return f"{body} can move and turn freely"
         if np.abs(turn).max(initial=0.0) > np.abs(shift).max():
             if self.model.joint.periods:
