@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from dolfinx import fem, la
@@ -52,15 +51,15 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         assert isinstance(state.model, InterfaceModel)
         self.state, self.model = state, state.model
         self.equations = equations = Equations(self.model)
-        self._given = dict(options or {})
+        user_options = dict(options or {})
         self._x, self._r = equations.vector(), equations.vector()
         begun = equations.rest(state.t) if old is None else old
         self.interval = TimeStep(begun, state.t, state.t - begun.t, 1.0)
         equations.begin(self.interval)
         equations.put_state(state, self._x)
         equations.residual(self._x, self._r)
-        linear = linear_solvers(self.model, equations.parts, value_of("pc_type", self._given))
-        self._options = {**linear[0], **self._given}
+        linear = linear_solvers(self.model, equations.parts, value_of("pc_type", user_options))
+        self._options = {**linear[0], **user_options}
         self._tangent: PETSc.Mat | None = None
         self.transposed = False
         self._same = self.model.linear and self.model.symmetric  # one factor serves all states, and the transpose
@@ -120,12 +119,14 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     def reaction_motions(self, place: Place, direction: Array) -> PETSc.Vec:
         """Motions g for which -g . r is the force along a direction (d,) of supports and plates at a place."""
-        g, model = self.zero_vector(), self.model
-        dual = model.constraints.dual_to_resultant(model.holder_rows(place), direction)
+        g, constraints = self.zero_vector(), self.model.constraints
+        dual = constraints.dual_to_resultant(self.model.holder_rows(place), direction)
         g.array[: self.equations.n_displacements] = -dual
         return g
 
-    def require_dual(self, goal: Any, q: PETSc.Vec, g: PETSc.Vec, *, layers: bool) -> None:
+    def require_dual(
+        self, name: str, value: Callable[[State, InterfaceModel], float], q: PETSc.Vec, g: PETSc.Vec, *, layers: bool
+    ) -> None:
         """Raise InputError unless a linear goal of a linear model changes by q . d - g . r along a random motion d.
 
         With `layers` the goal also weighs the loads on the layers, which act on S in this model and are not in q.
@@ -141,7 +142,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             equations.residual(x, r)
             work = self.model.comm.allreduce(float(r.array_r[bc_dofs] @ x.array_r[bc_dofs]))
             here = replace(self.state, u=equations.u, reactions=equations.reactions(), prescribed_work=work)
-            values.append(goal.value(here, self.model))
+            values.append(value(here, self.model))
             residuals.append(r.array_r.copy())
             destroy(x, r)
         after, before = residuals
@@ -150,9 +151,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         terms = np.concatenate([(q.array_r + on_S.array_r) * d.array_r, g.array_r * (before - after)])
         destroy(d, on_S)
         change, least = self.model.comm.allreduce(np.array([terms.sum(), np.abs(terms).sum()]))
-        if not abs(values[0] - values[1] - change) <= GOAL_CHANGE_TOLERANCE * (least + abs(values[0]) + abs(values[1])):
-            what = f"the goal {goal.name!r} changes by {values[0] - values[1]:.6g}, its weights say by {change:.6g}"
-            raise InputError(f"estimate: {what}, along a random motion: `value` and `dual` are not of one goal")
+        difference, sizes = values[0] - values[1], least + abs(values[0]) + abs(values[1])
+        if not abs(difference - change) <= GOAL_CHANGE_TOLERANCE * sizes:
+            what = f"the goal {name!r} changes by {difference:.6g} along a random motion, its weights say {change:.6g}"
+            raise InputError(f"estimate: {what}: `value` and `dual` differ; write `dual` as the derivative of `value`")
 
     # ---------------------------------------------------------------- displacements and weights
     def displacements(self, dofs: IntArray, forces: Array) -> Array:
@@ -165,7 +167,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
         """Adjoint solution z, as displacements and the layers' own fields; q and g are overwritten."""
         equations, bc_dofs = self.equations, self.equations.bc_dofs
-        if self._same and self._are_given(q, g):
+        if self._same and self._are_of_state(q, g):
             return equations.configuration(self._x)
         z, out = equations.vector(), equations.vector()
         g.array[np.setdiff1d(np.arange(g.getLocalSize()), bc_dofs)] = 0.0
@@ -184,10 +186,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             else:
                 solve_linear(self.equations.factor.ksp, q, x)
 
-    def _are_given(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
+    def _are_of_state(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
         """Whether q is the loads, and g the prescribed displacements: then the state itself is the adjoint solution."""
-        equations, bc_dofs, r = self.equations, self.equations.bc_dofs, self._r
-        equations.residual(equations.vector(), r)  # minus the loads
+        bc_dofs, r = self.equations.bc_dofs, self._r
+        self.equations.residual(self.equations.vector(), r)  # minus the loads
         r.array[bc_dofs] = 0.0
         size = r.norm()
         r.axpy(1.0, q)

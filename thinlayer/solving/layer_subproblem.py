@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 import scipy.sparse
 from dolfinx import fem
@@ -18,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from forms.base import Array
 from geometry.joint import Joint
 from geometry.seam import LOWER_FACE, UPPER_FACE, FacetName
-from geometry.topology import IntArray, sub_entities
+from geometry.topology import BoolArray, IntArray, sub_entities
 from thinlayer.discretisation.constraints import create_aij, local_csr
 from thinlayer.discretisation.full_model import LayerModel, meeting_layers
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -133,9 +132,8 @@ class DirichletLayers:
         Raises:
             SolveError: no convergence, or the layer softens.
         """
-        return self._balanced(
-            self.dirichlet_displacements(v, self.load, self.values), np.zeros(len(v)), lambda: self._dirichlet
-        )
+        w = self.dirichlet_displacements(v, self.load, self.values)
+        return self._balanced(w, np.zeros(len(v)), lambda: self._dirichlet)
 
     def _balanced(self, w: Array, forces: Array, factor: Callable[[], _SubmatrixFactor]) -> Array:
         """Solve residual = forces by Newton's method from w, for the unknowns of a factor; all others stay fixed."""
@@ -143,23 +141,20 @@ class DirichletLayers:
             return w
 
         def slope(share: float) -> float:
-            """Decrease of the energy along d, per unit of the share, at w + share d."""
-            return float(d @ (forces - self.residual(w + share * d)))
+            """Decrease of the energy along the step, per unit of the share, at w + share * step."""
+            return float(step @ (forces - self.residual(w + share * step)))
 
         for _ in range(MAX_NEWTON_STEPS):
             self.linearise(w)
-            d = np.zeros_like(w)
-            first = factor().solve(forces - self.residual(w), d)
+            step = np.zeros_like(w)
+            first = factor().solve(forces - self.residual(w), step)
             rounding = ROUNDING_SHARE * np.abs(w[: self._n_u]).max(initial=0.0)
             if first <= max(NEWTON_TOLERANCE**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
                 if factor().negative_pivots > self._inside[self._n_u :].sum():  # one for each pressure
-                    reason = "the layer by itself softens: its stress falls as strains grow"
-                    raise SolveError(reason, advice=MESH_REMEDY)
+                    raise SolveError("the layer by itself softens: stresses fall as strains grow", advice=MESH_REMEDY)
                 return w
-            w = w + d * line_search_share(slope, first)
-        raise SolveError(
-            f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} of Newton's steps", advice=MESH_REMEDY
-        )
+            w = w + step * line_search_share(slope, first)
+        raise SolveError(f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} steps", advice=MESH_REMEDY)
 
     def motion_of(self, place: Place, direction: Array) -> Array:
         """(n,) motion g of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
@@ -207,18 +202,15 @@ class LayerSubproblem(DirichletLayers):
     ) -> None:
         super().__init__(LayerModel(interface, layers, cells_through), t)
         self.seams, self.through, self._comm = [*layers], cells_through, interface.comm
-        self._ours, self._theirs = _matching_dofs(interface, self.model)
-        self._require_pairs(interface)
+        self._body_dofs, self._face_dofs = _matching_dofs(interface, self.model)
+        times = self._comm.allreduce(np.bincount(self._face_dofs, minlength=len(self.load)))
+        # a face displacement of several bodies, which could not separate there
+        if (times > 1).any() and (violation := meeting_layers(interface.joint, self.seams)):
+            raise violation.error()
         of_bodies = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
         of_bodies[interface.constraints.bc_dofs] = 1.0
         self.free_faces = self.on_face & ~self._at_sides & ~(self.at_faces(of_bodies) > 0)
         self.R, self._pins = self._motions(self.free_faces | self._inside)
-
-    def _require_pairs(self, interface: InterfaceModel) -> None:
-        """Raise InputError if a face displacement belongs to several bodies, which could not separate there."""
-        times = self._comm.allreduce(np.bincount(self._theirs, minlength=len(self.load)))
-        if (times > 1).any() and (refused := meeting_layers(interface.joint, self.seams)):
-            raise refused.error()
 
     @cached_property
     def _neumann(self) -> _SubmatrixFactor:
@@ -234,7 +226,7 @@ class LayerSubproblem(DirichletLayers):
                 part.add_work_in(strained, nodal_work.x.petsc_vec)
         return np.asarray(nodal_work.x.array - (z * self.forces)[: self._n_u])
 
-    def _motions(self, free: npt.NDArray[np.bool_]) -> tuple[Array, npt.NDArray[np.bool_]]:
+    def _motions(self, free: BoolArray) -> tuple[Array, BoolArray]:
         """Orthonormal motions without energy (n, m), and a mask (n,) of m unknowns that fix them."""
         model, pins, null_spaces = self.model, np.zeros(len(free), bool), []
         motions = model_motions(model).values()
@@ -242,26 +234,27 @@ class LayerSubproblem(DirichletLayers):
         rigid[: self._n_u] = np.column_stack([motion.x.array[: self._n_u] for motion in motions])
         count, piece = connected_components(self.K, directed=False)
         for k in range(count):
-            mine = np.flatnonzero(piece == k)
-            some = rigid[mine]
-            some = some @ scipy.linalg.null_space(np.vstack([some[~free[mine]], 0 * some[:1]]), rcond=RANK_TOLERANCE)
-            some = scipy.linalg.orth(some, rcond=RANK_TOLERANCE) if some.any() else some[:, :0]
-            _, _, order = scipy.linalg.qr(some[free[mine]].T, pivoting=True)
-            pins[mine[free[mine]][order[: some.shape[1]]]] = True
-            null_spaces.append(np.zeros((len(free), some.shape[1])))
-            null_spaces[-1][mine] = some
+            rows = np.flatnonzero(piece == k)
+            modes = rigid[rows]
+            at_supports = np.vstack([modes[~free[rows]], 0 * modes[:1]])
+            modes = modes @ scipy.linalg.null_space(at_supports, rcond=RANK_TOLERANCE)
+            modes = scipy.linalg.orth(modes, rcond=RANK_TOLERANCE) if modes.any() else modes[:, :0]
+            _, _, order = scipy.linalg.qr(modes[free[rows]].T, pivoting=True)
+            pins[rows[free[rows]][order[: modes.shape[1]]]] = True
+            null_spaces.append(np.zeros((len(free), modes.shape[1])))
+            null_spaces[-1][rows] = modes
         return np.hstack(null_spaces), pins
 
     # ---------------------------------------------------------------- vectors of the interface model
     def at_faces(self, x: Array) -> Array:
         """Values at the faces (n,) of a vector (m,) of the interface model's displacements on this rank. Collective."""
         out = np.zeros(len(self.load))
-        out[self._theirs] = x[self._ours]
+        out[self._face_dofs] = x[self._body_dofs]
         return np.asarray(self._comm.allreduce(out))
 
     def of_faces(self, w: Array) -> tuple[IntArray, Array]:
         """Local numbers of the interface model's displacements at the faces on this rank, and the values of w there."""
-        return self._ours, w[self._theirs]
+        return self._body_dofs, w[self._face_dofs]
 
     # ---------------------------------------------------------------- E and its inverse
     def dirichlet_reactions(self, v: Array, load: Array, values: Array) -> Array:
@@ -301,8 +294,8 @@ class LayerSubproblem(DirichletLayers):
         Raises:
             SolveError: the work falls somewhere: the energy is not convex.
         """
-        d = w - at
-        work = np.array([d @ self.residual(at + share * d) for share in np.linspace(0.0, 1.0, WORK_SUBSTEPS + 1)])
+        line = w - at
+        work = np.array([line @ self.residual(at + share * line) for share in np.linspace(0.0, 1.0, WORK_SUBSTEPS + 1)])
         work -= work[0]
         if (np.diff(work) < -NEWTON_TOLERANCE * np.abs(work).max()).any():
             raise SolveError("the energy of the layer is not convex")
@@ -312,10 +305,9 @@ class LayerSubproblem(DirichletLayers):
 class _SubmatrixFactor:
     """Factor of the rows and columns of a matrix that a mask selects."""
 
-    def __init__(self, K: scipy.sparse.csr_matrix, which: npt.NDArray[np.bool_], *, symmetric: bool) -> None:
-        self._which, self._symmetric = which, symmetric
-        part = K[which][:, which].sorted_indices()
-        A = create_aij(part, MPI.COMM_SELF)
+    def __init__(self, K: scipy.sparse.csr_matrix, rows: BoolArray, *, symmetric: bool) -> None:
+        self._rows, self._symmetric = rows, symmetric
+        A = create_aij(K[rows][:, rows].sorted_indices(), MPI.COMM_SELF)
         A.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
         self._ksp.setOperators(A)
@@ -327,17 +319,17 @@ class _SubmatrixFactor:
     @property
     def negative_pivots(self) -> int:
         """Number of negative eigenvalues of the submatrix; 0 if it is not symmetric."""
-        if not (self._symmetric and self._which.any()):
+        if not (self._symmetric and self._rows.any()):
             return 0
         return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12))  # negative pivots
 
     def solve(self, b: Array, out: Array) -> float:
         """Write the solution into `out`, at the selected rows; return its product with b."""
-        if not self._which.any():
+        if not self._rows.any():
             return 0.0
-        self._b.array[:] = b[self._which]
+        self._b.array[:] = b[self._rows]
         self._ksp.solve(self._b, self._x)
-        out[self._which] = self._x.array_r
+        out[self._rows] = self._x.array_r
         return float(self._b.dot(self._x))
 
 
@@ -366,8 +358,8 @@ def line_search_share(slope: Callable[[float], float], start: float) -> float:
 def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, IntArray]:
     """Displacements of this rank at the layers' seams, and the equal displacements of the layers' faces, unrolled."""
     base, band, d = layers.joint, layers.domain.joint, interface.joint.dim
-    ours_of, theirs_of = (_local_cells(model, joint) for model, joint in ((interface, base), (layers, band)))
-    of_key: dict[tuple[Vertices, int, Vertices], int] = {}
+    body_cells, layer_cells = _local_cells(interface, base), _local_cells(layers, band)
+    face_nodes: dict[tuple[Vertices, int, Vertices], int] = {}
     for number, seam in enumerate(base.seams):
         facets = np.sort(base.surface[base.seam_numbers == number][:, : base.table.vertices.shape[1]], axis=1)
         names = [str(FacetName(seam, face)) if len(base.seams) > 1 else face for face in (LOWER_FACE, UPPER_FACE)]
@@ -376,21 +368,21 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
             for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
                 below = dict(zip(face, facet, strict=True))
                 cell, local = band.table.cells[row, 0], band.table.local[row, 0]
-                for node, vertices in _facet_dofs(layers, theirs_of, band, cell, local):
-                    of_key[tuple(facet), side, tuple(sorted(below[v] for v in vertices))] = node
+                for node, vertices in _facet_dofs(layers, layer_cells, band, cell, local):
+                    face_nodes[tuple(facet), side, tuple(sorted(below[v] for v in vertices))] = node
     owned, pairs = interface.V.dofmap.index_map.size_local, {}
     for row, cells in zip(base.surface_rows, base.surface_cells, strict=True):
         facet = tuple(np.sort(base.table.vertices[row]))
         for side, cell in enumerate(cells):
             if cell >= 0:
                 local = base.table.local[row][list(base.table.cells[row]).index(cell)]
-                for node, vertices in _facet_dofs(interface, ours_of, base, cell, local):
+                for node, vertices in _facet_dofs(interface, body_cells, base, cell, local):
                     key = facet, side, tuple(sorted(vertices))
-                    if node < owned and key in of_key:
-                        pairs[node] = of_key[key]
+                    if node < owned and key in face_nodes:
+                        pairs[node] = face_nodes[key]
     nodes = np.array([*pairs.items()], np.int64).reshape(-1, 2)
-    ours, theirs = (nodes.T[..., None] * d + np.arange(d)).reshape(2, -1)
-    return ours, theirs
+    body_dofs, face_dofs = (nodes.T[..., None] * d + np.arange(d)).reshape(2, -1)
+    return body_dofs, face_dofs
 
 
 def _local_cells(model: InterfaceModel | LayerModel, joint: Joint) -> IntArray:
