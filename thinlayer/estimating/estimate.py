@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import scipy.sparse
@@ -72,12 +72,8 @@ def estimate(
     """
     start = time.perf_counter()
     solution = state.last if isinstance(state, History) else state
-    require(
-        isinstance(solution, State),
-        "estimate: the state",
-        solution,
-        "it takes what solve or march returns; a description of a mesh file: thinlayer estimate",
-    )
+    wanted = "it takes what solve or march returns; a description of a mesh file: thinlayer estimate"
+    require(isinstance(solution, State), "estimate: the state", solution, wanted)
     with errors_on_all(solution.model.comm):
         require(is_finite(width) and width > 0, "estimate: width", width, "allowed: > 0, over the change of a goal")
         checked = _checked_goals(goals)
@@ -86,8 +82,8 @@ def estimate(
         raise InputError("estimate: there is no layer whose mesh could be dropped")
     require_known("layer", seam, (S, *model.layers), "estimate")
     if solution.model.bonds and seam not in (S, *solution.model.bonds):
-        reason = f"estimate: {seam!r} has a layer beside bonds at {', '.join(solution.model.bonds)}"
-        raise InputError(f"{reason}; ask of a bond, or of all, or solve it with layers alone")
+        what = f"estimate: {seam!r} has a layer, and bonds are at {', '.join(solution.model.bonds)}"
+        raise InputError(f"{what}; ask of a bond, or of all, or solve it with layers alone")
     chosen = [name for name in model.layers if seam in (S, name)]
     with errors_on_all(model.comm):
         _require_subproblem(model, state, [model.layers[name] for name in chosen])
@@ -100,7 +96,7 @@ def estimate(
     layers = LayerSubproblem(model, meshed, solution.t)
     values = {name: goal.value(solution, model) for name, goal in checked.items()}
     bounds: dict[str, GoalBounds] = {}
-    theirs: State | None = None
+    old: State | None = None
     failed: list[SolveError] = []
     bounded = model.linear and model.symmetric and isinstance(state, State)
     narrow = width if bounded else None
@@ -108,7 +104,7 @@ def estimate(
         try:
             *earlier, first = _states_of_path(state, laws, order > 0, options)
             before = earlier[-1] if earlier else None
-            theirs = before if solution.model.bonds or not order else theirs
+            old = before if solution.model.bonds or not order else old
             _advance_layers(earlier, first, layers, options)
             with Adjoint(first, before, options) as adjoint:
                 iteration = GlobalLocal(adjoint, layers)
@@ -131,20 +127,22 @@ def estimate(
     goal_errors = {}
     for name, goal in checked.items():
         at = bounds.get(name, GoalBounds(goal.value(last, model), math.nan, math.nan))
-        scale = goal.scale(last, model)
-        has_bounds = bounded and at.upper - at.lower < math.inf
-        slack = GOAL_TOLERANCE * max(abs(values[name]), abs(at.estimate)) + at.rounding if has_bounds else math.nan
-        goal_errors[name] = GoalError(values[name], at.estimate, scale, at.lower - slack, at.upper + slack)
-        if not math.isfinite(at.estimate):
-            raise SolveError(f"estimate: {name} is not finite where a law fails", advice=MESH_REMEDY)
-        if at.lower - at.upper > slack + FIXED_GOAL_SHARE * scale:
-            conflict = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
-            raise SolveError(f"estimate: the bounds of {name} contradict each other: {conflict}", advice=MESH_REMEDY)
+        goal_errors[name] = _goal_error(name, values[name], goal.scale(last, model), at, bounded)
     traction, jump = relative_errors(total)
-    seconds, by = time.perf_counter() - start, (first, theirs, weights)
-    return Estimate(
-        solution, last, errors, goal_errors, traction, jump, seconds, inside, energy, layers, *by, checked, options
-    )
+    seconds, by = time.perf_counter() - start, (layers, first, old, weights, checked, options)
+    return Estimate(solution, last, errors, goal_errors, traction, jump, seconds, inside, energy, *by)
+
+
+def _goal_error(name: str, value: float, scale: float, at: GoalBounds, bounded: bool) -> GoalError:
+    """Error of a goal, with bounds widened by rounding; raises SolveError unless estimate and bounds make sense."""
+    has_bounds = bounded and at.upper - at.lower < math.inf
+    slack = GOAL_TOLERANCE * max(abs(value), abs(at.estimate)) + at.rounding if has_bounds else math.nan
+    if not math.isfinite(at.estimate):
+        raise SolveError(f"estimate: {name} is not finite where a law fails", advice=MESH_REMEDY)
+    if at.lower - at.upper > slack + FIXED_GOAL_SHARE * scale:
+        conflict = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
+        raise SolveError(f"estimate: the bounds of {name} contradict each other: {conflict}", advice=MESH_REMEDY)
+    return GoalError(value, at.estimate, scale, at.lower - slack, at.upper + slack)
 
 
 def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
@@ -202,9 +200,8 @@ def _require_subproblem(model: InterfaceModel, state: State | History, dropped: 
     try:
         laws = [part for part in equations.layers if any(layer.owns_key(part.key) for layer in dropped)]
         others = PartSum(part for part in equations.parts if part not in laws)
-        others.refuse(
-            dict.fromkeys(("remembers", "rate"), f"estimate: {{}} remembers steps beside the layers; {whole}")
-        )
+        reason = f"estimate: {{}} remembers steps beside the layers; {whole}"
+        others.refuse(dict.fromkeys(("remembers", "rate"), reason))
         if isinstance(state, State):
             reason = "estimate: {} remembers, and steps in time have led to this state; give the history"
             equations.refuse(dict.fromkeys(("remembers", "rate"), reason))
@@ -212,7 +209,7 @@ def _require_subproblem(model: InterfaceModel, state: State | History, dropped: 
         equations.destroy()
 
 
-def _checked_goals(goals: Any) -> dict[str, Goal]:
+def _checked_goals(goals: Sequence[Goal]) -> dict[str, Goal]:
     goal_list = list(goals) if isinstance(goals, Sequence) else [goals]
     for goal in goal_list:
         require(isinstance(goal, Goal), "estimate: a goal", goal, "give those of thinlayer.goals")
@@ -237,19 +234,20 @@ def _has_multi_point_constraints(model: InterfaceModel) -> bool:
     return bool(model.comm.allreduce(int(np.asarray(turned)[dofs[dofs < constraints.n]].any()), max))
 
 
-def _of_order_1(reduction: Applicability) -> ThinLayer:
+def _of_order_1(applicability: Applicability) -> ThinLayer:
     """The layer with its plain law of order 1; unchanged if there is none, as for anisotropic sublayers."""
-    try:
-        return replace(reduction.next_order(), edges="plain")
-    except InputError:
-        return reduction.layer.thin_layer
+    thin_layer = applicability.layer.thin_layer
+    assert isinstance(thin_layer, ThinLayer)
+    with suppress(InputError):
+        thin_layer = replace(applicability.next_order(), edges="plain")
+    return thin_layer
 
 
 def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:
     """The interface model with all layers whose mesh may be dropped, also in place of bonds. Collective."""
     model = state.model
     if not isinstance(model, InterfaceModel):
-        raise InputError(f"estimate: a {model.name} model has nothing dropped; give a state of an interface model")
+        raise InputError(f"estimate: a {model.name} model has all its meshes; give a state of an interface model")
     left_out = layer if isinstance(layer, Mapping) else dict.fromkeys(model.bonds, layer) if layer else {}
     bonded = ", ".join(model.bonds) or "no seam"
     if set(left_out) != set(model.bonds) or (layer is not None and not model.bonds):

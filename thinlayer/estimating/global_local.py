@@ -123,8 +123,8 @@ class GlobalLocal:
         self._laws = [part for part in self.equations.layers if any(layer.owns_key(part.key) for layer in dropped)]
         others = PartSum(part for part in self.equations.parts if part not in self._laws)
         if others.with_own:
-            reason = f"{others.with_own[0].key!r} has unknowns of its own"
-            raise InputError(f"estimate: {reason}; mesh the layer (structure.full)")
+            key = others.with_own[0].key
+            raise InputError(f"estimate: {key!r} has unknowns of its own; mesh the layer (structure.full)")
         self._others, self._nonlinear = others.parts, others.traits.nonlinear
         self._K_b = adjoint.tangent_of(others)
         self._x = self.equations.u.x.petsc_vec.duplicate()
@@ -247,14 +247,15 @@ class GlobalLocal:
         new = self._with_couples(d, F, no, no)
         d, v, F = new.u, new.v, new.F - r
         Kd = layers.dirichlet_reactions(v, no, no) - F
-        for p, v_p, F_p, Kp in old.directions:
-            c = (v_p @ Kd) / (v_p @ Kp)
-            d, v, F, Kd = d - c * p, v - c * v_p, F - c * F_p, Kd - c * Kp
+        for d_old, v_old, F_old, Kd_old in old.directions:
+            share = (v_old @ Kd) / (v_old @ Kd_old)
+            d, v, F, Kd = d - share * d_old, v - share * v_old, F - share * F_old, Kd - share * Kd_old
         if not (size := v @ Kd) > 0:  # the residual is zero
             return old
-        a = (r @ v) / size
-        directions, gained = (*old.directions, (d, v, F, Kd)), old.gained + float(a * (r @ v))
-        return replace(old, u=old.u + a * d, v=old.v + a * v, F=old.F + a * F, directions=directions, gained=gained)
+        length = (r @ v) / size
+        directions, gained = (*old.directions, (d, v, F, Kd)), old.gained + float(length * (r @ v))
+        u, v, F = old.u + length * d, old.v + length * v, old.F + length * F
+        return replace(old, u=u, v=v, F=F, directions=directions, gained=gained)
 
     def _linearised(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """The iterate, after the layers have been linearised there."""
@@ -286,8 +287,8 @@ class GlobalLocal:
             if aim.gained - before <= MIN_CG_GAIN * (aim.gained - iterate.gained):
                 break
         else:
-            too_far = f"estimate: the interface law is too far from its layer: {MAX_CG_STEPS} steps hardly lead to it"
-            raise SolveError(too_far, advice=MESH_REMEDY)
+            text = f"estimate: the interface law is too far from its layer: {MAX_CG_STEPS} steps hardly lead to it"
+            raise SolveError(text, advice=MESH_REMEDY)
         du, dv, new = aim.u - iterate.u, aim.v - iterate.v, iterate
 
         def slope(share: float) -> float:
@@ -318,8 +319,8 @@ class GlobalLocal:
             gained, lost = iterate.gained - old.gained, GAIN_TOLERANCE * abs(float(iterate.F @ iterate.v))
             if gained <= max(ENERGY_TOLERANCE * iterate.gained, lost) and norm(self.residual(iterate)) <= least:
                 return iterate
-        not_found = f"estimate: the structure with its layers is not found in {MAX_NEWTON_STEPS} of Newton's steps"
-        raise SolveError(f"{not_found}, at t = {self.state.t:g}", advice=MESH_REMEDY)
+        text = f"estimate: the structure with its layers is not found in {MAX_NEWTON_STEPS} of Newton's steps"
+        raise SolveError(f"{text}, at t = {self.state.t:g}", advice=MESH_REMEDY)
 
     def _dot(self, a: Array, b: Array) -> float:
         """Scalar product of vectors (m,), over all ranks."""
@@ -367,7 +368,8 @@ class GlobalLocal:
         if not narrow or self.gap(last) > share**2 * last.gained:
             return False
         # a small energy may hide large forces, as in incompressible layers
-        return norm(self.residual(last)) <= share * norm(last.F - self._start) + MISSING_FORCE_SHARE * norm(last.F)
+        allowed = share * norm(last.F - self._start) + MISSING_FORCE_SHARE * norm(last.F)
+        return bool(norm(self.residual(last)) <= allowed)
 
     # ---------------------------------------------------------------- goals
     def bounds(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import ufl
@@ -88,13 +88,13 @@ class DirectedGoal(Goal):
     def unit(self, model: Model) -> Array:
         """Unit direction; raises InputError unless the direction has d finite components, not all zero."""
         d = model.joint.dim
-        direction: Any = finite_values(self.direction, (d,))
-        good = direction is not None and direction.any()
-        require(good, f"{self.name}: the direction", self.direction, f"give {d} numbers, not all zero")
+        direction = finite_values(self.direction, (d,))
+        if direction is None or not direction.any():
+            raise InputError(f"{self.name}: the direction is {self.direction!r:.200}; give {d} numbers, not all zero")
         return np.asarray(direction / np.linalg.norm(direction))
 
 
-def vector_text(vector: Any) -> str:
+def vector_text(vector: Iterable[float]) -> str:
     """Text of a vector in the name of a goal; `repr` if it is not a vector, which `check` refuses."""
     try:
         return f"({', '.join(f'{c:.4g}' for c in vector)})"
@@ -156,10 +156,10 @@ class Reaction(DirectedGoal):
 
     def unit(self, model: Model) -> Array:
         """Unit direction; in axisymmetry its axial part, because forces along radii add up to zero."""
-        axial = super().unit(model) * balanced_motions(model.kinematics, model.joint.dim)[: model.joint.dim]
+        axial: Array = super().unit(model) * balanced_motions(model.kinematics, model.joint.dim)[: model.joint.dim]
         allowed = "give one with a part along the axis: forces along radii add up to zero"
         require(axial.any(), f"{self.name}: the direction", self.direction, allowed)
-        return np.asarray(axial)
+        return axial
 
     def value(self, state: State, model: InterfaceModel) -> float:
         return float(state.reaction(self.place).force @ self.unit(model))
@@ -168,12 +168,13 @@ class Reaction(DirectedGoal):
         forces = [reaction.force for reaction in state.reactions_by_place().values()]
         force_sum = float(sum(np.linalg.norm(force) for force in [*forces, state.applied().force]))
         surfaces = [Surface(model, name) for name in model.layers]  # under pure moments all resultants are zero
-        return max(force_sum, sum(_rms_traction(surface, state) * surface.integral(1.0) for surface in surfaces))
+        loads = (_rms_traction(surface, state) * float(surface.integral(1.0)) for surface in surfaces)
+        return max(force_sum, sum(loads))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         model, along = adjoint.model, self.unit(adjoint.model)
         if self.place in (S, BASE, *model.joint.base_seams):
-            raise InputError(f"{self.name}: a rigid base holds it; there is no map of it")
+            raise InputError(f"{self.name}: a rigid base holds it, and has no weights; ask for another place")
         du = ufl.TestFunction(model.V)
         q = adjoint.zero_vector()
         for part in model.parts:
@@ -219,7 +220,8 @@ class MeanTraction(DirectedGoal):
         bodies = replace(state, model=model, u=u).bodies  # with the strains that are prescribed at its time
         works = [state.work(bodies, v)] if state.model.V is model.V else [forms.work(bodies, u, v)]
         works += [-model.external_work(v, state.t), model.added_work(u, v)]
-        return sum(state.model.comm.allreduce(fem.assemble_scalar(compiled(W))) for W in works if W.integrals())
+        assembled = (fem.assemble_scalar(compiled(W)) for W in works if W.integrals())
+        return float(sum(state.model.comm.allreduce(value) for value in assembled))
 
     def scale(self, state: State, model: InterfaceModel) -> float:
         return _rms_traction(Surface(model, self.seam), state)
@@ -228,7 +230,7 @@ class MeanTraction(DirectedGoal):
         model = adjoint.model
         linear = all(term.law.traits.linear and not term.law.traits.compiled for term in model.bodies)
         if not linear or not all(part.is_linear(model) for part in model.parts):
-            raise InputError(f"{self.name}: there is no map of it, as a law of the bodies, or a part, is not linear")
+            raise InputError(f"{self.name}: a law of the bodies, or a part, is not linear; its weights are not known")
         du, v = ufl.TestFunction(model.V), self._test(model)
         works = forms.work([replace(term, prescribed_strain=None) for term in model.bodies], du, v)
         u = fem.Function(model.V)
@@ -244,12 +246,10 @@ class MeanTraction(DirectedGoal):
         other nodes of the same facet replace theirs.
         """
         e, W, v = self.unit(model), model.space(1), fem.Function(model.V)
-        names = [self.seam] if self.seam in model.layers else [*model.layers]
         sides = {name: nodes_of_sides(model, W, name) for name in model.layers}
-        is_fixed = fem.Function(W)
+        is_fixed, total = fem.Function(W), 0.0
         is_fixed.x.array[model.bc_dofs_in(W)] = 1.0
-        total = 0.0
-        for name in names:
+        for name in [self.seam] if self.seam in model.layers else [*model.layers]:
             others = [nodes for other, both in sides.items() if other != name for nodes in both]
             mixed = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + is_fixed.x.array.reshape(-1, len(e))
             w, whole, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
@@ -268,7 +268,7 @@ class MeanTraction(DirectedGoal):
 def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
     """(nodes, d) shares of nodal reactions in the traction on a seam, negative above; zero at `mixed` nodes."""
 
-    def facing(values: Any) -> Array:
+    def facing(values: Array | BoolArray) -> Array:
         """Sums at each node of the values at the nodes that face it."""
         return nodal_sums(W, both, [values[lower], values[upper]][: len(both)])
 
@@ -286,11 +286,11 @@ def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mix
     return np.where(above, -shares, shares)
 
 
-def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Array]) -> Array:
+def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Array | BoolArray]) -> Array:
     """(nodes, d) sums over all ranks of values (..., d) at local nodes (...) of a vector space. Collective."""
     f, d = fem.Function(W), W.dofmap.bs
-    for places, some in zip(nodes, values, strict=True):
-        np.add.at(f.x.array.reshape(-1, d), places, some)
+    for of_nodes, at_nodes in zip(nodes, values, strict=True):
+        np.add.at(f.x.array.reshape(-1, d), of_nodes, at_nodes)
     f.x.scatter_reverse(la.InsertMode.add)
     f.x.scatter_forward()
     return np.asarray(f.x.array.reshape(-1, d))
@@ -355,7 +355,7 @@ class Functional(Goal):
     """
 
     name: str
-    of: Callable[[Any, InterfaceModel], Expr]
+    of: Callable[[fem.Function, InterfaceModel], Expr]
 
     def check(self, model: InterfaceModel) -> None:
         self._form(fem.Function(model.V), model)

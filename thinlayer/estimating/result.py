@@ -6,13 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
+from forms.base import Array
 from geometry.refusals import require_known
 from thinlayer.discretisation.full_model import LayerModel
+from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
 from thinlayer.discretisation.state import State
 from thinlayer.errors import warn
@@ -146,12 +144,12 @@ class Estimate:
         """Text that says which laws or bonds replace the layers in the estimated state."""
         bonds, layers = self.state.model.bonds, self.state.model.layers
         orders = sorted({layer.thin_layer.order for layer in layers.values() if layer.thin_layer})
-        order_text = [f"order {' and '.join(map(str, orders))}"] if layers else []
-        of = " of " + ", ".join(bonds) if layers else ""
-        return ", ".join([f"perfect bond{of}", *order_text] if bonds else order_text)
+        laws = [f"order {' and '.join(map(str, orders))}"] if layers else []
+        bonded = " of " + ", ".join(bonds) if layers else ""
+        return ", ".join([f"perfect bond{bonded}", *laws] if bonds else laws)
 
     # ---------------------------------------------------------------- where
-    def density(self, goal: str = "compliance") -> npt.NDArray[np.float64]:
+    def density(self, goal: str = "compliance") -> Array:
         """Density on S of the change of a goal, whose integral is Q(u_1) - Q(u_0). Collective.
 
         It is (m,) at the nodes of `Surface(estimate.better.model)`, a field for its `integral` and `along`.
@@ -170,10 +168,9 @@ class Estimate:
             linear = iteration.model.linear and self._goals[goal].is_linear(iteration.model)
         total, error = Surface(self.better.model).integral(density), self.goals[goal]
         if abs(total - error.change) > DENSITY_ERROR * abs(error.change) + ZERO_GOAL_SHARE * error.scale:
-            reason = f"the density of the change of {goal} adds up to {total:.3g}, not to {error.change:.3g}"
+            what = f"the density of the change of {goal} adds up to {total:.3g}, not to {error.change:.3g}"
             why = "a support holds one side of a bond's end" if linear else "laws or the goal are not linear"
-            remedy = "take it for a picture of where the change comes from"
-            warn("density", f"{reason}, as {why}; {remedy}", self.better.model.comm)
+            warn("density", f"{what}, as {why}; it only shows where changes come from", self.better.model.comm)
         return density
 
     def by_seam(self, goal: str = "compliance") -> dict[str, float]:
@@ -197,8 +194,8 @@ class Estimate:
         """
         bounded = [name for name, error in self.goals.items() if error.bounded]
         require_known("goal with bounds", goal, bounded, "estimate, of linear laws")
-        model: Any = self.better.model
-        alone, z = self._layers, self._weights[goal]
+        alone, z, model = self._layers, self._weights[goal], self.better.model
+        assert isinstance(model, InterfaceModel)
         layers = {name: error.layer for name, error in self.layers.items()}
         fine = DirichletLayers(LayerModel(model, layers, alone.through, at_ends), self.state.t)
         inside = alone.dirichlet_displacements(alone.at_faces(self.better.u.x.array), alone.load, alone.values)
@@ -206,10 +203,8 @@ class Estimate:
         finer = alone.in_refined_cells(inside, fine), alone.in_refined_cells(weights, fine)
         for subproblem, w, w_z in ((alone, inside, weights), (fine, *finer)):
             load_z, values_z = self._goals[goal].in_layers(subproblem)
-            w, w_z = (
-                subproblem.dirichlet_displacements(w, subproblem.load, subproblem.values),
-                subproblem.dirichlet_displacements(w_z, load_z, values_z),
-            )
+            w = subproblem.dirichlet_displacements(w, subproblem.load, subproblem.values)
+            w_z = subproblem.dirichlet_displacements(w_z, load_z, values_z)
             goal_values.append(load_z @ w - w_z @ (subproblem.K @ w - subproblem.load))
         return float(self.goals[goal].better + goal_values[1] - goal_values[0])
 
@@ -218,9 +213,10 @@ class Estimate:
     def table(self) -> Table:
         """A row for each quantity: values in the estimated state and with the layer meshed, relative error, bounds."""
         nan, rows = math.nan, []
-        for name, err in self.layers.items():
-            of = f" {name}" if len(self.layers) > 1 else ""
-            rows += [(f"traction{of}", nan, nan, err.traction, nan, nan), (f"jump{of}", nan, nan, err.jump, nan, nan)]
+        for name, error in self.layers.items():
+            seam = f" {name}" if len(self.layers) > 1 else ""
+            values = ("traction", error.traction), ("jump", error.jump)
+            rows += [(f"{quantity}{seam}", nan, nan, value, nan, nan) for quantity, value in values]
         for name, goal in self.goals.items():
             rows.append((name, goal.value, goal.better, goal.relative, goal.lower, goal.upper))
         if energy := self.energy:

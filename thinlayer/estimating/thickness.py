@@ -7,13 +7,12 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 from forms.base import InputError, is_number, require
 from geometry.inflating.layering import value_by_seam
 from geometry.refusals import require_known
 from geometry.seam import S
-from thinlayer.discretisation.layer import Bond, Layers, ThinLayer
+from thinlayer.discretisation.layer import Bond, Layers, SeamContent, ThinLayer
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.discretisation.structure import Structure
@@ -106,8 +105,7 @@ def thin_enough(
         InputError: arguments out of range; a layer that cannot be estimated; no thickness is thin enough.
         SolveError: as in `solve`.
     """
-    on_seams = _checked(structure, layer, tolerance, goal, seam, bonded)
-    thin: Any = layer if isinstance(layer, ThinLayer) else on_seams[seam]
+    on_seams, thin = _checked(structure, layer, tolerance, goal, seam, bonded)
     chosen = list(on_seams) if seam == S else [seam]
 
     def solved(model: Model) -> State | History:
@@ -122,11 +120,11 @@ def thin_enough(
     for name in chosen if bonded else ():
         begun.applicability[name].require("bonded", "thin_enough: ")
     alone = solved(structure.interface(bonds, bodies=bodies)) if bonded else None
-    heard: dict[float, list[warnings.WarningMessage]] = {}
+    issued: dict[float, list[warnings.WarningMessage]] = {}
     caveats: dict[float, list[str]] = {}
 
     def error(eps: float) -> float:
-        with warnings.catch_warnings(record=True) as heard[eps]:  # warnings at the final thickness are passed on
+        with warnings.catch_warnings(record=True) as issued[eps]:  # warnings at the final thickness are passed on
             warnings.simplefilter("always", RangeWarning)
             layers = dict.fromkeys(chosen, replace(thin, eps=eps, law=thin.material, at=None))
             state = alone or solved(made({**on_seams, **layers}))
@@ -134,9 +132,9 @@ def thin_enough(
         caveats[eps] = error_estimate.caveats
         return _error(error_estimate, quantity)
 
-    rows: dict[float, float] = {}
-    eps, at_tolerance = _search(error, min(min(begun.layers[name].sheet.heights) for name in chosen), tolerance, rows)
-    for warning in heard[eps]:
+    thickest = min(min(begun.layers[name].sheet.heights) for name in chosen)
+    eps, at_tolerance, rows = _search(error, thickest, tolerance)
+    for warning in issued[eps]:
         warnings.warn(warning.message, stacklevel=3)
     table = Table([{"eps": thickness, "error": rows[thickness]} for thickness in sorted(rows, reverse=True)])
     return ThinEnough(eps, tolerance, quantity, table, at_tolerance, "; ".join(caveats[eps]), bonded)
@@ -144,23 +142,23 @@ def thin_enough(
 
 def _checked(
     structure: Structure, layer: Layers, tolerance: float, goal: str | Goal, seam: str, bonded: bool
-) -> dict[str, Any]:
-    """Layer, bond or gap of each seam; raises InputError for arguments out of range."""
+) -> tuple[dict[str, SeamContent], ThinLayer]:
+    """Layer, bond or gap of each seam, and the layer that becomes thinner; raises InputError unless all suit."""
     require(isinstance(structure, Structure), "thin_enough: the structure", structure, "it takes a Structure")
     with errors_on_all(structure.comm):
-        on_seams = value_by_seam(structure.joint, layer, "layer")
+        on_seams: dict[str, SeamContent] = value_by_seam(structure.joint, layer, "layer")
         if not (seam == S and isinstance(layer, ThinLayer)):
             require_known("seam", seam, on_seams, "thin_enough: seam=... names the layer that becomes thinner")
-        sought, is_goal = on_seams.get(seam, layer), isinstance(goal, Goal) or goal in ESTIMATED_FIELDS
-        require(isinstance(sought, ThinLayer), "thin_enough: the layer", sought, "give a ThinLayer")
+        thin, is_goal = on_seams.get(seam, layer), isinstance(goal, Goal) or goal in ESTIMATED_FIELDS
+        if not isinstance(thin, ThinLayer):
+            raise InputError(f"thin_enough: the layer is {thin!r:.200}; give a ThinLayer")
         in_range = is_number(tolerance) and 0 < tolerance < 1
         require(in_range, "thin_enough: the tolerance", tolerance, "allowed: between 0 and 1")
-        require(
-            is_goal, "thin_enough: the goal", goal, f"allowed: {', '.join(ESTIMATED_FIELDS)}, or one of thinlayer.goals"
-        )
+        allowed = f"allowed: {', '.join(ESTIMATED_FIELDS)}, or one of thinlayer.goals"
+        require(is_goal, "thin_enough: the goal", goal, allowed)
         if bonded and goal == "jump":
             raise InputError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
-    return on_seams
+    return on_seams, thin
 
 
 def _error(error_estimate: Estimate, quantity: str) -> float:
@@ -175,13 +173,15 @@ def _error(error_estimate: Estimate, quantity: str) -> float:
 
 
 def _search(
-    error: Callable[[float], float], thickest: float, tolerance: float, rows: dict[float, float]
-) -> tuple[float, bool]:
-    """Thickness below which errors are at most `tolerance`, and whether they exceed it above; fills `rows`.
+    error: Callable[[float], float], thickest: float, tolerance: float
+) -> tuple[float, bool, dict[float, float]]:
+    """Thickness below which errors are at most `tolerance`, whether they exceed it above, and errors by thickness.
 
     Errors may change their sign, and so be small at a thickness and large at smaller thicknesses. Therefore the search
     goes down from the thickest until errors are allowed at `ALLOWED_IN_TURN` successive thicknesses.
     """
+
+    rows: dict[float, float] = {}
 
     def excess(eps: float) -> float:
         """Logarithm of the error over the tolerance."""
@@ -197,21 +197,21 @@ def _search(
         low /= THICKNESS_RATIO
     low = tried[-ALLOWED_IN_TURN]
     if low == thickest:
-        return low, False
+        return low, False, rows
     high = tried[-ALLOWED_IN_TURN - 1]
     while high > (1 + THICKNESS_TOLERANCE) * low:
         above, below = excess(high), excess(low)
         share = -below / (above - below) if math.isfinite(above) else 0.5
         middle = low * (high / low) ** min(max(share, 0.1), 0.9)
         low, high = (low, middle) if excess(middle) > 0 else (middle, high)
-    return low, True
+    return low, True, rows
 
 
 def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
     """Raise InputError if errors are not allowed, and no longer fall with the thickness."""
     if passed or len(errors) <= FALLING_STEPS:
         return
-    at = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there"
     if errors[-1] > STALLED_ERROR_RATIO * max(errors[-1 - FALLING_STEPS : -1]) or len(errors) > MAX_STEPS:
+        what = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there, and hardly falls"
         advice = "is the layer much softer than the bodies, and are there loads at this time?"
-        raise InputError(f"thin_enough: {at}, and hardly falls with it; {advice}")
+        raise InputError(f"thin_enough: {what} with it; {advice}")

@@ -265,12 +265,8 @@ class LayerSubproblem(DirichletLayers):
         """Values at the faces that supports leave free, zero elsewhere."""
         return np.where(self.free_faces, r, 0.0)
 
-    def neumann_displacements(self, r: Array) -> Array:
-        """Face displacements (n,) under face forces r without resultant."""
-        return self.compliance(r)[0]
-
     def compliance(self, r: Array) -> tuple[Array, float]:
-        """Face displacements as in `neumann_displacements`, and the work r . E^+ r of the forces in them.
+        """Face displacements (n,) under face forces r without resultant, and the work r . E^+ r of the forces in them.
 
         The work is infinite if rounding hides it. A layer of length L that can bend freely is (L/eps)^4 times as soft
         as a layer that is stretched across.

@@ -214,10 +214,8 @@ class SharedMatrices:
         """Take the matrices from the model's family, without any that do not suit this model; new if there are none."""
         waiting = model.family.acquire()
         shared = waiting if isinstance(waiting, cls) else cls()
-        pattern = (
-            [(p.key, type(p.law), p.law.traits, len(p.law.sublayers)) for p in model.layer_terms],
-            [(name, type(s.law), s.thin_layer and s.thin_layer.order) for name, s in model.layers.items()],
-        )
+        layers = [(name, type(s.law), s.thin_layer and s.thin_layer.order) for name, s in model.layers.items()]
+        pattern = layers, [(p.key, type(p.law), p.law.traits, len(p.law.sublayers)) for p in model.layer_terms]
         if pattern != shared._pattern:
             shared.free()
         if model.layer_terms is not shared._terms:

@@ -45,12 +45,7 @@ CRITICAL_OPTIONS: dict[str, OptionValue] = {
 SINGULAR_OPTIONS: dict[str, OptionValue] = {**CRITICAL_OPTIONS, "snes_max_it": 300}
 # no line search, as residuals grow on good steps
 CONTACT_OPTIONS: dict[str, OptionValue] = {"snes_linesearch_type": "basic", "snes_max_it": 300}
-CONTACT_HOMOTOPY_OPTIONS: dict[str, OptionValue] = {
-    **CRITICAL_OPTIONS,
-    "snes_max_it": 40,
-    "snes_linesearch_rtol": 0.01,
-    MAX_STEP_OPTION: 1,
-}
+CONTACT_HOMOTOPY_OPTIONS = CRITICAL_OPTIONS | {"snes_max_it": 40, "snes_linesearch_rtol": 0.01, MAX_STEP_OPTION: 1}
 STAGNATION_STEPS = 16  # number of steps in which the residual must fall by a tenth, for laws that yield
 DIVERGED_DISPLACEMENT = 1e6  # largest displacements, relative to the first step's, for laws that yield
 Reason = PETSc.SNES.ConvergedReason
@@ -322,7 +317,7 @@ class NewtonSolver(EquilibriumSolver):
             equations.tangent()
             equations.apply_bcs(P)
 
-        def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> int:
+        def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> PETSc.SNES.ConvergedReason:
             nonlocal divergence
             x, r = snes.getSolution(), snes.getFunction()[0]
             residuals.append(equations.relative(r))

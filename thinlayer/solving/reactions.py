@@ -76,11 +76,10 @@ class SupportReactions:
         """Forces and moments (n, k) of nodal forces r minus loads; of layers on rigid bases zero unless `layers`."""
         model, constraints = self.model, self.model.constraints
         by_supports = constraints.support_forces(r.array_r)
-        rows = [constraints.of_supports(by_supports, self._motions)]
         rest = r.array_r + of_ties - constraints.prescribed.conditions.T @ by_supports
-        for tie in constraints.mpcs:
-            tied = np.flatnonzero(np.diff(tie.R.indptr))
-            rows.append((rest[tied] @ self._motions(tied))[None])
+        tied = [np.flatnonzero(np.diff(tie.R.indptr)) for tie in constraints.mpcs]
+        rows = [constraints.of_supports(by_supports, self._motions)]
+        rows += [(rest[dofs] @ self._motions(dofs))[None] for dofs in tied]
         first = len(model.supports.entries) + len(rows) - 1
         rows += [-self._of_layer(model.layers[str(name)], r)[None] * layers for name in model.holders[first:]]
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))

@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 from forms.base import InputError, is_finite, require
 from geometry.parallel import default_comm
+from geometry.refusals import require_known
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
 from thinlayer.errors import LooseBody, SolveError
@@ -117,8 +118,7 @@ def comm_of(model: object) -> MPI.Intracomm:
 def _check_like(model: Model, like: State) -> None:
     require(isinstance(like, State), "like", like, "it must be a state of a model of the same joint")
     other = like.model
-    same_joint = other.joint is model.joint
-    require(same_joint, "the model of like", other, "it must be a model of the same joint")
+    require(other.joint is model.joint, "the model of like", other, "it must be a model of the same joint")
     if not (model.broken and other.broken) or (model.element, model.bonds) != (other.element, other.bonds):
         raise InputError("like must be a state of an interface model with the same element and bonds as this model")
 
@@ -186,8 +186,8 @@ class Solver(AbstractContextManager["Solver"]):
         allowed = ("newton", *METHODS) if self.model.contact else ("linear", "newton")
         if self.method in METHODS:
             check_method(self.model, self.method)
-        elif self.method not in allowed:
-            raise InputError(f"unknown method {self.method!r}; allowed: {', '.join(allowed)}")
+        else:
+            require_known("method", self.method, allowed)
         if self.method == "linear" and not self.model.linear:
             raise InputError("method='linear' cannot solve a non-linear law; use method='newton'")
 
@@ -311,11 +311,8 @@ class Solver(AbstractContextManager["Solver"]):
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[SolveAttempt]:
         """Attempts in the order in which they are tried: every method with its linear solvers, then a homotopy."""
-        traits, contact, out = (
-            self.equations.traits,
-            CONTACT_OPTIONS if self.model.contact else {},
-            list[SolveAttempt](),
-        )
+        traits, out = self.equations.traits, list[SolveAttempt]()
+        contact = CONTACT_OPTIONS if self.model.contact else {}
         law_options = YIELDING_OPTIONS if self.yields else SINGULAR_OPTIONS if traits.singular else {}
         newton = {**NEWTON_OPTIONS, **law_options, **contact}
         for method, linear in self._solve_ways:

@@ -95,10 +95,10 @@ class StepProblem(PartSum):
         self.state = Configuration(u.copy(), 0.0, self.memory_at_rest, stresses=self.stresses_at_rest, at_rest=True)
         self.energies = {part.key: np.zeros(3) for part in self.parts[1:]}
         layout = UnknownLayout(self.comm, {DISPLACEMENT_KEY: u})
-        bc_dofs = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))
-        self._held = bc_dofs[bc_dofs < layout.sizes[DISPLACEMENT_KEY]]
-        self._held_rows = layout.rows(self._held)
-        self._forces, self._each = layout.vector(), layout.vector()
+        dofs = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))
+        self._constrained = dofs[dofs < layout.sizes[DISPLACEMENT_KEY]]
+        self._constrained_rows = layout.rows(self._constrained)
+        self._forces, self._of_part = layout.vector(), layout.vector()
         self._matrix = TangentMatrix(self.comm, layout.sizes)
         self.begin(0.0)
         self.forces(u, u, self._forces)
@@ -149,7 +149,8 @@ class StepProblem(PartSum):
             self._u.x.array[: x.getLocalSize()] = x.array_r
         self._u.x.scatter_forward()
         self._evaluate(out)
-        out.array[self._held] = self._stiffness * (self._u.x.array[self._held] - self._prescribed())
+        dofs = self._constrained
+        out.array[dofs] = self._stiffness * (self._u.x.array[dofs] - self._prescribed())
         if self.failed:
             out.set(np.nan)
 
@@ -159,7 +160,7 @@ class StepProblem(PartSum):
         Rows of constrained dofs are rows of the identity times a stiffness, so that a Newton step reaches the
         prescribed values. The matrix is therefore not symmetric.
         """
-        self._matrix.fill(self.blocks()).zeroRows(self._held_rows, self._stiffness)
+        self._matrix.fill(self.blocks()).zeroRows(self._constrained_rows, self._stiffness)
         if P.handle != self._tangent.handle:
             self._tangent.copy(P)
         if A.handle != P.handle:
@@ -209,7 +210,7 @@ class StepProblem(PartSum):
             if self.state.memory:
                 raise InputError("no step has begun: call begin(dt) before each solve")
             self.begin(0.0)
-        self._sizes = self.forces(self._u, self._u, out, self._each)
+        self._sizes = self.forces(self._u, self._u, out, self._of_part)
         self._sizes.append(float(out.norm()))
 
     def _prescribed(self) -> Array:
@@ -217,7 +218,7 @@ class StepProblem(PartSum):
         prescribed = np.zeros(len(self._u.x.array))
         for bc in self._bcs:
             bc.set(prescribed)
-        return np.asarray(prescribed[self._held])
+        return np.asarray(prescribed[self._constrained])
 
 
 def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:

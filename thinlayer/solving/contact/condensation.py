@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 from petsc4py import PETSc
 from scipy import linalg
 from scipy.sparse.csgraph import connected_components
 
 from forms.base import Array, ThinlayerError
-from geometry.topology import BoolArray, IntArray
+from geometry.topology import BoolArray, Indices, IntArray
 from thinlayer.solving.linear_solvers import DIRECT_OPTIONS
 from thinlayer.solving.petsc import PREFIX, OptionValue, default_options, keep_unknowns, schur_complement
 from thinlayer.system.compilation import own_library, pointers
 from thinlayer.system.ranks import destroy
 
-Rows = tuple[npt.NDArray[Any], npt.NDArray[Any], Array]  # row starts, columns and entries of a sparse matrix
+Rows = tuple[Indices, Indices, Array]  # row starts, columns and entries of a sparse matrix
 C_SOURCE = Path(__file__).with_name("triangle.c")
 MAX_JOINT_UNKNOWNS = 100  # about the number of kept unknowns of pieces that are factorised together
 FRONT_SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
@@ -73,9 +71,8 @@ class Condensation:
         for k in np.unique(group):
             self._own.append(np.flatnonzero(group[kept // d] == k))
             self._factors.append(SchurFactor(A, is_fixed, d, order[group[order] == k], kept[self._own[-1]]))
-        if len(self._own) == 1:
-            self.stiffness = self._factors[0].complement
-        else:
+        self.stiffness = self._factors[0].complement
+        if len(self._own) > 1:
             complements = scipy.sparse.block_diag([factor.complement for factor in self._factors], format="csr")
             complements.eliminate_zeros()  # zeros between pieces
             back = np.argsort(np.concatenate(self._own))
@@ -119,7 +116,7 @@ def oblique_order(x: Array, normal: Array, A: Rows) -> IntArray:
         key += lean * np.sign(height) * (x @ tangent)
     thickness = BAND_LAYERS * np.abs(edges @ normal).max() or 1.0
     band = np.floor(np.abs(height) / thickness + 0.1)  # so that rounding splits no layer of a grid
-    return np.lexsort((key, band, height < 0))
+    return np.asarray(np.lexsort((key, band, height < 0)))
 
 
 class SchurFactor:

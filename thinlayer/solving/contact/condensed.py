@@ -74,13 +74,13 @@ class CondensedContact(ContactSolver):
         try:
             condensation = self._condensation
         except FactorError as error:
-            hint = "is every body supported, or does it meet S in more than a point?"
-            raise SolveError(f"contact: {error}; {hint}") from error
-        u, kept_held = self.x.array_r[pairs.dofs], ~pairs.free.ravel()
+            advice = "is every body supported, or does it meet S in more than a point?"
+            raise SolveError(f"contact: {error}", advice=advice) from error
+        u, constrained = self.x.array_r[pairs.dofs], ~pairs.free.ravel()
         b[equations.bc_dofs] = 0.0  # decoupled; prescribed displacements are restored at the end
         g = condensation.condense(b)
-        g[kept_held] = (condensation.stiffness.diagonal() * u)[kept_held]
-        self._given = equations.residual_norms(equations.external)
+        g[constrained] = (condensation.stiffness.diagonal() * u)[constrained]
+        self._external_norms = equations.residual_norms(equations.external)
         if not has_guess:
             u = self._system.start(g)
             equations.scale.move(float(np.abs(u).max(initial=0.0)))
@@ -89,15 +89,15 @@ class CondensedContact(ContactSolver):
         self.x.array[equations.bc_dofs] = equations.prescribed
         relative = self.relative_residual()
         if not relative <= STATE_TOLERANCE:
-            large = f"contact: the residual of the whole problem is {relative:.1e} of the forces"
-            raise SolveError(large, residuals=residuals)
+            text = f"contact: the residual of the whole problem is {relative:.1e} of the forces"
+            raise SolveError(text, residuals=residuals)
         return len(residuals) - 1, relative
 
     def _relative(self, r: Array, forces: Array, u: Array) -> float:
         """Largest norm of the residual r at nodes in contact relative to the forces on its block, see `ForceScale`."""
-        of, count, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
-        of_pairs, of_r = (np.sqrt(np.bincount(of, v * v, count)) for v in (forces, r))
-        scale.update_stresses(np.maximum(self._given, of_pairs))
+        block, count, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
+        of_pairs, of_r = (np.sqrt(np.bincount(block, v * v, count)) for v in (forces, r))
+        scale.update_stresses(np.maximum(self._external_norms, of_pairs))
         return scale.relative(of_r)
 
     def close(self) -> None:
@@ -209,11 +209,9 @@ class CondensedSystem:
             if residuals[-1] <= tolerance or self._stalls(residuals, u, forces):
                 return u, tuple(residuals)
             if len(residuals) > MAX_NEWTON_STEPS or long_steps > MAX_LONG_STEPS or not math.isfinite(residuals[-1]):
-                raise SolveError(
-                    f"contact: residual {residuals[-1]:.1e} of the forces after {len(residuals) - 1} Newton steps",
-                    residuals=tuple(residuals),
-                    advice="is every body supported, or pressed against S? Else try smaller load steps",
-                )
+                text = f"contact: residual {residuals[-1]:.1e} of the forces after {len(residuals) - 1} Newton steps"
+                advice = "is every body supported, or pressed against S? Else try smaller load steps"
+                raise SolveError(text, residuals=tuple(residuals), advice=advice)
             u = u.copy()
             pairs.sweep(self._blocks, g, u, min(MIN_SWEEPS * 2 ** max(len(residuals) - DOUBLING_STEPS, 0), MAX_SWEEPS))
             step = self._linear_solve(pairs.tangent(pairs.separation(u)), -self._residual(u, g))
@@ -230,24 +228,24 @@ class CondensedSystem:
     def _length(self, u: Array, step: Array, g: Array) -> float:
         """Length of a step, at most 1, at which the work of the residual along it vanishes; by regula falsi."""
 
-        def work(a: float) -> float:
-            return float(step @ self._residual(u + a * step, g))
+        def work(length: float) -> float:
+            return float(step @ self._residual(u + length * step, g))
 
         first, last = work(0.0), work(1.0)
         if not (first < 0 and last > WORK_RATIO * abs(first)):
             return 1.0
         low, high, below, above = 0.0, 1.0, first, last
         for _ in range(MAX_LENGTH_TRIALS):
-            a = low - below * (high - low) / (above - below)
-            a = min(max(a, low + 0.1 * (high - low)), high - 0.1 * (high - low))
-            now = work(a)
+            length = low - below * (high - low) / (above - below)
+            length = min(max(length, low + 0.1 * (high - low)), high - 0.1 * (high - low))
+            now = work(length)
             if abs(now) <= WORK_RATIO * abs(first):
                 break
             if now < 0:
-                low, below = a, now
+                low, below = length, now
             else:
-                high, above = a, now
-        return a
+                high, above = length, now
+        return length
 
 
 def _unscaled(r: Array, forces: Array, u: Array) -> float:

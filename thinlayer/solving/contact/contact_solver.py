@@ -63,8 +63,7 @@ class ContactSolver(EquilibriumSolver):
             u.x.petsc_vec.copy(x)
         else:
             equations.put_state(equations.interval.old, x)
-        has_guess = any(part.nodes.jump(x).any() for part in self.parts)
-        has_guess = bool(self.comm.allreduce(int(has_guess)))
+        has_guess = self.comm.allreduce(int(any(part.nodes.jump(x).any() for part in self.parts))) > 0
         moved = equations.vector()
         moved.array[equations.bc_dofs] = x.array[equations.bc_dofs] = equations.prescribed
         equations.K.mult(moved, self.b)

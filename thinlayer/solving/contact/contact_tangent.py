@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from petsc4py import PETSc
 from scipy.sparse.linalg import splu
@@ -16,11 +14,8 @@ from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX, convert_to_blocks, lean_products
 from thinlayer.system.ranks import destroy
 
-SUPERLU_OPTIONS: dict[str, Any] = {  # diagonal pivots unless small, and a column order for such pivots
-    "permc_spec": "MMD_AT_PLUS_A",
-    "diag_pivot_thresh": 0.01,
-    "options": {"SymmetricMode": True},
-}
+# diagonal pivots unless small, and a column order for such pivots
+SUPERLU_OPTIONS = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01, "options": {"SymmetricMode": True}}
 SWEEPS_PER_STEP = 4  # number of Gauss-Seidel sweeps before a Newton step, if sweeps are due
 NODE_STIFFNESS = 3.0  # stiffness of a node of S, relative to its area times E/h; an upper estimate
 MAX_K_N, MAX_K_T = 10.0, 1.0  # largest stiffness of springs in the hierarchy, relative to E/h
@@ -57,11 +52,11 @@ class ContactTangent:
         self._near = local_csr(self._rows)[:, first + pairs.dofs]  # between the nodes of S on this rank
         self._blocks = self._near.tobsr((pairs.d,) * 2)
         self._blocks.sort_indices()
-        self._scale, self._held_rows = self._stiffness_beside(), equations.bc_rows
+        self._scale, self._bc_rows = self._adjacent_stiffness(), equations.bc_rows
         self._springs, self._changes = self._clipped(start), dict[int, PETSc.Mat]()
         self._build(equations)
 
-    def _stiffness_beside(self) -> Array:
+    def _adjacent_stiffness(self) -> Array:
         """(n,) stiffness E/h (modulus over size of cells) of the softer side of S. Collective."""
         nodes, diagonal = self.nodes, self._A.getDiagonal()
         above = diagonal.array_r.reshape(-1, nodes.dim)[nodes.upper].mean(axis=1)
@@ -74,9 +69,8 @@ class ContactTangent:
         """Clipped tangents (n, d, d) of S without the coupling by friction."""
         pairs, scale, d = self.pairs, self._scale, self.nodes.dim
         D = pairs.bonded_tangents() if start is None else pairs.tangents(start)
-        i = np.arange(d)
+        out, i = np.zeros_like(D), np.arange(d)
         stiffness = D[:, i, i]
-        out = np.zeros_like(D)
         tangential = stiffness[:, :-1].mean(axis=1)
         out[:, i[:-1], i[:-1]] = np.clip(tangential, MIN_STIFFNESS * scale, MAX_K_T * scale)[:, None]
         out[:, -1, -1] = np.clip(stiffness[:, -1], MIN_STIFFNESS * scale, MAX_K_N * scale)
@@ -111,12 +105,12 @@ class ContactTangent:
         With the springs of another contact status an iteration reduces the residual much less.
         """
         new, comm = self._clipped(jumps), self.nodes.comm
-        others = (np.abs(new - self._springs) > self._springs / 2).any(axis=(1, 2))
-        many = comm.allreduce(int(others.sum())) > CHANGED_NODE_SHARE * comm.allreduce(len(new))
+        changed = (np.abs(new - self._springs) > self._springs / 2).any(axis=(1, 2))
+        many = comm.allreduce(int(changed.sum())) > CHANGED_NODE_SHARE * comm.allreduce(len(new))
         if not many or self._cycle.getType() != "gamg":
             return
         change = springs = self.nodes.stiffness(new - self._springs)
-        change.zeroRowsColumns(self._held_rows, 0.0)
+        change.zeroRowsColumns(self._bc_rows, 0.0)
         for level in reversed(range(self._cycle.getMGLevels())):
             matrix = self._cycle.getMGSmoother(level).getOperators()[0]
             matrix.axpy(1.0, change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
@@ -142,11 +136,11 @@ class ContactTangent:
         """Compute z by a multigrid cycle, then a solve for this rank's nodes of S with all other unknowns fixed."""
         self._cycle.apply(r, z)
         z.array[self.bc_dofs] = 0.0
-        t = np.einsum("nij,nj->ni", self._tangents, self.nodes.jump(z))
+        tractions = np.einsum("nij,nj->ni", self._tangents, self.nodes.jump(z))
         self._rows.mult(z, self._product)
         if len(self.pairs.nodes):
-            left = r.array_r[self.pairs.dofs] - self._product.array_r - self.pairs.on_nodes(t)
-            z.array[self.pairs.dofs] += self._local.solve(left)
+            residual = r.array_r[self.pairs.dofs] - self._product.array_r - self.pairs.on_nodes(tractions)
+            z.array[self.pairs.dofs] += self._local.solve(residual)
 
     def sweep(self, u: PETSc.Vec, residual: PETSc.Vec, turned: Array) -> None:
         """Run Gauss-Seidel sweeps in place over the nodes of S of this rank.

@@ -50,14 +50,11 @@ def _is_network(model: Model) -> bool:
 
 def _is_linear(model: Model) -> bool:
     """Whether, except for contact, unknowns are displacements with a constant, symmetric stiffness of forms alone."""
-    added = all(part.has_work and part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
-    traits = [p.law.traits for p in model.terms if p.proportional]
-    return (
-        added
-        and model.constraints.T is None  # else the unknowns are not the displacements
-        and len(traits) == len(model.terms)
-        and all(law_traits.symmetric and not (law_traits.constrained or law_traits.compiled) for law_traits in traits)
-    )
+    if model.constraints.T is not None or not all(term.proportional for term in model.terms):
+        return False  # with T the unknowns are not the displacements
+    traits = [term.law.traits for term in model.terms]
+    by_laws = all(each.symmetric and not (each.constrained or each.compiled) for each in traits)
+    return by_laws and all(part.has_work and part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
 
 
 def check_method(model: Model, method: str) -> None:
@@ -68,7 +65,7 @@ def check_method(model: Model, method: str) -> None:
 
 def _why_unsuited(model: Model, method: str) -> str:
     """Reason why one of METHODS does not suit the model; "" if it does."""
-    custom_laws = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
+    user_laws = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
     if model.contact is None:
         return "is for contact laws; the model has none"
     if method != "multigrid" and model.comm.size > 1:
@@ -78,6 +75,6 @@ def _why_unsuited(model: Model, method: str) -> str:
     if method == "relaxation" and _is_network(model):
         return "is for one seam without branches, whose jumps are independent of each other; use another method"
     if not _is_linear(model):
-        others = "and no inclined supports or rigid plates; use method='newton'"
-        return f"needs linear bodies without stresses at rest, linear, symmetric parts and layers, {others}"
-    return f"needs one of the laws of forms.contact, not {custom_laws[0]}; use method='newton'" if custom_laws else ""
+        supports = "and no inclined supports or rigid plates; use method='newton'"
+        return f"needs linear bodies without stresses at rest, linear, symmetric parts and layers, {supports}"
+    return f"needs one of the laws of forms.contact, not {user_laws[0]}; use method='newton'" if user_laws else ""

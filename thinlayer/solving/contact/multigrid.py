@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +31,7 @@ from thinlayer.solving.petsc import (
 from thinlayer.system.compilation import library
 from thinlayer.system.ranks import destroy
 
+Reason = PETSc.SNES.ConvergedReason
 Reductions = tuple[float, float]  # factors by which the first and the later linear solves reduce the residual
 # status of nodes (n,), and their tangential jumps minus slip (n, d - 1)
 SlidingState = tuple[npt.NDArray[np.int8], Array]
@@ -100,12 +100,8 @@ class MultigridContact(ContactSolver):
                 self._tangent = ContactTangent(self.A, nodes, self.pairs, self.equations, start)
             else:
                 _mark_as_read(("pc_", "mg_"))
-            attempts = (
-                [(None, LOOSE_REDUCTIONS), (None, STRICT_REDUCTIONS)]
-                if start is None
-                else [(start, STRICT_REDUCTIONS), (None, LOOSE_REDUCTIONS)]
-            )
-            for guess, reductions in attempts:
+            both = [(start, STRICT_REDUCTIONS), (None, LOOSE_REDUCTIONS)]
+            for guess, reductions in both[::-1] if start is None else both:
                 newton = _NewtonRun(self, self._tangent, reductions)
                 if guess is None:
                     self.x.set(0.0)
@@ -115,15 +111,12 @@ class MultigridContact(ContactSolver):
                     raise InputError(f"-{PREFIX}snes_type ksponly ignores the residual; contact needs Newton's method")
                 if reason > 0:
                     return len(newton.residuals) - 1, history[-1]
-        last = history[-1] if history else math.nan
-        slow = "FGMRES is slow for slender bodies: " * (reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE)
-        raise SolveError(
-            f"Newton's method for contact failed after {max(len(history) - 2, 0)} steps: "
-            f"{reason_name(PETSc.SNES.ConvergedReason, reason)}, residual {last:.1e} of the forces",
-            residuals=tuple(history),
-            advice=f"{slow}try method='newton', smaller steps of the load, or supports (is a body pulled off S, or pushed "
-            f"harder than friction holds?); -{PREFIX}snes_monitor watches it",
-        )
+        slow = "FGMRES is slow for slender bodies: " * (reason == Reason.DIVERGED_LINEAR_SOLVE)
+        loads = "smaller load steps, or supports (is a body pulled off S, or pushed harder than friction holds?)"
+        advice = f"{slow}try method='newton', {loads}; -{PREFIX}snes_monitor watches it"
+        steps, last = max(len(history) - 2, 0), history[-1] if history else math.nan
+        text = f"after {steps} steps: {reason_name(Reason, reason)}, residual {last:.1e} of the forces"
+        raise SolveError(f"Newton's method for contact failed {text}", residuals=tuple(history), advice=advice)
 
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
         """Write the residual at u, zero at constrained dofs, into `out`; return its norm relative to the forces.
@@ -153,10 +146,9 @@ class _NewtonRun:
         residuals: residuals relative to the forces, before the first and after each step.
     """
 
-    def __init__(self, finder: MultigridContact, tangent: ContactTangent, reductions: Reductions) -> None:
-        self.finder, self.tangent, self.reductions = finder, tangent, reductions
-        self.nodes, self.pairs = finder.nodes, finder.pairs
-        self.bc_dofs = finder.equations.bc_dofs
+    def __init__(self, solver: MultigridContact, tangent: ContactTangent, reductions: Reductions) -> None:
+        self.solver, self.tangent, self.reductions = solver, tangent, reductions
+        self.nodes, self.pairs, self.bc_dofs = solver.nodes, solver.pairs, solver.equations.bc_dofs
         self.residuals: list[float] = []
         self._target = reductions[0]
         self._known = False  # whether the next call of `_residual` repeats the last one
@@ -165,12 +157,12 @@ class _NewtonRun:
 
     def run(self, u: PETSc.Vec, start: Array | None) -> int:
         """Solve from u, in place, first with the tangent at the jumps `start` (None: bonded); return PETSc's reason."""
-        finder, self._start = self.finder, start
-        u.array[self.bc_dofs] = finder.equations.prescribed
+        solver, self._start = self.solver, start
+        u.array[self.bc_dofs] = solver.equations.prescribed
         f = self._f = u.duplicate()
-        J = PETSc.Mat().createPython(finder.A.getSizes(), self.tangent, comm=finder.comm)
+        J = PETSc.Mat().createPython(solver.A.getSizes(), self.tangent, comm=solver.comm)
         J.setUp()
-        snes = PETSc.SNES().create(finder.comm)
+        snes = PETSc.SNES().create(solver.comm)
         try:
             snes.setOptionsPrefix(PREFIX)
             snes.setFunction(self._residual, f)
@@ -198,73 +190,72 @@ class _NewtonRun:
             self._known = False
             self._f.copy(f)
             return
-        self._h = self.finder.residual(u, f)
+        self._relative = self.solver.residual(u, f)
 
-    def _test(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> Any:
-        reason = PETSc.SNES.ConvergedReason
-        self.residuals.append(self._h)
+    def _test(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> PETSc.SNES.ConvergedReason:
+        self.residuals.append(self._relative)
         if not math.isfinite(norms[2]):
-            return reason.DIVERGED_FNORM_NAN
-        return reason.CONVERGED_FNORM_ABS if self._h <= NEWTON_TOLERANCE else False
+            return Reason.DIVERGED_FNORM_NAN
+        return Reason.CONVERGED_FNORM_ABS if self._relative <= NEWTON_TOLERANCE else False
 
     def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
         """Choose sweeps before a Newton step if the last step changed the status or reduced the residual too little."""
         self._swept = False
         if step:
-            w = self.nodes.separation(snes.getSolution())
-            self._turn = turned_jumps(self.pairs, w, self._at)
-            self._swept = self._is_new(w, self._turn) or self._h > EXPECTED_RESIDUAL_RATIO * self._target
-            ksp = snes.getKSP()
-            self._left = ksp.getResidualNorm() / snes.getFunctionNorm()
+            jumps = self.nodes.separation(snes.getSolution())
+            self._turned = turned_jumps(self.pairs, jumps, self._at)
+            self._swept = self._is_new(jumps, self._turned) or self._relative > EXPECTED_RESIDUAL_RATIO * self._target
+            self._linear_ratio = snes.getKSP().getResidualNorm() / snes.getFunctionNorm()
 
     def _sweep(self, _: PETSc.SNES, u: PETSc.Vec, __: PETSc.Vec | None) -> None:
         """Run Gauss-Seidel sweeps over the nodes of S, on each rank alone, if chosen; `_f` is the residual at u."""
         self._known = not self._swept
         if self._swept:
-            self.tangent.sweep(u, self._f, self._turn)
+            self.tangent.sweep(u, self._f, self._turned)
 
     def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
         """Set the tangents of a step, and the tolerance of its linear solve."""
         first = not snes.getIterationNumber()
         tangents = self._begin(u, self._f) if first else self._go_on(u)
-        share = self.reductions[0] if first else min(0.5, self._target / self._h)
-        self._before = self._h
+        rtol = self.reductions[0] if first else min(0.5, self._target / self._relative)
+        self._before = self._relative
         self.tangent.follow(self._start if first else self.nodes.separation(u))
         self.tangent.linearise(tangents)
         if self._set_rtol:
-            snes.getKSP().setTolerances(rtol=share)
+            snes.getKSP().setTolerances(rtol=rtol)
 
     def _begin(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
         """Tangents of the first step; f becomes the residual of the law linearised at the initial jumps."""
-        pairs, w, s = self.pairs, self.nodes.separation(u), self._start
-        if s is None:
+        pairs, jumps, start = self.pairs, self.nodes.separation(u), self._start
+        if start is None:
             tangents = pairs.bonded_tangents()
-            t = np.einsum("nij,nj->ni", tangents, pairs.offsets(w))
+            tractions = np.einsum("nij,nj->ni", tangents, pairs.offsets(jumps))
         else:
-            tangents = pairs.tangents(s)
-            t = pairs.tractions(s) + np.einsum("nij,nj->ni", tangents, w - s)
-            self._at = sliding_state(pairs, s)
-        self.nodes.add_forces(t - pairs.tractions(w), f)
+            tangents = pairs.tangents(start)
+            tractions = pairs.tractions(start) + np.einsum("nij,nj->ni", tangents, jumps - start)
+            self._at = sliding_state(pairs, start)
+        self.nodes.add_forces(tractions - pairs.tractions(jumps), f)
         f.array[self.bc_dofs] = 0.0
         return tangents
 
     def _go_on(self, u: PETSc.Vec) -> Array:
         """Tangents of a later step; sets the target of its linear solve."""
+        now = self._relative
         if self._swept:
-            self._target = max(self.reductions[1] * min(self._h, self._target), MIN_REDUCTION * min(self._h, 1.0))
+            self._target = max(self.reductions[1] * min(now, self._target), MIN_REDUCTION * min(now, 1.0))
         else:
             # the residual that the law's non-linearity leaves is quadratic in the size of the step
-            nonlinear = self._h * math.sqrt(abs(1 - self._left**2)) * (self._h / self._before) ** 2
-            self._target = min(self.reductions[1] * self._h, nonlinear)
+            nonlinear = now * math.sqrt(abs(1 - self._linear_ratio**2)) * (now / self._before) ** 2
+            self._target = min(self.reductions[1] * now, nonlinear)
         self._target = max(self._target, LAST_SOLVE_TARGET * NEWTON_TOLERANCE)
-        w = self.nodes.separation(u)
-        self._at = sliding_state(self.pairs, w)
-        return self.pairs.tangents(w)
+        jumps = self.nodes.separation(u)
+        self._at = sliding_state(self.pairs, jumps)
+        return self.pairs.tangents(jumps)
 
-    def _is_new(self, w: Array, turn: Array) -> bool:
+    def _is_new(self, jumps: Array, turned: Array) -> bool:
         """Whether the status of a node on any rank has changed since the last tangents."""
-        other = self._at is None or bool((self.pairs.status(w) != self._at[0]).any())
-        return bool(self.finder.comm.allreduce(int(other or bool(turn.any()))))
+        is_new = self._at is None or bool((self.pairs.status(jumps) != self._at[0]).any())
+        return bool(self.solver.comm.allreduce(int(is_new or bool(turned.any()))))
 
 
 # ---------------------------------------------------------------- nodes whose slip has reversed
@@ -284,9 +275,9 @@ def turned_jumps(pairs: ContactPairs, w: Array, at: SlidingState | None) -> Arra
         return out
     (status, old), (new_status, now) = at, sliding_state(pairs, w)
     back = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old * now).sum(axis=1) < 0)
-    way = old[back] - now[back]
-    part = -(now[back] * way).sum(axis=1) / (way**2).sum(axis=1)
-    out[back, :-1] = part[:, None] * way
+    change = old[back] - now[back]
+    share = -(now[back] * change).sum(axis=1) / (change**2).sum(axis=1)
+    out[back, :-1] = share[:, None] * change
     return out
 
 

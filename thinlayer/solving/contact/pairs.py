@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,8 @@ from thinlayer.system.compilation import own_library, pointers
 
 C_SOURCE = Path(__file__).with_name("sweeps.c")
 NodalLaw = ContactLaw | ContactHomotopy
+Scalar = TypeVar("Scalar", bound=np.generic)  # type of the entries of an array
+LawValues = Callable[[NodalLaw, Array, Array], npt.NDArray[Scalar]]  # of a law, jumps and slip
 
 
 class ContactPairs:
@@ -89,7 +91,7 @@ class ContactPairs:
         columns = pair, self.ends[pair, 1 - side], np.where(side, -1, 1)
         return begins.astype(np.int32), *(column[order].astype(np.int32) for column in columns)
 
-    def _gathered(self, of_part: Callable[[NodalLaw, Array, Array], npt.NDArray[Any]], w: Array) -> npt.NDArray[Any]:
+    def _gathered(self, of_part: LawValues[Scalar], w: Array) -> npt.NDArray[Scalar]:
         """(pairs, ...) values of each part's law at the jumps (pairs, d)."""
         parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
         return np.concatenate([of_part(part.now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
@@ -131,8 +133,8 @@ class ContactPairs:
 
     def bonded(self) -> tuple[scipy.sparse.csr_matrix, Array]:
         """Stiffness of springs that neither open nor slide, and their nodal forces at rest due to slip and gaps."""
-        D, rest = self.bonded_tangents(), self.offsets(self.gaps)
-        return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, rest))
+        D = self.bonded_tangents()
+        return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, self.offsets(self.gaps)))
 
     def stiffness(self, D: Array) -> scipy.sparse.csr_matrix:
         """(n d, n d) stiffness of springs D (pairs, d, d) between the free displacements."""

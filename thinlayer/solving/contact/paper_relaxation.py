@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
 import scipy.sparse
@@ -27,9 +27,9 @@ MIN_STAGNANT_SWEEPS = 2048  # number of sweeps from which on stagnation is teste
 DIVERGENCE_GROWTH = 1e8  # growth of the changes, relative to the largest of the first sweeps, that means divergence
 STAGNATION_RATIO = 0.999  # stagnation: ratio of the least increments of the later and the earlier half of all sweeps
 TOLERANCE_REDUCTION = 1.5  # divisor of the tolerance of increments if forces do not balance yet
-HELD_DIAGONAL = 1e20  # diagonal entry of constrained components of contact nodes, relative to the mean stiffness
+FIXED_DIAGONAL = 1e20  # diagonal entry of constrained components of contact nodes, relative to the mean stiffness
 AXIS_TOLERANCE = 1e-9  # largest difference of the axes of S from coordinate axes
-RELAXATION_OPTIONS = {  # name -> default and upper bound
+RELAXATION_OPTIONS: dict[str, tuple[float, float]] = {  # name -> default and upper bound
     "omega": (1.7, 2),
     "omega_contact": (1.0, 2),
     "tolerance": (1e-12, 1e-3),
@@ -104,20 +104,17 @@ def relax(
     Returns:
         The last iterate, also without convergence: if increments are not finite, grow or stagnate, or at `max_sweeps`.
     """
-    c, A, count, d = own_library(C_SOURCE), system.A, len(system.b), system.contact.shape[1]
-    now, steps = np.zeros(count) if u is None else u.copy(), _coded_steps(system.contact, order, count)
+    c, A, n, d = own_library(C_SOURCE), system.A, len(system.b), system.contact.shape[1]
+    now, steps = np.zeros(n) if u is None else u.copy(), _coded_steps(system.contact, order, n)
     rows = pointers(c, A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, now)
     law, factors = np.array(sweep_parameters(system.law)), np.array([omega, omega_contact])
     nodes = pointers(c, system.contact.astype(np.int32), system.weights, law, system.slip, factors)
-    changes: Array = np.empty(0)
-    increments: Array = np.empty(0)
-    converged = False
+    arguments = len(steps), *pointers(c, steps), n, *rows, d, *nodes
+    (changes, increments), converged = np.empty((2, 0)), False
     while not converged and len(increments) < max_sweeps:
         chunk = min(SWEEPS_PER_TEST, max_sweeps - len(increments))
         change, size = np.empty(chunk), np.empty(chunk)
-        made = c.lib.relax_sweeps(
-            len(steps), *pointers(c, steps), count, *rows, d, *nodes, chunk, tolerance, *pointers(c, change, size)
-        )
+        made = c.lib.relax_sweeps(*arguments, chunk, tolerance, *pointers(c, change, size))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             relative = np.where(change > 0, change / size, change)
         changes, increments = np.append(changes, change[:made]), np.append(increments, relative[:made])
@@ -138,7 +135,7 @@ def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices
         normal, tangential = (np.minimum(normal, tangential) + shift for shift in (0.0, 0.5))
     others = np.setdiff1d(np.arange(count), contact)
     nodes = np.arange(len(contact))
-    codes = np.concatenate([others, -1 - 2 * nodes, -2 - 2 * nodes]).astype(np.int32)
+    codes: Indices = np.concatenate([others, -1 - 2 * nodes, -2 - 2 * nodes]).astype(np.int32)
     return codes[np.argsort(np.concatenate([place[others], normal, tangential]), kind="stable")]
 
 
@@ -158,11 +155,11 @@ class ContactRelaxation(ContactSolver):
         super().__init__(equations, like)
         (self.part,) = self.parts
         nodes = self.part.nodes
-        self._held_jumps = _held_components(nodes.frames, nodes.is_fixed)
+        self._fixed_jumps = _fixed_components(nodes.frames, nodes.is_fixed)
         if (nodes.is_fixed_upper & ~nodes.is_fixed).any():
             raise InputError("method='relaxation' needs supports on both sides of S or on the lower; use 'condensed'")
-        self._held = self.is_fixed.copy()
-        self._held[nodes.dofs] = self._held_jumps
+        self._fixed = self.is_fixed.copy()
+        self._fixed[nodes.dofs] = self._fixed_jumps
         self._T = self._change()
         self._K = local_csr(equations.K)
         self._A = self._T.T @ self._K @ self._T
@@ -172,7 +169,7 @@ class ContactRelaxation(ContactSolver):
         nodes = self.part.nodes
         d, x = nodes.dim, nodes.surface.V.tabulate_dof_coordinates()
         rows = np.lexsort(np.rint(x[:, :d] / (1e-9 * self.equations.model.joint.size)).T)
-        return (rows[:, None] * d + np.arange(d)).ravel().astype(np.int32)
+        return np.asarray((rows[:, None] * d + np.arange(d)).ravel(), np.int32)
 
     def _change(self) -> scipy.sparse.csr_matrix:
         """Matrix from the unknowns (jumps and other displacements) to all displacements, for zero gaps."""
@@ -197,57 +194,49 @@ class ContactRelaxation(ContactSolver):
             SolveError: no convergence; its residuals are the increments of the sweeps.
         """
         equations, nodes, x = self.equations, self.part.nodes, self.x
-        chosen, moving = _options(), ~self._held_jumps.all(axis=1)
+        fixed, moving, tolerance = self._fixed, ~self._fixed_jumps.all(axis=1), _option("tolerance")
         x.set(0.0)
         x.array[equations.bc_dofs] = equations.prescribed
         prescribed = x.array_r.copy()
-        prescribed[nodes.dofs] = np.where(self._held_jumps, nodes.separation(x), 0.0)
+        prescribed[nodes.dofs] = np.where(self._fixed_jumps, nodes.separation(x), 0.0)
         over = np.zeros(len(prescribed))  # displacements of the upper side that close the gaps
         over[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
-        diagonal = np.where(self._held, equations.mean_stiffness, 0.0)
-        diagonal[nodes.dofs[moving][self._held_jumps[moving]]] *= HELD_DIAGONAL
+        diagonal = np.where(fixed, equations.mean_stiffness, 0.0)
+        diagonal[nodes.dofs[moving][self._fixed_jumps[moving]]] *= FIXED_DIAGONAL
         b = self._T.T @ (equations.external.array_r + self._K @ over) - self._A @ prescribed
-        free = scipy.sparse.diags((~self._held).astype(float))
-        system = SeamSystem(
-            (free @ self._A @ free + scipy.sparse.diags(diagonal)).tocsr(),
-            np.where(self._held, diagonal * prescribed, b),
-            nodes.dofs[moving],
-            nodes.weights[moving],
-            self.part.law,
-            self.part.slip[moving],
-        )
-        order, sweeps, u = self._order(), 0, None  # sweeps until increments met the tolerance
+        free = scipy.sparse.diags((~fixed).astype(float))
+        A, b = (free @ self._A @ free + scipy.sparse.diags(diagonal)).tocsr(), np.where(fixed, diagonal * prescribed, b)
+        pairs = nodes.dofs[moving], nodes.weights[moving], self.part.law, self.part.slip[moving]
+        system, order, max_sweeps = SeamSystem(A, b, *pairs), self._order(), int(_option("max_sweeps"))
+        relaxed = partial(relax, system, order=order, omega=_option("omega"), omega_contact=_option("omega_contact"))
+        sweeps, u = 0, None  # sweeps until increments met the tolerance
         while True:  # increments may be small before forces balance
-            relaxation = relax(system, u=u, order=order, **chosen)
+            relaxation = relaxed(u=u, tolerance=tolerance, max_sweeps=max_sweeps)
             u, sweeps = relaxation.u, sweeps or len(relaxation.increments)
             x.array[:] = self._T @ u - over
             x.array[equations.bc_dofs] = equations.prescribed
             residual = self.relative_residual()
-            if not relaxation.converged or residual <= STATE_TOLERANCE or chosen["tolerance"] < MACHINE_EPSILON:
+            if not relaxation.converged or residual <= STATE_TOLERANCE or tolerance < MACHINE_EPSILON:
                 break
-            chosen["tolerance"] /= TOLERANCE_REDUCTION
+            tolerance /= TOLERANCE_REDUCTION
         if not (relaxation.converged and residual <= STATE_TOLERANCE):
-            raise SolveError(
-                f"the relaxation does not converge: after {sweeps} sweeps the increment is {relaxation.increments[-1]:.1e}"
-                f" and the residual {residual:.1e} of the forces",
-                residuals=tuple(map(float, relaxation.increments)),
-                advice=f"try -{PREFIX}relaxation_omega nearer to 1, -{PREFIX}relaxation_omega_contact 1, another solver, "
-                "or smaller loads",
-            )
+            last, increments = relaxation.increments[-1], tuple(map(float, relaxation.increments))
+            text = f"after {sweeps} sweeps the increment is {last:.1e} and the residual {residual:.1e} of the forces"
+            advice = f"try -{PREFIX}relaxation_omega and _omega_contact nearer to 1, another method, or smaller loads"
+            raise SolveError(f"the relaxation does not converge: {text}", residuals=increments, advice=advice)
         return sweeps, residual
 
 
-def _options() -> dict[str, Any]:
-    """The options of the relaxation in PETSc's database. InputError: a value is out of range."""
-    options, chosen = PETSc.Options(PREFIX + "relaxation_"), dict[str, Any]()
-    for name, (default, bound) in RELAXATION_OPTIONS.items():
-        chosen[name] = (options.getInt if isinstance(default, int) else options.getReal)(name, default)
-        if not 0 < chosen[name] < bound:
-            raise InputError(f"-{PREFIX}relaxation_{name} is {chosen[name]:g}; allowed: > 0 and < {bound:g}")
-    return chosen
+def _option(name: str) -> float:
+    """An option of the relaxation in PETSc's database. InputError: the value is out of range."""
+    options, (default, bound) = PETSc.Options(PREFIX + "relaxation_"), RELAXATION_OPTIONS[name]
+    value: float = (options.getInt if isinstance(default, int) else options.getReal)(name, default)
+    if not 0 < value < bound:
+        raise InputError(f"-{PREFIX}relaxation_{name} is {value:g}; allowed: > 0 and < {bound:g}")
+    return value
 
 
-def _held_components(frames: Array, is_fixed: BoolArray) -> BoolArray:
+def _fixed_components(frames: Array, is_fixed: BoolArray) -> BoolArray:
     """Mask (n, d) of constrained components of jumps, in the axes of S."""
     along = np.abs(frames)
     aligned = (np.abs(along - np.rint(along)) < AXIS_TOLERANCE).all(axis=(1, 2))
