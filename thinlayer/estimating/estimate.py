@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -78,13 +78,7 @@ def estimate(
         require(is_finite(width) and width > 0, "estimate: width", width, "allowed: > 0, over the change of a goal")
         checked = _checked_goals(goals)
     model = _with_layers(solution, layer)
-    if not model.layers:
-        raise InputError("estimate: there is no layer whose mesh could be dropped")
-    require_known("layer", seam, (S, *model.layers), "estimate")
-    if solution.model.bonds and seam not in (S, *solution.model.bonds):
-        what = f"estimate: {seam!r} has a layer, and bonds are at {', '.join(solution.model.bonds)}"
-        raise InputError(f"{what}; ask of a bond, or of all, or solve it with layers alone")
-    chosen = [name for name in model.layers if seam in (S, name)]
+    chosen = _checked_seams(model, solution.model.bonds, seam)
     with errors_on_all(model.comm):
         _require_subproblem(model, state, [model.layers[name] for name in chosen])
         for name in solution.model.bonds:
@@ -131,6 +125,17 @@ def estimate(
     traction, jump = relative_errors(total)
     seconds, by = time.perf_counter() - start, (layers, first, old, weights, checked, options)
     return Estimate(solution, last, errors, goal_errors, traction, jump, seconds, inside, energy, *by)
+
+
+def _checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> list[str]:
+    """Names of the seams whose layers are dropped; `bonds` are those that are bonded in the state."""
+    if not model.layers:
+        raise InputError("estimate: the model has no layer whose mesh could be dropped; give a model with layers")
+    require_known("layer", seam, (S, *model.layers), "estimate")
+    if bonds and seam not in (S, *bonds):
+        what = f"estimate: {seam!r} has a layer, and bonds are at {', '.join(bonds)}"
+        raise InputError(f"{what}; ask of a bond, or of all, or solve it with layers alone")
+    return [name for name in model.layers if seam in (S, name)]
 
 
 def _goal_error(name: str, value: float, scale: float, at: GoalBounds, bounded: bool) -> GoalError:

@@ -175,8 +175,7 @@ class Reaction(DirectedGoal):
         model, along = adjoint.model, self.unit(adjoint.model)
         if self.place in (S, BASE, *model.joint.base_seams):
             raise InputError(f"{self.name}: a rigid base holds it, and has no weights; ask for another place")
-        du = ufl.TestFunction(model.V)
-        q = adjoint.zero_vector()
+        du, q = ufl.TestFunction(model.V), adjoint.zero_vector()
         for part in model.parts:
             if any(is_part(place, self.place) for place, _ in part.reaction(model, adjoint.state.u)):
                 q.axpy(-1.0, adjoint.form_weights(part.work(model, du, ufl.as_vector(along.tolist()))))
@@ -231,9 +230,8 @@ class MeanTraction(DirectedGoal):
         linear = all(term.law.traits.linear and not term.law.traits.compiled for term in model.bodies)
         if not linear or not all(part.is_linear(model) for part in model.parts):
             raise InputError(f"{self.name}: a law of the bodies, or a part, is not linear; its weights are not known")
-        du, v = ufl.TestFunction(model.V), self._test(model)
+        u, du, v = fem.Function(model.V), ufl.TestFunction(model.V), self._test(model)
         works = forms.work([replace(term, prescribed_strain=None) for term in model.bodies], du, v)
-        u = fem.Function(model.V)
         if (added := model.added_work(u, v)).integrals():
             works += ufl.derivative(added, u, du)
         return adjoint.form_weights(works), adjoint.zero_vector()

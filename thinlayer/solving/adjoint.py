@@ -228,8 +228,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     def work(self, parts: Sequence[Part], z: Configuration) -> Array:
         """Work (m,) of the parts' stresses of the last evaluation in displacements z, distributed over the nodes."""
-        out = self.equations.u.x.petsc_vec.duplicate()
-        forces = out.duplicate()
+        out, forces = (self.equations.u.x.petsc_vec.duplicate() for _ in range(2))
         out.set(0.0)
         for part in parts:
             if hasattr(part, "add_work_in"):

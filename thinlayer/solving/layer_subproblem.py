@@ -22,6 +22,7 @@ from thinlayer.discretisation.constraints import create_aij, local_csr
 from thinlayer.discretisation.full_model import LayerModel, meeting_layers
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import ThinLayer
+from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import Configuration, Report, State
 from thinlayer.discretisation.supports import Place
@@ -194,14 +195,12 @@ class LayerSubproblem(DirichletLayers):
         interface: the interface model.
         layers: name of a seam -> its layer.
         t: the time.
-        cells_through: number of cells through the thickness.
+        through: number of cells through the thickness.
     """
 
-    def __init__(
-        self, interface: InterfaceModel, layers: Mapping[str, ThinLayer], t: float, cells_through: int = 4
-    ) -> None:
-        super().__init__(LayerModel(interface, layers, cells_through), t)
-        self.seams, self.through, self._comm = [*layers], cells_through, interface.comm
+    def __init__(self, interface: InterfaceModel, layers: Mapping[str, ThinLayer], t: float, through: int = 4) -> None:
+        super().__init__(LayerModel(interface, layers, through), t)
+        self.seams, self.through, self._comm = [*layers], through, interface.comm
         self._body_dofs, self._face_dofs = _matching_dofs(interface, self.model)
         times = self._comm.allreduce(np.bincount(self._face_dofs, minlength=len(self.load)))
         # a face displacement of several bodies, which could not separate there
@@ -381,7 +380,7 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
     return body_dofs, face_dofs
 
 
-def _local_cells(model: InterfaceModel | LayerModel, joint: Joint) -> IntArray:
+def _local_cells(model: Model, joint: Joint) -> IntArray:
     """(n_cells,) local cell of the model's mesh for each cell of the joint; -1: not on this rank."""
     out = np.full(len(joint.corners), -1, np.int64)
     original = model.domain.original_cells
@@ -389,9 +388,7 @@ def _local_cells(model: InterfaceModel | LayerModel, joint: Joint) -> IntArray:
     return out
 
 
-def _facet_dofs(
-    model: InterfaceModel | LayerModel, cells: IntArray, joint: Joint, cell: int, facet: int
-) -> Iterator[tuple[int, IntArray]]:
+def _facet_dofs(model: Model, cells: IntArray, joint: Joint, cell: int, facet: int) -> Iterator[tuple[int, IntArray]]:
     """Yield the nodes on a facet of a cell of the joint, each with the vertices of its vertex, edge or face."""
     if cells[cell] < 0:
         return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -309,15 +310,7 @@ class NewtonSolver(EquilibriumSolver):
         equations, largest = self.equations, DIVERGED_DISPLACEMENT * _largest(x)
         residuals, divergence = list[float](), ""
 
-        def function(_: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
-            equations.residual(x, b)
-            b.array[equations.bc_dofs] = 0.0
-
-        def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-            equations.tangent()
-            equations.apply_bcs(P)
-
-        def converged(_: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> PETSc.SNES.ConvergedReason:
+        def converged(snes: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> PETSc.SNES.ConvergedReason:
             nonlocal divergence
             x, r = snes.getSolution(), snes.getFunction()[0]
             residuals.append(equations.relative(r))
@@ -331,16 +324,7 @@ class NewtonSolver(EquilibriumSolver):
                 return Reason.DIVERGED_DTOL
             return Reason.CONVERGED_FNORM_ABS if equations.is_balanced(x, r) else False
 
-        A = equations.tangent()
-        equations.apply_bcs(A)
-        snes = PETSc.SNES().create(equations.comm)
-        snes.setOptionsPrefix(PREFIX)
-        snes.setFunction(function, x.duplicate())
-        snes.setJacobian(jacobian, A)
-        if self._own_test:
-            snes.setConvergenceTest(converged)
-        snes.setFromOptions()
-        equations.set_preconditioner_data(snes.getKSP(), A)
+        snes = self._create_snes(x, converged)
         solve_nonlinear(snes, x)
         reason, steps = snes.getConvergedReason(), snes.getIterationNumber()
         if self._own_test and not residuals and reason >= 0:  # PETSc itself refuses a first residual that is NaN
@@ -364,6 +348,30 @@ class NewtonSolver(EquilibriumSolver):
         if not equations.traits.releases:
             equations.require_unique()
         return StepSolution(x, steps + 1, last)
+
+    def _create_snes(self, x: PETSc.Vec, converged: Callable[..., PETSc.SNES.ConvergedReason]) -> PETSc.SNES:
+        """SNES of the equations at x, with the convergence test `converged` unless the user's options replace it."""
+        equations = self.equations
+
+        def function(_: PETSc.SNES, x: PETSc.Vec, b: PETSc.Vec) -> None:
+            equations.residual(x, b)
+            b.array[equations.bc_dofs] = 0.0
+
+        def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+            equations.tangent()
+            equations.apply_bcs(P)
+
+        A = equations.tangent()
+        equations.apply_bcs(A)
+        snes = PETSc.SNES().create(equations.comm)
+        snes.setOptionsPrefix(PREFIX)
+        snes.setFunction(function, x.duplicate())
+        snes.setJacobian(jacobian, A)
+        if self._own_test:
+            snes.setConvergenceTest(converged)
+        snes.setFromOptions()
+        equations.set_preconditioner_data(snes.getKSP(), A)
+        return snes
 
 
 def _largest(x: PETSc.Vec) -> float:

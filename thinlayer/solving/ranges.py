@@ -129,7 +129,7 @@ def warn_of_strains(states: Sequence[State]) -> None:
     if not states:
         return
     model = states[0].model
-    for term in (p for p in model.bodies if not p.law.traits.linear):
+    for term in (term for term in model.bodies if not term.law.traits.linear):
         u = fem.Function(model.V)
         e, unit = term.strain(u), fem.Constant(model.domain.mesh, 1.0)
         squares = compiled(ufl.inner(e, e) * term.weight * term.measure)

@@ -10,8 +10,9 @@ from petsc4py import PETSc
 from scipy import linalg
 from scipy.sparse.csgraph import connected_components
 
-from forms.base import Array, ThinlayerError
+from forms.base import Array
 from geometry.topology import BoolArray, Indices, IntArray
+from thinlayer.errors import SolveError
 from thinlayer.solving.linear_solvers import DIRECT_OPTIONS
 from thinlayer.solving.petsc import PREFIX, OptionValue, default_options, keep_unknowns, schur_complement
 from thinlayer.system.compilation import own_library, pointers
@@ -34,10 +35,6 @@ SMALL_PIECE_NODES = 1000  # number of nodes of pieces below which MUMPS underest
 SMALL_PIECE_OPTIONS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 200}  # additional workspace in per cent
 
 
-class FactorError(ThinlayerError, RuntimeError):
-    """MUMPS could not factorise a matrix, for instance because it is not positive definite."""
-
-
 class Condensation:
     """Schur complement of a stiffness on some unknowns, computed for a few connected pieces at a time.
 
@@ -55,7 +52,7 @@ class Condensation:
         stiffness: (c, c) condensed stiffness, dense if all pieces are factorised at once.
 
     Raises:
-        FactorError: MUMPS failed.
+        SolveError: MUMPS failed, for instance because the stiffness is not positive definite.
     """
 
     stiffness: Array | scipy.sparse.csr_matrix
@@ -159,7 +156,8 @@ class SchurFactor:
         code = self._factor.getMumpsInfog(1)
         if code < 0 or pc.getFailedReason():
             self.close()
-            raise FactorError(f"MUMPS could not factorise the stiffness matrix: INFOG(1) = {code}")
+            advice = "is every body supported, or does it meet S in more than a point?"
+            raise SolveError(f"contact: MUMPS could not factorise the stiffness: INFOG(1) = {code}", advice=advice)
         complement = schur_complement(self._factor, len(kept)) if len(kept) else np.empty((0, 0))
         self.complement = np.triu(complement)
         self.complement += np.triu(complement, 1).T
@@ -225,5 +223,6 @@ def _upper_triangle(A: Rows, is_fixed: BoolArray, d: int, nodes: IntArray) -> Ro
     indptr, indices, order = (a.astype(np.int32, copy=False) for a in (indptr, indices, nodes))
     arrays = pointers(c, indptr, indices, values, is_fixed, place, order, rows, columns, entries)
     if c.lib.upper_triangle(n, d, size, *arrays) != size:
-        raise FactorError("the nonzero pattern of the stiffness is not symmetric, or not made of blocks of nodes")
+        text = "contact: the nonzero pattern of the stiffness is not symmetric, or not made of blocks of nodes"
+        raise SolveError(text, advice="use method='newton'")
     return rows, columns, entries

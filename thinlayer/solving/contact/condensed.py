@@ -19,7 +19,7 @@ from geometry.topology import IntArray, along
 from thinlayer.discretisation.constraints import create_aij
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
-from thinlayer.solving.contact.condensation import Condensation, FactorError
+from thinlayer.solving.contact.condensation import Condensation
 from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.pairs import ContactPairs
 from thinlayer.solving.equations import Equations
@@ -71,11 +71,7 @@ class CondensedContact(ContactSolver):
     def solve(self, has_guess: bool) -> tuple[int, float]:
         """As in `ContactSolver`."""
         equations, pairs, b = self.equations, self.pairs, self.b.array
-        try:
-            condensation = self._condensation
-        except FactorError as error:
-            advice = "is every body supported, or does it meet S in more than a point?"
-            raise SolveError(f"contact: {error}", advice=advice) from error
+        condensation = self._condensation
         u, constrained = self.x.array_r[pairs.dofs], ~pairs.free.ravel()
         b[equations.bc_dofs] = 0.0  # decoupled; prescribed displacements are restored at the end
         g = condensation.condense(b)

@@ -71,8 +71,7 @@ class ContactSolver(EquilibriumSolver):
         self.b.aypx(-1.0, equations.external)
         self.b.array[equations.bc_dofs] = (equations.mean_stiffness or 1.0) * equations.prescribed
         self._like, self._has_solved = None, True
-        steps, residual = self.solve(has_guess)
-        return StepSolution(x, steps, residual)
+        return StepSolution(x, *self.solve(has_guess))
 
     @abstractmethod
     def solve(self, has_guess: bool) -> tuple[int, float]:

@@ -98,8 +98,10 @@ class MultigridContact(ContactSolver):
         with default_options({**HIERARCHY_OPTIONS, **NEWTON_OPTIONS}):
             if self._tangent is None:
                 self._tangent = ContactTangent(self.A, nodes, self.pairs, self.equations, start)
-            else:
-                _mark_as_read(("pc_", "mg_"))
+            else:  # later solves do not read the hierarchy's options, and must not refuse them
+                for name in options_set():
+                    if name.startswith(("pc_", "mg_")):
+                        PETSc.Options().hasName(PREFIX + name)
             both = [(start, STRICT_REDUCTIONS), (None, LOOSE_REDUCTIONS)]
             for guess, reductions in both[::-1] if start is None else both:
                 newton = _NewtonRun(self, self._tangent, reductions)
@@ -279,10 +281,3 @@ def turned_jumps(pairs: ContactPairs, w: Array, at: SlidingState | None) -> Arra
     share = -(now[back] * change).sum(axis=1) / (change**2).sum(axis=1)
     out[back, :-1] = share[:, None] * change
     return out
-
-
-def _mark_as_read(beginnings: tuple[str, ...]) -> None:
-    """Mark options as read that only the first solve reads, so that later solves do not refuse them."""
-    for name in options_set():
-        if name.startswith(beginnings):
-            PETSc.Options().hasName(PREFIX + name)
