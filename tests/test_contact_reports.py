@@ -111,8 +111,8 @@ def test_refused_solves():
         (ValueError, "condensed", model, {"method": "linear"}),
         (InputError, "supports along the axes of S at its nodes", askew, {"method": "relaxation"}),
         (InputError, "like", model, {"like": 3}),
-        (InputError, "for another one", elastic.structure.bonded(), {"like": solve(elastic)}),
-        (InputError, "for another one, with the same element", elastic, {"like": solve(squared)}),
+        (InputError, "same element and bonds", elastic.structure.bonded(), {"like": solve(elastic)}),
+        (InputError, "same element and bonds", elastic, {"like": solve(squared)}),
         (InputError, "same joint", model, {"like": solve(Structure(other, **data).interface(coulomb("middle")))}),
     ]
     for kind, words, case_model, choices in rows:
