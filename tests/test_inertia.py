@@ -57,6 +57,12 @@ def test_reactions_on_s_contain_the_forces_of_inertia():
     assert traction == pytest.approx(4 * jump, rel=1e-9)
 
 
+def test_misspelt_and_missing_methods_of_a_part_are_refused():
+    refused(InputError, "did you mean 'failure'", lambda: type("Own", (Newmark,), {"faillure": lambda self: ""}))
+    refused(InputError, "define 'switch' too", lambda: type("Own", (Newmark,), {"excess": lambda self: 0.0}))
+    assert type("Own", (Newmark,), {"reset": lambda self: None}).failure is Newmark.failure
+
+
 def run(out: Path | None, times, *, resume: bool = False) -> list[float]:
     """Shortenings of a bar; velocities and accelerations are of degree 2, as displacements are."""
     model = bar("interface", Inertia(1.0), h=0.1)

@@ -149,7 +149,8 @@ def test_temperatures_are_asked_for_in_the_joint_before_inflating(bodies, across
         return 20 + 100 * x[1]
 
     law = NonMonotone(60.0, 40.0, Tabulated([(0.0, 0.5), (100.0, 1.5)]), 0.15, CHI, T=T)
-    Equations(model(law=law, kind=partial(Structure.full, bodies=bodies))).call_optional("at_time", 0.0)
+    for part in Equations(model(law=law, kind=partial(Structure.full, bodies=bodies))).parts:
+        part.at_time(0.0)
     assert np.abs(seen[-1][1]).max() == pytest.approx(across, rel=0.2, abs=1e-12)
     assert np.ptp(seen[-1][0]) > 0.8
 

@@ -81,8 +81,8 @@ def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
     """Write into `out` the diagonal of K and of the tangents at rest of bodies that are not in K. Collective."""
     out.set(0.0)  # a subproblem of layers alone has no bodies
     of_K = [part.K.getDiagonal() for part in parts if part.K is not None]
-    of_parts = (part.diagonal_at_rest() for part in parts if hasattr(part, "diagonal_at_rest"))
-    for diagonal in (*of_K, *(vec for vec in of_parts if vec is not None)):
+    of_parts = [diagonal for part in parts if (diagonal := part.diagonal_at_rest()) is not None]
+    for diagonal in (*of_K, *of_parts):
         out.axpy(1.0, diagonal)
         diagonal.destroy()
     return out

@@ -107,8 +107,8 @@ class CompiledPart(Part):
         material = self.points.material
         return [material.parameters] if material.varies else []
 
-    def set_homotopy(self, ease: float) -> None:
-        self.points.set_homotopy(ease)
+    def set_homotopy(self, parameter: float) -> None:
+        self.points.set_homotopy(parameter)
         self.points.at_time(self._t)
 
     def begin(self, interval: TimeStep) -> None:

@@ -40,7 +40,7 @@ class ContactPart(Part):
         law.check_threshold()
         of_law = {name: getattr(law.traits, name) for name in ("remembers", "softens")}
         self.traits = PartTraits(nonlinear=True, releases=True, has_homotopy=True, **of_law)
-        self.key, self.law, self.nodes, self.cancelling = key, law, ContactNodes(surface, bc_dofs, gap=law.gaps), 0.0
+        self.key, self.law, self.nodes = key, law, ContactNodes(surface, bc_dofs, gap=law.gaps)
         self.now: ContactLaw | ContactHomotopy = law
         self.slip = self.rest()
         law.check_dimension(self.nodes.dim)
@@ -59,8 +59,8 @@ class ContactPart(Part):
         super().begin(interval)
         self.slip = interval.old.memory[self.key]
 
-    def set_homotopy(self, ease: float) -> None:
-        self.now = self.law.homotopy(MIN_SPRING_SHARE ** (1 - ease)) if ease else self.law
+    def set_homotopy(self, parameter: float) -> None:
+        self.now = self.law.homotopy(MIN_SPRING_SHARE ** (1 - parameter)) if parameter else self.law
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self._u, self._w = u, self.nodes.separation(u.x.petsc_vec)

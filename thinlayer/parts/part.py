@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
-from typing import Any
+from difflib import get_close_matches
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.base import Array
+from forms.base import Array, InputError
 from forms.law import Law
 from forms.traits import accept_renamed
 from geometry.topology import IntArray
@@ -20,6 +21,7 @@ from thinlayer.errors import former_names
 
 Memory = Array | Mapping[str, fem.Function]  # (n, values) at entities, or functions by name
 DISPLACEMENT_KEY = "u"  # the key of the unknowns that all parts share
+MISSPELT_SIMILARITY = 0.9  # ratio of two names (difflib) from which on one counts as the other misspelt
 
 
 @dataclass(frozen=True)
@@ -172,54 +174,68 @@ class Part(ABC):
 
     A step starts with `begin`. A solver then tries unknowns: it passes the displacements to `evaluate`, and all other
     methods refer to the last evaluation. `commit` is called once, when the step is accepted. Four methods are
-    compulsory: `evaluate`, `add_forces`, `tangents` and `commit`.
-
-    A part may have further methods and attributes, which `PartSum.call_optional` looks up where they are needed:
-
-    - `add_fixed(out)`: adds the nodal forces that do not depend on the unknowns of the step.
-    - `failure() -> str`: says what failed in the last evaluation and where; "" if nothing failed.
-    - `at_time(t)`: sets the parameters to their values at time t; InputError: a parameter is out of range.
-      `parameters()`: list of the arrays on this rank that vary in time.
-    - `set_homotopy(ease)`: sets the law to the homotopy law with this continuation parameter: 0 is the law itself, 1 an
-      elastic law.
-    - `excess() -> float`: largest gain of energy by a change of phase in a column. `switch() -> bool` changes columns
-      to the phases of lowest energy in the last evaluation, and returns whether any column has changed.
-    - `error_measure(u)`: strains or jumps (n,) at u, for the error of a step; the sum of their squares is an integral.
-      `unit_jump_measure()`: estimate of this sum for a unit jump across the layer. `add_forces_in(state, out)`: adds
-      the nodal forces of bodies' stresses in a state.
-    - `answers_at_once(times)`: name of a law with a non-linear instantaneous response, and whether varying parameters
-      are the reason; None without such a law. `takes_time() -> str`: name of a law whose response depends on the length
-      of the step, or "". `undeclared_softening()`: name of a law whose stress falls without the trait `softens`, and
-      the place; None without such a law.
-    - `diagonal_at_rest()`: diagonal of the tangent at rest of bodies that are not in K, a scale of forces, or None; the
-      caller destroys it. `distance`: largest prescribed distance of bodies, such as an initial gap. Displacements have
-      rounding errors of its size. `cancelling`: norm of the diagonal of a stiffness that is not in K and acts on
-      differences of displacements.
-    - `add_work_in(z, out)`: adds the work of the last stresses in displacements z, distributed to nodes. Without this
-      method the work is the nodal forces times z.
-    - `stress_width`: number of stress components that states keep at each point of the memory.
+    compulsory: `evaluate`, `add_forces`, `tangents` and `commit`. A part with the methods of `SwitchesPhases` or of
+    `MeasuresError` has this ability, too.
 
     Attributes:
         key: name of the part's memory, energy and unknowns, in states and in files.
         traits: properties of the part.
         failed: number of points on all ranks at which the last evaluation failed.
         K: matrix of the forces that are linear in the displacements; None: there is no such matrix.
+        field: own unknowns of a `FieldPart`; None for other parts.
+        distance: largest prescribed distance of bodies, such as an initial gap: displacements have rounding errors of
+            its size.
+        cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements.
+        stress_width: number of stress components that states keep at each point of the memory.
         interval: the present step.
+
+    Raises:
+        InputError: when a subclass is defined: a method's name is nearly that of an optional method, or only some
+            methods of an ability are defined.
     """
 
     key: str
     traits = PartTraits()
     failed: int = 0
     K: PETSc.Mat | None = None
+    field: fem.Function | None = None
+    distance: float = 0.0
+    cancelling: float = 0.0
+    stress_width: int = 0
     interval: TimeStep
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         accept_renamed(cls, {"ease": "set_homotopy", "own_held": "own_prescribed"})
+        abilities, members = [_public_names(kind) for kind in (SwitchesPhases, MeasuresError)], vars(cls)
+        expected = set[str]().union(*abilities, *map(_public_names, cls.__mro__[1:]))
+        for name in sorted(_public_names(cls) - expected):
+            if callable(members[name]) or isinstance(members[name], property):
+                for meant in get_close_matches(name, expected - members.keys(), 1, MISSPELT_SIMILARITY):
+                    raise InputError(f"{cls.__name__} defines {name!r}; did you mean {meant!r}?")
+        for names in abilities:
+            missing = names.difference(dir(cls))
+            if missing and missing != names:
+                raise InputError(
+                    f"{cls.__name__} defines {min(names - missing)!r}; it must define {min(missing)!r} too"
+                )
 
     def begin(self, interval: TimeStep) -> None:
         """Begin a step from the configuration `interval.old`."""
         self.interval = interval
+
+    def add_fixed(self, out: PETSc.Vec) -> None:
+        """Add the nodal forces that do not depend on the unknowns of the step."""
+
+    def at_time(self, t: float) -> None:
+        """Set the parameters to their values at time t; InputError: a parameter is out of range."""
+
+    def parameters(self) -> list[Array]:
+        """The arrays on this rank that vary in time, at the time of the last `at_time`."""
+        return []
+
+    def set_homotopy(self, parameter: float) -> None:
+        """Set the law to the homotopy law of a continuation parameter: 0 is the law itself, 1 an elastic law."""
 
     @abstractmethod
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
@@ -228,9 +244,25 @@ class Part(ABC):
         The caller owns both functions and leaves them unchanged until the next evaluation.
         """
 
+    def failure(self) -> str:
+        """Text that says what failed in the last evaluation and where; "" if nothing failed."""
+        return ""
+
     @abstractmethod
     def add_forces(self, out: PETSc.Vec) -> float:
         """Add the nodal forces of the last evaluation; return their norm if it enters the force scale, else 0."""
+
+    def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
+        """Add the work of the last stresses in displacements z, distributed to nodes; by default nodal forces times z."""
+        forces = out.duplicate()
+        forces.set(0.0)
+        self.add_forces(forces)
+        forces.pointwiseMult(forces, z.x.petsc_vec)
+        out.axpy(1.0, forces)
+        forces.destroy()
+
+    def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
+        """Add the nodal forces of the stresses of bodies in a state, for the error of a step."""
 
     @abstractmethod
     def tangents(self, relative_residual: float) -> list[Block]:
@@ -250,6 +282,10 @@ class Part(ABC):
     def commit(self) -> StepOutcome:
         """Energies and memory at the end of the step, for the last evaluation."""
 
+    def undeclared_softening(self) -> tuple[str, str] | None:
+        """Name of a law whose stress falls without the trait `softens`, and the place; None: there is no such law."""
+        return None
+
     def rest(self) -> Memory | None:
         """Memory at rest; None: the part has no memory.
 
@@ -267,8 +303,50 @@ class Part(ABC):
         """Traits by the names that error messages use: names of laws, or of the part itself."""
         return {f"the part {self.key!r}": self.traits}
 
+    def diagonal_at_rest(self) -> PETSc.Vec | None:
+        """Diagonal of the tangent at rest of bodies that are not in K, a scale of forces; the caller destroys it."""
+        return None
+
+    def takes_time(self) -> str:
+        """Name of a law whose response depends on the length of the step; "" without such a law."""
+        return ""
+
+    def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
+        """Name of a law with a non-linear instantaneous response; None: there is no such law.
+
+        The second value is whether parameters that vary in time are the reason.
+        """
+        return next(((name, False) for name, has in self.named().items() if has.nonlinear and not has.rate), None)
+
     def destroy(self) -> None:
         """Free the matrices."""
+
+
+@runtime_checkable
+class SwitchesPhases(Protocol):
+    """Ability of a part whose columns switch phases."""
+
+    def excess(self) -> float:
+        """Largest gain of energy by a change of phase in a column."""
+
+    def switch(self) -> bool:
+        """Change columns to the phases of lowest energy in the last evaluation; return whether any column changed."""
+
+
+@runtime_checkable
+class MeasuresError(Protocol):
+    """Ability of a part to measure its strains or jumps, for the error of a step."""
+
+    def error_measure(self, u: fem.Function) -> Array:
+        """Strains or jumps (n,) at u; the sum of their squares is an integral."""
+
+    def unit_jump_measure(self) -> float:
+        """Estimate of this sum for a unit jump across the layer."""
+
+
+def _public_names(kind: type) -> set[str]:
+    """Public names that a class itself defines."""
+    return {name for name in vars(kind) if not name.startswith("_")}
 
 
 class FieldPart(Part):

@@ -228,14 +228,8 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     def work(self, parts: Sequence[Part], z: Configuration) -> Array:
         """Work (m,) of the parts' stresses of the last evaluation in displacements z, distributed over the nodes."""
-        out, forces = (self.equations.u.x.petsc_vec.duplicate() for _ in range(2))
+        out = self.equations.u.x.petsc_vec.duplicate()
         out.set(0.0)
         for part in parts:
-            if hasattr(part, "add_work_in"):
-                part.add_work_in(z.u, out)
-                continue
-            forces.set(0.0)
-            part.add_forces(forces)
-            forces.pointwiseMult(forces, z.u.x.petsc_vec)
-            out.axpy(1.0, forces)
+            part.add_work_in(z.u, out)
         return np.asarray(out.array_r.copy())

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -86,7 +85,8 @@ class Equations(PartSum):
         self._rigid = RigidMotions(model, float(diag.norm()))
         (self.block_of, self.within), self.last_body = self._rigid.blocks, [None, *shared.bodies][-1]
         self.n_blocks = self.within.shape[0]
-        self.scale = ForceScale(self.norms(diag.array_r), max([0.0, *self.call_optional("cancelling")]), self.within)
+        cancelling = max((part.cancelling for part in self.parts), default=0.0)
+        self.scale = ForceScale(self.norms(diag.array_r), cancelling, self.within)
         self.mean_stiffness = float(diag.norm(PETSc.NormType.NORM_1)) / diag.getSize()
         self._reactions = SupportReactions(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
@@ -205,13 +205,14 @@ class Equations(PartSum):
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
             largest_displacement = max(largest_displacement, across)
         moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # if loads end at zero, so may all forces
-        moved = max([moved, *self.call_optional("distance")])
+        moved = max([moved, *(part.distance for part in self.parts)])
         if self.mean_stiffness:  # about the displacement of an elastic response
             moved = max(moved, float(self.loads.norm()) / (self.mean_stiffness * math.sqrt(self.loads.getSize())))
         self.scale.begin(self.norms(self.loads.array_r), largest_displacement, moved)
         self.begin_parts(interval)
         self.external.set(0.0)
-        self.call_optional("add_fixed", self.external)
+        for part in self.parts:
+            part.add_fixed(self.external)
         self.external.aypx(-1.0, self.loads)
 
     def loads_at(self, t: float) -> PETSc.Vec:
@@ -317,10 +318,11 @@ class Equations(PartSum):
         with augmented_in_place(self.comm, first.matrix, others, self.bc_rows, self.mean_stiffness or 1.0) as A:
             yield A
 
-    def set_homotopy(self, ease: float) -> None:
+    def set_homotopy(self, parameter: float) -> None:
         """Set the continuation parameter of the laws: 0 is the law itself, 1 an elastic law."""
-        self.homotopy_parameter = ease
-        self.call_optional("set_homotopy", ease)
+        self.homotopy_parameter = parameter
+        for part in self.parts:
+            part.set_homotopy(parameter)
 
     def accept(self, x: PETSc.Vec, report: Report) -> State:
         """Return the state at the end of the step, for its solution x.
@@ -389,13 +391,10 @@ class Equations(PartSum):
 
     def _given_at(self, t: float) -> list[Array]:
         """Loads, prescribed displacements, prescribed strains and varying parameters at time t, on this rank."""
-        self.call_optional("at_time", t)
-        return [
-            self.loads_at(t).array_r.copy(),
-            self.constraints.values(t),
-            *self._strains_at(t),
-            *chain(*self.call_optional("parameters")),
-        ]
+        for part in self.parts:
+            part.at_time(t)
+        varying = [values for part in self.parts for values in part.parameters()]
+        return [self.loads_at(t).array_r.copy(), self.constraints.values(t), *self._strains_at(t), *varying]
 
     def _strains_at(self, t: float) -> list[Array]:
         if self.model.strain:  # it has its own error for values that are not finite

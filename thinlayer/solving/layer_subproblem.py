@@ -221,8 +221,7 @@ class LayerSubproblem(DirichletLayers):
         strained, nodal_work = fem.Function(self.model.V), fem.Function(self.model.V)
         strained.x.array[:] = z[: self._n_u]
         for part in self._equations.layers:
-            if hasattr(part, "add_work_in"):
-                part.add_work_in(strained, nodal_work.x.petsc_vec)
+            part.add_work_in(strained, nodal_work.x.petsc_vec)
         return np.asarray(nodal_work.x.array - (z * self.forces)[: self._n_u])
 
     def _motions(self, free: BoolArray) -> tuple[Array, BoolArray]:

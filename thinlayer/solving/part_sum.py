@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import reduce
@@ -19,7 +20,17 @@ from geometry.topology import Indices
 from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
-from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, Memory, Part, PartTraits, StepOutcome, TimeStep
+from thinlayer.parts.part import (
+    DISPLACEMENT_KEY,
+    Block,
+    FieldPart,
+    Memory,
+    Part,
+    PartTraits,
+    StepOutcome,
+    SwitchesPhases,
+    TimeStep,
+)
 from thinlayer.pointwise.quadrature import set_owned_values
 from thinlayer.system.ranks import destroy, send
 
@@ -157,7 +168,7 @@ class PartSum:
         self.traits = reduce(or_, (part.traits for part in self.parts), PartTraits())
         self.with_own = [part for part in self.parts if isinstance(part, FieldPart)]
         for part in self.parts:
-            if hasattr(part, "field") and not isinstance(part, FieldPart):
+            if part.field is not None and not isinstance(part, FieldPart):
                 raise InputError(f"the part {part.key!r} has a field of its own; derive it from FieldPart")
         timed = (part.traits.rate or (part.traits.remembers and not part.traits.switches) for part in self.parts)
         self.depends_on_dt, self.failed = any(timed), 0
@@ -176,11 +187,6 @@ class PartSum:
             for name in self.names_with_trait(trait):
                 raise InputError(reason.format(name))
 
-    def call_optional(self, name: str, *arguments: Any) -> list[Any]:
-        """Results of an optional method, or values of an optional attribute, of the parts that have it, see `Part`."""
-        answers = [getattr(part, name) for part in self.parts if hasattr(part, name)]
-        return [answer(*arguments) if callable(answer) else answer for answer in answers]
-
     # ---------------------------------------------------------------- a step
     @property
     def memory_at_rest(self) -> dict[str, Memory]:
@@ -190,11 +196,9 @@ class PartSum:
     @property
     def stresses_at_rest(self) -> dict[str, Array]:
         """Zero stresses at rest, by key, of the parts whose stresses are stored in states."""
-        return {
-            part.key: np.zeros((len(rest), width))
-            for part in self.parts
-            if (width := getattr(part, "stress_width", 0)) and (rest := part.rest()) is not None
-        }
+        keeping = [part for part in self.parts if part.stress_width]
+        rests = [(part, rest) for part in keeping if (rest := part.rest()) is not None]
+        return {part.key: np.zeros((len(rest), part.stress_width)) for part, rest in rests}
 
     def begin_parts(self, interval: TimeStep) -> None:
         """Begin a step in all parts."""
@@ -226,7 +230,7 @@ class PartSum:
 
     def failure(self) -> str:
         """Text that says which part failed in the last evaluation and where; "" if no part failed."""
-        return next(filter(None, self.call_optional("failure")), "")
+        return next(filter(None, [part.failure() for part in self.parts]), "")
 
     def blocks(self, relative_residual: float = 0.0) -> list[Block]:
         """Blocks of the tangent at the last evaluation."""
@@ -240,11 +244,11 @@ class PartSum:
     @property
     def excess(self) -> float:
         """Largest gain of energy by a change of phase of a column; <= 0 if no column gains energy."""
-        return max([-np.inf, *self.call_optional("excess")])
+        return max((part.excess() for part in self.parts if isinstance(part, SwitchesPhases)), default=-math.inf)
 
     def switch(self) -> bool:
         """Change columns to the phases of lowest energy in the last evaluation; return whether any column changes."""
-        return any(self.call_optional("switch"))
+        return any([part.switch() for part in self.parts if isinstance(part, SwitchesPhases)])
 
     def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, StepOutcome], Configuration]:
         """End the step at displacements u of the last evaluation; return the parts' outcomes and the configuration."""

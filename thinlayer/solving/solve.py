@@ -300,8 +300,8 @@ class Solver(AbstractContextManager["Solver"]):
     def _accept(self, x: PETSc.Vec, report: Report) -> State:
         """State of the solution x; warns, once, if the stress of a law falls although it does not declare `softens`."""
         state = self.equations.accept(x, report)
-        falling = [] if self._warned else [*filter(None, self.equations.call_optional("undeclared_softening"))]
-        for name, where in falling[:1]:
+        falling = [] if self._warned else [part.undeclared_softening() for part in self.equations.parts]
+        for name, where in [*filter(None, falling)][:1]:
             self._warned = True
             what = f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow: there may be other"
             remedy = "write softens = True in the class, and follow them by march(model, ArcLength(...))"

@@ -19,7 +19,7 @@ from petsc4py import PETSc
 from forms.base import Array
 from thinlayer.discretisation.state import State
 from thinlayer.errors import NoEquilibrium, SolveError
-from thinlayer.parts.part import TimeStep
+from thinlayer.parts.part import MeasuresError, TimeStep
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import Factor, mark_symmetry
 from thinlayer.solving.part_sum import MIN_DIVISOR
@@ -110,7 +110,7 @@ class WeakSprings:
         equations, r, d = self.equations, self._r, self._d
         equations.begin(TimeStep(rest, step.old.t, step.dt, 1.0))
         loads, prescribed = equations.prescribed_forces(), equations.prescribed
-        ease = equations.homotopy_parameter
+        parameter = equations.homotopy_parameter
         equations.set_homotopy(1.0)
         try:
             equations.begin(TimeStep(rest, step.t, step.dt, 1.0))
@@ -118,7 +118,7 @@ class WeakSprings:
             equations.residual(self._x, r)
             A = equations.tangent()
         finally:
-            equations.set_homotopy(ease)
+            equations.set_homotopy(parameter)
         A.shift(MIN_STIFFNESS * self._unit)
         r.waxpy(-1.0, loads, equations.prescribed_forces())
         d.set(0.0)
@@ -136,7 +136,7 @@ class WeakSprings:
         self._d.array[:] = x - self._start
         model, u, sums = self.equations.model, self.equations.configuration(self._d).u, {}
         for part in self.equations.parts:
-            if (part.traits.bounded or part.traits.releases) and hasattr(part, "error_measure"):
+            if (part.traits.bounded or part.traits.releases) and isinstance(part, MeasuresError):
                 sums[part.key] = self.equations.comm.allreduce(float((part.error_measure(u) ** 2).sum()))
         of_seams = model.by_seam(sums)
         thin = {name: model.layers[name].thin_layer for name, square in of_seams.items() if square > 0}

@@ -199,10 +199,8 @@ def require_in_time(equations: Equations, times: Times, theta: float, ends: list
     bounds = f"theta is {theta}; {{}} bounds stresses, which at the end of a step may exceed it: {THETA_HINT}"
     equations.refuse({"releases": at_ends, "switches": at_ends, "bounded": bounds})
     for part in equations.parts:
-        at_once = [(name, False) for name, has in part.named().items() if has.nonlinear and not has.rate]
-        if hasattr(part, "answers_at_once"):
-            at_once = [*filter(None, [part.answers_at_once(ends)])]
-        for name, changes in at_once:
+        if at_once := part.answers_at_once(ends):
+            name, changes = at_once
             how = "with parameters that change in time" if changes else "not linearly (linear = True is not declared)"
             what = f"theta is {theta}; {name} answers at once, and {how}"
             raise InputError(f"{what}: states at the ends of steps would oscillate undamped: {THETA_HINT}")
@@ -225,7 +223,7 @@ def require_path(equations: Equations, times: Times, theta: float, method: str |
             for name in part.named():
                 raise InputError(f"{name} is incompressible: paths have displacements alone; march in time")
         equations.refuse(NO_PATH_REASONS)
-        for name in filter(None, equations.call_optional("takes_time")):
+        for name in filter(None, (part.takes_time() for part in equations.parts)):
             raise InputError(f"{name} creeps or relaxes, and t is no time on a path: march in time")
     except InputError as error:
         if isinstance(times, ArcLength):

@@ -16,6 +16,7 @@ from forms.kinematics import PLANE_STRAIN
 from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import State
 from thinlayer.errors import LimitLoad, NoEquilibrium, SolveError
+from thinlayer.parts.part import MeasuresError
 from thinlayer.pointwise.columns import EXCESS_TOLERANCE
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import TIME_TOLERANCE
@@ -289,7 +290,8 @@ class ErrorEstimate:
     def __init__(self, equations: Equations) -> None:
         self._equations, self.comm = equations, equations.comm
         # approximate norm of strains for a unit jump
-        self._unit = float(np.sqrt(sum(equations.call_optional("unit_jump_measure"))))
+        self._measuring = [part for part in equations.parts if isinstance(part, MeasuresError)]
+        self._unit = float(np.sqrt(sum(part.unit_jump_measure() for part in self._measuring)))
 
     def shares(self, other: State, state: State, largest: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
         """Differences (3,) of two states in the quantities, over the norms in the second or, if larger, `largest`."""
@@ -310,8 +312,9 @@ class ErrorEstimate:
         u = state.u
         forces = u.x.petsc_vec.duplicate()
         forces.set(0.0)
-        jumps = self._equations.call_optional("error_measure", u)
-        self._equations.call_optional("add_forces_in", state, forces)
+        jumps = [part.error_measure(u) for part in self._measuring]
+        for part in self._equations.parts:
+            part.add_forces_in(state, forces)
         return [u.x.petsc_vec.array_r.copy(), np.concatenate([np.empty(0), *jumps]), forces.array_r.copy()]
 
     def _norms(self, parts: list[Array]) -> Array:
