@@ -37,6 +37,11 @@ class StepAttempt:
     until: float = math.inf
 
 
+def is_divisible(start: float, end: float) -> bool:
+    """Whether a step is so long that its two halves are not lost in rounding."""
+    return start < (start + end) / 2 < end
+
+
 @dataclass(eq=False)
 class Controller(ABC):
     """Controller of the steps of a march.
@@ -44,19 +49,19 @@ class Controller(ABC):
     Attributes:
         solver: solver of the model.
         journal: journal of the march.
+        targets: times at which steps must end.
         start: time of the first state.
-        targets: times after `start` at which steps must end.
         near: largest difference of times that count as equal.
         smallest: length below which a step is not shortened further.
     """
 
     solver: Solver
     journal: Journal
-    start: float
     targets: Sequence[float]
     smallest: float = field(init=False)
 
     def __post_init__(self) -> None:
+        self.start = self.journal.start
         lengths = np.diff([self.start, *self.targets])
         self.near = min(TIME_TOLERANCE * max(abs(self.start), abs(self.targets[-1])), float(lengths.min()) / 2)
         self._log = logger("march", self.solver.model.comm)

@@ -6,20 +6,20 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError, TurningPoint
 from thinlayer.solving.petsc import Options
 from thinlayer.time.controller import Controller, StepAttempt
 from thinlayer.time.path import EquilibriumPath
-from thinlayer.time.plan import ArcLength
+
+if TYPE_CHECKING:  # the settings make their controllers
+    from thinlayer.time.plan import ArcLength
 
 WANTED_ITERATIONS = 4  # number of Newton steps at which the length of the next step stays the same
 MIN_LENGTH_RATIO, MAX_LENGTH_RATIO = 0.5, 2.0  # bounds of the ratio of the lengths of two steps
 CORNER_LENGTH = 0.125  # largest length, relative to the first step, of a failed step that may contain a corner
-MIN_LENGTH = 1e-3  # length of the shortest step before a turning point, relative to the first step
 UNLIMITED_STEPS = 10**6
 
 
@@ -33,7 +33,7 @@ class ArcLengthController(Controller):
     """
 
     path: ArcLength
-    options: Options | None
+    options: Options
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -125,13 +125,6 @@ class PathToTimesController(ArcLengthController):
     """
 
     _turned = False  # whether the path has turned back in the last step tried
-
-    @staticmethod
-    def settings(start: float, times: Sequence[float]) -> ArcLength:
-        """Settings of an arc-length path to given times."""
-        lengths = np.diff([start, *times])
-        first, largest = float(lengths[0]), float(lengths.max() / lengths[0])
-        return ArcLength(times[-1], first, MIN_LENGTH, largest, steps=UNLIMITED_STEPS)
 
     def _breaks(self, t: float) -> bool:
         return any(abs(t - break_time) <= self.near for break_time in self.solver.model.break_times)

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -50,17 +49,18 @@ class Journal:
 
     Attributes:
         equations: the equations of the model.
-        choices: arguments of the march that must be the same to resume it, "theta" among them.
+        choices: arguments of the march that must be the same to resume it, "start" and "theta" among them.
         observe: name of a column -> function of a state.
         keep: "all": keep all states; "last": keep only the last one.
         out: folder for the table and the files from which to resume; None: no files.
         history: the accepted states.
         pace: the pace of the next step; written with the states.
         before: the state before the last, which gives the direction of a path.
+        start: time of the first state.
     """
 
     equations: Equations
-    choices: Mapping[str, Any]
+    choices: Mapping[str, float | None]
     observe: Observers = field(default_factory=dict)
     keep: str = "last"
     out: Path | None = None
@@ -70,7 +70,8 @@ class Journal:
         names = self.model.comm.bcast([*self.observe])  # one order of the columns on all ranks
         self._observe, self._columns = {name: self.observe[name] for name in names}, columns(self.model)
         self._log = logger("march", self.model.comm)
-        self.history, self.pace = History(self.model, theta=float(self.choices["theta"])), Pace()
+        self.start, theta = (float(self.choices[name] or 0.0) for name in ("start", "theta"))
+        self.history, self.pace = History(self.model, theta=theta), Pace()
         self.before: State | None = None
         self._files, self._written = None, 0
         if self.out:

@@ -23,24 +23,9 @@ from thinlayer.system.folder import own_folder
 from thinlayer.system.progress import report
 from thinlayer.system.ranks import errors_on_all, require_same
 from thinlayer.time.controller import Controller
-from thinlayer.time.following import ArcLengthController, PathToTimesController
 from thinlayer.time.journal import OBSERVER_HINT, Journal, Observers
-from thinlayer.time.plan import (
-    Adaptive,
-    ArcLength,
-    Times,
-    ends_of_steps,
-    load_durations,
-    require_in_time,
-    require_path,
-)
-from thinlayer.time.stepping import (
-    COMPARED_QUANTITIES,
-    AdaptiveController,
-    ErrorEstimate,
-    PlannedStepsController,
-    SnapController,
-)
+from thinlayer.time.plan import Plan, PlannedTimes, Times, require_in_time
+from thinlayer.time.stepping import COMPARED_QUANTITIES, ErrorEstimate
 
 WARN_STEP_ERROR = 0.02  # least error of the steps that leads to a warning
 MIN_HALVED_STEPS = 8  # least number of planned steps that is halved; fewer are repeated as this many or more
@@ -128,38 +113,26 @@ def march(
         start = begun[-1].t if begun else _number("start", start or 0.0)
         theta = _number("theta", theta)
         _check(model, theta, keep, out, resume, observe)
-        if isinstance(times, ArcLength):
-            times.check(start)
-        elif not isinstance(times, Adaptive):
-            times = ends_of_steps(times, start)
+        plan = times if isinstance(times, Plan) else PlannedTimes(times)
+        plan.targets(start)
     choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
-    require_same(model.comm, times=times, **choices, observe={*(observe or {})})
+    require_same(model.comm, times=plan, **choices, observe={*(observe or {})})
     folder = Path(out) if out else None
     with Solver(model, **solver) as finder, own_folder(folder, model.comm):
         equations, traits = finder.equations, finder.equations.traits
-        ends_at_breaks = traits.remembers or traits.rate or traits.softens or isinstance(times, Adaptive)
-        ends = ends_of_steps(times, start, model.break_times if ends_at_breaks else ())
-        on_path = isinstance(times, ArcLength) or traits.softens
-        if on_path:
-            require_path(equations, times, theta, solver.get("method"))
+        ends_at_breaks = traits.remembers or traits.rate or traits.softens or plan.stops_at_breaks
+        ends = plan.targets(start, model.break_times if ends_at_breaks else ())
+        on_path, first = plan.is_path(traits), plan.first_length(start, ends)
+        plan.check_model(equations, theta, solver.get("method"))
         equations.check_times([start, *ends])
         if not on_path:
-            require_in_time(equations, times, theta, [start, *ends])
-        identity = {"start": start, "theta": theta, "tolerance": getattr(times, "tolerance", None)}
-        identity |= {"first": getattr(times, "first", ends[0] - start)} if on_path else {}
+            require_in_time(equations, theta, [start, *ends])
+        identity = {"start": start, "theta": theta, "tolerance": plan.tolerance} | ({"first": first} if on_path else {})
         journal = Journal(equations, identity, observe or {}, keep, folder)
-        warn_of_model(model, () if on_path or begun else load_durations(times, start, ends))
-        run: tuple[Solver, Journal, float, list[float]] = finder, journal, start, ends
-        controller: Controller
-        if isinstance(times, ArcLength):
-            controller = ArcLengthController(*run, times, solver.get("options"))
-        elif on_path:
-            controller = PathToTimesController(*run, PathToTimesController.settings(start, ends), solver.get("options"))
-        elif isinstance(times, Adaptive):
-            controller = AdaptiveController(*run, theta, times)
-        else:
+        warn_of_model(model, () if on_path or begun else load_durations(first, ends[-1] - start))
+        if plan.has_given_steps and not on_path:
             warn_of_steps(model, start, ends, theta)
-            controller = planned_controller(*run, theta)
+        controller = plan.controller(finder, journal, ends, solver.get("options") or {})
         try:
             history = controller.run(resume, begun)
         except SolveError as error:
@@ -167,7 +140,7 @@ def march(
             raise
         each = [part.traits for part in equations.parts]  # laws that switch phases end steps at switches
         timed = any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in each)
-        if timed and not on_path and not isinstance(times, Adaptive):
+        if timed and plan.has_given_steps and not on_path:
             warn_of_step_errors(controller, theta, begun)
     warn_of_states(list(history), None if on_path else start)
     return history
@@ -184,12 +157,9 @@ def _initial_states(begin: Any) -> tuple[Model, list[State]]:
     return begin, []
 
 
-def planned_controller(
-    solver: Solver, journal: Journal, start: float, ends: Sequence[float], theta: float
-) -> PlannedStepsController:
-    """Controller of planned steps; with snaps if columns of a layer switch phases."""
-    kind = SnapController if solver.equations.traits.switches else PlannedStepsController
-    return kind(solver, journal, start, ends, theta)
+def load_durations(first: float, last: float) -> list[float]:
+    """Durations of loads that are sudden at the start: of the first step, of the march, and their geometric mean."""
+    return list(dict.fromkeys([first, math.sqrt(first * last), last]))
 
 
 def _number(name: str, value: Any) -> float:
@@ -229,8 +199,8 @@ def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) 
     remedy = "take more steps, or times=Adaptive(end=..., first=..., tolerance=...)"
     try:
         with report("error of the steps"):
-            journal = Journal(solver.equations, {"theta": theta})
-            other = planned_controller(solver, journal, done.start, again, theta).run(begun=begun).last
+            journal = Journal(solver.equations, {"start": done.start, "theta": theta})
+            other = PlannedTimes(again).controller(solver, journal, again, {}).run(begun=begun).last
     except SolveError as error:
         history.step_errors = dict.fromkeys(COMPARED_QUANTITIES, np.nan)
         what = f"the error of the march's steps is not known: with {len(again)} steps {error.reason}; {remedy}"

@@ -59,9 +59,9 @@ class EquilibriumPath:
             towards it.
     """
 
-    def __init__(self, equations: Equations, unit: float, options: Options | None) -> None:
+    def __init__(self, equations: Equations, unit: float, options: Options) -> None:
         self.equations, self.unit, self.weight, self.middle = equations, unit, 0.0, 0.0
-        user_options = {name: value for name, value in (options or {}).items() if not name.startswith("snes_")}
+        user_options = {name: value for name, value in options.items() if not name.startswith("snes_")}
         self._options = {**direct_solver(equations.model), **user_options}
         self._factor = Factor()
         self._x, self._r, self._dR, self._step, self._change = (equations.vector() for _ in range(5))

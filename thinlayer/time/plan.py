@@ -1,8 +1,9 @@
-"""Plans of a march: times, adaptive steps, or a path by arc length; and which of them a model allows."""
+"""Plans of a march: times, adaptive steps, or a path by arc length; which models they suit, and their controllers."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Integral
@@ -11,14 +12,19 @@ import numpy as np
 
 from forms.base import InputError, is_finite, is_number, require
 from forms.temperature import real_values
+from thinlayer.parts.part import PartTraits
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import TIME_TOLERANCE
-from thinlayer.solving.solve import SOFTENING_ADVICE
+from thinlayer.solving.petsc import Options
+from thinlayer.solving.solve import SOFTENING_ADVICE, Solver
+from thinlayer.time.controller import Controller, is_divisible
+from thinlayer.time.following import UNLIMITED_STEPS, ArcLengthController, PathToTimesController
+from thinlayer.time.journal import Journal
+from thinlayer.time.stepping import AdaptiveController, PlannedStepsController, SnapController
 
-MAX_HALVINGS = 10  # largest number of times that a planned step is halved
+MIN_LENGTH = 1e-3  # length of the shortest step before a turning point, relative to the first step
 THETA_HINT = "theta = 1"  # the last words of errors
-MAX_SHORTENING = 1e6  # default length of the first adaptive step over the shortest
 NO_ERROR_MESSAGE = "Adaptive is for laws that depend on time; steps of {} have no error: give the times to stop at"
 NO_PATH_REASONS = {
     "releases": "{} is a contact law: march in time instead of ArcLength",
@@ -28,8 +34,91 @@ NO_PATH_REASONS = {
 }  # reasons, see `PartSum.refuse`
 
 
+class Plan(ABC):
+    """Plan of the steps of a march. A new kind of steps is a plan with its controller.
+
+    Attributes:
+        has_given_steps: whether the user chooses the lengths of steps, so that the march estimates their errors.
+        stops_at_breaks: whether steps end at the breaks of data, also without a law that needs it.
+        tolerance: largest estimated error of a step; None: errors are not estimated.
+    """
+
+    has_given_steps: bool = False
+    stops_at_breaks: bool = False
+    tolerance: float | None = None
+
+    @abstractmethod
+    def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
+        """Times at which steps must end, with the breaks between them; InputError: they cannot follow `start`."""
+
+    def is_path(self, traits: PartTraits) -> bool:
+        """Whether the march of a model with these traits follows an equilibrium path."""
+        return False
+
+    def first_length(self, start: float, targets: Sequence[float]) -> float:
+        """Length of the first step."""
+        return targets[0] - start
+
+    @abstractmethod
+    def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
+        """Raise InputError if the plan does not suit the model, `theta` or the solver's `method`. Collective."""
+
+    @abstractmethod
+    def controller(self, solver: Solver, journal: Journal, targets: list[float], options: Options) -> Controller:
+        """The controller of the steps; `options` are PETSc options of the linear solver."""
+
+
 @dataclass(frozen=True)
-class Adaptive:
+class PlannedTimes(Plan):
+    """Times at which steps end. A model with a layer that softens follows its equilibrium path to these times.
+
+    Attributes:
+        times: the times, increasing.
+
+    Raises:
+        InputError: they are not a sequence of numbers.
+    """
+
+    times: Sequence[float]
+    has_given_steps = True
+
+    def __post_init__(self) -> None:
+        allowed = "it must be a sequence of numbers or Adaptive(...)"
+        require(not isinstance(self.times, str), "times", self.times, allowed)
+        try:
+            values = real_values([*self.times])
+            if values.ndim != 1:
+                raise TypeError("it has rows")
+        except (TypeError, ValueError) as error:
+            raise InputError(f"times is {self.times!r}; {allowed}") from error
+        object.__setattr__(self, "times", tuple(map(float, values)))
+
+    def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
+        return _targets(self.times, start, breaks)
+
+    def is_path(self, traits: PartTraits) -> bool:
+        return traits.softens
+
+    def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
+        if equations.traits.softens:
+            try:
+                _require_path(equations, theta, method)
+            except InputError as error:
+                where = "the stress of a layer falls, and equilibria in time must be on its path"
+                raise InputError(f"{where}: {error}") from error
+
+    def controller(self, solver: Solver, journal: Journal, targets: list[float], options: Options) -> Controller:
+        if solver.equations.traits.softens:
+            lengths = np.diff([journal.start, *targets])
+            first, largest = float(lengths[0]), float(lengths.max() / lengths[0])
+            path = ArcLength(targets[-1], first, MIN_LENGTH, largest, steps=UNLIMITED_STEPS)
+            return PathToTimesController(solver, journal, targets, path, options)
+        kind = SnapController if solver.equations.traits.switches else PlannedStepsController
+        return kind(solver, journal, targets)
+
+
+@dataclass(frozen=True)
+class Adaptive(Plan):
     """Steps whose length follows an estimate of their error.
 
     Each step is made once as a whole and once as two halves. The halves are accepted if displacements, the layer's
@@ -57,6 +146,7 @@ class Adaptive:
     at: Sequence[float] = ()
     smallest: float | None = None
     largest: float = math.inf
+    stops_at_breaks = True
 
     def __post_init__(self) -> None:
         _require_numbers(self, "first", "tolerance", "smallest", "largest", signed=("end",))
@@ -66,8 +156,20 @@ class Adaptive:
         if self.at and max(self.at) > self.end:
             raise InputError(f"Adaptive: at has t = {max(self.at):g}; times increase to end = {self.end:g}")
 
+    def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
+        return _targets(sorted({*self.at, self.end}), start, breaks)
 
-def _require_numbers(plan: Adaptive | ArcLength, *positive: str, signed: tuple[str, ...]) -> None:
+    def first_length(self, start: float, targets: Sequence[float]) -> float:
+        return min(targets[0] - start, self.first)
+
+    def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
+        equations.refuse({"softens": f"march with Adaptive: {SOFTENING_ADVICE}", "switches": NO_ERROR_MESSAGE})
+
+    def controller(self, solver: Solver, journal: Journal, targets: list[float], options: Options) -> Controller:
+        return AdaptiveController(solver, journal, targets, self)
+
+
+def _require_numbers(plan: Plan, *positive: str, signed: tuple[str, ...]) -> None:
     """Convert attributes to floats; raise InputError unless they are > 0, finite if in `signed`, or None by default."""
     for name in (*signed, *positive):
         value = getattr(plan, name)
@@ -80,7 +182,7 @@ def _require_numbers(plan: Adaptive | ArcLength, *positive: str, signed: tuple[s
 
 
 @dataclass(frozen=True)
-class ArcLength:
+class ArcLength(Plan):
     """An equilibrium path of a model, followed by arc length; t is the parameter of loads and may decrease.
 
     Supports depend on the parameter t too. The path starts at the state of t = start, with t increasing, and continues
@@ -123,40 +225,39 @@ class ArcLength:
         """The time below which the march ends."""
         return 2 * start - self.end if self.back is None else float(self.back)
 
-    def check(self, start: float) -> None:
-        """Raise InputError unless the path can begin at the time `start`."""
+    def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
         if not math.isfinite(start) or not self.end > start:
             raise InputError(f"ArcLength: end is {self.end:g}; it must come after start = {start:g}")
         if not is_divisible(start, start + self.first) or self.first**2 < np.finfo(float).tiny:
             raise InputError(f"ArcLength: first is {self.first:g}: a step from t = {start:g} that is lost in rounding")
         if not self.lowest(start) < start:
             raise InputError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
+        return [self.end]
+
+    def is_path(self, traits: PartTraits) -> bool:
+        return True
+
+    def first_length(self, start: float, targets: Sequence[float]) -> float:
+        return self.first
+
+    def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
+        _require_path(equations, theta, method)
+
+    def controller(self, solver: Solver, journal: Journal, targets: list[float], options: Options) -> Controller:
+        return ArcLengthController(solver, journal, targets, self, options)
 
 
-Times = Sequence[float] | Adaptive | ArcLength
+Times = Sequence[float] | Plan
 
 
 # ---------------------------------------------------------------- ends of steps
-def ends_of_steps(times: Times, start: float, breaks: Iterable[float] = ()) -> list[float]:
-    """The times at which steps must end, with the breaks between them.
-
-    Breaks that differ from other times only by rounding are left out.
+def _targets(times: Sequence[float], start: float, breaks: Iterable[float]) -> list[float]:
+    """Times and the breaks between them; breaks that differ from times only by rounding are left out.
 
     Raises:
-        InputError: no times, or times that are not finite numbers or do not increase from `start`.
+        InputError: no times, or times that are not finite or do not increase from `start`.
     """
-    if isinstance(times, ArcLength):
-        return [times.end]
-    require(not isinstance(times, str), "times", times, "it must be a sequence of numbers or Adaptive(...)")
-    adaptive = times if isinstance(times, Adaptive) else None
-    try:
-        values = real_values([*({*adaptive.at, adaptive.end} if adaptive else times)])  # type: ignore[misc]
-        if values.ndim != 1:
-            raise TypeError("it has rows")
-    except (TypeError, ValueError) as error:
-        raise InputError(f"times is {times!r}; it must be a sequence of numbers or Adaptive(...)") from error
-    targets = [float(t) for t in (np.sort(values) if adaptive else values)]
-    whole = np.array([start, *targets])
+    targets, whole = [*times], np.array([start, *times])
     if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
         remedy = "they must be finite, increase, and come after start, which is not one of them"
         raise InputError(f"times is {targets} from start = {start:g}; {remedy}")
@@ -167,20 +268,8 @@ def ends_of_steps(times: Times, start: float, breaks: Iterable[float] = ()) -> l
     return [float(t) for t in np.sort(whole)[1:]]
 
 
-def load_durations(times: Times, start: float, ends: Sequence[float]) -> list[float]:
-    """Durations of loads that are sudden at `start`: until the first, a middle (geometric mean) and the last time."""
-    first, last = ends[0] - start, ends[-1] - start
-    first = min(first, times.first) if isinstance(times, Adaptive) else first
-    return list(dict.fromkeys([first, math.sqrt(first * last), last]))
-
-
-def is_divisible(start: float, end: float) -> bool:
-    """Whether a step is so long that its two halves are not lost in rounding."""
-    return start < (start + end) / 2 < end
-
-
 # ---------------------------------------------------------------- what models allow
-def require_in_time(equations: Equations, times: Times, theta: float, ends: list[float]) -> None:
+def require_in_time(equations: Equations, theta: float, ends: list[float]) -> None:
     """Raise InputError unless a model can be marched in time. Collective.
 
     With theta < 1, compiled laws that creep or relax may be non-linear. Other laws must declare `linear`, and
@@ -188,11 +277,9 @@ def require_in_time(equations: Equations, times: Times, theta: float, ends: list
 
     Args:
         equations: the equations of the model.
-        times, theta: as in `march`.
+        theta: as in `march`.
         ends: start of the march, and the times at which steps end.
     """
-    if isinstance(times, Adaptive):
-        equations.refuse({"switches": NO_ERROR_MESSAGE})
     if theta == 1:
         return
     at_ends = f"theta is {theta}; {{}} holds at the ends of steps: {THETA_HINT}"
@@ -206,26 +293,14 @@ def require_in_time(equations: Equations, times: Times, theta: float, ends: list
             raise InputError(f"{what}: states at the ends of steps would oscillate undamped: {THETA_HINT}")
 
 
-def require_path(equations: Equations, times: Times, theta: float, method: str | None) -> None:
-    """Raise InputError unless paths of the model can be followed: no part has a rate or bounds. Collective.
-
-    Args:
-        equations: the equations of the model.
-        times, theta, method: as in `march`; other times than `ArcLength` mean a layer that softens.
-    """
-    if isinstance(times, Adaptive):
-        equations.refuse({"softens": f"march with Adaptive: {SOFTENING_ADVICE}"})
-    try:
-        if theta != 1:
-            raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
-        require(method in (None, "newton"), "method", method, "a path is followed by Newton's method")
-        for part in equations.of_kind(PressurePart):
-            for name in part.named():
-                raise InputError(f"{name} is incompressible: paths have displacements alone; march in time")
-        equations.refuse(NO_PATH_REASONS)
-        for name in filter(None, (part.takes_time() for part in equations.parts)):
-            raise InputError(f"{name} creeps or relaxes, and t is no time on a path: march in time")
-    except InputError as error:
-        if isinstance(times, ArcLength):
-            raise
-        raise InputError(f"the stress of a layer falls, and equilibria in time must be on its path: {error}") from error
+def _require_path(equations: Equations, theta: float, method: str | None) -> None:
+    """Raise InputError unless paths of the model can be followed: no part has a rate or bounds. Collective."""
+    if theta != 1:
+        raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
+    require(method in (None, "newton"), "method", method, "a path is followed by Newton's method")
+    for part in equations.of_kind(PressurePart):
+        for name in part.named():
+            raise InputError(f"{name} is incompressible: paths have displacements alone; march in time")
+    equations.refuse(NO_PATH_REASONS)
+    for name in filter(None, [part.takes_time() for part in equations.parts]):
+        raise InputError(f"{name} creeps or relaxes, and t is no time on a path: march in time")

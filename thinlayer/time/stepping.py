@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import accumulate
+from typing import TYPE_CHECKING
 
 import numpy as np
 from petsc4py import PETSc
@@ -20,13 +21,17 @@ from thinlayer.parts.part import MeasuresError
 from thinlayer.pointwise.columns import EXCESS_TOLERANCE
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import TIME_TOLERANCE
-from thinlayer.time.controller import Controller, StepAttempt
-from thinlayer.time.plan import MAX_HALVINGS, MAX_SHORTENING, Adaptive, is_divisible
+from thinlayer.time.controller import Controller, StepAttempt, is_divisible
+
+if TYPE_CHECKING:  # the settings make their controllers
+    from thinlayer.time.plan import Adaptive
 
 # Least size of jumps to which errors are relative, over the displacements; rounding is smaller.
 MIN_JUMP_SHARE = 1e-6
 COMPARED_QUANTITIES = ("displacements", "jumps", "forces")
 LOAD_TOLERANCE = 1e-12  # relative change of loads that counts as zero
+MAX_HALVINGS = 10  # largest number of times that a planned step is halved
+MAX_SHORTENING = 1e6  # default length of the first adaptive step over the shortest
 SAFETY_FACTOR = 0.9  # factor on the length of an adaptive step that its error allows
 MIN_LENGTH_RATIO, MAX_LENGTH_RATIO = 0.2, 3.0  # bounds of the ratio of the lengths of two adaptive steps
 SPRING_STEP_RATIO = 8.0  # ratio of the lengths of two steps by weak springs
@@ -46,10 +51,9 @@ class PlannedStepsController(Controller):
         theta: forces balance at t + theta dt.
     """
 
-    theta: float
-
     def __post_init__(self) -> None:
         super().__post_init__()
+        self.theta = self.journal.history.theta
         self.smallest = float(np.diff([self.start, *self.targets]).min()) / 2**MAX_HALVINGS * (1 - TIME_TOLERANCE)
         self._failed_at = math.inf  # earliest end of a failed step that the march has not reached
         self._run_away = math.inf  # earliest time at which displacements grew without bound
