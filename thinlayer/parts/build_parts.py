@@ -21,6 +21,7 @@ from thinlayer.parts.form_part import LawFormPart
 from thinlayer.parts.mean_stress_part import MeanStressPart
 from thinlayer.parts.part import Part
 from thinlayer.parts.pressure_part import PressurePart, flows_along_surface
+from thinlayer.system.ranks import destroy
 
 
 def body_parts(model: Model) -> list[Part]:
@@ -43,7 +44,7 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
         bc_dofs: displacements of this rank that supports prescribe (local, unrolled).
         bodies: the result of `body_parts`.
     """
-    parts: list[Part] = [*_form_parts(model, model.layer_terms, "forms"), *_compiled_parts(model, model.layer_terms)]
+    parts: list[Part] = [*_form_parts(model), *_compiled_parts(model, model.layer_terms)]
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
         scale = _largest_at_rest(model, bodies or parts)
         joint = model.domain.joint  # its vertices are those of the mesh; `model.joint` is the joint before inflating
@@ -63,13 +64,11 @@ def _largest_at_rest(model: Model, parts: Sequence[Part]) -> float:
     return largest or max(part.largest_at_rest() for part in in_forms)
 
 
-def _form_parts(model: Model, terms: Iterable[Term], end: str) -> list[LawFormPart]:
-    """Parts for the terms whose laws are not compiled, one for each layer; `end` completes their keys."""
-    of_layers: dict[str, list[Term]] = {}
-    for p in terms:
-        if not p.law.traits.compiled:
-            of_layers.setdefault(p.key, []).append(p)
-    return [LawFormPart(f"{key}/{end}", model.V, layer_terms) for key, layer_terms in of_layers.items()]
+def _form_parts(model: Model) -> list[LawFormPart]:
+    """Parts of the layers' terms whose laws are not compiled, one for each layer."""
+    in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
+    keys = dict.fromkeys(p.key for p in in_forms)
+    return [LawFormPart(f"{key}/forms", model.V, [p for p in in_forms if p.key == key]) for key in keys]
 
 
 def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
@@ -80,11 +79,11 @@ def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
 def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
     """Write into `out` the diagonal of K and of the tangents at rest of bodies that are not in K. Collective."""
     out.set(0.0)  # a subproblem of layers alone has no bodies
-    of_K = [part.K.getDiagonal() for part in parts if part.K is not None]
-    of_parts = [diagonal for part in parts if (diagonal := part.diagonal_at_rest()) is not None]
-    for diagonal in (*of_K, *of_parts):
+    diagonals = [part.K.getDiagonal() for part in parts if part.K is not None]
+    diagonals += [diagonal for part in parts if (diagonal := part.diagonal_at_rest()) is not None]
+    for diagonal in diagonals:
         out.axpy(1.0, diagonal)
-        diagonal.destroy()
+    destroy(*diagonals)
     return out
 
 

@@ -75,6 +75,8 @@ class CompiledPart(Part):
         law: the law.
     """
 
+    stress_width = len(MANDEL_PAIRS)
+
     def __init__(
         self, key: str, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None, *, symmetric: bool = False
     ) -> None:
@@ -82,12 +84,10 @@ class CompiledPart(Part):
         meshed = term.law.traits.softens and term.measure.integral_type() == "cell"
         self.points = (ColumnTerm if meshed else CompiledTerm)(V, term, origin)
         self._given_at = PointStrains(self.points)
-        self.comm = self.points.comm
-        self.law = law = term.law
+        self.comm, self.law = self.points.comm, term.law
         self._t, self._in_body = 0.0, term.n is None
         self._tangent: PETSc.Mat | None = None
-        self.stress_width = len(MANDEL_PAIRS)
-        self.traits = replace(PartTraits.of(law), inner=self._in_body)
+        self.traits = replace(PartTraits.of(self.law), inner=self._in_body)
 
     def named(self) -> dict[str, PartTraits]:
         return {type(law.in_space).__name__: PartTraits.of(law) for _, law in self.law.sublayers}
@@ -191,10 +191,8 @@ class CompiledPart(Part):
     def switch(self) -> bool:
         switching = self.points.switching
         new = switching.switched(self._response.memory, self._memory) if switching else None
-        if new is None:
-            return False
-        self._memory = new
-        return True
+        self._memory = self._memory if new is None else new
+        return new is not None
 
     # ---------------------------------------------------------------- questions
     def diagonal_at_rest(self) -> PETSc.Vec | None:
@@ -237,7 +235,8 @@ class CompiledPart(Part):
             out.axpy(1.0, self.points.forces(state.stresses[self.key][:, self.points.slots]))
 
     def error_measure(self, u: fem.Function) -> Array:
-        return (self.points.strain(u.x.petsc_vec) * np.sqrt(np.abs(self.points.weights))[:, None]).ravel()
+        weighted: Array = self.points.strain(u.x.petsc_vec) * np.sqrt(np.abs(self.points.weights))[:, None]
+        return weighted.ravel()
 
     def unit_jump_measure(self) -> float:
         steepest = float(self.points.B.norm(PETSc.NormType.INFINITY))

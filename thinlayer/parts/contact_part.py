@@ -91,20 +91,19 @@ class ContactPart(Part):
         return bool(self.nodes.comm.allreduce(int(self.nodes.jump(self._u.x.petsc_vec).any())))
 
     def commit(self) -> StepOutcome:
-        w, law, nodes = self._w, self.law, self.nodes
-        old = self.interval.old
+        w, law, nodes, old = self._w, self.law, self.nodes, self.interval.old
         stored, dissipated = law.energies(w, self.slip)
         t, change = law.traction(w, self.slip), w - nodes.separation(old.u.x.petsc_vec)
         pressed = t[:, -1] * nodes.gap * old.at_rest  # an interference is applied in the first step
         worked = (t * change).sum(axis=1) + pressed
         sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, worked, pressed)]))
         after, lost, work = map(float, sums[:3] if law.traits.has_energy else np.full(3, np.nan))
-        before = old.stored.get(self.key, 0.0)
-        memory = law.slip_after(w, self.slip)
+        before, memory = old.stored.get(self.key, 0.0), law.slip_after(w, self.slip)
         return StepOutcome(before, after, lost, work - (after - before) - lost, memory, supplied=float(sums[3]))
 
     def error_measure(self, u: fem.Function) -> Array:
-        return (self.nodes.jump(u.x.petsc_vec) * np.sqrt(self.nodes.weights)[:, None]).ravel()
+        weighted: Array = self.nodes.jump(u.x.petsc_vec) * np.sqrt(self.nodes.weights)[:, None]
+        return weighted.ravel()
 
     def unit_jump_measure(self) -> float:
         return float(self.nodes.comm.allreduce(float(self.nodes.weights.sum())))

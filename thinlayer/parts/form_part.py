@@ -45,16 +45,9 @@ class FormPart(Part):
     """
 
     def __init__(
-        self,
-        key: str,
-        u: fem.Function,
-        K: PETSc.Mat | None = None,
-        F: Expr | None = None,
-        energy: Expr | None = None,
-        *,
-        kept: bool = False,
-        g: Expr | None = None,
-    ) -> None:
+        self, key: str, u: fem.Function, K: PETSc.Mat | None = None, F: Expr | None = None,
+        energy: Expr | None = None, *, kept: bool = False, g: Expr | None = None,
+    ) -> None:  # fmt: skip
         self.key, self.K, self._energy, self._kept = key, K, energy, kept
         V, self._u = u.function_space, u
         self.comm = communicator(V.mesh)
@@ -193,20 +186,15 @@ class LawFormPart(FormPart):
         u, v = fem.Function(V), ufl.TestFunction(V)
         stored = None
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
-            # energy that prescribed strains of linear laws add to u.K u/2
-            strained_now = _with_strains(strained, over.now)
-            beyond = [
-                _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
-                for p in strained_now
-            ]
+            # prescribed strains of linear laws add energy to u.K u/2
+            beyond = [_strain_energy(p, u) for p in _with_strains(strained, over.now)]
             stored = energy(_with_strains(others, over.now), u) + sum(beyond)
         K = _linear_stiffness(V, linear, everywhere, other_terms) if linear or everywhere else None
         F = work(_with_strains(others, over.balanced), u, v) if others else None
         g = sum(_strain_work(p, v) for p in _with_strains(strained, over.balanced)) if strained else None
         super().__init__(key, u, K, F, stored, g=g)
-        self._opposing = _opposing_integrals(
-            [p for p in _with_strains(others, over.balanced) if p.n is None and p.prescribed_strain is not None], u
-        )
+        opposing = [p for p in others if p.n is None and p.prescribed_strain is not None]
+        self._opposing = _opposing_integrals(_with_strains(opposing, over.balanced), u)
         self.traits = replace(reduce(or_, map(_form_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
 
     def named(self) -> dict[str, PartTraits]:
@@ -316,14 +304,18 @@ def _form_traits(p: Term) -> PartTraits:
 
 def _with_strains(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:
     """The terms with `change` applied to their prescribed strains."""
-    return [
-        p if p.prescribed_strain is None else replace(p, prescribed_strain=change(p.prescribed_strain)) for p in terms
-    ]
+    pairs = [(p, p.prescribed_strain) for p in terms]
+    return [p if strain is None else replace(p, prescribed_strain=change(strain)) for p, strain in pairs]
 
 
 def _strain_work(p: Term, v: Expr) -> Expr:
     """Virtual work of the stress of a term's prescribed strain alone, in the strains of v."""
     return ufl.inner(p.law.stress(Step(p.prescribed_strain, p.n)), p.strain(v)) * p.weight * p.measure
+
+
+def _strain_energy(p: Term, u: fem.Function) -> Expr:
+    """Energy that a term's prescribed strain adds to the energy of the strains of u."""
+    return _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
 
 
 def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
@@ -350,10 +342,8 @@ def _linear_stiffness(
             dolfinx.fem.petsc.assemble_matrix(K, summand)
     except ArityMismatch as error:
         names = " or ".join(sorted({type(p.law).__name__ for p in linear if law_identity(p.law) is None}))
-        raise InputError(
-            f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}; "
-            "write linear = False in the class"
-        ) from error
+        what = f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}"
+        raise InputError(f"{what}; write linear = False in the class") from error
     K.assemble()
     return K
 

@@ -95,11 +95,9 @@ class MeanStressPart(FieldPart):
 
     def tangents(self, relative_residual: float) -> list[Block]:
         theta = self.interval.theta
-        return [
-            Block(self.B, theta, row=DISPLACEMENT_KEY, column=self.key, kept=True),
-            Block(self._turned, theta, row=self.key, column=DISPLACEMENT_KEY, kept=True),
-            Block(self.D, theta, row=self.key, column=self.key, kept=True),
-        ]
+        of_mean_strain = Block(self.B, theta, column=self.key, kept=True)
+        own = [(self._turned, DISPLACEMENT_KEY), (self.D, self.key)]
+        return [of_mean_strain, *(Block(matrix, theta, self.key, column, kept=True) for matrix, column in own)]
 
     def commit(self) -> StepOutcome:
         """As in `Part`; the energy is the contribution of the mean strain to the energy of the bodies."""

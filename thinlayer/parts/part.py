@@ -158,7 +158,7 @@ class FileOrder:
 
     def ordered(self, values: Array) -> Array:
         """Values (n, v) as rows (cells, k v)."""
-        return values[self.order].reshape(len(self.numbers), self.order.shape[1] * values.shape[1])
+        return values[self.order].reshape(len(self.numbers), self.width * values.shape[1])
 
     def put(self, out: Array, rows: Array) -> None:
         """Fill `out` (n, v) from rows (cells, k v): the inverse of `ordered`."""
@@ -217,7 +217,7 @@ class Part(ABC):
             missing = names.difference(dir(cls))
             if missing and missing != names:
                 raise InputError(
-                    f"{cls.__name__} defines {min(names - missing)!r}; it must define {min(missing)!r} too"
+                    f"{cls.__name__} defines {min(names - missing)!r} without {min(missing)!r}; define both"
                 )
 
     def begin(self, interval: TimeStep) -> None:
@@ -390,9 +390,8 @@ class FieldPart(Part):
 
     def own_start(self, old: Configuration) -> Array:
         """Own unknowns on this rank at the start of a step from `old`."""
-        if (values := old.fields.get(self.key)) is None:
-            return np.zeros(self.own_size)
-        return np.asarray((values.x.array / self.unit)[: self.own_size])
+        values = old.fields.get(self.key)
+        return np.zeros(self.own_size) if values is None else np.asarray((values.x.array / self.unit)[: self.own_size])
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """Numbers of this rank's prescribed own unknowns, and their values at time t; 0 if t is None."""

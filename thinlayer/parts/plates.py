@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 import numpy as np
 import scipy.sparse
@@ -28,8 +27,8 @@ from thinlayer.discretisation.rigid_motions import (
 )
 from thinlayer.discretisation.state import State
 
-Number = float | Callable[[Expr, Any], Any]
-Vector = Sequence[float] | Callable[[Expr, Any], Sequence[Any]]
+Number = float | Callable[[Expr, Expr], Expr]
+Vector = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
 ROTATION_NAMES = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z")}
 
 
@@ -95,13 +94,13 @@ class RigidPlate(PartDefinition):
 
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""
-        model: Any = state.model
+        model = state.model
         (tie,) = (mpc for mpc in model.constraints.mpcs if mpc.key == self.key)
         q, d = model.constraints.motion(tie, state.u.x.array[: model.constraints.n]), model.joint.dim
         rotation = q[d:] / model.domain.joint.size  # the unknowns are lengths
         return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
 
-    def _tie(self, model: HostModel, about: Array, size: float) -> Any:
+    def _tie(self, model: HostModel, about: Array, size: float) -> scipy.sparse.csr_matrix:
         """Sparse matrix (n, k) from the plate's motions to displacements of this rank. Collective.
 
         Rotations are multiplied by `size`. A rotation shifts the bodies on both sides of a layer along S relative to
@@ -161,9 +160,10 @@ class RigidPlate(PartDefinition):
         names = motion_names(model.joint.dim)
         return {names.index(k): self._value(model, f"motion {k!r}", value, ()) for k, value in self.motion.items()}
 
-    def _value(self, model: HostModel, name: str, value: Any, shape: tuple[int, ...]) -> Coefficient:
+    def _value(self, model: HostModel, name: str, value: Number | Vector, shape: tuple[int, ...]) -> Coefficient:
         """Coefficient of a value that must be the same on the whole plate."""
-        return model.coordinates.coefficient(value, f"{self.what}: {name}", shape).once("the whole plate")
+        coefficient: Coefficient = model.coordinates.coefficient(value, f"{self.what}: {name}", shape)
+        return coefficient.once("the whole plate")
 
     @staticmethod
     def _prevented(model: HostModel) -> list[int]:
@@ -177,10 +177,8 @@ class RigidPlate(PartDefinition):
             out[places[name]] = value.at_time(t)
         for k in prescribed:
             if out[k]:
-                raise InputError(
-                    f"{self.what}: the motion {motion_names(d)[k]!r} is prescribed, and {out[k]:g} is given for its force "
-                    "or moment; one of them follows from the other"
-                )
+                what = f"{self.what}: the motion {motion_names(d)[k]!r} is prescribed, and {out[k]:g} is given"
+                raise InputError(f"{what} for its force or moment; one of them follows from the other")
         return out
 
     def point(self, model: HostModel) -> Array:

@@ -20,7 +20,7 @@ from geometry.topology import IntArray
 from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.discretisation.time_functions import StepStrains
-from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
+from thinlayer.parts.part import Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
 from thinlayer.pointwise.quadrature import (
     MeasureRegion,
     MeshOrigin,
@@ -178,12 +178,9 @@ class PressurePart(FieldPart):
         return self._zero, np.zeros(len(self._zero))
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        blocks = [
-            Block(self._turned, row=DISPLACEMENT_KEY, column=self.key, kept=True),
-            Block(self.G, row=self.key, column=DISPLACEMENT_KEY, kept=True),
-        ]
+        blocks = [Block(self._turned, column=self.key, kept=True), Block(self.G, row=self.key, kept=True)]
         if self.C is not None:
-            blocks.append(Block(self.C, factor=-1 / self.interval.theta, row=self.key, column=self.key, kept=True))
+            blocks.append(Block(self.C, -1 / self.interval.theta, row=self.key, column=self.key, kept=True))
         return blocks
 
     def commit(self) -> StepOutcome:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import ufl
@@ -21,7 +20,7 @@ from thinlayer.discretisation.rigid_motions import motion_expression
 from thinlayer.discretisation.supports import Place
 from thinlayer.parts.form_part import FormPart, assemble_plain_matrix
 
-Stiffness = float | Callable[[Any], Any]
+Stiffness = float | Callable[[Expr], Expr]
 NEGATIVE_STIFFNESS_TOLERANCE = 1e-9  # size of a negative stiffness, over the largest, that counts as rounding error
 
 
@@ -73,7 +72,7 @@ class Springs(PartDefinition):
         what = f"springs on {self.place!r}: "
         return [model.coordinates.coefficient(getattr(self, name), what + name, (), of_place=True) for name in names]
 
-    def work(self, model: HostModel, u: Expr, v: Expr) -> Any:
+    def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         """Virtual work of the springs, a UFL form."""
         n = ufl.FacetNormal(model.V.mesh)
         normal, tangential = (stiffness.expression for stiffness in self._stiffnesses(model))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import ufl
 from dolfinx import fem
@@ -43,8 +42,8 @@ class UflPart(PartDefinition):
         InputError: neither function, or both. When a model is made: the function does not return such a form.
     """
 
-    virtual_work: Callable[[Any, Any, Any], Any] | None = None
-    energy: Callable[[Any, Any], Any] | None = None
+    virtual_work: Callable[[Expr, Expr, HostModel], ufl.Form] | None = None
+    energy: Callable[[Expr, HostModel], ufl.Form] | None = None
     key: str = "own form"
 
     def __post_init__(self) -> None:
@@ -57,7 +56,7 @@ class UflPart(PartDefinition):
         u, v = fem.Function(model.V), ufl.TestFunction(model.V)
         what = f"the part {self.key!r}"
         try:
-            form = self._given(model, u, v)
+            form = self._form(model, u, v)
         except Exception as error:
             raise InputError(f"{what}: {type(error).__name__}: {error}") from error
         arguments = () if self.virtual_work is None else (v,)
@@ -73,15 +72,16 @@ class UflPart(PartDefinition):
         if expand_derivatives(ufl.derivative(expand_derivatives(forces), u, ufl.TrialFunction(model.V))).empty():
             raise InputError(f"the forces of {what} do not depend on u; loads are `tractions` and `body_force`")
 
-    def _given(self, model: HostModel, u: Expr, v: Expr) -> Any:
-        return self.virtual_work(u, v, model) if self.virtual_work else self.energy(u, model)  # type: ignore[misc]
+    def _form(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
+        """The form that the user's function returns."""
+        return self.energy(u, model) if self.energy else self.virtual_work and self.virtual_work(u, v, model)
 
-    def work(self, model: HostModel, u: Expr, v: Expr) -> Any:
+    def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         """Virtual work at displacements u, a form linear in v."""
-        if self.virtual_work:
-            return whole_structure_form(self._given(model, u, v), model)
+        if not self.energy:
+            return whole_structure_form(self._form(model, u, v), model)
         unknown = fem.Function(model.V)
-        energy = whole_structure_form(self._given(model, unknown, v), model)
+        energy = whole_structure_form(self._form(model, unknown, v), model)
         return ufl_replace(expand_derivatives(ufl.derivative(energy, unknown, v)), {unknown: u})
 
     def is_linear(self, model: HostModel) -> bool:
@@ -101,9 +101,8 @@ class _UserFormPart(FormPart):
     def __init__(self, part: UflPart, model: HostModel) -> None:
         u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), part.is_linear(model)
         if linear:
-            super().__init__(
-                part.key, u, assemble_plain_matrix(part.work(model, ufl.TrialFunction(model.V), v)), kept=True
-            )
+            K = assemble_plain_matrix(part.work(model, ufl.TrialFunction(model.V), v))
+            super().__init__(part.key, u, K, kept=True)
         else:
             energy = whole_structure_form(part.energy(u, model), model) if part.energy else None
             super().__init__(part.key, u, None, part.work(model, u, v), energy, kept=True)
@@ -119,7 +118,7 @@ class _UserFormPart(FormPart):
 
 
 @without_cycles()
-def has_arity(form: Any) -> bool:
+def has_arity(form: ufl.Form) -> bool:
     """Whether a form is linear in each of its arguments, and each of its terms contains all of them."""
     try:  # derivatives of energies contain inner(u, v) and inner(v, u), which differ by a complex conjugate
         check_form_arity(remove_complex_nodes(apply_algebra_lowering(expand_derivatives(form))), form.arguments())

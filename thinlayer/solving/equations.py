@@ -7,10 +7,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
 from petsc4py import PETSc
 
@@ -22,14 +20,14 @@ from thinlayer.discretisation.rigid_motions import model_motions
 from thinlayer.discretisation.state import Audit, Configuration, Report, State
 from thinlayer.errors import SolveError
 from thinlayer.parts.build_parts import body_parts, diagonal_at_rest, layer_parts
-from thinlayer.parts.compiled_part import SAMPLE_FRACTIONS, CompiledPart
-from thinlayer.parts.contact_part import ContactPart
-from thinlayer.parts.part import DISPLACEMENT_KEY, Block, TimeStep
+from thinlayer.parts.compiled_part import SAMPLE_FRACTIONS
+from thinlayer.parts.part import DISPLACEMENT_KEY, Block, MeasuresError, TimeStep
 from thinlayer.solving.linear_solvers import MULTIGRID_TYPES, SharedMatrices, orthonormal, set_field_split
 from thinlayer.solving.part_sum import (
     DIFFERENT_PATTERN,
     ForceScale,
     PartSum,
+    PetscIndices,
     TangentMatrix,
     UnknownLayout,
     augmented_in_place,
@@ -115,17 +113,17 @@ class Equations(PartSum):
 
     def _prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """Local numbers of the constrained unknowns, increasing, and their values at time t (0 if t is None)."""
-        bc_dofs: npt.NDArray[Any] = self.constraints.bc_dofs
+        bc_dofs = self.constraints.bc_dofs.astype(np.int64)
         values = np.zeros(len(bc_dofs)) if t is None else self.constraints.values(t)
         first = self.n_displacements
         for part in self.with_own:
             part_dofs, own_values = part.own_prescribed(t)
             bc_dofs, values = np.append(bc_dofs, first + part_dofs), np.append(values, own_values)
             first += self._layout.sizes[part.key]
-        return bc_dofs.astype(np.int64), values
+        return bc_dofs, values
 
     @property
-    def bc_rows(self) -> npt.NDArray[PETSc.IntType]:
+    def bc_rows(self) -> PetscIndices:
         """Global numbers of the constrained unknowns."""
         return self._layout.rows(self.bc_dofs)
 
@@ -171,8 +169,7 @@ class Equations(PartSum):
         which solvers stop, and the residual r.
         """
         if not self.traits.weakens:
-            largest = self.comm.allreduce(float(np.abs(self.u.x.array).max(initial=0.0)), max)
-            of_blocks, rounding = self.scale.target(largest), self.u.x.petsc_vec.duplicate()
+            of_blocks, rounding = self.scale.target(self._largest(self.u.x.array)), self.u.x.petsc_vec.duplicate()
             of_blocks = of_blocks if r is None else np.maximum(of_blocks, self.residual_norms(r))
             rounding.array[:] = of_blocks[self.block_of]
             self._rigid.require_resisted(self.resisting(self._relative_residual, rounding))
@@ -200,7 +197,7 @@ class Equations(PartSum):
                 self.loads.axpy(share, self.loads_at(t))
         self.prescribed = self._prescribed(interval.t)[1]
         self._strains_at(interval.t)
-        largest_displacement = self.comm.allreduce(float(np.abs(self.prescribed).max(initial=0.0)), max)
+        largest_displacement = self._largest(self.prescribed)
         if self.model.strain:  # it moves the sides of the periodic cell, as supports would
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
             largest_displacement = max(largest_displacement, across)
@@ -346,10 +343,9 @@ class Equations(PartSum):
         names = ("supplied", "before", "dissipated", "remainder", "after")
         more, start, lost, remainder, total = (sum(getattr(o, name) for o in outcomes.values()) for name in names)
         audit = Audit(supplied + more, total - start, lost, remainder, total)
+        state = State(**vars(end), model=self.model, report=report, audit=audit, prescribed_work=prescribed_work)
         dissipated = self.model.by_place({key: outcome.dissipated for key, outcome in outcomes.items()})
-        sudden = self.interval.dt == 0 and self.interval.old.at_rest
-        attributes: dict[str, Any] = {"sudden": sudden, "prescribed_work": prescribed_work, "dissipated": dissipated}
-        return State(**vars(end), model=self.model, report=report, audit=audit, **attributes)
+        return replace(state, sudden=self.interval.dt == 0 and self.interval.old.at_rest, dissipated=dissipated)
 
     def reactions(self) -> Array:
         """Forces and moments (n, k) of `Model.holders` at the end of the step, for the last residual."""
@@ -363,13 +359,12 @@ class Equations(PartSum):
         """
         size = self.model.joint.size
         for part in self.layers:
-            if (part.traits.bounded or part.traits.releases) and isinstance(part, CompiledPart | ContactPart):
+            if (part.traits.bounded or part.traits.releases) and isinstance(part, MeasuresError):
                 square = self.comm.allreduce(float((part.error_measure(self.u) ** 2).sum()))
                 if not square <= part.unit_jump_measure() * size**2:
-                    what = (
-                        f"what the solver returned is no equilibrium: {part.key!r} jumps farther than the model's size"
-                    )
-                    raise SolveError(f"{what}, {size:.3g}", advice="loads may be beyond their limit; march from less")
+                    what = f"{part.key!r} jumps farther than the model's size, {size:.3g}"
+                    advice = "loads may be beyond their limit; march from less"
+                    raise SolveError(f"what the solver returned is no equilibrium: {what}", advice=advice)
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:
@@ -383,11 +378,14 @@ class Equations(PartSum):
         for share in SAMPLE_FRACTIONS:
             now = self._given_at(start + share * (end - start))
             for a, b, c in zip(first, last, now, strict=True):
-                error = np.abs((1 - share) * a + share * b - c).max(initial=0.0)
-                size = np.abs([a, b, c]).max(initial=0.0)
-                if self.comm.allreduce(float(error), max) > LINEARITY_TOLERANCE * self.comm.allreduce(float(size), max):
+                error = self._largest((1 - share) * a + share * b - c)
+                if error > LINEARITY_TOLERANCE * self._largest(np.array([a, b, c])):
                     return False
         return True
+
+    def _largest(self, values: Array) -> float:
+        """Largest size of numbers on all ranks; 0 without any."""
+        return float(self.comm.allreduce(float(np.abs(values).max(initial=0.0)), max))
 
     def _given_at(self, t: float) -> list[Array]:
         """Loads, prescribed displacements, prescribed strains and varying parameters at time t, on this rank."""

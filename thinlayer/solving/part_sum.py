@@ -7,16 +7,17 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import reduce
 from operator import or_
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from forms.base import Array, InputError
-from geometry.topology import Indices
+from geometry.topology import Indices, IntArray
 from thinlayer.discretisation.constraints import local_csr
 from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import SolveError
@@ -40,6 +41,7 @@ MACHINE_EPSILON = float(np.finfo(float).eps)
 ROUNDING_SHARE = 1e-14  # rounding of summed forces, relative to stiffness times displacement
 MIN_DIVISOR = 1e-300  # divisor instead of zero if there are no forces
 PartType = TypeVar("PartType", bound=Part)
+PetscIndices = npt.NDArray[PETSc.IntType]  # global numbers of unknowns
 SAME_PATTERN = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 SUBSET_PATTERN = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 DIFFERENT_PATTERN = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
@@ -78,8 +80,11 @@ class ForceScale:
         displacement: largest known displacement: prescribed, of the previous state, or of an elastic response.
     """
 
-    def __init__(self, stiffness: Array | float, cancelling: float = 0.0, within: Any = None) -> None:
-        self.stiffness, self._within = np.atleast_1d(stiffness), within
+    def __init__(
+        self, stiffness: Array | float, cancelling: float = 0.0, within: scipy.sparse.csr_matrix | None = None
+    ) -> None:
+        self.stiffness: Array = np.atleast_1d(stiffness)
+        self._within = within
         self._largest_stiffness = np.maximum(self.stiffness, cancelling)
         self.begin(0.0, 0.0, 0.0)
 
@@ -91,12 +96,9 @@ class ForceScale:
             prescribed: largest displacement that supports prescribe.
             moved: largest displacement of the previous state.
         """
-        self._loads, self._unbalanced, self.displacement = (
-            np.atleast_1d(loads),
-            0.0 * self.stiffness,
-            max(prescribed, moved),
-        )
-        self._support_rounding = MACHINE_EPSILON * self.stiffness * prescribed
+        self._loads, self._unbalanced = np.atleast_1d(loads), 0.0 * self.stiffness
+        self.displacement = max(prescribed, moved)
+        self._support_rounding: Array = MACHINE_EPSILON * self.stiffness * prescribed
         self.update_stresses(0.0)
 
     def start(self, unbalanced: Array) -> None:
@@ -111,7 +113,7 @@ class ForceScale:
         """Update the forces with the norms (k,) of the forces of the stresses at a new residual."""
         rounding = ROUNDING_SHARE * self.stiffness * self.displacement
         self.least = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / STATE_TOLERANCE)
-        self.forces = np.fmax(self.least, stresses)
+        self.forces: Array = np.fmax(self.least, stresses)
         if self._within is not None:
             self.forces = np.maximum(self.forces, ROUNDING_SHARE / STATE_TOLERANCE * (self._within.T @ self.forces))
 
@@ -122,12 +124,12 @@ class ForceScale:
     def target(self, largest_displacement: float) -> Array:
         """Norms (k,) of the residual at which solvers stop."""
         rounded = np.minimum(self.rounding(largest_displacement), self.allowed)
-        return np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounded)
+        return np.asarray(np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounded))
 
     @property
     def allowed(self) -> Array:
         """Largest norms (k,) of the residual of an accepted state."""
-        return np.maximum(STATE_TOLERANCE * self.forces, self._support_rounding)
+        return np.asarray(np.maximum(STATE_TOLERANCE * self.forces, self._support_rounding))
 
     def relative(self, norms: Array) -> float:
         """Largest ratio of the norms (k,) of a residual to the forces on their blocks."""
@@ -157,9 +159,9 @@ class PartSum:
     comm: MPI.Intracomm
     bc_dofs: Indices
     scale: ForceScale
-    block_of: npt.NDArray[Any] = np.empty(0, np.int64)
+    block_of: IntArray = np.empty(0, np.int64)
     n_blocks: int = 1
-    within: Any = None
+    within: scipy.sparse.csr_matrix | None = None
     last_body: Part | None = None
     of_bodies: Array | float = 0.0
 
@@ -268,7 +270,7 @@ class PartSum:
         sums = np.bincount(self.block_of, squares[: len(self.block_of)], self.n_blocks)
         sums = sums if self.within is None else self.within @ sums
         sums[0] = squares.sum()
-        return np.sqrt(self.comm.allreduce(sums))
+        return np.asarray(np.sqrt(self.comm.allreduce(sums)))
 
     def residual_norms(self, r: PETSc.Vec) -> Array:
         """Norms (k,) of a residual over the unknowns that are not constrained."""
@@ -296,9 +298,8 @@ class PartSum:
         norms, scale = self.residual_norms(r), self.scale
         if (norms <= scale.allowed).all():
             return
-        failed = f"; {self.failure()}" if self.failed else ""
-        allowed = f"allowed: {STATE_TOLERANCE:g}"
-        what = f"{scale.relative(norms):.1e} of the forces of loads and stresses is out of balance, {allowed}"
+        failed = f", allowed: {STATE_TOLERANCE:g}" + (f"; {self.failure()}" if self.failed else "")
+        what = f"{scale.relative(norms):.1e} of the forces of loads and stresses is out of balance"
         advice = "do PETSc options (of a script, a command line, PETSC_OPTIONS or a file petscrc) end the solve early?"
         raise SolveError(f"what the solver returned is no equilibrium: {what}{failed}", advice=advice)
 
@@ -339,10 +340,10 @@ class UnknownLayout:
         others = _diagonal_matrix(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENT_KEY], 1.0)
         return block_matrix([[T, None], [None, others]], self.comm)
 
-    def rows(self, local: Indices) -> npt.NDArray[PETSc.IntType]:
+    def rows(self, local: Indices) -> PetscIndices:
         """Global numbers of unknowns of this rank, from local numbers."""
         n = int(self._ends[-1])
-        return (self.comm.scan(n) - n + local).astype(PETSc.IntType)
+        return np.asarray(self.comm.scan(n) - n + local, PETSc.IntType)
 
 
 class TangentMatrix:
@@ -410,7 +411,7 @@ class TangentMatrix:
 
 @contextmanager
 def augmented_in_place(
-    comm: MPI.Intracomm, K: PETSc.Mat, others: Sequence[Block], bc_rows: npt.NDArray[Any], value: float
+    comm: MPI.Intracomm, K: PETSc.Mat, others: Sequence[Block], bc_rows: PetscIndices, value: float
 ) -> Iterator[PETSc.Mat]:
     """Within a `with` block, turn K into its sum with other blocks, with Dirichlet conditions applied. Collective.
 
@@ -447,14 +448,14 @@ def augmented_in_place(
         before.destroy()
 
 
-def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: npt.NDArray[Any]) -> bool:
+def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: PetscIndices) -> bool:
     """Whether all entries of `part` have places in `rows`, the rows `numbers` of another matrix. Collective."""
     pattern, allowed = local_csr(part)[numbers - part.getOwnershipRange()[0]], local_csr(rows)
     pattern.data[:], allowed.data[:] = 1.0, 1.0  # stored entries may be zero
     return bool(comm.allreduce(pattern.multiply(allowed).nnz == pattern.nnz, MPI.LAND))
 
 
-def _block_indices(A: PETSc.Mat, rows: npt.NDArray[Any]) -> PETSc.IS:
+def _block_indices(A: PETSc.Mat, rows: PetscIndices) -> PETSc.IS:
     return PETSc.IS().createGeneral(rows.astype(PETSc.IntType, copy=False), comm=A.comm)
 
 

@@ -73,7 +73,7 @@ class ArcLengthController(Controller):
 
     def _weight(self, before: State, last: State) -> float:
         """Weight 1/U^2, with the change U of nodal displacements in a first step of full length."""
-        unit = (last.u.x.petsc_vec - before.u.x.petsc_vec).norm() * self.path.first / (last.t - before.t)
+        unit = float((last.u.x.petsc_vec - before.u.x.petsc_vec).norm()) * self.path.first / (last.t - before.t)
         if not unit:
             raise self.error(f"nothing moves from t = {before.t:g} to {last.t:g}: the path has no direction")
         return 1 / unit**2

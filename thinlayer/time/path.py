@@ -78,7 +78,7 @@ class EquilibriumPath:
         return np.append(self._x.array_r, state.t)
 
     def _product(self, a: Array, b: Array) -> float:
-        of_u = self.equations.comm.allreduce(float(a[:-1] @ b[:-1]))
+        of_u = float(self.equations.comm.allreduce(float(a[:-1] @ b[:-1])))
         return self.weight * of_u + float(a[-1] * b[-1]) / self.unit**2
 
     def _size(self, a: Array) -> float:

@@ -205,7 +205,7 @@ class AdaptiveController(PlannedStepsController):
         self.journal.pace.step = min(max(step, planned) if end == self.target else step, self.settings.largest)
 
     def _farthest(self, length: float) -> float:
-        return min(self.target, self.last.t + max(MAX_SPRING_STEP * length, self.settings.first / 2**MAX_HALVINGS))
+        return min(self.target, self.last.t + max(MAX_SPRING_STEP * length, self.settings.first / 2.0**MAX_HALVINGS))
 
     def _regularised_state(self, state: State) -> list[State]:
         raise SolveError("the error of a step by weak springs is not known")
@@ -305,7 +305,7 @@ class ErrorEstimate:
         moved = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
         least = np.array([0.0, MIN_JUMP_SHARE * self._unit * moved, self._equations.scale.forces[0]])
         sizes = np.maximum(sizes, least)
-        return np.divide(differences, sizes, out=np.zeros(3), where=sizes > 0)
+        return np.asarray(np.divide(differences, sizes, out=np.zeros(3), where=sizes > 0))
 
     def sizes(self, state: State) -> Array:
         """Norms of the three quantities in a state."""
@@ -321,5 +321,5 @@ class ErrorEstimate:
             part.add_forces_in(state, forces)
         return [u.x.petsc_vec.array_r.copy(), np.concatenate([np.empty(0), *jumps]), forces.array_r.copy()]
 
-    def _norms(self, parts: list[Array]) -> Array:
-        return np.sqrt(self.comm.allreduce(np.array([part @ part for part in parts])))
+    def _norms(self, quantities: list[Array]) -> Array:
+        return np.asarray(np.sqrt(self.comm.allreduce(np.array([values @ values for values in quantities]))))
