@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from forms.base import Array, InputError
 from geometry.parallel import on_root
 from geometry.topology import IntArray
 from thinlayer.discretisation.state import Audit, Report, State
-from thinlayer.parts.part import FileOrder
+from thinlayer.parts.part import FileOrder, Memory
 from thinlayer.solving.equations import Equations
 from thinlayer.system.fingerprint import Resume, differences, differences_text
 from thinlayer.system.folder import hash_of, read_sealed, replace_file, write_sealed
@@ -27,6 +27,24 @@ REACTIONS_KEY = "reactions"
 MEMORY_PREFIX, FIELD_PREFIX, STRESS_PREFIX = "memory ", "field ", "stress "
 FILE_FORMAT = 2  # format of the files: 2 since march.json has the numbers of states
 STATE_NUMBERS = ("t", "stored", "sudden", "prescribed_work", "dissipated")  # numbers of a state in march.json
+
+JsonObject = dict[str, Any]  # a march, its mark or one of its states in march.json
+
+
+@dataclass
+class Pace:
+    """The values from which the length of the next step follows.
+
+    Attributes:
+        step: largest length of the next step; None: no limit.
+        largest: norms of displacements, jumps and forces to which errors of adaptive steps are relative. They are the
+            largest norms so far or, after rest, the norms at the end of the first step that was tried.
+        weight: weight 1/U^2 of displacements in the arc length of a path; 0 before its first step.
+    """
+
+    step: float | None = None
+    largest: Sequence[float] = (0.0, 0.0, 0.0)
+    weight: float = 0.0
 
 
 class Checkpoint:
@@ -42,10 +60,10 @@ class Checkpoint:
         mark: JSON of the model's identity and of the choices of the march; only a march with the same mark is resumed.
     """
 
-    def __init__(self, folder: Path, equations: Equations, mark: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, equations: Equations, mark: JsonObject) -> None:
         self.mark, self.folder, self.path = mark | {"format": FILE_FORMAT}, folder, folder / "march.json"
         self.model, self.comm, self._equations = equations.model, equations.comm, equations
-        self._states: dict[str, dict[str, Any]] = {}  # row -> numbers of the state, hash of its file
+        self._states: dict[str, JsonObject] = {}  # row -> numbers of the state, hash of its file
         self._orders = {FIELD_PREFIX + part.key: part.own_file_order for part in equations.with_own}
         for part in equations.parts:
             if (order := part.file_order) is not None:
@@ -67,7 +85,7 @@ class Checkpoint:
         return list((self.folder / "states").glob("[0-9]" * 6 + ".npz"))
 
     # ---------------------------------------------------------------- writing
-    def write(self, table: Table, states: Mapping[int, State], pace: Mapping[str, Any], first: int) -> None:
+    def write(self, table: Table, states: Mapping[int, State], pace: Pace, first: int) -> None:
         """Write the states of the rows from `first` on, and replace the table.
 
         Files of states that are not in `states` are removed. If `first` is 0, the files of an earlier march are removed
@@ -88,9 +106,9 @@ class Checkpoint:
         for file in (self.folder / CSV_FILE, self.path, *self._files()):
             file.unlink(missing_ok=True)
 
-    def _write_table(self, table: Table, states: Mapping[int, State], pace: Mapping[str, Any]) -> None:
+    def _write_table(self, table: Table, states: Mapping[int, State], pace: Pace) -> None:
         self._states = {row: about for row, about in self._states.items() if int(row) in states}
-        about = {"mark": self.mark, "pace": pace, "states": self._states}
+        about = {"mark": self.mark, "pace": asdict(pace), "states": self._states}
         write_sealed(self.path, about | {"columns": table.columns, "rows": [[*row.values()] for row in table.rows]})
         for stale in self._files():
             if int(stale.stem) not in states:
@@ -117,7 +135,7 @@ class Checkpoint:
         return rows[np.unique(rows[:, 0], return_index=True)[1]]
 
     # ---------------------------------------------------------------- reading
-    def read(self, resume: Resume, last: int) -> tuple[Table, dict[int, State], dict[str, Any]] | None:
+    def read(self, resume: Resume, last: int) -> tuple[Table, dict[int, State], Pace] | None:
         """Table, states and pace of the march in the folder; None if there is none or `resume` is False.
 
         With "anyway" it may be another march, which keeps its own mark.
@@ -135,9 +153,10 @@ class Checkpoint:
         self.mark, self._states = content["mark"], content["states"]
         table = Table(dict(zip(content["columns"], row, strict=True)) for row in content["rows"])
         on_root(self.comm, lambda: table.put(self.folder / CSV_FILE))
-        return table, {row: self._read_state(row) for row in sorted(map(int, self._states))[-last:]}, content["pace"]
+        states = {row: self._read_state(row) for row in sorted(map(int, self._states))[-last:]}
+        return table, states, Pace(**content["pace"])
 
-    def _content(self, resume: Resume) -> dict[str, Any] | None:
+    def _content(self, resume: Resume) -> JsonObject | None:
         """The content of march.json, on rank 0; None if there is no march or `resume` is False."""
         if not self.path.exists():
             if (self.folder / CSV_FILE).exists():
@@ -149,9 +168,8 @@ class Checkpoint:
             what = f"it has the format {there.get('format')} of another version, this one reads {FILE_FORMAT}"
             raise InputError(f"{str(self.path)!r} cannot be read ({what}); give another folder, or remove it")
         if there != self.mark and resume != "anyway":
-            other = differences_text([*differences(there, self.mark)])
-            remedy = "give another folder, remove it, or resume='anyway'"
-            raise InputError(f"{self.path} is of another march ({other}); {remedy}")
+            what = f"{self.path} is of another march ({differences_text([*differences(there, self.mark)])})"
+            raise InputError(f"{what}; give another folder, remove it, or resume='anyway'")
         if there["observe"].keys() != self.mark["observe"].keys():
             raise InputError(f"{self.path}: the march observes {[*there['observe']]}, not {[*self.mark['observe']]}")
         return content if resume else None
@@ -159,7 +177,7 @@ class Checkpoint:
     def _read_state(self, row: int) -> State:
         arrays: dict[str, Array] = {}  # on rank 0 only
 
-        def load() -> tuple[dict[str, Any], list[str], Array | None]:
+        def load() -> tuple[JsonObject, list[str], Array | None]:
             about = self._states[str(row)]
             if hash_of(self._file(row)) != about["hash"]:
                 raise InputError(f"{self._file(row)} is lost or damaged; remove the folder to start anew")
@@ -170,14 +188,11 @@ class Checkpoint:
         about, names, reactions = on_root(self.comm, load)
         rest = self._equations.rest(about["t"])
         spaces = {part.key: part.field.function_space for part in self._equations.with_own}
-        memory = {
-            key: {name: f.copy() for name, f in kept.items()} if isinstance(kept, Mapping) else kept.copy()
-            for key, kept in rest.memory.items()
-        }
+        memory = {key: _copied(values) for key, values in rest.memory.items()}
         fields = {key: fem.Function(V) for key, V in spaces.items() if FIELD_PREFIX + key in names}
         report, audit = Report(**about["report"] | {"method": "resumed"}), Audit(**about["audit"])
-        attributes = {k: about[k] for k in STATE_NUMBERS} | {"report": report, "audit": audit, "reactions": reactions}
-        state = replace(rest, memory=memory, fields=fields, at_rest=False, **attributes)
+        state = replace(rest, memory=memory, fields=fields, at_rest=False, report=report, audit=audit)
+        state = replace(state, reactions=reactions, **{name: about[name] for name in STATE_NUMBERS})
         for name, values in _state_values(state).items():
             order = self._orders[name]
             order.put(values, self._wanted(row, arrays.get(name), order.numbers, order.width * values.shape[1]))
@@ -192,6 +207,11 @@ class Checkpoint:
         if self.comm.allreduce(int(not np.isfinite(values).all())):
             raise InputError(f"{self._file(row)} is of a march with other unknowns; remove the folder to start anew")
         return values
+
+
+def _copied(memory: Memory) -> Memory:
+    """Copy of a part's memory."""
+    return {name: f.copy() for name, f in memory.items()} if isinstance(memory, Mapping) else memory.copy()
 
 
 def _state_functions(state: State) -> dict[str, fem.Function]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -18,29 +18,13 @@ from thinlayer.system.fingerprint import Resume, code_of, describe
 from thinlayer.system.progress import logger
 from thinlayer.system.ranks import collect, errors_on_all
 from thinlayer.system.table import Row
-from thinlayer.time.checkpoint import Checkpoint
+from thinlayer.time.checkpoint import Checkpoint, Pace
 
 Observers = Mapping[str, Callable[[State], float]]
 OBSERVER_HINT = "it must be a function of a state that returns a real number"
 # Largest relative difference of an observed value between ranks. Rounding is much smaller; values from one rank's part
 # of the mesh alone differ by more.
 OBSERVED_TOLERANCE = 1e-6
-
-
-@dataclass
-class Pace:
-    """The values from which the length of the next step follows.
-
-    Attributes:
-        step: largest length of the next step; None: no limit.
-        largest: norms of displacements, jumps and forces to which errors of adaptive steps are relative. They are the
-            largest norms so far or, after rest, the norms at the end of the first step that was tried.
-        weight: weight 1/U^2 of displacements in the arc length of a path; 0 before its first step.
-    """
-
-    step: float | None = None
-    largest: Sequence[float] = (0.0, 0.0, 0.0)
-    weight: float = 0.0
 
 
 @dataclass(eq=False)
@@ -89,9 +73,8 @@ class Journal:
         saved_march = self._files.read(resume, 2 if self.keep == "last" else 0) if self._files else None
         if saved_march is None:
             return False
-        self.history.table, states, pace = saved_march
-        self.pace, self._written = Pace(**pace), len(self.history)
-        last = len(self.history) - 1
+        self.history.table, states, self.pace = saved_march
+        self._written, last = len(self.history), len(self.history) - 1
         self.before = states.get(last - 1)
         self.history.states = states if self.keep == "all" else {last: states[last]}
         return True
@@ -110,7 +93,7 @@ class Journal:
             last, kept = len(self.history) - 1, dict(self.history.states)
             if self.before:
                 kept[last - 1] = self.before
-            self._files.write(self.history.table, kept, asdict(self.pace), self._written)
+            self._files.write(self.history.table, kept, self.pace, self._written)
             self._written = len(self.history)
         collect(self.equations.comm)
 
@@ -120,8 +103,8 @@ class Journal:
         self.before = history.last if history.states else None
         summary = state.t, report.method, report.iterations, report.residual
         self._log.info("t = %g: %s, %d steps, residual %.1e", *summary)
-        values = {name: value(state) for name, value in self._columns.items()}
         row: Row = {"t": state.t, "dt": state.t - self.before.t if self.before else 0.0}
+        values = {name: value(state) for name, value in self._columns.items()}
         row |= {name: None if math.isnan(value) else value for name, value in values.items()}
         row |= {name: self._observed(name, state) for name in self._observe}
         history.table.append({name: row[name] for name in history.table.columns or row})

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 
@@ -146,15 +146,16 @@ def march(
     return history
 
 
-def _initial_states(begin: Any) -> tuple[Model, list[State]]:
+def _initial_states(begin: object) -> tuple[Model, list[State]]:
     """Model, and initial states of a march: the last state, with the previous state before it if that is kept."""
     if isinstance(begin, History):
         return begin.model, [*filter(None, [begin.states.get(len(begin) - 2)]), begin.last]
     if isinstance(begin, State):
         return begin.model, [begin]
+    if isinstance(begin, Model):
+        return begin, []
     allowed = "march takes what Structure.full or Structure.interface returns, a history or a state"
-    require(isinstance(begin, Model), "model", begin, allowed)
-    return begin, []
+    raise InputError(f"model is {begin!r:.200}; {allowed}")
 
 
 def load_durations(first: float, last: float) -> list[float]:
@@ -162,12 +163,14 @@ def load_durations(first: float, last: float) -> list[float]:
     return list(dict.fromkeys([first, math.sqrt(first * last), last]))
 
 
-def _number(name: str, value: Any) -> float:
+def _number(name: str, value: float) -> float:
     require(not np.ndim(value) and np.asarray(value).dtype.kind in "iuf", name, value, "it must be a number")
     return float(value)
 
 
-def _check(model: Model, theta: float, keep: str, out: Any, resume: Resume, observe: Any) -> None:
+def _check(
+    model: Model, theta: float, keep: str, out: str | Path | None, resume: Resume, observe: Observers | None
+) -> None:
     require(observe is None or isinstance(observe, Mapping), "observe", observe, "give {name of a column: function}")
     for name, function in (observe or {}).items():
         require(isinstance(name, str) and callable(function), f"observe[{name!r}]", function, OBSERVER_HINT)
