@@ -67,8 +67,8 @@ class Creeping(TractionLaw):
 
 def test_laws_that_have_no_path():
     for law, message in [
-        (KelvinVoigt(60.0, 40.0, 0.3, 0.5), "KelvinVoigt depends on rates, and t is no time on a path"),
-        (Maxwell(60.0, 40.0, t1=0.7), "Maxwell creeps or relaxes, and t is no time on a path"),
+        (KelvinVoigt(60.0, 40.0, 0.3, 0.5), "KelvinVoigt depends on rates, and t is not a time on a path"),
+        (Maxwell(60.0, 40.0, t1=0.7), "Maxwell creeps or relaxes, and t is not a time on a path"),
         (Creeping(7.0, 0.3), "Creeping creeps or relaxes"),
         (NonMonotoneUnrelaxed(60.0, 40.0, 0.2, 0.02, np.eye(2)), "NonMonotoneUnrelaxed has pure phases"),
         (MohrCoulomb(60.0, 40.0, 0.1, 30.0), "MohrCoulomb bounds stresses: on a path loads stay"),

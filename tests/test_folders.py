@@ -45,7 +45,7 @@ def fail_to_write(*_):
 # ---------------------------------------------------------------- marches
 def test_a_march_leaves_other_tables_alone(tmp_path):
     (tmp_path / "table.csv").write_text("a,b\n1,2\n")
-    refused(InputError, r"has a table\.csv of something else", lambda: march(interface(), [0.1], out=tmp_path))
+    refused(InputError, r"table\.csv is not of a march", lambda: march(interface(), [0.1], out=tmp_path))
     assert (tmp_path / "table.csv").read_text() == "a,b\n1,2\n"
 
 

@@ -102,6 +102,6 @@ def test_refused():
     state = march(silent, [0.1]).last
     refused(InputError, "forces of the part 'inertia': write work_in", lambda: Surface(silent).reaction(state))
     forgetful = bar("bonded", Forgetful(1.0), h=0.1)
-    refused(InputError, "'inertia' remembers, and its commit returned", lambda: march(forgetful, [0.1]))
+    refused(InputError, "'inertia' remembers; let its commit return", lambda: march(forgetful, [0.1]))
     model = bar("bonded", Inertia(1.0), h=0.1)
     refused(InputError, "inertia balances forces at the ends of steps", lambda: march(model, [0.1, 0.2], theta=0.5))

@@ -99,7 +99,7 @@ def test_snaps_of_each_layer():
     half = {row["seam"]: row["plus"] for row in Surface(history.model).table(history.states[first.row]).rows}
     assert half["HIGH"] > half["LOW"] == 0.0
     twice = {"minus LOW": lambda state: 0.0}
-    refused(InputError, "column 'minus LOW' is there already", march, structure.interface(layers), [0.5], observe=twice)
+    refused(InputError, "column 'minus LOW' exists already", march, structure.interface(layers), [0.5], observe=twice)
 
 
 # ---------------------------------------------------------------- comparisons

@@ -190,7 +190,7 @@ CASES = [
     ("give side=", lambda: Probe(glue_state()).displacement((1.0, 0.0)),
         lambda: Probe(glue_state()).displacement((1.0, 0.0), side="upper")),
     ("give body=", lambda: law_of(glue(), loads=load()), lambda: law_of(glue(), loads=load(body="UPPER"))),
-    ("leave start= and out= away", lambda: march(glue_state(), [2.0], start=1.0), lambda: march(glue_state(), [2.0])),
+    ("omit start= and out=", lambda: march(glue_state(), [2.0], start=1.0), lambda: march(glue_state(), [2.0])),
 ]  # fmt: skip
 OTHERS = {"plain", "oblique", "overlap"}  # whose remedies, edges=None or a mesh, are tried under another key
 OF_A_COLUMN = {"functions", "not elastic", "anisotropic", "incompressible", "no excess"}  # which a table lacks, unasked

@@ -83,5 +83,5 @@ def test_refused():
     state = march(bar(GENTLE), [0.3]).last
     refused(InputError, "it must come after start", lambda: march(state, ArcLength(end=0.2, first=0.1)))
     refused(InputError, r"times is \[0\.2\] from start = 0\.3", lambda: march(state, [0.2]))
-    refused(InputError, "leave start= and out= away", lambda: march(state, [0.6], out="run"))
+    refused(InputError, "omit start= and out=", lambda: march(state, [0.6], out="run"))
     refused(InputError, "a history or a state", lambda: march([state], [0.6]))

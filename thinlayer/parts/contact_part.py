@@ -36,7 +36,7 @@ class ContactPart(Part):
         self, law: ContactLaw, surface: ContactSurface, bc_dofs: Indices = NO_NODES, key: str = CONTACT_KIND
     ) -> None:
         if not isinstance(law, ContactLaw):
-            raise InputError(f"{law!r} is no contact law")
+            raise InputError(f"{law!r} is not a contact law")
         law.check_threshold()
         of_law = {name: getattr(law.traits, name) for name in ("remembers", "softens")}
         self.traits = PartTraits(nonlinear=True, releases=True, has_homotopy=True, **of_law)

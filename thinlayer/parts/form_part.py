@@ -113,8 +113,7 @@ class FormPart(Part):
         change, theta = now.duplicate(), self.interval.theta
         change.waxpy(-1.0, old, now)
         before, after, of_change = (self._quadratic(v) for v in (old, now, change))
-        supplied = 0.0
-        remainder = (2 * theta - 1) * of_change
+        supplied, remainder = 0.0, (2 * theta - 1) * of_change
         if self._F or self._g:
             self._product.set(0.0)
             add_assembled_forces(self._product, *self._F, *self._g)
@@ -177,14 +176,12 @@ class LawFormPart(FormPart):
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
             check(p.law, None if p.n is None else p.n.ufl_shape[0])
-        proportional = [p.proportional for p in terms]
-        linear = [p for p, yes in zip(terms, proportional, strict=True) if yes]
-        others = [p for p, yes in zip(terms, proportional, strict=True) if not yes]
-        strained, bodies = [p for p in linear if p.prescribed_strain is not None], [p for p in terms if p.n is None]
+        kinds = [(p, p.proportional) for p in terms]
+        linear, others = ([p for p, is_linear in kinds if is_linear == wanted] for wanted in (True, False))
+        strained = [p for p in linear if p.prescribed_strain is not None]
         self._over = over = StepStrains(V.mesh, terms)
-        self._strained = any(p.prescribed_strain is not None for p in terms)
+        self._strained, stored = any(p.prescribed_strain is not None for p in terms), None
         u, v = fem.Function(V), ufl.TestFunction(V)
-        stored = None
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
             # prescribed strains of linear laws add energy to u.K u/2
             beyond = [_strain_energy(p, u) for p in _with_strains(strained, over.now)]
@@ -195,13 +192,14 @@ class LawFormPart(FormPart):
         super().__init__(key, u, K, F, stored, g=g)
         opposing = [p for p in others if p.n is None and p.prescribed_strain is not None]
         self._opposing = _opposing_integrals(_with_strains(opposing, over.balanced), u)
-        self.traits = replace(reduce(or_, map(_form_traits, terms), PartTraits()), inner=len(bodies) == len(terms))
+        self.traits = replace(
+            reduce(or_, map(_form_traits, terms), PartTraits()), inner=all(p.n is None for p in terms)
+        )
 
     def named(self) -> dict[str, PartTraits]:
         laws: dict[str, PartTraits] = {}
-        for p in self._terms:
-            name = type(p.law).__name__
-            laws[name] = laws.get(name, PartTraits()) | _form_traits(p)
+        for name, traits in ((type(p.law).__name__, _form_traits(p)) for p in self._terms):
+            laws[name] = laws.get(name, PartTraits()) | traits
         return laws
 
     # ---------------------------------------------------------------- prescribed strains
@@ -251,11 +249,9 @@ class LawFormPart(FormPart):
     def largest_at_rest(self) -> float:
         """Largest diagonal entry of the tangent at rest of non-linear laws; 1 unless it is finite, > 0. Collective."""
         self._u.x.array[:] = 0.0
-        largest = 0.0
-        for A in self._present_tangent():
-            diagonal = A.getDiagonal()
-            largest = float(diagonal.max()[1])
-            destroy(diagonal)
+        diagonals = [A.getDiagonal() for A in self._present_tangent()]
+        largest = max((float(diagonal.max()[1]) for diagonal in diagonals), default=0.0)
+        destroy(*diagonals)
         return largest if 0 < largest < np.inf else 1.0
 
     @cached_property
@@ -265,8 +261,7 @@ class LawFormPart(FormPart):
         Laws in a meshed layer with parameters that are functions are left out.
         """
         terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
-        V = self._u.function_space
-        points = [CompiledTerm(V, replace(p, law=_compiled_law(p.law))) for p in terms]
+        points = [CompiledTerm(self._u.function_space, replace(p, law=_compiled_law(p.law))) for p in terms]
         return [(compiled_term, PointStrains(compiled_term)) for compiled_term in points]
 
     def undeclared_softening(self) -> tuple[str, str] | None:

@@ -108,7 +108,7 @@ class _UserFormPart(FormPart):
             super().__init__(part.key, u, None, part.work(model, u, v), energy, kept=True)
         K = self.K
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
-            raise InputError(f"the part {part.key!r} has a negative stiffness: no equilibrium need be stable with it")
+            raise InputError(f"the part {part.key!r} has a negative stiffness: its equilibria may be unstable")
         self._has_energy = K is None or K.isSymmetric(ASYMMETRY_TOLERANCE * K.norm())
         self.traits = PartTraits(saddle=True, weakens=not (self._has_energy and linear), nonlinear=not linear)
 

@@ -69,7 +69,7 @@ class Equations(PartSum):
         self._shared = shared = SharedMatrices.acquire(model)
         self.bodies = shared.bodies = shared.bodies or body_parts(model)
         self.layers = layer_parts(model, self.constraints.bc_dofs, shared.bodies)
-        added = [part for addition in model.parts if (part := addition.part(model)) is not None]
+        added = [part for definition in model.parts if (part := definition.part(model)) is not None]
         self._own_parts = [*self.layers, *added]
         super().__init__([*shared.bodies, *self._own_parts])
         self._layout = UnknownLayout(self.comm, {DISPLACEMENT_KEY: self.u, **{p.key: p.field for p in self.with_own}})
@@ -83,8 +83,7 @@ class Equations(PartSum):
         self._rigid = RigidMotions(model, float(diag.norm()))
         (self.block_of, self.within), self.last_body = self._rigid.blocks, [None, *shared.bodies][-1]
         self.n_blocks = self.within.shape[0]
-        cancelling = max((part.cancelling for part in self.parts), default=0.0)
-        self.scale = ForceScale(self.norms(diag.array_r), cancelling, self.within)
+        self.scale = ForceScale(self.norms(diag.array_r), max(part.cancelling for part in self.parts), self.within)
         self.mean_stiffness = float(diag.norm(PETSc.NormType.NORM_1)) / diag.getSize()
         self._reactions = SupportReactions(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
@@ -98,10 +97,9 @@ class Equations(PartSum):
     def put_state(self, state: Configuration, x: PETSc.Vec) -> None:
         """Write into x the unknowns from which a step after this state starts."""
         values = self._layout.split(x.array)
-        values[DISPLACEMENT_KEY][:] = state.u.x.array[: self.n_displacements]
+        values[DISPLACEMENT_KEY][:] = self.constraints.unknowns(state.u.x.array[: self.n_displacements])
         for part in self.with_own:
             values[part.key][:] = part.own_start(state)
-        values[DISPLACEMENT_KEY][:] = self.constraints.unknowns(values[DISPLACEMENT_KEY])
 
     def _put(self, x: PETSc.Vec) -> None:
         """Write unknowns into the displacements u and the parts' own functions."""
@@ -240,12 +238,14 @@ class Equations(PartSum):
     def on_unknowns(self, forces: PETSc.Vec, part_loads: Sequence[Array] = ()) -> PETSc.Vec:
         """New vector of forces on the unknowns, from nodal forces, and from loads of the parts' own equations."""
         out = self.vector()
-        rows = self._layout.split(out.array)
-        rows[DISPLACEMENT_KEY][:] = forces.array_r
-        for part, load in zip(self.with_own, part_loads, strict=False):
-            rows[part.key][:] = load
-        rows[DISPLACEMENT_KEY][:] = self.constraints.forces(rows[DISPLACEMENT_KEY])
+        self._put_forces(forces.array_r, part_loads, out)
         return out
+
+    def _put_forces(self, forces: Array, of_parts: Sequence[Array], out: PETSc.Vec) -> None:
+        rows = self._layout.split(out.array)
+        rows[DISPLACEMENT_KEY][:] = self.constraints.forces(forces)
+        for part, values in zip(self.with_own, of_parts, strict=False):
+            rows[part.key][:] = values
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Write the residual at the initial unknowns x of the step into `out`, and pass its norms to the force scale.
@@ -274,11 +274,8 @@ class Equations(PartSum):
         of_all[: None if self.model.strain or self.model.stress else 1] = max(of_parts, default=0.0)
         self.scale.update_stresses(np.maximum(self.of_bodies, of_all))
         self._forces.axpy(-1.0, self.loads)
-        rows = self._layout.split(out.array)
-        rows[DISPLACEMENT_KEY][:] = np.nan if self.failed else self._forces.array_r
-        for part in self.with_own:
-            rows[part.key][:] = part.own_residual()
-        rows[DISPLACEMENT_KEY][:] = self.constraints.forces(rows[DISPLACEMENT_KEY])
+        forces = np.full(self.n_displacements, np.nan) if self.failed else self._forces.array_r
+        self._put_forces(forces, [part.own_residual() for part in self.with_own], out)
         self._relative_residual = self.relative(out) if self.traits.singular else 0.0
 
     def tangent(self) -> PETSc.Mat:
@@ -307,12 +304,12 @@ class Equations(PartSum):
         """
         alone = x is None and self._T is None and not self.with_own
         first, *others = self.blocks(self._relative_residual) if lend and alone else [Block(None)]
-        if not first.kept or first.factor != 1:
+        if first.kept and first.factor == 1:
+            with augmented_in_place(self.comm, first.matrix, others, self.bc_rows, self.mean_stiffness or 1.0) as A:
+                yield A
+        else:
             A = self.tangent()
             self.apply_bcs(A, x, b)
-            yield A
-            return
-        with augmented_in_place(self.comm, first.matrix, others, self.bc_rows, self.mean_stiffness or 1.0) as A:
             yield A
 
     def set_homotopy(self, parameter: float) -> None:
@@ -325,7 +322,7 @@ class Equations(PartSum):
         """Return the state at the end of the step, for its solution x.
 
         Raises:
-            SolveError: x is no equilibrium, even if the solver converged. LooseBody: parts released a body.
+            SolveError: x is not an equilibrium, even if the solver converged. LooseBody: parts released a body.
         """
         out, x0 = self.vector(), self.vector()
         self.residual(x, out)
@@ -364,7 +361,7 @@ class Equations(PartSum):
                 if not square <= part.unit_jump_measure() * size**2:
                     what = f"{part.key!r} jumps farther than the model's size, {size:.3g}"
                     advice = "loads may be beyond their limit; march from less"
-                    raise SolveError(f"what the solver returned is no equilibrium: {what}", advice=advice)
+                    raise SolveError(f"what the solver returned is not an equilibrium: {what}", advice=advice)
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:

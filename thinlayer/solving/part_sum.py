@@ -198,9 +198,8 @@ class PartSum:
     @property
     def stresses_at_rest(self) -> dict[str, Array]:
         """Zero stresses at rest, by key, of the parts whose stresses are stored in states."""
-        keeping = [part for part in self.parts if part.stress_width]
-        rests = [(part, rest) for part in keeping if (rest := part.rest()) is not None]
-        return {part.key: np.zeros((len(rest), part.stress_width)) for part, rest in rests}
+        memory, widths = self.memory_at_rest, {part.key: part.stress_width for part in self.parts if part.stress_width}
+        return {key: np.zeros((len(memory[key]), width)) for key, width in widths.items() if key in memory}
 
     def begin_parts(self, interval: TimeStep) -> None:
         """Begin a step in all parts."""
@@ -257,7 +256,7 @@ class PartSum:
         outcomes = {part.key: part.commit() for part in self.parts}
         memory = {key: outcome.memory for key, outcome in outcomes.items() if outcome.memory is not None}
         if lost := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
-            raise InputError(f"the part {lost[0]!r} remembers, and its commit returned an Outcome without memory=...")
+            raise InputError(f"the part {lost[0]!r} remembers; let its commit return StepOutcome(..., memory=...)")
         fields = {part.key: part.own_result() for part in self.with_own}
         stored = {key: outcome.after for key, outcome in outcomes.items() if outcome.kept}
         stresses = {key: outcome.stress for key, outcome in outcomes.items() if outcome.stress is not None}
@@ -301,7 +300,7 @@ class PartSum:
         failed = f", allowed: {STATE_TOLERANCE:g}" + (f"; {self.failure()}" if self.failed else "")
         what = f"{scale.relative(norms):.1e} of the forces of loads and stresses is out of balance"
         advice = "do PETSc options (of a script, a command line, PETSC_OPTIONS or a file petscrc) end the solve early?"
-        raise SolveError(f"what the solver returned is no equilibrium: {what}{failed}", advice=advice)
+        raise SolveError(f"what the solver returned is not an equilibrium: {what}{failed}", advice=advice)
 
 
 # ---------------------------------------------------------------- unknowns and tangent
@@ -316,8 +315,7 @@ class UnknownLayout:
     def __init__(self, comm: MPI.Intracomm, fields: Mapping[str, fem.Function]) -> None:
         self.comm, self.fields = comm, fields
         dofmaps = {key: f.function_space.dofmap for key, f in fields.items()}
-        maps = {key: (dofmap.index_map, dofmap.index_map_bs) for key, dofmap in dofmaps.items()}
-        self.sizes = {key: int(imap.size_local * bs) for key, (imap, bs) in maps.items()}
+        self.sizes = {key: int(dofmap.index_map.size_local * dofmap.index_map_bs) for key, dofmap in dofmaps.items()}
         self._ends = np.cumsum([*self.sizes.values()])
 
     def vector(self) -> PETSc.Vec:
@@ -364,16 +362,10 @@ class TangentMatrix:
 
     def fill(self, blocks: Sequence[Block]) -> PETSc.Mat:
         """Return the matrix of these blocks, whose pattern the first call fixes; destroy blocks not kept."""
-        places: dict[tuple[str, str], list[Block]] = {}
-        for block in blocks:
-            places.setdefault((block.row, block.column), []).append(block)
-        for place, here in places.items():
-            self._add(place, here)
+        for place in dict.fromkeys((block.row, block.column) for block in blocks):
+            self._add(place, [block for block in blocks if (block.row, block.column) == place])
         destroy(*(block.matrix for block in blocks if not block.kept))
-        if len(self.sizes) == 1:
-            (A,) = self._sums.values()
-            return A
-        return self._side_by_side()
+        return self._side_by_side() if len(self.sizes) > 1 else next(iter(self._sums.values()))
 
     def _add(self, place: tuple[str, str], blocks: Sequence[Block]) -> None:
         if place in self._sums:

@@ -160,7 +160,7 @@ class Checkpoint:
         """The content of march.json, on rank 0; None if there is no march or `resume` is False."""
         if not self.path.exists():
             if (self.folder / CSV_FILE).exists():
-                raise InputError(f"{self.folder} has a {CSV_FILE} of something else; give another folder, or remove it")
+                raise InputError(f"{self.folder / CSV_FILE} is not of a march; give another folder, or remove it")
             return None
         content = read_sealed(self.path)
         there = content["mark"]

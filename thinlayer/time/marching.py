@@ -109,7 +109,7 @@ def march(
         for name in solver:
             require_known("argument of march", name, SolverChoices.__annotations__)
         if begun and (start is not None or out is not None):
-            raise InputError("a march goes on from a state at its time, and without files: leave start= and out= away")
+            raise InputError("a march goes on from a state at its time, and without files: omit start= and out=")
         start = begun[-1].t if begun else _number("start", start or 0.0)
         theta = _number("theta", theta)
         _check(model, theta, keep, out, resume, observe)
@@ -120,17 +120,20 @@ def march(
     folder = Path(out) if out else None
     with Solver(model, **solver) as finder, own_folder(folder, model.comm):
         equations, traits = finder.equations, finder.equations.traits
-        ends_at_breaks = traits.remembers or traits.rate or traits.softens or plan.stops_at_breaks
+        ends_at_breaks = traits.remembers or traits.rate or traits.softens or plan.tolerance is not None
         ends = plan.targets(start, model.break_times if ends_at_breaks else ())
-        on_path, first = plan.is_path(traits), plan.first_length(start, ends)
+        on_path, first = plan.is_path or traits.softens, ends[0] - start if plan.first is None else plan.first
         plan.check_model(equations, theta, solver.get("method"))
         equations.check_times([start, *ends])
         if not on_path:
             require_in_time(equations, theta, [start, *ends])
         identity = {"start": start, "theta": theta, "tolerance": plan.tolerance} | ({"first": first} if on_path else {})
         journal = Journal(equations, identity, observe or {}, keep, folder)
-        warn_of_model(model, () if on_path or begun else load_durations(first, ends[-1] - start))
-        if plan.has_given_steps and not on_path:
+        shortest, longest = min(first, ends[0] - start), ends[-1] - start  # durations of sudden loads
+        durations = dict.fromkeys([shortest, math.sqrt(shortest * longest), longest])
+        warn_of_model(model, () if on_path or begun else [*durations])
+        has_planned_steps = not on_path and plan.tolerance is None
+        if has_planned_steps:
             warn_of_steps(model, start, ends, theta)
         controller = plan.controller(finder, journal, ends, solver.get("options") or {})
         try:
@@ -140,7 +143,7 @@ def march(
             raise
         each = [part.traits for part in equations.parts]  # laws that switch phases end steps at switches
         timed = any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in each)
-        if timed and plan.has_given_steps and not on_path:
+        if timed and has_planned_steps:
             warn_of_step_errors(controller, theta, begun)
     warn_of_states(list(history), None if on_path else start)
     return history
@@ -158,24 +161,17 @@ def _initial_states(begin: object) -> tuple[Model, list[State]]:
     raise InputError(f"model is {begin!r:.200}; {allowed}")
 
 
-def load_durations(first: float, last: float) -> list[float]:
-    """Durations of loads that are sudden at the start: of the first step, of the march, and their geometric mean."""
-    return list(dict.fromkeys([first, math.sqrt(first * last), last]))
-
-
 def _number(name: str, value: float) -> float:
     require(not np.ndim(value) and np.asarray(value).dtype.kind in "iuf", name, value, "it must be a number")
     return float(value)
 
 
-def _check(
-    model: Model, theta: float, keep: str, out: str | Path | None, resume: Resume, observe: Observers | None
-) -> None:
+def _check(model: Model, theta: float, keep: str, out: object, resume: Resume, observe: Observers | None) -> None:
     require(observe is None or isinstance(observe, Mapping), "observe", observe, "give {name of a column: function}")
     for name, function in (observe or {}).items():
         require(isinstance(name, str) and callable(function), f"observe[{name!r}]", function, OBSERVER_HINT)
         if name in {"dt", *columns(model)}:
-            raise InputError(f"observe: column {name!r} is there already; give it another name")
+            raise InputError(f"observe: column {name!r} exists already; give it another name")
     if not 0.5 <= theta <= 1:
         raise InputError(f"theta is {theta}; allowed: 1/2 (midpoint rule) to 1 (backward Euler)")
     require(keep in ("all", "last"), "keep", keep, "allowed: 'all', 'last'")

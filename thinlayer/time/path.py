@@ -182,7 +182,7 @@ class EquilibriumPath:
             if self._crossing(before, direction, self._size(increment)) < 0:
                 raise SolveError("the path turns within the step")
             if self._missed > BEND_FACTOR * self._size(direction - self._direction) + BEND_OFFSET:
-                raise SolveError("the equilibrium found is beside the path: its direction is that of the predictor")
+                raise SolveError("the equilibrium is not on the path: its direction is that of the predictor")
         self._direction = direction
 
     def _crossing(self, last: State, direction: Array, length: float) -> float:

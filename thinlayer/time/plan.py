@@ -12,7 +12,6 @@ import numpy as np
 
 from forms.base import InputError, is_finite, is_number, require
 from forms.temperature import real_values
-from thinlayer.parts.part import PartTraits
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.history import TIME_TOLERANCE
@@ -30,7 +29,7 @@ NO_PATH_REASONS = {
     "releases": "{} is a contact law: march in time instead of ArcLength",
     "bounded": "{} bounds stresses: on a path loads stay at their limit; march in time, which finds the limit",
     "switches": "{} has pure phases: its equilibria do not form one curve; march in time, which finds the snaps",
-    "rate": "{} depends on rates, and t is no time on a path: march in time",
+    "rate": "{} depends on rates, and t is not a time on a path: march in time",
 }  # reasons, see `PartSum.refuse`
 
 
@@ -38,26 +37,19 @@ class Plan(ABC):
     """Plan of the steps of a march. A new kind of steps is a plan with its controller.
 
     Attributes:
-        has_given_steps: whether the user chooses the lengths of steps, so that the march estimates their errors.
-        stops_at_breaks: whether steps end at the breaks of data, also without a law that needs it.
-        tolerance: largest estimated error of a step; None: errors are not estimated.
+        first: length of the first step; None: it ends at the first time.
+        tolerance: largest estimated error of a step, which then ends at breaks of data; None: a march in time estimates
+            the error of all its steps at the end.
+        is_path: whether steps follow an equilibrium path, for every model.
     """
 
-    has_given_steps: bool = False
-    stops_at_breaks: bool = False
+    first: float | None  # a value would become the default of fields
     tolerance: float | None = None
+    is_path: bool = False
 
     @abstractmethod
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
         """Times at which steps must end, with the breaks between them; InputError: they cannot follow `start`."""
-
-    def is_path(self, traits: PartTraits) -> bool:
-        """Whether the march of a model with these traits follows an equilibrium path."""
-        return False
-
-    def first_length(self, start: float, targets: Sequence[float]) -> float:
-        """Length of the first step."""
-        return targets[0] - start
 
     @abstractmethod
     def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
@@ -80,7 +72,7 @@ class PlannedTimes(Plan):
     """
 
     times: Sequence[float]
-    has_given_steps = True
+    first = None
 
     def __post_init__(self) -> None:
         allowed = "it must be a sequence of numbers or Adaptive(...)"
@@ -95,9 +87,6 @@ class PlannedTimes(Plan):
 
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
         return _targets(self.times, start, breaks)
-
-    def is_path(self, traits: PartTraits) -> bool:
-        return traits.softens
 
     def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
         if equations.traits.softens:
@@ -146,7 +135,6 @@ class Adaptive(Plan):
     at: Sequence[float] = ()
     smallest: float | None = None
     largest: float = math.inf
-    stops_at_breaks = True
 
     def __post_init__(self) -> None:
         _require_numbers(self, "first", "tolerance", "smallest", "largest", signed=("end",))
@@ -158,9 +146,6 @@ class Adaptive(Plan):
 
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
         return _targets(sorted({*self.at, self.end}), start, breaks)
-
-    def first_length(self, start: float, targets: Sequence[float]) -> float:
-        return min(targets[0] - start, self.first)
 
     def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
         equations.refuse({"softens": f"march with Adaptive: {SOFTENING_ADVICE}", "switches": NO_ERROR_MESSAGE})
@@ -212,6 +197,7 @@ class ArcLength(Plan):
     largest: float = 1.0
     steps: int = 1000
     back: float | None = None
+    is_path = True
 
     def __post_init__(self) -> None:
         _require_numbers(self, "first", "smallest", "largest", signed=("end", "back"))
@@ -233,12 +219,6 @@ class ArcLength(Plan):
         if not self.lowest(start) < start:
             raise InputError(f"ArcLength: back is {self.back:g}; it must be less than start = {start:g}")
         return [self.end]
-
-    def is_path(self, traits: PartTraits) -> bool:
-        return True
-
-    def first_length(self, start: float, targets: Sequence[float]) -> float:
-        return self.first
 
     def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
         _require_path(equations, theta, method)
@@ -303,4 +283,4 @@ def _require_path(equations: Equations, theta: float, method: str | None) -> Non
             raise InputError(f"{name} is incompressible: paths have displacements alone; march in time")
     equations.refuse(NO_PATH_REASONS)
     for name in filter(None, [part.takes_time() for part in equations.parts]):
-        raise InputError(f"{name} creeps or relaxes, and t is no time on a path: march in time")
+        raise InputError(f"{name} creeps or relaxes, and t is not a time on a path: march in time")

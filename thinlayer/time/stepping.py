@@ -69,8 +69,8 @@ class PlannedStepsController(Controller):
         """Attempts at a step; with a homotopy if no step has failed, after its use, and in the shortest step."""
         thorough = self._failed_at == math.inf or self.last.report.homotopy_steps > 0
         first = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
-        more = StepAttempt("Newton's method, with eased laws,", partial(self._step, thorough=True), self.smallest)
-        seek = StepAttempt("a way by weak springs", self._regularised_step, self.smallest)
+        more = StepAttempt("Newton's method, with homotopy laws,", partial(self._step, thorough=True), self.smallest)
+        seek = StepAttempt("a search by weak springs", self._regularised_step, self.smallest)
         return [first, *([] if thorough else [more]), seek] if self.solver.bounded else [first]
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
@@ -192,9 +192,8 @@ class AdaptiveController(PlannedStepsController):
         error = float(estimate.shares(whole, halves[-1], largest).max()) / (2**order - 1)
         ratio = (tolerance / error) ** (1 / (order + 1)) if error else MAX_LENGTH_RATIO
         self._factor = float(np.clip(SAFETY_FACTOR * ratio, MIN_LENGTH_RATIO, MAX_LENGTH_RATIO))
-        accepted = error <= tolerance
-        pace.largest = [*map(float, np.maximum(largest, middle) if accepted else largest)]
-        if not accepted:
+        pace.largest = [*map(float, np.maximum(largest, middle) if error <= tolerance else largest)]
+        if not error <= tolerance:
             raise _StepTooLarge(self._factor)
         return halves
 
