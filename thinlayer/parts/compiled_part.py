@@ -19,7 +19,7 @@ from forms.work import Term
 from thinlayer.discretisation.key import LAYER_KIND
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import TimeLevel
-from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, StepOutcome, TimeStep
+from thinlayer.parts.part import Block, FileOrder, Part, PartTraits, Softening, StepOutcome, TimeStep
 from thinlayer.pointwise.column_term import ColumnTerm
 from thinlayer.pointwise.compiled_term import CompiledTerm, Response
 from thinlayer.pointwise.quadrature import MeshOrigin
@@ -30,10 +30,8 @@ CHANGE_TOLERANCE = 1e-12  # relative difference of parameters at several times t
 SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a step at which parameters are sampled for changes in time
 
 
-def softening_law(
-    points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response
-) -> tuple[str, str] | None:
-    """Name of a law whose stress falls at e or between e_old and e, and the place; None: no law softens. Collective."""
+def softening_law(points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response) -> Softening | None:
+    """A law whose stress falls at e or between e_old and e; None: no law softens. Collective."""
     term = points.term
     count = points.comm.allreduce(points.softening_points(e, e_old, memory, response))
     return (type(term.law.in_space).__name__, f"at {count} points of the {term.key or LAYER_KIND}") if count else None
@@ -48,15 +46,15 @@ class PointStrains:
 
     def __init__(self, points: CompiledTerm) -> None:
         prescribed_strain = points.term.prescribed_strain
-        self._points, self._hand = points, TimeLevel()
-        self._form = None if prescribed_strain is None else points.form_of(self._hand.of(prescribed_strain))
+        self._points, self._time = points, TimeLevel()
+        self._form = None if prescribed_strain is None else points.form_of(self._time.of(prescribed_strain))
 
     def __call__(self, t: float) -> Array:
         """Prescribed strains (points, m) at time t."""
         points = self._points
         if self._form is None:
             return np.zeros((points.count, len(points.slots)))
-        self._hand.set(t)
+        self._time.set(t)
         return points.values_of(self._form)
 
 
@@ -83,7 +81,7 @@ class CompiledPart(Part):
         self.key, self._symmetric = key, symmetric
         meshed = term.law.traits.softens and term.measure.integral_type() == "cell"
         self.points = (ColumnTerm if meshed else CompiledTerm)(V, term, origin)
-        self._given_at = PointStrains(self.points)
+        self._strains = PointStrains(self.points)
         self.comm, self.law = self.points.comm, term.law
         self._t, self._in_body = 0.0, term.n is None
         self._tangent: PETSc.Mat | None = None
@@ -114,15 +112,15 @@ class CompiledPart(Part):
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         # Laws with rate have no response to sudden strains: strains prescribed at the start were always present.
-        sudden, self._given = interval.old.at_rest and not self.law.traits.rate, self._given_at(interval.t)
-        old = np.zeros_like(self._given) if sudden else self._given_at(interval.old.t)
-        self._growth = self._given - old
+        sudden, self._prescribed = interval.old.at_rest and not self.law.traits.rate, self._strains(interval.t)
+        old = np.zeros_like(self._prescribed) if sudden else self._strains(interval.old.t)
+        self._growth = self._prescribed - old
         self._e_old = self.points.strain(interval.old.u.x.petsc_vec) + old
         self._memory = interval.old.memory[self.key]
         self.at_time(interval.balanced)
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        self._u, self._e = u, self.points.strain(u.x.petsc_vec) + self._given
+        self._u, self._e = u, self.points.strain(u.x.petsc_vec) + self._prescribed
         self._response = self.points.respond(self._e, self._e_old, self._memory, self.interval.dt, self.interval.theta)
         self.failed = self.comm.allreduce(self._response.failed)
 
@@ -203,7 +201,7 @@ class CompiledPart(Part):
         A.destroy()
         return diagonal
 
-    def undeclared_softening(self) -> tuple[str, str] | None:
+    def undeclared_softening(self) -> Softening | None:
         if self._in_body or not self.law.traits.may_soften:
             return None
         return softening_law(self.points, self._e, self._e_old, self._memory, self._response)

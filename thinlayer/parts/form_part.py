@@ -25,7 +25,7 @@ from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import StepStrains
 from thinlayer.errors import former_names
 from thinlayer.parts.compiled_part import PointStrains, softening_law
-from thinlayer.parts.part import Block, Part, PartTraits, StepOutcome, TimeStep
+from thinlayer.parts.part import Block, Part, PartTraits, Softening, StepOutcome, TimeStep
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.quadrature import add_assembled_forces, add_distributed, assemble_matrix
 from thinlayer.system.ranks import communicator, destroy
@@ -264,7 +264,7 @@ class LawFormPart(FormPart):
         points = [CompiledTerm(self._u.function_space, replace(p, law=_compiled_law(p.law))) for p in terms]
         return [(compiled_term, PointStrains(compiled_term)) for compiled_term in points]
 
-    def undeclared_softening(self) -> tuple[str, str] | None:
+    def undeclared_softening(self) -> Softening | None:
         old = self.interval.old
         ends = (self._end, self.interval.t), (old.u, old.t)
         for points, point_strains in self._softening:

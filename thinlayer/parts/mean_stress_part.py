@@ -43,7 +43,7 @@ class MeanStressPart(FieldPart):
     def __init__(
         self, V: fem.FunctionSpace, bodies: Sequence[Term], mean_stress: MeanStress, volume: float, comm: MPI.Intracomm
     ) -> None:
-        self._given, self.unit, self._volume, mesh = mean_stress, 1 / mean_stress.size, volume, V.mesh
+        self._mean_stress, self.unit, self._volume, mesh = mean_stress, 1 / mean_stress.size, volume, V.mesh
         whole = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(mean_stress.count,)))
         same = np.zeros(np.shape(whole.dofmap.list), np.int64)
         W = broken_space(comm, SharedDofs(whole, same[:1, 0], same[:1, 0], same))
@@ -55,25 +55,25 @@ class MeanStressPart(FieldPart):
         virtual_work = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained)
         self.B, self.D = assemble_matrix(fem.form(couple)), assemble_matrix(fem.form(virtual_work))
         self._turned = self.B.transpose(PETSc.Mat())
-        of_given = [p for p in bodies if p.prescribed_strain is not None]
-        self._over = StepStrains(mesh, of_given)
-        stresses = [(p, p.law.stress(Step(self._over.now(p.prescribed_strain), p.n))) for p in of_given]
+        prescribing = [p for p in bodies if p.prescribed_strain is not None]
+        self._over = StepStrains(mesh, prescribing)
+        stresses = [(p, p.law.stress(Step(self._over.now(p.prescribed_strain), p.n))) for p in prescribing]
         virtual_work = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
-        self._own_of_given = fem.form(virtual_work) if of_given else None
+        self._strain_work = fem.form(virtual_work) if prescribing else None
         self._forces, self._own, self._more = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
         self._mid, self._old, self._change = (self.D.createVecRight() for _ in range(3))
 
     # ---------------------------------------------------------------- a step
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
-        new, old = self._of_given(interval.t), self._of_given(interval.old.t, at_rest=interval.old.at_rest)
+        new, old = self._strain_forces(interval.t), self._strain_forces(interval.old.t, at_rest=interval.old.at_rest)
         self._strained = new, old, interval.theta * new + (1 - interval.theta) * old
         self._old.array[:] = self.own_start(interval.old)
 
-    def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
+    def _strain_forces(self, t: float, *, at_rest: bool = False) -> Array:
         """Forces (own_size,) of the bodies' prescribed strains in the own equations, at time t or at rest."""
         self._over.look_at(t, at_rest=at_rest)
-        return np.asarray(assemble_values(self._own_of_given, self.own_size))
+        return np.asarray(assemble_values(self._strain_work, self.own_size))
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         theta, self._u = self.interval.theta, u
@@ -88,7 +88,9 @@ class MeanStressPart(FieldPart):
         return float(self._forces.norm())
 
     def load_at(self, t: float) -> Array:
-        return np.asarray(self._given.components(t) * self._volume / self._given.size, float)[: self.own_size]
+        return np.asarray(self._mean_stress.components(t) * self._volume / self._mean_stress.size, float)[
+            : self.own_size
+        ]
 
     def own_residual(self) -> Array:
         return np.asarray(self._own.array_r + self._strained[2] - self.load)
@@ -128,7 +130,7 @@ class MeanStressPart(FieldPart):
     @property
     def own_file_order(self) -> FileOrder:
         """One row for the whole cell."""
-        return FileOrder(np.zeros(1, np.int64), np.arange(self._given.count)[None, :])
+        return FileOrder(np.zeros(1, np.int64), np.arange(self._mean_stress.count)[None, :])
 
     def destroy(self) -> None:
         """Free matrices and vectors."""

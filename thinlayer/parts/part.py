@@ -20,6 +20,7 @@ from thinlayer.discretisation.state import Configuration
 from thinlayer.errors import former_names
 
 Memory = Array | Mapping[str, fem.Function]  # (n, values) at entities, or functions by name
+Softening = tuple[str, str]  # name of a law whose stress falls, and the place
 DISPLACEMENT_KEY = "u"  # the key of the unknowns that all parts share
 MISSPELT_SIMILARITY = 0.9  # ratio of two names (difflib) from which on one counts as the other misspelt
 
@@ -216,9 +217,7 @@ class Part(ABC):
         for names in abilities:
             missing = names.difference(dir(cls))
             if missing and missing != names:
-                raise InputError(
-                    f"{cls.__name__} defines {min(names - missing)!r} without {min(missing)!r}; define both"
-                )
+                raise InputError(f"{cls.__name__} has {min(names - missing)!r} without {min(missing)!r}; define both")
 
     def begin(self, interval: TimeStep) -> None:
         """Begin a step from the configuration `interval.old`."""
@@ -282,8 +281,8 @@ class Part(ABC):
     def commit(self) -> StepOutcome:
         """Energies and memory at the end of the step, for the last evaluation."""
 
-    def undeclared_softening(self) -> tuple[str, str] | None:
-        """Name of a law whose stress falls without the trait `softens`, and the place; None: there is no such law."""
+    def undeclared_softening(self) -> Softening | None:
+        """A law whose stress falls in the last evaluation without the trait `softens`; None: there is no such law."""
         return None
 
     def rest(self) -> Memory | None:

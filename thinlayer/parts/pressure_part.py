@@ -145,10 +145,13 @@ class PressurePart(FieldPart):
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         old = interval.old
-        self._given, before = self._of_given(interval.t), self._of_given(old.t, at_rest=old.at_rest)
-        self._growth = self._given - before
+        self._strain_volume, before = (
+            self._strain_volume_at(interval.t),
+            self._strain_volume_at(old.t, at_rest=old.at_rest),
+        )
+        self._growth = self._strain_volume - before
 
-    def _of_given(self, t: float, *, at_rest: bool = False) -> Array:
+    def _strain_volume_at(self, t: float, *, at_rest: bool = False) -> Array:
         """Contribution (own_size,) of prescribed strains to `own_residual`, at time t or at rest."""
         self._over.look_at(t, at_rest=at_rest)
         return np.asarray(self.unit * assemble_values(self._room, self.own_size))
@@ -170,7 +173,7 @@ class PressurePart(FieldPart):
         add_distributed(density, z.function_space, self._term.measure, out, self.region.maps)
 
     def own_residual(self) -> Array:
-        room = self._volume.array_r + self._given
+        room = self._volume.array_r + self._strain_volume
         return np.asarray(room if self._filled is None else room - self._filled)
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:

@@ -367,13 +367,13 @@ class Equations(PartSum):
     def check_times(self, times: list[float]) -> None:
         """Raise InputError if loads, prescribed displacements or parameters of laws are out of range at these times."""
         for t in times:
-            self._given_at(t)
+            self._data_at(t)
 
     def linear_in_time(self, start: float, end: float) -> bool:
         """Whether loads, supports and parameters of laws are linear between two times; tested at a few times."""
-        first, last = self._given_at(start), self._given_at(end)
+        first, last = self._data_at(start), self._data_at(end)
         for share in SAMPLE_FRACTIONS:
-            now = self._given_at(start + share * (end - start))
+            now = self._data_at(start + share * (end - start))
             for a, b, c in zip(first, last, now, strict=True):
                 error = self._largest((1 - share) * a + share * b - c)
                 if error > LINEARITY_TOLERANCE * self._largest(np.array([a, b, c])):
@@ -384,7 +384,7 @@ class Equations(PartSum):
         """Largest size of numbers on all ranks; 0 without any."""
         return float(self.comm.allreduce(float(np.abs(values).max(initial=0.0)), max))
 
-    def _given_at(self, t: float) -> list[Array]:
+    def _data_at(self, t: float) -> list[Array]:
         """Loads, prescribed displacements, prescribed strains and varying parameters at time t, on this rank."""
         for part in self.parts:
             part.at_time(t)

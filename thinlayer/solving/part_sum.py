@@ -11,10 +11,10 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
+from scipy.sparse import csr_matrix
 
 from forms.base import Array, InputError
 from geometry.topology import Indices, IntArray
@@ -80,9 +80,7 @@ class ForceScale:
         displacement: largest known displacement: prescribed, of the previous state, or of an elastic response.
     """
 
-    def __init__(
-        self, stiffness: Array | float, cancelling: float = 0.0, within: scipy.sparse.csr_matrix | None = None
-    ) -> None:
+    def __init__(self, stiffness: Array | float, cancelling: float = 0.0, within: csr_matrix | None = None) -> None:
         self.stiffness: Array = np.atleast_1d(stiffness)
         self._within = within
         self._largest_stiffness = np.maximum(self.stiffness, cancelling)
@@ -161,7 +159,7 @@ class PartSum:
     scale: ForceScale
     block_of: IntArray = np.empty(0, np.int64)
     n_blocks: int = 1
-    within: scipy.sparse.csr_matrix | None = None
+    within: csr_matrix | None = None
     last_body: Part | None = None
     of_bodies: Array | float = 0.0
 

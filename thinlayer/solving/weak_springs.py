@@ -134,11 +134,10 @@ class WeakSprings:
     def _shares(self, x: Array) -> dict[str, float]:
         """Shares of the seams in the squared jumps since the start; jumps along S count half in layers that yield."""
         self._d.array[:] = x - self._start
-        model, u, sums = self.equations.model, self.equations.configuration(self._d).u, {}
-        for part in self.equations.parts:
-            if (part.traits.bounded or part.traits.releases) and isinstance(part, MeasuresError):
-                sums[part.key] = self.equations.comm.allreduce(float((part.error_measure(u) ** 2).sum()))
-        of_seams = model.by_seam(sums)
+        equations, model, u = self.equations, self.equations.model, self.equations.configuration(self._d).u
+        limited = [part for part in equations.parts if part.traits.bounded or part.traits.releases]
+        jumps = {part.key: part.error_measure(u) for part in limited if isinstance(part, MeasuresError)}
+        of_seams = model.by_seam({key: equations.comm.allreduce(float((w**2).sum())) for key, w in jumps.items()})
         thin = {name: model.layers[name].thin_layer for name, square in of_seams.items() if square > 0}
         # squared jumps
         squares = {name: of_seams[name] * (layer.eps if layer else 1.0) for name, layer in thin.items()}

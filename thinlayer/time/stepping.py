@@ -232,16 +232,16 @@ class SnapController(PlannedStepsController):
             # positive within the step, it is positive at the end.
             convex = old.t == end or solver.equations.linear_in_time(old.t, end)
             probes = () if convex else (old.t + (end - old.t) * k / EXCESS_PROBES for k in range(1, EXCESS_PROBES))
-            bound = next((t for t in probes if self._kept(old, t)[1] > 0), end)
-            kept, excess = self._kept(old, bound)
+            bound = next((t for t in probes if self._at_fixed_phases(old, t)[1] > 0), end)
+            state, excess = self._at_fixed_phases(old, bound)
             if excess <= 0:
-                return [*states[1:], kept] if old.t < end else states[1:]
+                return [*states[1:], state] if old.t < end else states[1:]
             t = self._first(old, bound)
             if t > old.t:
-                old, _ = self._kept(old, t)
+                old, _ = self._at_fixed_phases(old, t)
                 states.append(old)
                 # from the new start Newton's tolerance may make the excess smaller
-                if self._kept(old, t)[1] <= -EXCESS_TOLERANCE:
+                if self._at_fixed_phases(old, t)[1] <= -EXCESS_TOLERANCE:
                     continue
             after = solver.step(old, t)
             if solver.equations.excess > 2 * EXCESS_TOLERANCE:
@@ -252,7 +252,7 @@ class SnapController(PlannedStepsController):
             if t == end:
                 return states[1:]
 
-    def _kept(self, old: State, t: float) -> tuple[State, float]:
+    def _at_fixed_phases(self, old: State, t: float) -> tuple[State, float]:
         """The state at a time with the phases of `old`, and the excess of its columns above the tolerance."""
         state = self.solver.step(old, t, keep_phases=True)
         return state, self.solver.equations.excess - 2 * EXCESS_TOLERANCE
@@ -262,7 +262,7 @@ class SnapController(PlannedStepsController):
         from scipy.optimize import brentq  # not needed by most marches
 
         def excess(t: float) -> float:
-            return self._kept(old, t)[1]
+            return self._at_fixed_phases(old, t)[1]
 
         if excess(old.t) > 0:
             return old.t
