@@ -88,9 +88,8 @@ class MeanStressPart(FieldPart):
         return float(self._forces.norm())
 
     def load_at(self, t: float) -> Array:
-        return np.asarray(self._mean_stress.components(t) * self._volume / self._mean_stress.size, float)[
-            : self.own_size
-        ]
+        stress = self._mean_stress
+        return np.asarray(stress.components(t) * self._volume / stress.size, float)[: self.own_size]
 
     def own_residual(self) -> Array:
         return np.asarray(self._own.array_r + self._strained[2] - self.load)

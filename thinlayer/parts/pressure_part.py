@@ -145,10 +145,8 @@ class PressurePart(FieldPart):
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         old = interval.old
-        self._strain_volume, before = (
-            self._strain_volume_at(interval.t),
-            self._strain_volume_at(old.t, at_rest=old.at_rest),
-        )
+        self._strain_volume = self._strain_volume_at(interval.t)
+        before = self._strain_volume_at(old.t, at_rest=old.at_rest)
         self._growth = self._strain_volume - before
 
     def _strain_volume_at(self, t: float, *, at_rest: bool = False) -> Array:
