@@ -177,7 +177,8 @@ class LawFormPart(FormPart):
         for p in terms:
             check(p.law, None if p.n is None else p.n.ufl_shape[0])
         kinds = [(p, p.proportional) for p in terms]
-        linear, others = ([p for p, is_linear in kinds if is_linear == wanted] for wanted in (True, False))
+        linear = [p for p, is_linear in kinds if is_linear]
+        others = [p for p, is_linear in kinds if not is_linear]
         strained = [p for p in linear if p.prescribed_strain is not None]
         self._over = over = StepStrains(V.mesh, terms)
         self._strained, stored = any(p.prescribed_strain is not None for p in terms), None
