@@ -96,9 +96,9 @@ class MeanStressPart(FieldPart):
 
     def tangents(self, relative_residual: float) -> list[Block]:
         theta = self.interval.theta
-        of_mean_strain = Block(self.B, theta, column=self.key, kept=True)
-        own = [(self._turned, DISPLACEMENT_KEY), (self.D, self.key)]
-        return [of_mean_strain, *(Block(matrix, theta, self.key, column, kept=True) for matrix, column in own)]
+        rows = [(self.B, DISPLACEMENT_KEY, self.key), (self._turned, self.key, DISPLACEMENT_KEY)]
+        rows.append((self.D, self.key, self.key))
+        return [Block(matrix, theta, row, column, kept=True) for matrix, row, column in rows]
 
     def commit(self) -> StepOutcome:
         """As in `Part`; the energy is the contribution of the mean strain to the energy of the bodies."""
