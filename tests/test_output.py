@@ -12,7 +12,7 @@ from forms.base import InputError
 from studies.problems import FOURIER_LAYER, fourier
 from tests.refused import refused
 from thinlayer import Structure, Surface, Table, ThinLayer, fields, march, plotting, solve, sweep
-from thinlayer.output.grid import gather_grid
+from thinlayer.output.paraview.grid import gather_grid
 from thinlayer.solving.history import History
 
 pytestmark = pytest.mark.few(5)

@@ -10,7 +10,7 @@ from forms import LinearElastic
 from geometry import block, sandwich
 from tests.refused import refused
 from thinlayer import Structure, ThinLayer, plotting, solve
-from thinlayer.output.grid import gather_grid
+from thinlayer.output.paraview.grid import gather_grid
 from thinlayer.output.plotting.scene import DEFAULT_VIEWS, DeformedShape, outer_surface, sharp_edges
 
 BODY = LinearElastic.young(E=100.0, nu=0.3)

@@ -24,7 +24,7 @@ from thinlayer.system.version import VERSION as __version__
 _STUB_TEXT = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
 _STUB_IMPORTS = [line for line in ast.parse(_STUB_TEXT).body if isinstance(line, ast.ImportFrom)]
 _MODULE_OF_NAME = {alias.name: str(line.module) for line in _STUB_IMPORTS for alias in line.names}
-_SUBMODULES = {"plotting": "output.plotting", "fields": "output.fields", "goals": "estimating.goals"}
+_SUBMODULES = {"plotting": "output.plotting", "fields": "output.paraview.writer", "goals": "estimating.goals"}
 __all__ = sorted(_MODULE_OF_NAME)
 
 logging.getLogger("thinlayer").addHandler(logging.NullHandler())  # quiet by default

@@ -18,7 +18,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.key import Key
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State, cell_values
-from thinlayer.output.tractions import LawPoints, law_points
+from thinlayer.surface.law_points import LawPoints, law_points
 from thinlayer.surface.locating import LocatedPoints
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.ranks import errors_on_all, require_same

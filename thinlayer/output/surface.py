@@ -14,8 +14,9 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, contact_result, contact_values
-from thinlayer.output.tractions import LawPoints, layer_points, layer_tractions, points_of_rule, reaction_tractions
+from thinlayer.output.tractions import layer_points, layer_tractions, points_of_rule, reaction_tractions
 from thinlayer.solving.history import phase_shares, phase_slots, seams_with_phases
+from thinlayer.surface.law_points import LawPoints
 from thinlayer.surface.pressure_excess import resting_sublayers, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table

@@ -13,7 +13,7 @@ from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from forms.base import InputError, is_integer, require
 from geometry.parallel import on_root
 from thinlayer.discretisation.state import State
-from thinlayer.output.grid import gather_grid
+from thinlayer.output.paraview.grid import gather_grid
 from thinlayer.output.plotting.scene import Scene, View
 from thinlayer.output.plotting.structures import DEFAULT_VIEW
 from thinlayer.solving.history import History

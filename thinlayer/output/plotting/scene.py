@@ -21,7 +21,7 @@ from matplotlib.colors import Normalize
 
 from forms.base import is_finite
 from forms.temperature import finite_values
-from thinlayer.output.grid import VtkGrid
+from thinlayer.output.paraview.grid import VtkGrid
 from thinlayer.output.plotting.picture import Picture
 
 DRAWN_DISPLACEMENT_SHARE = 0.05  # largest drawn displacement, over the size of the structure

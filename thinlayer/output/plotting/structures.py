@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 
 from forms.base import Array, InputError
 from thinlayer.discretisation.state import State
-from thinlayer.output.grid import VtkGrid, gather_grid
+from thinlayer.output.paraview.grid import VtkGrid, gather_grid
 from thinlayer.output.plotting.curves import COLOURS, SYMLOG_RANGE
 from thinlayer.output.plotting.picture import Picture, drawn_on_root
 from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, Scene, View

@@ -16,9 +16,9 @@ from geometry.topology import BoolArray, IntArray, lagrange
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT_STATUS, contact_values
-from thinlayer.output.grid import VtkGrid, gather_grid, vtk_order, vtk_type
+from thinlayer.output.paraview.grid import VtkGrid, gather_grid, vtk_order, vtk_type
 from thinlayer.output.surface import STATUSES, Surface
-from thinlayer.output.tractions import LawPoints, law_points
+from thinlayer.surface.law_points import LawPoints, law_points
 
 BODIES_BLOCK, LAYER_BLOCK, SURFACE_BLOCK = "bodies", "layer", "S"
 VTK_TENSOR_ORDER = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # VTK's order of symmetric tensors: XX, YY, ZZ, XY, YZ, XZ

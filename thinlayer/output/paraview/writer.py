@@ -16,7 +16,7 @@ from forms.base import InputError, require
 from geometry.parallel import default_comm, on_root
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
-from thinlayer.output.blocks import blocks
+from thinlayer.output.paraview.blocks import blocks
 from thinlayer.output.surface import Surface
 from thinlayer.solving.history import History, Solution
 from thinlayer.system.folder import replace_file

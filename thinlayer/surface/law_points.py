@@ -1,0 +1,100 @@
+"""Points of laws in a state: their stresses and internal variables, in bodies, in meshed layers and on S."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from forms.base import Array
+from forms.law import BulkLaw
+from forms.tensors import MANDEL_PAIRS, mandel_tensors, mandel_vector
+from forms.traits import VARIABLE_SIZES
+from forms.work import Term, stress
+from geometry.topology import IntArray
+from thinlayer.discretisation.key import Key
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.state import State
+from thinlayer.pointwise.quadrature import Quadrature
+
+UNNAMED_MEMORY = "memory"  # name of the internal values of a law that does not name them
+_QUADRATURES: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, eq=False)
+class LawPoints:
+    """This rank's quadrature points of one term in a state.
+
+    Attributes:
+        state: the state.
+        term: the term at the time of the state; its prescribed strain includes a mean strain under a mean stress.
+        quadrature: its points.
+        key: key of its compiled law in `State.memory`; "" for a law that is not compiled.
+    """
+
+    state: State
+    term: Term
+    quadrature: Quadrature
+    key: str
+
+    @cached_property
+    def entities(self) -> IntArray:
+        """Numbers in the joint of this rank's cells with points, or rows of the facets in the joint's table."""
+        return self.quadrature.original[: len(self.quadrature.cells)]
+
+    def stress(self) -> Array:
+        """Stresses (points, 3, 3), with the pressure of an incompressible law. Collective."""
+        term, points = self.term, self.quadrature
+        if term.law.traits.compiled:
+            vectors = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL_PAIRS))))
+        else:
+            vectors = points.values(mandel_vector(stress(term, self.state.u)))
+        return mandel_tensors(vectors) + self._pressure()[:, None, None] * np.eye(3)
+
+    def _pressure(self) -> Array:
+        """Pressure (points,) of an incompressible law, a part of its stress; zero for other laws."""
+        if not self.term.law.traits.constrained:
+            return np.zeros(self.quadrature.count)
+        region = self.quadrature.region
+        p = self.state.fields[str(Key.parse(self.term.key).pressure)]
+        here = fem.Function(fem.functionspace(region.mesh, ("Lagrange", 1)))
+        here.x.array[here.function_space.dofmap.list] = p.x.array[p.function_space.dofmap.list]
+        return self.quadrature.values(ufl.as_vector([region.side(here)]))[:, 0]
+
+    def internal(self) -> list[dict[str, Array]]:
+        """Internal variables by name, (points, *shape), for each sublayer from the lower to the upper face."""
+        sublayers = [law for _, law in self.term.law.sublayers]
+        if not self.key:
+            return [{} for _ in sublayers]
+        memory = self.state.memory.get(self.key, np.zeros((self.quadrature.count, self.term.law.memory)))
+        sizes = [law.memory for law in sublayers]
+        slices = np.split(memory[:, self.term.law.memory - sum(sizes) :], np.cumsum(sizes)[:-1], axis=1)
+        return [unpack_memory(law, values) for law, values in zip(sublayers, slices, strict=True)]
+
+
+def law_points(state: State) -> Iterator[LawPoints]:
+    """Yield the points of all laws of a state, bodies first, then layers, without contact laws. Collective."""
+    model = state.model
+    keys = {id(q.term): key for key, q in model.quadratures.items()}
+    if model not in _QUADRATURES:
+        of_term = {id(q.term): q for q in model.quadratures.values()}
+        _QUADRATURES[model] = [of_term.get(id(term)) or Quadrature(model.V, term, model.origin) for term in model.terms]
+    for base, term, quadrature in zip(model.terms, state.bodies + state.layers, _QUADRATURES[model], strict=True):
+        yield LawPoints(state, term, quadrature, keys.get(id(base), ""))
+
+
+def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
+    """The internal variables of a law by name, (points, *shape), from the rows of its memory (points, values)."""
+    if sum(VARIABLE_SIZES[shape] for shape in law.internal.values()) != memory.shape[1]:
+        return {UNNAMED_MEMORY: memory}
+    variables, start = {}, 0
+    for name, shape in law.internal.items():
+        part = memory[:, start : start + VARIABLE_SIZES[shape]]
+        variables[name] = mandel_tensors(part) if shape == (3, 3) else part if shape else part[:, 0]
+        start += VARIABLE_SIZES[shape]
+    return variables
