@@ -16,6 +16,7 @@ import numpy as np
 import ufl
 
 from forms.base import Array, InputError, require
+from forms.layer_results import LayerResults
 from forms.parameter_fields import (
     MAX_CHECKED_PLACES,
     ParameterField,
@@ -90,7 +91,7 @@ def choice(default: ChoiceType) -> ChoiceType:
 
 
 @dataclass(frozen=True, eq=False)  # compared by identity, unless a law defines ==
-class Law:
+class Law(LayerResults):
     """Base of the three kinds of laws: a frozen dataclass whose fields are its parameters.
 
     Laws derive from `BulkLaw` (of strains), `TractionLaw` (of jumps) or `ContactLaw` (of nodes). A class declares its
@@ -298,11 +299,13 @@ class BulkLaw(Law):
         powers: parameter -> power of eps that keeps the interface law finite and not zero as eps -> 0.
         volume_compliance: tr e/p of a law with a pressure p (trait `constrained`); 0: incompressible.
         methods: names of the methods that compute the stress and the new internal variables, for messages.
+        switching_variables: internal variables that `excess` and `switched` take if the law switches, the phase first.
     """
 
     takes_fields: ClassVar = True
     volume_compliance: ClassVar[Expr] = 0.0
     methods: ClassVar[tuple[str, str]] = ("stress", "advance")
+    switching_variables: ClassVar[tuple[str, ...]] = ("phase", "drive", "bound")
 
     def _traits_of_methods(self) -> dict[str, bool]:
         kind, declared = type(self), Traits.of(self)
@@ -453,6 +456,8 @@ class WrappedLaw(BulkLaw):
     powers, internal, break_times, fields = map(_delegated, ("powers", "internal", "break_times", "fields"))
     fields_at, at, parameters = map(_delegated, ("fields_at", "at", "parameters"))
     check, check_dimension = map(_delegated, ("check", "check_dimension"))
+    statuses, status_at, plastic_strain = map(_delegated, ("statuses", "status_at", "plastic_strain"))
+    share_columns, shares, mean_shares = map(_delegated, ("share_columns", "shares", "mean_shares"))
 
     def choices(self) -> tuple[tuple[str, object], ...]:
         return ("law", type(self.law)), *self.law.choices()

@@ -24,7 +24,7 @@ from tests.phases_of_bars import BAR
 from tests.test_mohr_coulomb_models import PATH, PATH_3D, check_path, column
 from thinlayer import Structure, Surface, ThinLayer, march, piecewise, solve
 from thinlayer.discretisation.state import displacements_of
-from thinlayer.solving.history import phase_shares
+from thinlayer.surface.law_points import layer_shares
 
 # layers whose thickness tends to zero under the same load, and columns of any height
 pytestmark = [pytest.mark.filterwarnings("ignore::thinlayer.errors.RangeWarning"), pytest.mark.few(5)]
@@ -57,8 +57,8 @@ def test_relaxed_law_in_columns(eps, angle):
     t, phases = limit_law.relaxed(point.jumps)
     assert point.tractions == pytest.approx(t, abs=1e-9 * np.abs(t).max())
     for k, phase in enumerate(phases):
-        assert phase_shares(limit.at(k + 1.0), "S")["plus"] == pytest.approx(max(phase, 0), abs=1e-9)
-        assert phase_shares(full.at(k + 1.0), "S")["minus"] == pytest.approx(max(-phase, 0), abs=1e-9)
+        assert layer_shares(limit.at(k + 1.0), "S")["plus"] == pytest.approx(max(phase, 0), abs=1e-9)
+        assert layer_shares(full.at(k + 1.0), "S")["minus"] == pytest.approx(max(-phase, 0), abs=1e-9)
     assert {-1, 1} <= {int(np.sign(phase)) for phase in phases if 0 < abs(phase) < 1}
 
 
@@ -188,8 +188,8 @@ def test_snap_by_heating():
     for history in (limit, full):
         (snap,) = history.snaps
         assert 20 + 75 * snap.t == pytest.approx(hot, rel=1e-9)
-        assert phase_shares(history.at(0.1), "S")["plus"] == 0
-        assert phase_shares(history.last, "S")["plus"] == pytest.approx(1)
+        assert layer_shares(history.at(0.1), "S")["plus"] == 0
+        assert layer_shares(history.last, "S")["plus"] == pytest.approx(1)
         check_balance(history)
     cold = both(joint(), ThinLayer(heated(hot - 1), 0.02, at=1.0), setup, [0.1, 1.0])
     assert not any(history.snaps for history in cold)
@@ -205,7 +205,7 @@ def test_phases_of_sublayers_are_weighted_by_their_thickness():
     sides = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}
     bars = Structure(joint(), body=LinearElastic(0.0, 50.0), supports=sides, tractions={"TOP": (0.0, 1.5)})
     for model in (bars.interface(layer), bars.full(layer)):
-        shares = phase_shares(state := solve(model), "S")
+        shares = layer_shares(state := solve(model), "S")
         assert shares == pytest.approx({"plus": 0.2 / 0.7, "minus": 0.0, "boundary": 0.5 * 0.1}, rel=1e-9)
         assert Surface(model).phase(state) == pytest.approx(0.2 / 0.7, rel=1e-9)
 

@@ -16,7 +16,7 @@ from geometry import sandwich
 from tests.on_ranks import on_ranks
 from thinlayer import Structure, ThinLayer, march
 from thinlayer.discretisation.model import Model
-from thinlayer.solving.history import phase_shares
+from thinlayer.surface.law_points import layer_shares
 
 JOINT = sandwich(2.0, 1.0, 1.0, 1.0)
 SETUP = {"body": LinearElastic.young(1e4, 0.3), "supports": {"BOTTOM": 0.0, "TOP": {"x": 0.0}}}
@@ -63,7 +63,7 @@ def test_phases_of_a_law_of_ones_own():
     history = march(model(Switch(5.0)), [0.5])
     assert history.table["plus"].tolist() == [0.0, 1.0]
     assert np.isnan(history.table["energy"]).all()  # it declares none
-    assert phase_shares(history.last, "S")["plus"] == 1.0
+    assert layer_shares(history.last, "S")["plus"] == 1.0
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from tests.own_laws import Stiffening
 from tests.refused import refused
 from thinlayer import Adaptive, SolveError, Structure, ThinLayer, march
 from thinlayer.pointwise.columns import EXCESS_TOLERANCE
-from thinlayer.solving.history import phase_shares
+from thinlayer.surface.law_points import layer_shares
 
 pytestmark = pytest.mark.few(5)
 
@@ -106,7 +106,7 @@ def test_what_comes_back_within_a_step(name):
     check(history, [snap.t for snap in several.snaps], [snap.lost for snap in several.snaps])
     if name == "loads":
         assert [snap.t for snap in history.snaps[:4]] == pytest.approx(np.arcsin(reference()[0]) / np.pi, rel=1e-9)
-        assert phase_shares(history.last, "S")["plus"] == 0
+        assert layer_shares(history.last, "S")["plus"] == 0
 
 
 def test_bodies_that_stiffen():

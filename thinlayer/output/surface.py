@@ -9,24 +9,20 @@ import numpy.typing as npt
 
 from forms.base import Array, InputError
 from forms.law import Law
+from forms.layer_results import ELASTIC, YIELD_STATUSES, LayerPoints
 from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, contact_result, contact_values
 from thinlayer.output.tractions import layer_points, layer_tractions, points_of_rule, reaction_tractions
-from thinlayer.solving.history import phase_shares, phase_slots, seams_with_phases
-from thinlayer.surface.law_points import LawPoints
+from thinlayer.surface.law_points import LawPoints, layer_shares
 from thinlayer.surface.pressure_excess import resting_sublayers, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
 from thinlayer.system.table import Table
 
-NO_LAYER, BONDED, ELASTIC, OPEN = "no layer", "bonded", "elastic", "open"
-SLIDING, CRUSHED, TORN = "sliding", "crushed", "torn"
-YIELD_STATUSES = (ELASTIC, SLIDING, CRUSHED, TORN, OPEN)
-STATUSES = tuple(dict.fromkeys((*YIELD_STATUSES, NO_LAYER, BONDED, *CONTACT_STATUSES)))
-# traction or plastic strain, over the largest traction or strain of a layer, that counts as zero
-ZERO_TRACTION_SHARE = 1e-6
+NO_LAYER, BONDED = "no layer", "bonded"
+STATUSES = (*YIELD_STATUSES, NO_LAYER, BONDED, *CONTACT_STATUSES)  # those of further laws have later numbers in files
 
 
 class Surface(SurfaceMesh):
@@ -80,7 +76,8 @@ class Surface(SurfaceMesh):
         - "crushed", "torn": the largest part is a closing, or an opening, along n;
         - "open": the sides have separated, and no traction across S is left;
         - "no layer": an open joint, on which no law acts; "bonded": a `Bond`;
-        - "separated", "sliding", "stick", "pinned": under contact laws, the status of its nodes (`contact`).
+        - "separated", "sliding", "stick", "pinned": under contact laws, the status of its nodes (`contact`);
+        - other words of the law, see `forms.layer_results.LayerResults.status_at`.
 
         A facet has the status of its largest part. Plastic strains are accumulated since the beginning, not over one
         step.
@@ -92,20 +89,20 @@ class Surface(SurfaceMesh):
         model = state.model
         if not isinstance(model, InterfaceModel):
             raise InputError(f"a status is known of states of interface models, not of {model!r}")
-        areas = {name: np.zeros(len(self.rows)) for name in STATUSES}
+        areas = {name: np.zeros(len(self.rows)) for name in all_statuses(model)}
         for name in model.joint.seams:
             if len(possible := statuses(model, name)) == 1:
                 areas[possible[0]][self.seams == name] = 1.0
         for points, rows in layer_points(self, state):
-            if _has_plastic_strain(points.term.law):
+            if len(possible := law_statuses(points.term.law)) > 1:
                 status, weights = _at_points(self, points, rows), self.rule(points.quadrature.degree).weights
-                for name in YIELD_STATUSES:
+                for name in possible:
                     np.add.at(areas[name], rows[rows >= 0], (weights[rows[rows >= 0]] * (status == name)).sum(axis=1))
         if of_contact := contact_values(self, state):
             at_corners = of_contact["status"][self.nodes]
             for name in CONTACT_STATUSES:
                 areas[name] += ((self.weights @ self.shapes) * (at_corners == name)).sum(axis=1)
-        return np.array(STATUSES)[model.comm.allreduce(np.array([*areas.values()])).argmax(axis=0)][:, None]
+        return np.array([*areas])[model.comm.allreduce(np.array([*areas.values()])).argmax(axis=0)][:, None]
 
     def phase(self, state: State) -> Array:
         """(n, 1) mean phase of the layer at each facet, in a state of either model; nan if the layer has no phases.
@@ -116,13 +113,12 @@ class Surface(SurfaceMesh):
         self._require_same_joint(state)
         sums = np.zeros((2, len(self.rows)))
         for points, rows in layer_points(self, state):
-            slots = phase_slots(points.term.law)
-            memory = points.state.memory[points.key] if slots else np.empty(0)
             cells = points.quadrature.cells[rows >= 0]
-            for fraction, k in slots:
-                weights = fraction * points.quadrature.weights[cells]
-                for total, values in zip(sums, (weights * memory[:, k][cells], weights), strict=True):
-                    np.add.at(total, rows[rows >= 0], values.sum(axis=1))
+            for (fraction, law), internal in zip(points.term.law.sublayers, points.internal(), strict=True):
+                if law.traits.phases:
+                    weights = fraction * points.quadrature.weights[cells]
+                    for total, values in zip(sums, (weights * internal["phase"][cells], weights), strict=True):
+                        np.add.at(total, rows[rows >= 0], values.sum(axis=1))
         part, whole = state.model.comm.allreduce(sums)
         return np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), np.nan)[:, None]
 
@@ -143,7 +139,7 @@ class Surface(SurfaceMesh):
           the nodes' area.
         - "normal_force": under contact laws the integral of the pressure.
         - "plus", "minus": for layers with phases, in either model, the shares of phases 1 and -1; "boundary": the
-          thickness of phase 0, if the other phases lie above it.
+          thickness of phase 0, if the other phases lie above it. Other laws may have other columns (`layer_shares`).
         - "too_stiff": factor by which laws of orders 0 and 1 of an isotropic elastic layer are too stiff against the
           openings of the state. These laws let no material flow along S (`surface/pressure_excess.py`). The factor is
           that of the layer alone, whatever its shear; the error of a structure with soft bodies is smaller. Above 1.1,
@@ -167,8 +163,8 @@ class Surface(SurfaceMesh):
             elif status is not None:
                 areas = self.weights.sum(axis=1) * mine / size
                 row |= {name: float(areas @ (status[:, 0] == name)) for name in statuses(model, seam)}
-            if layer and seam in seams_with_phases(model):
-                row |= phase_shares(state, seam)
+            if layer:
+                row |= layer_shares(state, seam)
             thin = layer.thin_layer if layer else None
             if layer and thin and status is not None and (factor := times_too_stiff(state, layer)) is not None:
                 row |= {"delta": float(thin.eps) * resting_sublayers(layer)[0].length, "too_stiff": factor}
@@ -183,32 +179,39 @@ def statuses(model: Model, seam: str) -> tuple[str, ...]:
         return CONTACT_STATUSES
     if seam not in model.layers:
         return (BONDED if seam in model.bonds else NO_LAYER,)
-    return YIELD_STATUSES if _has_plastic_strain(model.layers[seam].law) else (ELASTIC,)
+    return law_statuses(model.layers[seam].law)
 
 
-def _has_plastic_strain(law: Law) -> bool:
-    return any(sublayer.internal.get("plastic") == (3, 3) for _, sublayer in law.sublayers)
+def law_statuses(law: Law) -> tuple[str, ...]:
+    """Statuses that points of a law may have."""
+    return tuple(dict.fromkeys(word for _, sublayer in law.sublayers for word in sublayer.statuses))
+
+
+def all_statuses(model: Model) -> tuple[str, ...]:
+    """`STATUSES`, then the further ones of the laws of a model's layers."""
+    return tuple(dict.fromkeys((*STATUSES, *(word for seam in model.layers for word in statuses(model, seam)))))
 
 
 def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.NDArray[np.str_]:
     """Statuses (facets, q) at the points of a layer's law, on the facets `rows` that are not -1. Collective."""
-    model, q, sublayers = points.state.model, points.quadrature, points.term.law.sublayers
+    model, q, laws = points.state.model, points.quadrature, points.term.law.sublayers
     (layer,) = (seam_layer for seam_layer in model.layers.values() if seam_layer.key == points.term.key)
-    rule = surface.rule(q.degree)
-    lower, upper = surface.sides(points.state.u, model, rule)[:, :, surface.seams == layer.name]
-    opening = np.zeros(rule.weights.shape)
-    opening[surface.seams == layer.name] = ((upper - lower) * rule.n[:, surface.seams == layer.name]).sum(axis=0)
-    strain = float(np.abs(upper - lower).max(initial=0.0)) / float(layer.thin_layer.eps)
-    plastic = np.zeros((q.count, 3, 3))
-    for (fraction, _), values in zip(sublayers, points.internal(), strict=True):
-        plastic += fraction * values.get("plastic", 0.0)
-    t, flow = (np.einsum("pij,pj->pi", tensor, q.n) for tensor in (points.stress(), plastic))
-    t_N, closed = ((vector * q.n).sum(axis=1) for vector in (t, -flow))
-    slip = 2 * np.linalg.norm(flow + closed[:, None] * q.n, axis=1)
-    largest = model.comm.allreduce(float(np.abs(t).max(initial=0.0)), max)
-    order = points_of_rule(rule, rows, points)
-    slip, closed, t_N = slip[order], closed[order], t_N[order]
-    free = (opening[rows[rows >= 0]] > 0) & (np.abs(t_N) <= ZERO_TRACTION_SHARE * largest)
-    still = np.maximum(slip, np.abs(closed)) <= ZERO_TRACTION_SHARE * strain
-    kinds = {OPEN: free, ELASTIC: still, SLIDING: slip >= np.abs(closed), CRUSHED: closed > 0}
-    return np.select([*kinds.values()], [*kinds], TORN)
+    rule, here = surface.rule(q.degree), surface.seams == layer.name
+    lower, upper = surface.sides(points.state.u, model, rule)[:, :, here]
+    openings = np.zeros(rule.weights.shape)
+    openings[here] = ((upper - lower) * rule.n[:, here]).sum(axis=0)
+    order, opening = points_of_rule(rule, rows, points), np.zeros(q.count)
+    opening[order] = openings[rows[rows >= 0]]
+    plastic, internal = np.zeros((q.count, 3, 3)), points.internal()
+    for (fraction, law), variables in zip(laws, internal, strict=True):
+        if (strain := law.plastic_strain(variables)) is not None:
+            plastic += fraction * strain
+    t = np.einsum("pij,pj->pi", points.stress(), q.n)
+    largest_traction = model.comm.allreduce(float(np.abs(t).max(initial=0.0)), max)
+    largest_strain = float(np.abs(upper - lower).max(initial=0.0))
+    largest_strain /= float(layer.thin_layer.eps) if layer.thin_layer else 1.0
+    status = np.full(q.count, ELASTIC)
+    for (_, law), variables in zip(laws, internal, strict=True):
+        at = LayerPoints(variables, plastic, t, q.n, opening, largest_traction, largest_strain)
+        status = np.where(status == ELASTIC, law.status_at(at), status)
+    return status[order]

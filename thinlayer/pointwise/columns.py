@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from mpi4py import MPI
 
-from forms.base import Array
+from forms.base import Array, InputError
+from forms.law import BulkLaw
 from geometry.topology import IntArray
 
 EXCESS_TOLERANCE = 1e-11  # largest excess (an energy over C) that counts as rounding error: the phase does not change
@@ -37,15 +38,28 @@ class Columns:
         return self.sum_of(self._weights * values) / self._total
 
 
+@runtime_checkable
+class SwitchingLaw(Protocol):
+    """Methods of a law that switches, at the values (n,) of its `switching_variables`, the phase first."""
+
+    def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
+        """(n,) energy of the phase less the least energy of other phases, over C; the phase switches if it is > 0."""
+
+    def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
+        """(n,) phases of lowest energy."""
+
+
 class Switching:
     """Phases of columns in the internal variables of a law that switches: their excess energies and their changes."""
 
-    def __init__(self, law: Any, columns: Columns | None = None) -> None:
-        self.law, self.columns = law, columns
-        self._slot = {name: k for k, name in enumerate(law.internal)}
+    def __init__(self, law: BulkLaw, columns: Columns | None = None) -> None:
+        if not isinstance(law, SwitchingLaw):
+            raise InputError(f"{type(law).__name__} switches phases; write its methods excess and switched too")
+        self.law, self.columns, names = law, columns, list(law.internal)
+        self._slots = [names.index(name) for name in law.switching_variables]
 
     def _of_columns(self, memory: Array) -> list[Array]:
-        values = [memory[:, self._slot[name]] for name in ("phase", "drive", "bound")]
+        values = [memory[:, slot] for slot in self._slots]
         if not self.columns:
             return values
         phase, drive, bound = map(self.columns.mean, values)
@@ -67,5 +81,5 @@ class Switching:
         if (after == before[0]).all():
             return None
         new = old.copy()
-        new[:, self._slot["phase"]] = after[self.columns.of] if self.columns else after
+        new[:, self._slots[0]] = after[self.columns.of] if self.columns else after
         return new

@@ -75,17 +75,6 @@ def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
     return compiled
 
 
-def memory_slots(law: BulkLaw, name: str) -> list[tuple[float, BulkLaw, int]]:
-    """Fraction, law and memory index of each sublayer that has a scalar internal variable of this name."""
-    start, slots = law.memory - sum(sublayer.memory for _, sublayer in law.sublayers), []
-    for fraction, sublayer in law.sublayers:
-        if sublayer.internal.get(name) == ():
-            before = list(sublayer.internal)[: list(sublayer.internal).index(name)]
-            slots.append((fraction, sublayer, start + sum(VARIABLE_SIZES[sublayer.internal[n]] for n in before)))
-        start += sublayer.memory
-    return slots
-
-
 # ---------------------------------------------------------------- laws written in UFL
 _COMPILED_LAWS: dict[Any, tuple[int, Any]] = {}  # this package's laws, by name; other laws may use data that change
 

@@ -1,4 +1,4 @@
-"""History: the accepted steps of a march, the columns of their table, and the shares of phases in layers."""
+"""History: the accepted steps of a march, and the columns of their table."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from forms.base import Array, InputError, is_finite, require
-from forms.law import BulkLaw
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.pointwise.kernels import memory_slots
+from thinlayer.surface.law_points import layer_shares, seams_with_shares, share_columns
 from thinlayer.system.table import Table
 
 TIME_TOLERANCE = 1e-9  # largest difference of times that count as equal, relative to the span of a march
@@ -30,7 +29,7 @@ class Snap:
         row: table row of the state after the snap. The previous row is the state just before it (stored if `keep` is
             "all").
         lost: energy lost in the snap.
-        seams: names of the seams whose layers have different shares of phases after it.
+        seams: names of the seams whose layers have different shares, as of phases, after it.
     """
 
     t: float
@@ -100,11 +99,11 @@ class History:
         return [Snap(float(t[k]), k, float(lost[k]), self._changed(k)) for k in rows]
 
     def _changed(self, row: int) -> tuple[str, ...]:
-        """Names of the seams whose layers have different shares of phases in a row than in the previous row."""
+        """Names of the seams whose layers have different shares in a row than in the previous row."""
         before, after = (self.table.rows[k] for k in (row - 1, row))
-        shares = {seam: phase_columns(self.model, seam) for seam in seams_with_phases(self.model)}
         moved = {column for column in after if after[column] != before[column]}
-        return tuple(seam for seam, names in shares.items() if moved & {names["plus"], names["minus"]})
+        seams = seams_with_shares(self.model)
+        return tuple(seam for seam in seams if moved & {*columns_of_shares(self.model, seam).values()})
 
     def at(self, t: float) -> State:
         """State at a time, the last one if there are several.
@@ -140,48 +139,14 @@ def columns(model: Model) -> dict[str, Callable[[State], float]]:
         getters[f"dissipated {place}"] = lambda state, place=place: state.dissipated[place]  # type: ignore[misc]
     if any("elastic_fraction" in term.law.parameters() for term in model.terms):
         getters["elastic share"] = attrgetter("elastic_share")
-    for seam in seams_with_phases(model):
+    for seam in seams_with_shares(model):
         getters["energy"] = attrgetter("audit.total")
-        for name, column in phase_columns(model, seam).items():
-            getters[column] = lambda state, seam=seam, name=name: phase_shares(state, seam)[name]  # type: ignore[misc]
+        for name, column in columns_of_shares(model, seam).items():
+            getters[column] = lambda state, seam=seam, name=name: layer_shares(state, seam)[name]  # type: ignore[misc]
     return getters
 
 
-def phase_columns(model: Model, seam: str) -> dict[str, str]:
-    """Name of a share in `phase_shares` -> its column, which contains the seam's name if several seams have phases."""
-    of_seam = f" {seam}" if len(seams_with_phases(model)) > 1 else ""
-    return {name: name + of_seam for name in ("plus", "minus", "boundary")}
-
-
-# ---------------------------------------------------------------- phases of layers
-def seams_with_phases(model: Model) -> list[str]:
-    """Names of the seams whose layers have phases."""
-    return [name for name, layer in model.layers.items() if layer.thin_layer and layer.law.traits.phases]
-
-
-def phase_slots(law: BulkLaw) -> list[tuple[float, int]]:
-    """Thickness fraction and index among the internal variables, for each sublayer of a law that has phases."""
-    return [(a, k) for a, sublayer, k in memory_slots(law, "phase") if sublayer.traits.phases]
-
-
-def phase_shares(state: State, seam: str) -> dict[str, float]:
-    """Shares of the phases of a layer, in a state of a full or an interface model. Collective.
-
-    The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Any other value is a mixture with phase 0: its size
-    is the share of phase 1 (or -1).
-
-    Returns:
-        "plus", "minus": shares of the layer (of its sublayers with phases) in phases 1 and -1; "boundary": thickness of
-            phase 0 if the other phases lie above it, a length, the mean over S. For the bar of section 6.2 it is the
-            position eps S of the phase boundary, Eq. (47).
-    """
-    layer, sums = state.model.layers[seam], np.zeros(3)
-    assert layer.thin_layer
-    for key, quadrature in state.model.quadratures.items():
-        for a, k in phase_slots(quadrature.term.law) if quadrature.term.key == layer.key else ():
-            phase, weights = state.memory[key][:, k], a * quadrature.weights
-            sums += [weights @ np.maximum(phase, 0), weights @ np.maximum(-phase, 0), weights.sum()]
-    plus, minus, whole = map(float, state.model.comm.allreduce(sums))
-    fraction = sum(a for a, law in layer.thin_layer.law.sublayers if law.traits.phases)
-    boundary = max(1 - (plus + minus) / whole, 0.0) * float(layer.thin_layer.eps) * fraction
-    return {"plus": plus / whole, "minus": minus / whole, "boundary": boundary}
+def columns_of_shares(model: Model, seam: str) -> dict[str, str]:
+    """Name of a number in `layer_shares` -> its column, which contains the seam's name if several seams have some."""
+    of_seam = f" {seam}" if len(seams_with_shares(model)) > 1 else ""
+    return {name: name + of_seam for name in share_columns(model.layers[seam].law)}

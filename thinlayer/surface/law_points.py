@@ -1,4 +1,4 @@
-"""Points of laws in a state: their stresses and internal variables, in bodies, in meshed layers and on S."""
+"""Points of laws in a state: stresses and internal variables in bodies, layers and on S, and shares of a layer's phases."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import ufl
 from dolfinx import fem
 
 from forms.base import Array
-from forms.law import BulkLaw
+from forms.law import BulkLaw, Law
 from forms.tensors import MANDEL_PAIRS, mandel_tensors, mandel_vector
 from forms.traits import VARIABLE_SIZES
 from forms.work import Term, stress
@@ -75,6 +75,45 @@ class LawPoints:
         sizes = [law.memory for law in sublayers]
         slices = np.split(memory[:, self.term.law.memory - sum(sizes) :], np.cumsum(sizes)[:-1], axis=1)
         return [unpack_memory(law, values) for law, values in zip(sublayers, slices, strict=True)]
+
+
+def seams_with_shares(model: Model) -> list[str]:
+    """Names of the seams whose layers have `layer_shares`."""
+    return [name for name, layer in model.layers.items() if share_columns(layer.law)]
+
+
+def share_columns(law: Law) -> tuple[str, ...]:
+    """Names of the numbers in `layer_shares` for a layer with this law."""
+    return tuple(dict.fromkeys(name for _, sublayer in law.sublayers for name in sublayer.share_columns))
+
+
+def layer_shares(state: State, seam: str) -> dict[str, float]:
+    """Shares of a layer's material in other states, in a state of a full or an interface model. Collective.
+
+    Returns:
+        numbers by the names that the law declares (`share_columns`). Of a layer with phases: "plus", "minus", shares of
+        its sublayers with phases in phases 1 and -1. The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Any
+        other value is a mixture with phase 0: its size is the share of phase 1 (or -1). "boundary": thickness of phase
+        0 if the other phases lie above it, a length, the mean over S. For the bar of section 6.2 it is the position
+        eps S of the phase boundary, Eq. (47).
+    """
+    model, layer, shares = state.model, state.model.layers[seam], dict[str, float]()
+    eps = float(layer.thin_layer.eps) if layer.thin_layer else 0.0
+    mine = [LawPoints(state, q.term, q, key) for key, q in model.quadratures.items() if q.term.key == layer.key]
+    for columns in dict.fromkeys(law.share_columns for _, law in layer.law.sublayers if law.share_columns):
+        sums: dict[str, float] = {}
+        for points in mine:
+            for (a, law), internal in zip(points.term.law.sublayers, points.internal(), strict=True):
+                if law.share_columns == columns:
+                    weights = a * points.quadrature.weights
+                    integrals = {name: weights @ values for name, values in law.shares(internal).items()}
+                    for name, value in (integrals | {"": weights.sum()}).items():
+                        sums[name] = sums.get(name, 0.0) + value
+        totals = dict(zip(sums, map(float, model.comm.allreduce(np.array([*sums.values()]))), strict=True))
+        fraction = sum(a for a, law in layer.law.sublayers if law.share_columns == columns)
+        law = next(law for _, law in layer.law.sublayers if law.share_columns == columns)
+        shares |= law.mean_shares(totals, totals.pop(""), eps, fraction)
+    return shares
 
 
 def law_points(state: State) -> Iterator[LawPoints]:

@@ -17,7 +17,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, NO_CONTACT_STATUS, contact_values
 from thinlayer.output.paraview.grid import VtkGrid, gather_grid, vtk_order, vtk_type
-from thinlayer.output.surface import STATUSES, Surface
+from thinlayer.output.surface import Surface, all_statuses
 from thinlayer.surface.law_points import LawPoints, law_points
 
 BODIES_BLOCK, LAYER_BLOCK, SURFACE_BLOCK = "bodies", "layer", "S"
@@ -25,7 +25,6 @@ VTK_TENSOR_ORDER = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # VTK's order of sy
 STRESS, VON_MISES = "stress", "von Mises"
 POLY_LINE = 4  # VTK cell type, straight between nodes, as ParaView does not integrate over curved lines
 CONTACT_CODES = {NO_CONTACT_STATUS: -1} | {name: code for code, name in enumerate(CONTACT_STATUSES)}
-STATUS_CODES = {name: code for code, name in enumerate(STATUSES)}
 # names of fields; internal variables with these names get the prefix "internal"
 RESERVED_FIELDS = ("u", STRESS, VON_MISES, "region", "seam", "status", "traction", "jump")
 
@@ -153,7 +152,7 @@ def _surface_block(state: State, model: InterfaceModel, means: Mapping[str, Arra
     Each facet has its own nodes. Point data are "traction", "jump", "normal", "u_upper", "u_lower", their mean "u" (to
     warp S by), "t_N", "w_N", "t_T" and "w_T". The last two are in 2D the component along (n_2, -n_1), in 3D the vector
     in S. With contact laws there are also "contact" (`CONTACT_CODES`, -1 where no contact law acts) and the vector
-    "slip". Facet data are "seam" (its position in the field "seams"), "status" (`STATUS_CODES`), and means of internal
+    "slip". Facet data are "seam" (its position in the field "seams"), "status" (a code), and means of internal
     variables.
 
     Args:
@@ -180,8 +179,9 @@ def _surface_block(state: State, model: InterfaceModel, means: Mapping[str, Arra
     block.cell_data["seam"] = joint.seam_numbers
     _add_texts(block, "seams", joint.seams)
     if status is not None:
-        block.cell_data["status"] = [STATUS_CODES[name] for name in status]
-        block.field_data["status codes"] = _legend(STATUS_CODES)
+        status_codes = {name: code for code, name in enumerate(all_statuses(model))}
+        block.cell_data["status"] = [status_codes[name] for name in status]
+        block.field_data["status codes"] = _legend(status_codes)
     if contact:
         slip = np.einsum("mk,mkj->mj", contact["slip"], contact["frames"][:, :-1])
         codes = np.array([CONTACT_CODES[name] for name in contact["status"]])
