@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -44,11 +44,8 @@ class LayerPoints(NamedTuple):
 class LayerResults:
     """Base of laws: the words and numbers that results show of a law, which a law may define otherwise."""
 
-    if TYPE_CHECKING:
-
-        @property
-        def internal(self) -> Mapping[str, tuple[int, ...]]:
-            """Internal variables of the law, name -> shape."""
+    if TYPE_CHECKING:  # defined by `forms.law.Law`
+        internal: ClassVar[Mapping[str, tuple[int, ...]]]
 
         @property
         def traits(self) -> Traits:

@@ -249,7 +249,7 @@ REFUSALS = [
     ([*ESTIMATES, "thin_enough", "Zoom"], ["gaps"], "BED meets HEAD, where bodies part without a layer"),
     ([*ESTIMATES, "thin_enough"], ["inertia"], "remembers steps beside the layers"),
     (["compare"], ["bonds"], "the same open or bonded joints, not none and S"),
-    (["Zoom"], ["bonds"], "there is no layer on the seam 'S'"),
+    (["Zoom"], ["bonds"], "the seam 'S' has no layer"),
     (["compare", *ESTIMATES, "thin_enough", "Zoom", "sweep"], ["periodic"], "S reaches one of the periodic sides"),
     (["estimate Reaction"], ["cell"], "nothing holds 'BOTTOM'"),
     (["thin_enough"], ["cell"], "compliance is zero, and so has no relative error"),

@@ -68,7 +68,7 @@ def test_pictures(tmp_path):
     assert_drawn(tmp_path / "two.png", tmp_path / "solid.png", tmp_path / "p.png")
     refused(InputError, "nothing to draw", lambda: plotting.along(middle.surface, {}))
     refused(InputError, "3 components", lambda: plotting.on_surface(solid, Surface.jump))
-    refused(InputError, "is no field on S", lambda: plotting.on_surface(solid, np.array(["a"])))
+    refused(InputError, "is not a field on S", lambda: plotting.on_surface(solid, np.array(["a"])))
     refused(InputError, "no state to draw", lambda: plotting.on_surface({}, Surface.status))
 
 

@@ -124,7 +124,7 @@ def test_the_table_of_another_sweep_is_not_adopted(tmp_path, monkeypatch):
     sidecar.write_text(sidecar.read_text().replace("0.4", "0.5"))
     refused(InputError, r"t\.csv\.json' cannot be read", lambda: sweep(run, [0.4], path, resume=True))
     sidecar.unlink()
-    refused(InputError, "that tells what it is made from", lambda: sweep(run, [0.4], path, resume=True))
+    refused(InputError, "which describes its origin, does not exist", lambda: sweep(run, [0.4], path, resume=True))
 
 
 def test_rows_that_do_not_fit():

@@ -118,7 +118,7 @@ def test_comparisons_by_name():
         assert parts["BED"][f"error_{field}"] != pytest.approx(parts["HEAD"][f"error_{field}"], rel=0.1)
     left = compare(full, limit, seam="HEAD", where=lambda x: x[1] < 0.5)  # one head of three
     assert 0 < left["jump"] < parts["HEAD"]["jump"]
-    refused(InputError, "where holds nowhere", compare, full, limit, seam="HEAD", where=lambda x: x[0] < -1)
+    refused(InputError, "where is true nowhere", compare, full, limit, seam="HEAD", where=lambda x: x[0] < -1)
     refused(InputError, "unknown seam 'BEDS', did you mean 'BED'", lambda: compare(full, limit, seam="BEDS"))
     other = solve(bricks.interface(layers | {"HEAD": springs(1.2, 0.45, 0.02)}), 1.0)
     refused(InputError, r"one thickness of the layer 'HEAD', not 0\.013.* and 0\.02", lambda: compare(full, other))

@@ -123,7 +123,7 @@ def test_cut_of_a_cylinder():
 def test_what_is_no_line():
     plane = Surface(interface(sandwich(2.0, 0.5, 0.7, 0.5)))
     refused(InputError, "in 2D S is a line", lambda: plane.along(plane.x, plane=((0, 0, 0), (1, 0, 0))))
-    refused(InputError, "'traction' is no field on S", lambda: plane.along("traction"))
+    refused(InputError, "'traction' is not a field on S", lambda: plane.along("traction"))
     solid = Surface(uniform(3)[0].interface(LAYER))
     refused(InputError, "cuts by a plane", lambda: solid.along(solid.x))
     for wrong in (((0, 0), (1, 0)), ((0, 0, 0), (0, 0, 0)), "z"):

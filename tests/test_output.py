@@ -55,7 +55,7 @@ def test_a_resumed_sweep_keeps_its_rows(tmp_path):
     assert list(table["eps"]) == [0.4, 0.2, 0.1]
     assert table["order_traction"][1:] == pytest.approx([2.0, 2.0])
     for bad in (None, 5, (1, 2)):
-        refused(InputError, r"returns is .* it needs a mapping", sweep, lambda e, bad=bad: bad, [0.2])
+        refused(InputError, r"returns is .* it must be a mapping", sweep, lambda e, bad=bad: bad, [0.2])
 
 
 @pytest.mark.few(1)
@@ -144,7 +144,7 @@ def test_there_must_be_something_to_draw_and_to_write(states, tmp_path):
     for words, call, nothing in (
         (r"deformed: (there is no state|.* is )", plotting.deformed, ({}, history, {"a": history})),
         (r"rates: (there is no table|.*no row, or no column .*error_traction)", plotting.rates, ({}, Table())),
-        (r"is nothing to write|are written of a state or a history", partial(fields.write, path=tmp_path / "a.pvd"),
+        (r"is nothing to write|give a state or a history", partial(fields.write, path=tmp_path / "a.pvd"),
          (History(history.model), {"a": states[1]})),
     ):  # fmt: skip
         for thing in nothing:

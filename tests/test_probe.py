@@ -74,7 +74,7 @@ def test_internal_variables_are_those_of_the_memory(kind):
     assert norms.max() > 0.1
     places = points.x[[3, 10]] if kind == "full" else np.column_stack([points.x[[3, 10], 0], [0.0, 0.0]])
     assert probe.internal("plastic", places, key) == pytest.approx(points.values[[3, 10]])
-    refused(InputError, "there is no internal variable 'flow'; known: layer", lambda: probe.points("flow"))
+    refused(InputError, "unknown internal variable 'flow'; known: layer", lambda: probe.points("flow"))
     where = "does not act at" if kind == "full" else "are not on S"
     refused(InputError, where, lambda: probe.internal("plastic", [1.0, -0.31]))
 
@@ -116,5 +116,5 @@ def test_places_that_are_none():
         refused(InputError, "2 finite coordinates each", probe.displacement, wrong)
     refused(InputError, "allowed: lower, upper", probe.displacement, [0.3, 0.2], side="top")
     refused(InputError, "places on S of an interface model", meshed.displacement, [0.3, 0.2], side="upper")
-    refused(InputError, "no law remembers anything", probe.points, "plastic")
-    refused(InputError, "a probe takes a state", Probe, structure)
+    refused(InputError, "known: none, as no law has any", probe.points, "plastic")
+    refused(InputError, "give a state, as solve", Probe, structure)

@@ -92,10 +92,10 @@ def test_what_is_no_surface():
         refused(InputError, message, surface.traction, thing)
     refused(InputError, "frame needs a vector field", surface.frame, surface.jump(state())[0])
     for field, message in (
-        (state(), "State.* is no field on S; give an array"),
-        (surface.nodal(surface.jump(state())), r"is no field on S.* \(\.\.\., 8, 3\)"),
-        (np.arange(3.0), r"an array \(3,\) is no field on S"),
-        (None, "None is no field on S"),
-        (Surface(on(block(1, 1, 1.0))).n, "is no field on S"),
+        (state(), "State.* is not a field on S; give an array"),
+        (surface.nodal(surface.jump(state())), r"is not a field on S.* \(\.\.\., 8, 3\)"),
+        (np.arange(3.0), r"an array \(3,\) is not a field on S"),
+        (None, "None is not a field on S"),
+        (Surface(on(block(1, 1, 1.0))).n, "is not a field on S"),
     ):
         refused(InputError, message, surface.profile, field)

@@ -276,7 +276,7 @@ def test_places_and_heights_out_of_range_are_refused():
         ([[0.5, 0.01]], 0.0, "not on S"),
         ([[0.5, 0.0]], 0.6, "from -1/2 to 1/2"),
         (np.empty((0, 2)), 0.0, "finite coordinates"),
-        ([[1.3 - EPS / 20, 0.0]], -0.49, r"corner at \(1.2975, 0\), height -0.49, is nearer than cells can tell"),
+        ([[1.3 - EPS / 20, 0.0]], -0.49, r"\(1.2975, 0\), height -0.49 is too near a corner"),
     ):
         refused(InputError, words, zoom.stress, x, y)
 

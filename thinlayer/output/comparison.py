@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
@@ -20,7 +19,7 @@ from thinlayer.surface.pressure_excess import times_too_stiff
 from thinlayer.system.fingerprint import differences, differences_text
 from thinlayer.system.ranks import errors_on_all, require_same
 
-Where = Callable[[Array], Any]
+Where = Callable[[Array], object]
 JUMP_ROUNDING_SHARE = 1e-12  # jump, over the displacements, up to which it is their rounding error
 PROFILE_TOLERANCE = 1e-9  # relative difference of equal thickness profiles
 
@@ -93,11 +92,9 @@ def compare(
 def _too_stiff(state: State, seam: str) -> dict[str, float]:
     """Values "too_stiff" of the layers to which it applies, "too_stiff NAME" if there are several seams. Collective."""
     many = len(state.model.joint.seams) > 1
-    layers = {
-        name: layer for name, layer in state.model.layers.items() if seam in (S, name) and not layer.has_pressure_flow
-    }
-    ratios = {name: times_too_stiff(state, layer) for name, layer in layers.items()}
-    return {f"too_stiff {name}" if many else "too_stiff": ratio for name, ratio in ratios.items() if ratio is not None}
+    layers = [layer for name, layer in state.model.layers.items() if seam in (S, name) and not layer.has_pressure_flow]
+    ratios = {f"too_stiff {layer.name}" if many else "too_stiff": times_too_stiff(state, layer) for layer in layers}
+    return {name: ratio for name, ratio in ratios.items() if ratio is not None}
 
 
 def _state_at(result: Solution, at: float | None) -> State:
@@ -115,8 +112,7 @@ def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
     assert band is not None
     if band.bodies != here and any(layer.thin_layer and layer.thin_layer.order for layer in interface.layers.values()):
         models = f"bodies are {band.bodies} in the full model and {here} in the interface model"
-        why = "which is a difference of order 1 by itself; give both the same bodies='...'"
-        raise InputError(f"compare, order=1: {models}, {why}")
+        raise InputError(f"compare: {models}, which alone is a difference of order 1; give both the same bodies='...'")
 
 
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
@@ -141,8 +137,8 @@ def _part(surface: Surface, where: Where | None) -> Array:
     with errors_on_all(surface.model.comm):
         part = surface.where(1.0 if where is None else where)
         if not np.isin(part, (0.0, 1.0)).all():
-            raise InputError("where gives numbers; it must hold or not at each place, as lambda x: x[0] > 1 does")
+            raise InputError("where gives numbers; it must be true or false at each place, as lambda x: x[0] > 1")
     require_same(surface.model.comm, where=part)
     if not part.any():
-        raise InputError("where holds nowhere on S, or on less than its quadrature points see")
+        raise InputError("where is true nowhere on S, or between its quadrature points; choose a larger part")
     return part

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -122,15 +122,14 @@ class Contact:
         return [self._zone(at) for at in zones if self.status[at[0]] != NO_CONTACT_STATUS]
 
     def _zone(self, at: IntArray) -> Zone:
-        start, end = self.x[at].min(axis=0), self.x[at].max(axis=0)
-        size = float(self.areas[at].sum())
-        return Zone(str(self.status[at[0]]), size, tuple(start.tolist()), tuple(end.tolist()), len(at))
+        start, end = self.x[at].min(axis=0).tolist(), self.x[at].max(axis=0).tolist()
+        return Zone(str(self.status[at[0]]), float(self.areas[at].sum()), tuple(start), tuple(end), len(at))
 
     @property
     def table(self) -> Table:
         """A row for each node: coordinates, u_T, u_N, p, t_T and status."""
         suffixes = [""] if self.x.shape[1] == 2 else ["_1", "_2"]
-        columns: dict[str, Any] = dict(zip("xyz", self.x.T, strict=False))
+        columns: dict[str, Sequence[object] | Array] = dict(zip("xyz", self.x.T, strict=False))
         columns |= {f"u_T{s}": self.u_T[:, k] for k, s in enumerate(suffixes)} | {"u_N": self.u_N, "p": self.p}
         columns |= {f"t_T{s}": self.t_T[:, k] for k, s in enumerate(suffixes)}
         return Table.of(columns | {"status": self.status.tolist()})
@@ -153,14 +152,13 @@ def contact_result(surface: SurfaceMesh, state: State) -> Contact:
     """Contact of a state on a surface; raise InputError if no contact law acts there. Collective."""
     values = contact_values(surface, state)
     if not values:
-        seams = ", ".join(state.model.contacts)
-        hint = f"; seams with one: {seams}" if seams else ""
-        raise InputError(f"no contact law is on {surface.seam!r} in this state's model, {state.model!r}{hint}")
+        seams = ", ".join(state.model.contacts) or "none"
+        raise InputError(f"{surface.seam!r} has no contact law in {state.model!r}; seams with contact laws: {seams}")
     equilibrium, clapeyron = _balance(state)
     return Contact(surface=surface, **values, equilibrium=equilibrium, clapeyron=clapeyron)
 
 
-def contact_values(surface: SurfaceMesh, state: State) -> dict[str, Any]:
+def contact_values(surface: SurfaceMesh, state: State) -> dict[str, np.ndarray]:
     """Values at the nodes of a surface, by the names of `Contact`; {} without contact laws. Collective."""
     seams = [name for name in state.model.contacts if surface.seam in (S, name)]
     parts = [part for name in seams for part in state.model.comm.allgather(_rank_values(state, name))]
@@ -169,7 +167,7 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, Any]:
     nodal = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     at, m, vertex, areas = (surface.find(nodal.pop("number")), len(surface.numbers), *map(nodal.pop, ("own", "areas")))
     around = sum_by_number(at, areas, m)
-    values: dict[str, Any] = {"areas": around}
+    values: dict[str, np.ndarray] = {"areas": around}
     for name, array in nodal.items():
         if name in ("p", "t_T", "threshold"):  # vertices share the forces of nodes between them
             values[name] = (sum_by_number(at, (array.T * areas).T, m).T / np.where(around > 0, around, 1.0)).T
@@ -180,7 +178,7 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, Any]:
     return values
 
 
-def _rank_values(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
+def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
     """Values of a contact law at this rank's nodes, with a row for each vertex adjacent to a node.
 
     The entry "number" has the numbers of the pairs of bodies at these vertices (`Joint.pairs`).
@@ -199,7 +197,7 @@ def _rank_values(state: State, seam: str) -> dict[str, npt.NDArray[Any]]:
     status[nodes.is_fixed.all(axis=1)] = PINNED_STATUS
     node, number = body_pairs(model.joint, seam, nodes.file_numbers)
     vertex_count = np.bincount(node, minlength=len(w))
-    values: dict[str, npt.NDArray[Any]] = {
+    values: dict[str, np.ndarray] = {
         "own": vertex_count == 1, "status": status, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],
         "threshold": threshold, "slip": slip, "areas": nodes.weights / vertex_count, "frames": nodes.frames,
     }  # fmt: skip

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from mpi4py import MPI
 
@@ -21,7 +20,7 @@ from thinlayer.system.table import Row, Table
 RUN_COLUMN, FAILURE_COLUMN = "run", "failure"  # columns that an ensemble adds
 
 CaseValues = Mapping[str, float | str]
-RunFunction = Callable[[CaseValues], Mapping[str, Any]]
+RunFunction = Callable[[CaseValues], Mapping[str, object]]
 
 
 def ensemble(
@@ -83,7 +82,7 @@ def ensemble(
     group, groups = comm.rank // ranks, comm.size // ranks
     first, step = part[0] * groups + group, part[1] * groups
     path = None if out is None else Path(out)
-    subcomm: Any = comm.Split(group)
+    subcomm = MPI.Intracomm(comm.Split(group))
     try:
         with own_folder(path and path.parent, name=f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK_FILE}"):
             there = {} if path is None else on_root(None, lambda: _existing_rows(path, make, inputs, resume))
@@ -123,7 +122,7 @@ def _compute(
         case, row, failure = cases[k], Row(), None
         try:
             with errors_on_all(comm):
-                arguments: Any = {**case}
+                arguments = {name: value for name, value in case.items() if value is not None}  # None is refused
                 row = checked_row(run(arguments), f"the row of run {k}", (RUN_COLUMN, FAILURE_COLUMN, *case))
         except SolveError as error:
             if not keep_failures:
@@ -184,10 +183,10 @@ def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
     return Table({name: row.get(name) for name in names} for row in ordered)
 
 
-def _checked_cases(cases: Any) -> list[Row]:
+def _checked_cases(cases: object) -> list[Row]:
     """The cases as rows; raise InputError if they are invalid."""
     if not isinstance(cases, Iterable) or not (entries := [*cases]):
-        raise InputError(f"cases is {cases!r:.80}; an ensemble needs one case or more")
+        raise InputError(f"cases is {cases!r:.80}; give a list of one case or more")
     rows = [checked_row(case, f"case {k}", (RUN_COLUMN, FAILURE_COLUMN)) for k, case in enumerate(entries)]
     for k, row in enumerate(rows):
         if [*row] != [*rows[0]] or None in row.values():

@@ -76,9 +76,8 @@ def _check(model: Model) -> None:
         raise InputError(f"homogenised_stiffness, plane={model.plane!r}: a body of revolution has no mean strain")
     model.require("mean strain")
     for law in (p.law for p in model.terms if not p.proportional):
-        why = "is not linear, or has stresses without strains: there is no stiffness but at a state"
-        remedy = "march under Structure(..., strain=...) and look at State.mean_stress"
-        raise InputError(f"{law!r} {why}; {remedy}")
+        remedy = "march under Structure(..., strain=...), and take State.mean_stress"
+        raise InputError(f"{law!r} is not linear, or has stresses without strains; {remedy}")
     if not model.linear:
         raise InputError("the model is not linear; homogenised_stiffness needs linear laws and parts")
     if moving := model.supports.moving:

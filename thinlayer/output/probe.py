@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError
@@ -60,11 +60,11 @@ class Probe:
 
     def __init__(self, state: State) -> None:
         if not isinstance(state, State):
-            raise InputError(f"a probe takes a state, as solve returns it or history.at(t) is, not {state!r:.80}")
+            raise InputError(f"state is {state!r:.80}; give a state, as solve returns it, or history.at(t)")
         self.state, self._joint, self._comm = state, state.model.domain.joint, state.model.comm
 
     # ---------------------------------------------------------------- at points in bodies and meshed layers
-    def displacement(self, x: Any, *, side: str | None = None, seam: str = S) -> Array:
+    def displacement(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
         """Displacements (n, d) at points x (n, d), or (d,) at one point.
 
         Args:
@@ -85,7 +85,7 @@ class Probe:
         refuse(jumps, located.x[located.point], f"displacements jump at {{at}}: {hint}")
         return u[first] if np.ndim(x) > 1 else u[first][0]
 
-    def stress(self, x: Any, *, side: str | None = None, seam: str = S) -> Array:
+    def stress(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
         """Stresses (n, 3, 3) at points (n, d), or (3, 3) at one point; arguments and errors as in `displacement`.
 
         In each cell a polynomial is fitted to the stresses at the quadrature points by least squares. Its degree is one
@@ -101,7 +101,7 @@ class Probe:
         out = located.mean(total).reshape(-1, 3, 3)
         return out if np.ndim(x) > 1 else out[0]
 
-    def _located(self, x: Any, side: str | None, seam: str) -> LocatedPoints:
+    def _located(self, x: npt.ArrayLike, side: str | None, seam: str) -> LocatedPoints:
         with errors_on_all(self._comm):
             located = cells_at(self.state.model, x, side, seam)
         require_same(self._comm, places=located.x, side=side, seam=seam)
@@ -166,7 +166,7 @@ class Probe:
         order = np.lexsort([np.argsort(by_place(x, self._joint.size)), entity])
         return PointValues(key, x[order], values[order], weights[order], entity[order])
 
-    def internal(self, name: str, x: Any, key: str | None = None) -> Array:
+    def internal(self, name: str, x: npt.ArrayLike, key: str | None = None) -> Array:
         """Values (n, *shape) of an internal variable at points x, or (*shape) at one point.
 
         There is no interpolation: it is the value at the nearest quadrature point. Only quadrature points in the cells
@@ -199,17 +199,16 @@ class Probe:
     def _key(self, name: str, key: str | None) -> str:
         """The key of the law with this internal variable; raise InputError if there is not exactly one such law."""
         having = [law_key for law_key, variables in self._variables.items() if name in variables]
-        listed = "; ".join(f"{law_key}: {', '.join(names)}" for law_key, names in self.names.items())
-        available = listed or "no law remembers anything"
         if not having or key not in (None, *having):
+            listed = "; ".join(f"{law_key}: {', '.join(names)}" for law_key, names in self.names.items())
             where = "" if key is None else f" of the law {key!r}"
-            raise InputError(f"there is no internal variable {name!r}{where}; known: {available}")
+            raise InputError(f"unknown internal variable {name!r}{where}; known: {listed or 'none, as no law has any'}")
         if key is None and len(having) > 1:
             raise InputError(f"several laws have an internal variable {name!r}; give key=, one of {', '.join(having)}")
         return key or having[0]
 
 
-def cells_at(model: Model, x: Any, side: str | None = None, seam: str = S) -> LocatedPoints:
+def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str = S) -> LocatedPoints:
     """The cells of a model that contain points (n, d), or one point (d,); with a side of S only cells on this side.
 
     Raises:
@@ -219,7 +218,7 @@ def cells_at(model: Model, x: Any, side: str | None = None, seam: str = S) -> Lo
     if side is None:
         return located
     if not isinstance(model, InterfaceModel):
-        raise InputError("a side is for places on S of an interface model")
+        raise InputError(f"side is {side!r} in {model!r}; only interface models have two sides at a place of S")
     return SurfaceMesh(model, seam).on_side(located, side)
 
 

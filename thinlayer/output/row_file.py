@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
 
-from forms.base import InputError, require
+from forms.base import InputError
 from thinlayer.system.fingerprint import (
     CODE_KEY,
     FILE_KEY,
@@ -44,14 +43,14 @@ class RowFile:
         kind: kind of the table, for messages: "sweep", "ensemble".
     """
 
-    def __init__(self, path: Path, run: Callable[..., Any], kind: str) -> None:
+    def __init__(self, path: Path, run: Callable[..., object], kind: str) -> None:
         self.path, self._run, self._kind = path, run, kind
         self._made_from, self._rows = describe(run), list[Row]()
         self._changing: set[tuple[str, ...]] = set()
         self._drawn = False  # whether making rows has advanced a random generator
         self.watch(run)
 
-    def watch(self, run: Any) -> None:
+    def watch(self, run: object) -> None:
         """Watch the random generators and iterators of a function, or of several functions, from now on."""
         self._watched, self._states = run, random_states(run, shared=True)
 
@@ -84,12 +83,11 @@ class RowFile:
         write_sealed(self.path, {"format": FILE_FORMAT, **about, "rows": self._rows})
 
 
-def require_csv(out: Any, resume: Any) -> None:
+def require_csv(out: object, resume: object) -> None:
     """Raise InputError unless `out` is None or may be the name of a csv file, and `resume` is a valid choice."""
     require_resume(resume)
-    require(out is None or isinstance(out, (str, Path)), "out", out, "it must be the name of a csv file, or None")
-    if out is not None and Path(out).is_dir():
-        raise InputError(f"out: {str(out)!r} is a folder; give the name of a csv file")
+    if out is not None and (not isinstance(out, (str, Path)) or Path(out).is_dir()):
+        raise InputError(f"out is {out!r:.200}; give the name of a csv file, not of a folder, or None")
 
 
 def make_room(table: Path, record: Path, resume: Resume) -> None:
@@ -97,18 +95,19 @@ def make_room(table: Path, record: Path, resume: Resume) -> None:
     if not resume:
         move_away(table.parent, [table.name, record.name])
     elif table.exists() and not record.exists():
-        reason = f"there is no {record.name} that tells what it is made from; give another name, or remove it"
-        raise InputError(f"{str(table)!r} cannot be resumed: {reason}")
+        lacking = f"{record.name}, which describes its origin, does not exist"
+        raise InputError(f"{str(table)!r} cannot be resumed: {lacking}; give another name, or remove the table")
 
 
-def checked_row(row: Any, what: str, taken: Collection[str]) -> Row:
+def checked_row(row: object, what: str, taken: Collection[str]) -> Row:
     """Return a user's row with its entries as floats, texts or None.
 
     Raises:
         InputError: the row has a column in `taken`, or entries that are neither numbers nor texts; `what` names the
             row.
     """
-    require(isinstance(row, Mapping), what, row, "it needs a mapping of names to numbers or texts")
+    if not isinstance(row, Mapping):
+        raise InputError(f"{what} is {row!r:.200}; it must be a mapping of names to numbers or texts")
     entries: Row = {}
     for name, value in row.items():
         if not isinstance(name, str) or name in taken:
@@ -121,7 +120,7 @@ def checked_row(row: Any, what: str, taken: Collection[str]) -> Row:
     return entries
 
 
-def _changed_path(path: tuple[str, ...], value: Any, _: Any) -> tuple[str, ...] | None:
+def _changed_path(path: tuple[str, ...], value: object, _: object) -> tuple[str, ...] | None:
     """Path of a changed value, ending in "*" if only one description has the value; None for code."""
     if {CODE_KEY, FILE_KEY, SAME_KEY} & {*path}:
         return None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -19,7 +17,7 @@ from thinlayer.output.tractions import layer_points, layer_tractions, points_of_
 from thinlayer.surface.law_points import LawPoints, layer_shares
 from thinlayer.surface.pressure_excess import resting_sublayers, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
-from thinlayer.system.table import Table
+from thinlayer.system.table import Row, Table
 
 NO_LAYER, BONDED = "no layer", "bonded"
 STATUSES = (*YIELD_STATUSES, NO_LAYER, BONDED, *CONTACT_STATUSES)  # those of further laws have later numbers in files
@@ -88,7 +86,7 @@ class Surface(SurfaceMesh):
         self._require_same_joint(state)
         model = state.model
         if not isinstance(model, InterfaceModel):
-            raise InputError(f"a status is known of states of interface models, not of {model!r}")
+            raise InputError(f"the state of a status is of {model!r}; give a state of an interface model")
         areas = {name: np.zeros(len(self.rows)) for name in all_statuses(model)}
         for name in model.joint.seams:
             if len(possible := statuses(model, name)) == 1:
@@ -155,7 +153,7 @@ class Surface(SurfaceMesh):
         for seam in dict.fromkeys(self.seams.tolist()):
             mine, layer = self.seams == seam, model.layers.get(seam)
             size = float(self.weights[mine].sum())
-            row: dict[str, Any] = {"seam": seam, "size": size}
+            row: Row = {"seam": seam, "size": size}
             if seam in model.contacts:
                 areas = nodes["areas"] * np.isin(np.arange(len(self.numbers)), self.nodes[mine])
                 shares = {name: float(areas[nodes["status"] == name].sum() / areas.sum()) for name in CONTACT_STATUSES}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,10 @@ THICKNESS_TOLERANCE = 1e-9  # relative difference of equal thicknesses
 
 
 def sweep(
-    run: Callable[..., Mapping[str, Any]], eps: Iterable[float], out: str | Path | None = None, resume: Resume = False
+    run: Callable[..., Mapping[str, object]],
+    eps: Iterable[float],
+    out: str | Path | None = None,
+    resume: Resume = False,
 ) -> Table:
     """Compute a table of comparisons over decreasing thickness, with observed orders. Collective.
 
@@ -66,7 +68,7 @@ def sweep(
         return _with_orders(rows)
 
 
-def _row(run: Callable[[float], Mapping[str, Any]], eps: float, first: Row | None) -> Row:
+def _row(run: Callable[[float], Mapping[str, object]], eps: float, first: Row | None) -> Row:
     """The checked row of a thickness; an error on one rank is raised on all ranks."""
     what = f"the row that run({eps:g}) returns"
     with errors_on_all(default_comm()):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from forms.base import Array, InputError
 from forms.ends.corner import CornerField
@@ -15,6 +15,7 @@ from forms.temperature import finite_values
 from geometry.refusals import place_text, require_known
 from geometry.seam import S
 from geometry.sheet import StraightEnd, straight_ends
+from thinlayer.discretisation.applicability import Applicability
 from thinlayer.discretisation.full_model import FullModel, LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer
@@ -124,7 +125,7 @@ class Zoom:
         return self._known.law
 
     @cached_property
-    def _known(self) -> Any:
+    def _known(self) -> Applicability:
         return self.state.model.applicability[self.seam]
 
     def _require_faces(self, layers: State) -> None:
@@ -133,12 +134,11 @@ class Zoom:
         bodies = surface.reaction(self.state)
         off = surface.norm(surface.traction(layers) - bodies) / (surface.norm(bodies) or 1.0)
         if off > TRACTION_WARNING_ERROR:
-            reason = f"it bears tractions that differ by {100 * off:.2g} % from what the bodies do"
-            remedy = "take Zoom(estimate(state).better), whose bodies have yielded to it"
-            warn("zoom", f"zoom into {self._one}: between these faces {reason}; {remedy}", surface.model.comm)
+            message = f"zoom into {self._one}: its tractions differ by {100 * off:.2g} % from those of the bodies"
+            warn("zoom", f"{message}; take Zoom(estimate(state).better), where they agree", surface.model.comm)
 
     # ---------------------------------------------------------------- stresses
-    def stress(self, x: Any, height: Any = 0.0) -> Array:
+    def stress(self, x: npt.ArrayLike, height: npt.ArrayLike = 0.0) -> Array:
         """Stresses (n, 3, 3) at points x (n, d) of S and heights, or (3, 3) at one point; between cells their mean.
 
         Args:
@@ -156,21 +156,21 @@ class Zoom:
             near = free.distance(self.state.model.joint.points, located.x) < CORNER_EXCLUSION * self.eps
             near &= np.abs(y) > 0.5 - CORNER_EXCLUSION
             if near.any():
-                corner = f"the corner at {place_text(located.x[near.argmax()])}, height {y[near.argmax()]:g}"
-                why = "is nearer than cells can tell, and stresses are infinite there"
-                raise InputError(f"{corner}, {why}; their exponents and strengths are in `corners`")
+                at = f"{place_text(located.x[near.argmax()])}, height {y[near.argmax()]:g}"
+                raise InputError(
+                    f"{at} is too near a corner, where stresses are infinite; `corners` has their strengths"
+                )
         stresses = self._probe.stress(self._surface.in_layer(located.x, y))
         return stresses if np.ndim(x) > 1 else stresses[0]
 
-    def through(self, x: Any, n: int = 41) -> tuple[Array, Array]:
+    def through(self, x: npt.ArrayLike, n: int = 41) -> tuple[Array, Array]:
         """Heights (n,), from -1/2 to 1/2, and the stresses (n, 3, 3) there, at one point x (d,) of S."""
         heights = np.asarray(np.linspace(-0.5, 0.5, n), np.float64)
         return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
 
-    def _heights(self, height: Any, n: int) -> Array:
+    def _heights(self, height: npt.ArrayLike, n: int) -> Array:
         if (y := finite_values(height, (), (n,))) is None or not (np.abs(y) <= 0.5).all():
-            allowed = f"one number or {n}, from -1/2 to 1/2 of the thickness"
-            raise InputError(f"heights are {height!r:.80}; allowed: {allowed}")
+            raise InputError(f"height is {height!r:.80}; allowed: one number or {n}, from -1/2 to 1/2 of the thickness")
         return np.broadcast_to(y, (n,))
 
     # ---------------------------------------------------------------- corners
@@ -235,11 +235,10 @@ def _layer_of(state: State, seam: str) -> SeamLayer:
     """The layer on a seam in the model of a state; raise InputError if there is none."""
     if not isinstance(state, State) or not isinstance(state.model, InterfaceModel | FullModel):
         received = state.model if isinstance(state, State) else state
-        allowed = "a state of an interface or a full model, as solve returns it"
-        raise InputError(f"a zoom takes {allowed}, not {received!r:.80}")
+        raise InputError(f"a zoom is of a state of an interface or a full model, not of {received!r:.80}")
     model, names = state.model, [*state.model.joint.seams]
     name = names[0] if seam == S and len(names) == 1 else seam
     require_known("seam", name, names)
     if name not in model.layers:
-        raise InputError(f"there is no layer on the seam {name!r}")
+        raise InputError(f"the seam {name!r} has no layer; seams with layers: {', '.join(model.layers) or 'none'}")
     return model.layers[name]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import basix
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError
@@ -38,7 +38,7 @@ class LocatedPoints:
     X: Array
 
     @classmethod
-    def of(cls, kind: str, nodes: Array, x: Any) -> LocatedPoints:
+    def of(cls, kind: str, nodes: Array, x: npt.ArrayLike) -> LocatedPoints:
         """Locate points (n, d), or one point (d,), in entities; a point outside all entities has no row.
 
         Args:
@@ -67,7 +67,7 @@ class LocatedPoints:
         return cls(query, point, entity, X)[(X >= -REFERENCE_TOLERANCE).all(axis=1) & (last <= 1 + REFERENCE_TOLERANCE)]
 
     @classmethod
-    def in_cells(cls, joint: Joint, x: Any) -> LocatedPoints:
+    def in_cells(cls, joint: Joint, x: npt.ArrayLike) -> LocatedPoints:
         """Locate points in the cells of a joint, inflated or not.
 
         Raises:

@@ -197,11 +197,9 @@ def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
     """Factor 1 + opening of `pressure_excess`, or 1 if the law has flow along S; None if not applicable. Collective."""
     if state.model.applicability[layer.name].why_not("excess of pressure"):
         return None
-    return (
-        1.0
-        if layer.has_pressure_flow
-        else 1 + pressure_excess(FaceDisplacements.of(state, layer), resting_sublayers(layer)[0]).opening
-    )
+    if layer.has_pressure_flow:
+        return 1.0
+    return 1 + pressure_excess(FaceDisplacements.of(state, layer), resting_sublayers(layer)[0]).opening
 
 
 def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> PressureExcess:

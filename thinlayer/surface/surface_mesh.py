@@ -9,6 +9,7 @@ from weakref import proxy
 
 import basix
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.linalg
 from dolfinx import fem
@@ -28,7 +29,7 @@ from thinlayer.discretisation.state import State, cell_values
 from thinlayer.surface.lines import Line, Plane, lines_on
 from thinlayer.surface.locating import EXTENDED_BODIES_HINT, LocatedPoints
 
-Where = Array | BoolArray | Callable[[Array], Any]
+Where = Array | BoolArray | Callable[[Array], object]
 SIDE_NAMES = ("lower", "upper")
 
 
@@ -44,8 +45,7 @@ class FacetPoints:
     """
 
     def __init__(self, surface: SurfaceMesh, rows: IntArray, points: Array, weights: Array | float = 1.0) -> None:
-        joint, nodes = surface.joint, surface.faces.mean(axis=0)[rows]
-        count = len(rows)
+        joint, nodes, count = surface.joint, surface.faces.mean(axis=0)[rows], len(rows)
         linear = tabulated(lagrange(surface.kind, 1), points, count, 1)
         table = tabulated(lagrange(surface.kind, joint.degree), points, count, 1)
         self.rows, self.points, self.shapes, self._reference_slopes = rows, points, linear[0], linear[1:]
@@ -66,7 +66,7 @@ class FacetPoints:
         return np.asarray(np.einsum("jfqa,fqjd->fqad", self._reference_slopes, to_x))
 
 
-def tabulated(element: Any, points: Array, count: int, derivatives: int = 0) -> Array:
+def tabulated(element: basix.finite_element.FiniteElement, points: Array, count: int, derivatives: int = 0) -> Array:
     """Values (1, n, q, a) of an element's functions at points (q, t), or (n, q, t), of n entities.
 
     With one derivative the result is (1 + t, n, q, a): values, then slopes.
@@ -143,15 +143,14 @@ class SurfaceMesh:
         return self.on_facets(np.asarray(basix.geometry(basix.CellType[self.kind])))
 
     # ---------------------------------------------------------------- places
-    def at(self, x: Any) -> tuple[LocatedPoints, FacetPoints]:
+    def at(self, x: npt.ArrayLike) -> tuple[LocatedPoints, FacetPoints]:
         """All facets that contain points x (n, d), or one point (d,), and the points on these facets.
 
         Raises:
             InputError: no finite numbers of this shape; points that are not on the surface.
         """
         located = LocatedPoints.of(self.kind, self.faces.mean(axis=0), x)
-        off = f"{{bad}} of {{all}} places are not on {self.seam}, the first at {{at}}"
-        refuse(located.missing, located.x, off)
+        refuse(located.missing, located.x, f"{{bad}} of {{all}} places are not on {self.seam}, the first at {{at}}")
         return located, FacetPoints(self, located.entity, located.X[:, None])
 
     def on_side(self, located: LocatedPoints, side: str) -> LocatedPoints:
@@ -173,12 +172,12 @@ class SurfaceMesh:
                 wanted = (at.point * count + cells[at.entity])[cells[at.entity] >= 0]
         points = np.unique(np.concatenate(on_s))
         there = "but a rigid base" if self.joint.parted is None else EXTENDED_BODIES_HINT
-        without = f"there is no body on the {side} side of S at {{at}}, {there}"
-        refuse(~np.isin(points, wanted // count), located.x[points], without)
+        message = f"no body is on the {side} side of S at {{at}}, {there}"
+        refuse(~np.isin(points, wanted // count), located.x[points], message)
         of_side = np.isin(located.point * count + located.entity, wanted)
         return located[of_side | ~np.isin(located.point, points)]
 
-    def in_layer(self, x: Any, height: Any) -> Array:
+    def in_layer(self, x: npt.ArrayLike, height: npt.ArrayLike) -> Array:
         """Points (n, d) in the meshed layer of a full model, at points x of S and heights between the faces.
 
         Args:
@@ -253,7 +252,7 @@ class SurfaceMesh:
         return rim.distance(self.joint.points, x.reshape(-1, len(self.x))).reshape(x.shape[:-1])
 
     # ---------------------------------------------------------------- integrals
-    def _field(self, f: Any) -> Array:
+    def _field(self, f: object) -> Array:
         """Return f as a field (..., n, q); raise InputError if it is not a field."""
         try:
             if f is None:
@@ -266,9 +265,10 @@ class SurfaceMesh:
             return np.broadcast_to(values, (*values.shape[:-2], *self.weights.shape))
         except (TypeError, ValueError):
             what = f"an array {f.shape}" if isinstance(f, np.ndarray) and f.ndim else f"{f!r:.80}"
-            shape = f"(..., n, q) = (..., {str(self.weights.shape)[1:]}, as surface.jump(state) or surface.x[0] is"
-            allowed = f"give an array {shape}, (n, 1) of facets, or values at the nodes"
-            raise InputError(f"{what} is no field on S; {allowed}") from None
+            shape = f"(..., n, q) = (..., {str(self.weights.shape)[1:]}, as surface.jump(state) or surface.x[0]"
+            raise InputError(
+                f"{what} is not a field on S; give an array {shape}, (n, 1) of facets, or values at nodes"
+            ) from None
 
     def where(self, part: Where | float) -> Array:
         """(n, q) weights of a part of S, from a field or a numpy function of the coordinates x (d, n, q).
@@ -279,28 +279,28 @@ class SurfaceMesh:
         try:
             return self._field(part(self.x) if callable(part) else part)
         except Exception as error:
-            wrong = f"where is no numpy function of coordinates, as lambda x: (x[0] > 1) & (x[0] < 9): {error}"
-            raise InputError(wrong) from error
+            example = "lambda x: (x[0] > 1) & (x[0] < 9)"
+            raise InputError(f"where is not a numpy function of coordinates such as {example}: {error}") from error
 
-    def integral(self, f: Any) -> Any:
+    def integral(self, f: npt.ArrayLike) -> Any:
         """Integral over S of a field: a float, or an array (d,) for a vector field."""
         total = (self._field(f) * self.weights).sum(axis=(-2, -1))
         return total if total.ndim else float(total)
 
-    def norm(self, f: Any, where: Where | float = 1.0) -> float:
+    def norm(self, f: npt.ArrayLike, where: Where | float = 1.0) -> float:
         """L2 norm over S of a field, weighted with `where`."""
         return float(np.sqrt((self._field(f) ** 2 * self.where(where) * self.weights).sum()))
 
-    def frame(self, f: Any) -> Array:
+    def frame(self, f: npt.ArrayLike) -> Array:
         """(d, n, q) components of a vector field in the frame of S: tangential components, then the normal component.
 
         The tangents are axes of `forms.tensors.layer_frame`: (n_2, -n_1) in 2D, the first and the third axis in 3D.
         """
-        f, n = self._field(f), self.n
-        if f.shape != n.shape:
-            raise InputError(f"frame needs a vector field, of shape {n.shape}, not {f.shape}")
+        values, n = self._field(f), self.n
+        if values.shape != n.shape:
+            raise InputError(f"frame needs a vector field of shape {n.shape}, not {values.shape}")
         axes = normal_frames(np.moveaxis(n, 0, -1).reshape(-1, len(n))).reshape(*self.weights.shape, len(n), len(n))
-        return np.einsum("fqij,jfq->ifq", axes, f)
+        return np.einsum("fqij,jfq->ifq", axes, values)
 
     # ---------------------------------------------------------------- nodes
     @cached_property
@@ -344,11 +344,11 @@ class SurfaceMesh:
         order = np.argsort(self.numbers)
         return order[np.searchsorted(self.numbers[order], numbers)]
 
-    def mass(self, f: Any = 1.0) -> scipy.sparse.csc_matrix:
+    def mass(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
         """(m, m) mass matrix of the functions of degree 1, weighted with a field."""
         return self._matrix(np.einsum("fq,qa,qb->fab", self._field(f) * self.weights, self.shapes, self.shapes))
 
-    def stiffness(self, f: Any = 1.0) -> scipy.sparse.csc_matrix:
+    def stiffness(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
         """(m, m) products of the gradients along S of the functions of degree 1, weighted with a field."""
         slopes = self.quadrature.slopes
         return self._matrix(np.einsum("fq,fqad,fqbd->fab", self._field(f) * self.weights, slopes, slopes))
@@ -362,7 +362,7 @@ class SurfaceMesh:
         """(m, ...) sums at the nodes of values (n, k, ...) at the corners of facets."""
         return sum_by_number(self.nodes, of_corners, len(self.numbers))
 
-    def moments(self, f: Any) -> Array:
+    def moments(self, f: npt.ArrayLike) -> Array:
         """(n, k) or (n, k, d) integrals of a field over each facet with the functions of degree 1 of its corners."""
         return np.asarray(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
 
@@ -381,10 +381,10 @@ class SurfaceMesh:
         return self.sums(self.moments(1.0))
 
     @cached_property
-    def _solver(self) -> Any:
+    def _solver(self) -> Callable[[Array], Array]:
         return scipy.sparse.linalg.splu(self.mass()).solve
 
-    def nodal(self, f: Any) -> Array:
+    def nodal(self, f: npt.ArrayLike) -> Array:
         """L2 projection (m,) or (m, d) of a field to degree 1, at the nodes (`numbers`, `places`)."""
         return self.projected(self.moments(f))
 
@@ -396,11 +396,11 @@ class SurfaceMesh:
         """(..., n, q) field that is linear between values (..., n, k) at the corners of each facet."""
         return np.asarray(of_corners @ self.shapes.T)
 
-    def profile(self, f: Any) -> tuple[Array, Array]:
+    def profile(self, f: npt.ArrayLike) -> tuple[Array, Array]:
         """Coordinates (m, d) of the nodes, and nodal values (m,) or (m, d) of a field projected to degree 1."""
         return self.places, self.nodal(f)
 
-    def along(self, f: Any, *, plane: Plane | None = None) -> list[Line]:
+    def along(self, f: npt.ArrayLike, *, plane: Plane | None = None) -> list[Line]:
         """Values of a field along the lines of S, by arc length: steps if it is constant on facets, else of degree 1.
 
         In 2D a line is a piece of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is the cut
@@ -423,7 +423,7 @@ class SurfaceMesh:
             raise InputError(f"the plane {plane!r} does not cut S")
         return lines
 
-    def at_corners(self, f: Any) -> Array:
+    def at_corners(self, f: npt.ArrayLike) -> Array:
         """(n, k) or (n, k, d) values of a field at the corners of facets."""
         values = self._field(f)
         if np.shape(f) == (len(self.numbers),):

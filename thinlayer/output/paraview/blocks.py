@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
 
 import numpy as np
 import pyvista
@@ -124,7 +123,7 @@ def _volume(joint: Joint, grid: VtkGrid, of_cells: Mapping[str, Array]) -> pyvis
     mesh.cell_data["region"] = joint.region
     _add_texts(mesh, "regions", joint.regions)
     if joint.band is not None:
-        of_regions: dict[str, Any] = {name: seam for seam, names in joint.band.of_seam.items() for name in names}
+        of_regions = {name: seam for seam, names in joint.band.of_seam.items() for name in names}
         of_regions |= joint.band.junctions
         seams = list(joint.band.base.seams)
         numbers = [seams.index(of_regions[name]) if name in of_regions else -1 for name in joint.regions]

@@ -64,9 +64,9 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
         require(isinstance(path, (str, Path)) and Path(path).suffix == COLLECTION_SUFFIX, "path", path, wanted)
         model = surface.model if isinstance(surface, Surface) else states[0].model
         if surface is not None and not (isinstance(surface, Surface) and isinstance(model, InterfaceModel)):
-            raise InputError(f"surface is {surface!r:.80}; give Surface(limit.model), of an interface model")
+            raise InputError(f"surface is {surface!r:.80}; give Surface(limit.model) of an interface model")
         if surface is not None and surface.model.joint is not states[0].model.joint:
-            raise InputError("a surface is of an interface model of the same joint as the states")
+            raise InputError("surface is of another joint than the states; give one of the same joint")
     require_same(comm, models=states[0].model.data_hash, states=[state.t for state in states], path=str(path))
     path = Path(path)
     folder = path.with_name(f"{path.stem}_pvd")
@@ -83,7 +83,7 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
 def _states(solution: Solution) -> list[State]:
     """The states to write."""
     if not isinstance(solution, (State, History)):
-        raise InputError(f"fields are written of a state or a history, as solve and march return, not of {solution!r}")
+        raise InputError(f"solution is {solution!r}; give a state or a history, as solve and march return")
     states = [solution] if isinstance(solution, State) else list(solution)
     if not states:
         raise InputError(f"there is nothing to write: {solution!r} has no state")
