@@ -66,10 +66,10 @@ def test_pictures(tmp_path):
     assert_coloured(picture, {*report.status.tolist()})
     plotting.on_surface({"p": solid}, report.p, save=tmp_path / "p.png", quantity="p")
     assert_drawn(tmp_path / "two.png", tmp_path / "solid.png", tmp_path / "p.png")
-    refused(InputError, "nothing to draw", lambda: plotting.along(middle.surface, {}))
+    refused(InputError, "along: fields is empty", lambda: plotting.along(middle.surface, {}))
     refused(InputError, "3 components", lambda: plotting.on_surface(solid, Surface.jump))
     refused(InputError, "is not a field on S", lambda: plotting.on_surface(solid, np.array(["a"])))
-    refused(InputError, "no state to draw", lambda: plotting.on_surface({}, Surface.status))
+    refused(InputError, "states is empty", lambda: plotting.on_surface({}, Surface.status))
 
 
 def test_colours_of_a_corner_fill_the_quarter_of_the_facet_around_it():

@@ -96,7 +96,7 @@ def test_what_drive_refuses():
         ({"n": (0, 0)}, r"the normal n is \(0, 0\)"),
         ({"dt": -1.0}, "dt is -1.0"),
         ({"theta": 0.4}, "theta is 0.4; allowed: 0.5 to 1"),
-        ({"law": Incompressible(1.0)}, r"a point's law is Incompressible\(mu=1.0\)"),
+        ({"law": Incompressible(1.0)}, r"law is Incompressible\(mu=1.0\)"),
         ({"law": Norton(LMBDA, MU, 5.0, 1.5), "dt": 0}, "dt is 0 in step 1; Norton lets no jump change at once"),
     ]:
         refused(InputError, message, drive, **{"law": LAW, "steps": [{"w_T": 0.0, "w_N": 0.0}]} | change)

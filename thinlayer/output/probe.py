@@ -218,7 +218,7 @@ def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str 
     if side is None:
         return located
     if not isinstance(model, InterfaceModel):
-        raise InputError(f"side is {side!r} in {model!r}; only interface models have two sides at a place of S")
+        raise InputError(f"side is {side!r}; it is for places on S of an interface model, not of {model!r}")
     return SurfaceMesh(model, seam).on_side(located, side)
 
 

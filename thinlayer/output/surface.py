@@ -1,4 +1,4 @@
-"""Surface: the fields of states on S as arrays, the same on all ranks."""
+"""Surface: tractions, statuses and tables of states on S as arrays, the same on all ranks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, contact_result, contact_values
-from thinlayer.output.tractions import layer_points, layer_tractions, points_of_rule, reaction_tractions
+from thinlayer.output.tractions import layer_points, layer_tractions, points_of_rule, consistent_tractions
 from thinlayer.surface.law_points import LawPoints, layer_shares
 from thinlayer.surface.pressure_excess import resting_sublayers, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
@@ -24,7 +24,7 @@ STATUSES = (*YIELD_STATUSES, NO_LAYER, BONDED, *CONTACT_STATUSES)  # those of fu
 
 
 class Surface(SurfaceMesh):
-    """S of a joint, or one of its seams, with the fields there of states of all models of this joint.
+    """S of a joint, or one of its seams, with the tractions and statuses there of states of all models of this joint.
 
     The constructor and all methods that take a state are collective; results are complete on every rank. Arguments,
     attributes and errors are as in `SurfaceMesh`.
@@ -40,29 +40,31 @@ class Surface(SurfaceMesh):
         - Meshed layer: the mean of stress n through the thickness, elastic sublayers weighted by compliance; zero where
           layers meet. If the thickness varies on a rigid base, it differs from the traction of the interface law by
           O(eps).
-        - Bond: the bodies' reaction (`reaction`).
+        - Bond: the traction of the bodies' nodal forces (`reaction`).
         """
         self._require_same_joint(state)
         model = state.model
         if not model.bonds:
             return self.at_points(layer_tractions(self, state))
         bonded = np.isin(self.seams, model.bonds)
-        R = self.reaction(state)
-        return R if bonded.all() else np.where(bonded[:, None], R, self.at_points(layer_tractions(self, state)))
+        of_bodies = self.reaction(state)
+        if bonded.all():
+            return of_bodies
+        return np.where(bonded[:, None], of_bodies, self.at_points(layer_tractions(self, state)))
 
     def reaction(self, state: State) -> Array:
-        """(d, n, q) traction whose nodal forces are the bodies' reactions on both sides, linear on each facet.
+        """(d, n, q) traction whose nodal forces on both sides are those of the bodies, linear on each facet.
 
         Where a support constrains one side, the other side determines it. Where supports constrain both sides, and in a
-        cycle of seams around a vertex, reactions do not determine it completely. It is then the solution closest to the
+        cycle of seams around a vertex, nodal forces do not determine it completely. It is then the solution closest to the
         mean tractions at neighbouring nodes. At a tip of S it is zero.
         """
         self._require_same_joint(state)
         whole = SurfaceMesh(self.model)  # forces at junctions are sums over all seams there
-        tractions, bonds = reaction_tractions(whole, state), np.isin(whole.seams, state.model.bonds)
+        tractions, bonds = consistent_tractions(whole, state), np.isin(whole.seams, state.model.bonds)
         if bonds.any() and not bonds.all() and state.model.broken:
             of_bonds = whole.sums(np.broadcast_to(bonds[:, None], whole.nodes.shape).astype(float)) > 0
-            tractions = np.where(of_bonds[:, None], tractions, reaction_tractions(whole, state, joined=True))
+            tractions = np.where(of_bonds[:, None], tractions, consistent_tractions(whole, state, joined=True))
         return self.at_points(tractions[whole.find(self.numbers)])
 
     # ---------------------------------------------------------------- status, phases, contact

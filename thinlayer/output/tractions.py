@@ -27,7 +27,7 @@ from thinlayer.pointwise.quadrature import Quadrature
 from thinlayer.surface.law_points import LawPoints, law_points
 from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
 
-LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance of LSQR for tractions from reactions
+LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance of LSQR for consistent tractions
 _UNIT_STRESS_TRACTIONS: WeakKeyDictionary[Quadrature, Array] = WeakKeyDictionary()
 CENTRE_DISTANCE = 1e-9  # largest distance of the centres of a facet and of its column, over the size of the joint
 MAX_ITERATIONS = 2000  # limit of LSQR iterations; uniform meshes need 29 to 45
@@ -142,11 +142,11 @@ def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float
     return float(along), float(across)
 
 
-# ---------------------------------------------------------------- reactions
-def reaction_tractions(surface: SurfaceMesh, state: State, *, joined: bool = False) -> Array:
-    """Nodal tractions (m, d) whose nodal forces are the bodies' reactions, see `Surface.reaction`. Collective.
+# ---------------------------------------------------------------- of the bodies' nodal forces
+def consistent_tractions(surface: SurfaceMesh, state: State, *, joined: bool = False) -> Array:
+    """Nodal tractions (m, d) whose nodal forces are those of the bodies on S, see `Surface.reaction`. Collective.
 
-    With `joined` only tractions of layers: bonds are then inside the bodies, and their forces are no reactions.
+    With `joined` only tractions of layers: bonds are then inside the bodies, and their forces do not count.
     """
     model, d = state.model, surface.joint.dim
     r = layer_forces(state, joined)

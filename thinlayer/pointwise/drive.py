@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import ufl
@@ -85,7 +84,7 @@ def drive(
         SolveError: tractions beyond the strength of the law; its attribute `history` has the previous steps.
     """
     if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
-        raise InputError(f"a point's law is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw")
+        raise InputError(f"law is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw")
     if law.fields or law.traits.varies:
         name = next(iter(law.fields), "a parameter")
         raise InputError(f"{type(law).__name__}: {name} is a function of the place, or of time; a point needs numbers")
@@ -96,8 +95,7 @@ def drive(
     path = [_read_step(step, k, len(normal)) for k, step in enumerate(steps)]
     no_time = isinstance(dt, tuple) and not dt
     lengths = _step_lengths(1.0 if no_time else dt, len(path))
-    if not path:
-        raise InputError("a path needs at least one step")
+    require(path, "steps", steps, "a path needs at least one step")
     require(is_number(theta) and 0.5 <= theta <= 1, "theta", theta, "allowed: 0.5 to 1")
     if law.traits.switches and theta != 1:
         raise InputError(f"theta is {theta}; {type(law).__name__} holds at the ends of steps: theta = 1")
@@ -106,20 +104,13 @@ def drive(
     point = MaterialPoint(law.as_bulk_law(), normal, axes, float(theta))
     if no_time and any(depends_on_step_length(sublayer) for _, sublayer in point.law.sublayers):
         raise InputError(f"dt is missing: {type(law).__name__} depends on the length of the steps in time")
-    states = [point.rest()]
-    parts: list[int] = []
+    states, parts = [point.rest()], list[int]()
 
     def history() -> PointHistory:
         """History of the steps so far; `states[0]` is the state at rest."""
-        rows: Any = states[1:]
-
-        def data(name: str, *shape: int) -> Array:
-            return np.array([getattr(row, name) for row in rows], float).reshape(len(rows), *shape)
-
-        w, traction, stress = (data("w", len(normal)), data("traction", len(normal)), mandel_tensors(data("stress", 6)))
-        energies = data("energies", 3) if law.traits.has_energy else np.full((len(rows), 3), np.nan)
-        memory = data("memory", point.material.memory)
-        return PointHistory(normal, data("t"), w, traction, stress, memory, energies, np.array(parts, int))
+        t, w, traction, _, stress, memory, energies = (np.array(column)[1:] for column in zip(*states, strict=True))
+        energies = energies if law.traits.has_energy else np.full_like(energies, np.nan)
+        return PointHistory(normal, t, w, traction, mandel_tensors(stress), memory, energies, np.array(parts, int))
 
     for k, (jumps_given, goal) in enumerate(path):
         try:
@@ -156,8 +147,8 @@ def _read_step(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]
         require(is_finite(value), f"step {k + 1}: {name}", value, "it must be a finite number")
     for c in names:
         if (f"w_{c}" in step) == (f"t_{c}" in step):
-            quantifier = "both" if f"w_{c}" in step else "neither"
-            raise InputError(f"step {k + 1} has {quantifier} of w_{c} (jump) and t_{c} (traction); it must have one")
+            number = "both" if f"w_{c}" in step else "neither"
+            raise InputError(f"step {k + 1} has {number} of w_{c} (jump) and t_{c} (traction); it must have one")
     jumps_given = np.array([f"w_{c}" in step for c in names])
     return jumps_given, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import ufl
@@ -51,7 +50,7 @@ class Kernel:
     parameters: Array
     fraction: float = 1.0
     plane: bool = False
-    keep: Any = field(default=None, repr=False, compare=False)
+    keep: object = field(default=None, repr=False, compare=False)
 
     @property
     def values(self) -> int:
@@ -69,17 +68,19 @@ def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
     check(law)
     compiled = []
     for fraction, sublayer in law.sublayers:
-        bulk: Any = sublayer.in_space
+        bulk = sublayer.in_space
         address, keep = _compiled_from_c(comm, bulk) if isinstance(bulk, KernelLaw) else _compiled_by_ffcx(comm, bulk)
         compiled.append(Kernel(address, bulk.memory, bulk.parameter_values(), fraction, bulk is not sublayer, keep))
     return compiled
 
 
 # ---------------------------------------------------------------- laws written in UFL
-_COMPILED_LAWS: dict[Any, tuple[int, Any]] = {}  # this package's laws, by name; other laws may use data that change
+_COMPILED_LAWS: dict[
+    tuple[object, ...], tuple[int, object]
+] = {}  # this package's laws, by name; other laws may use data that change
 
 
-def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
+def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, object]:
     name = law_identity(law)
     if name is not None and not comm.allreduce(int(name not in _COMPILED_LAWS)):
         return _COMPILED_LAWS[name]
@@ -97,7 +98,7 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, Any]:
 
 
 def _outputs(law: BulkLaw, point: SymbolicLaw) -> list[Expr]:
-    """Symbolic outputs of a law: stress (6,), internal values, and three energies, zero if it declares no energy."""
+    """Symbolic outputs of a law: stress (6,), internal values, and three energies, zero if they are not declared."""
     ufl_law, step = point.law, point.step
     stress, new = mandel_vector(ufl_law.stress(ufl_law.own_step(step))), ufl_law.advance(step)
     memory = [value for name, shape in law.internal.items() for value in _packed_components(new[name], shape)]
@@ -115,7 +116,7 @@ def _packed_components(value: Expr, shape: tuple[int, ...]) -> list[Expr]:
 
 
 # ---------------------------------------------------------------- laws written for one point
-def _compiled_from_c(comm: MPI.Intracomm, law: KernelLaw) -> tuple[int, Any]:
+def _compiled_from_c(comm: MPI.Intracomm, law: KernelLaw) -> tuple[int, object]:
     name, source = type(law).__name__, law.source
     if not isinstance(source, (str, Path)):
         raise InputError(f"{name}.source is {source!r}; it must be the name of a C file")

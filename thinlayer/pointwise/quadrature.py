@@ -6,7 +6,6 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import basix.ufl
 import dolfinx.fem.petsc
@@ -72,7 +71,7 @@ class MeasureRegion:
 
     def __init__(self, mesh: Mesh, measure: ufl.Measure) -> None:
         if measure.integral_type() not in MEASURE_OF_INTEGRAL:
-            raise InputError(f"laws act on dx, ds or dS, not on integrals of the type {measure.integral_type()!r}")
+            raise InputError(f"a law has a measure of type {measure.integral_type()!r}; allowed: dx, ds, dS")
         self.measure, self.parent_mesh = measure, mesh
         self.dim = mesh.topology.dim - (measure.integral_type() != "cell")
         self.mesh, self.maps, self.parent = create_submesh(mesh, self.dim, _entities(mesh, measure))
@@ -100,8 +99,8 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     if "everywhere" in ids:
         entities = _all_entities(mesh, kind)
     elif data is None:
-        measure_name, tags = MEASURE_OF_INTEGRAL[kind], ", ".join(map(str, ids))
-        raise InputError(f"the measure {measure_name}({tags}) has no tags; give {measure_name} its subdomain_data")
+        name, tags = MEASURE_OF_INTEGRAL[kind], ", ".join(map(str, ids))
+        raise InputError(f"the measure {name}({tags}) has no tags; give {name} its subdomain_data")
     elif hasattr(data, "indices"):
         entities = data.indices[np.isin(data.values, ids.astype(int))]
     else:
@@ -190,10 +189,9 @@ class Quadrature:
 
     def _geometry(self) -> None:
         """Compute coordinates, director and weights of the points."""
-        d = self.dim
+        d, mesh = self.dim, self.region.mesh
         W = self._space((5 + d,))
         self.count = W.dofmap.index_map.size_local
-        mesh = self.region.mesh
         self.cells = np.asarray(W.dofmap.list)[: mesh.topology.index_map(mesh.topology.dim).size_local]
         q, x = (self.region.side(f) for f in (ufl.TestFunction(W), ufl.SpatialCoordinate(self.region.parent_mesh)))
         n = three_dimensional(self.term.n) if self.term.n is not None else ufl.zero(3)
@@ -317,17 +315,19 @@ def set_owned_values(f: fem.Function, values: Array) -> fem.Function:
     return f
 
 
-def assemble_values(form: fem.Form | None, count: int) -> Any:
+def assemble_values(form: fem.Form | None, count: int) -> Array:
     """Assembled values (count,) of a linear form at this rank's dofs; zeros for None."""
     if form is None:
         return np.zeros(count)
     b = assemble_forces(form)
-    values = b.array_r.copy()
+    values = np.array(b.array_r)
     b.destroy()
     return values
 
 
-def add_distributed(density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, b: PETSc.Vec, maps: Any = None) -> None:
+def add_distributed(
+    density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, b: PETSc.Vec, maps: object = None
+) -> None:
     """Add the integral of a density to the first displacement component at nodes, distributed by shape functions.
 
     On S these are the shape functions of the upper side. As they add up to one, the entries add up to the integral.

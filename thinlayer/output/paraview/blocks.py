@@ -1,4 +1,4 @@
-"""ParaView blocks of a state, on rank 0: bodies, meshed layers and S, with all their fields."""
+"""ParaView blocks of a state, on rank 0: bodies, meshed layers and S, with all their arrays."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ VTK_TENSOR_ORDER = ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])  # VTK's order of sy
 STRESS, VON_MISES = "stress", "von Mises"
 POLY_LINE = 4  # VTK cell type, straight between nodes, as ParaView does not integrate over curved lines
 CONTACT_CODES = {NO_CONTACT_STATUS: -1} | {name: code for code, name in enumerate(CONTACT_STATUSES)}
-# names of fields; internal variables with these names get the prefix "internal"
-RESERVED_FIELDS = ("u", STRESS, VON_MISES, "region", "seam", "status", "traction", "jump")
+# names of arrays; internal variables with these names get the prefix "internal"
+RESERVED_ARRAYS = ("u", STRESS, VON_MISES, "region", "seam", "status", "traction", "jump")
 
 
 def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | None:
@@ -76,8 +76,8 @@ def _named_variables(sublayers: list[dict[str, Array]], before: int, *, several:
     """Yield names and values of internal variables; names are numbered from below if a facet has several points."""
     for number, variables in enumerate(sublayers, before + 1):
         for name, values in variables.items():
-            field_name = f"internal {name}" if name in RESERVED_FIELDS else name
-            yield f"{field_name} {number}" if several or len(sublayers) > 1 else field_name, values
+            array_name = f"internal {name}" if name in RESERVED_ARRAYS else name
+            yield f"{array_name} {number}" if several or len(sublayers) > 1 else array_name, values
 
 
 class _Means:
@@ -161,7 +161,7 @@ def _surface_block(state: State, model: InterfaceModel, means: Mapping[str, Arra
     """
     joint, d, surface, same_model = model.joint, model.joint.dim, Surface(model), state.model is model
     lower, upper = surface.displacements(state)
-    fields = {"x": surface.x, "n": surface.n, "traction": surface.traction(state), "upper": upper, "lower": lower}
+    on_s = {"x": surface.x, "n": surface.n, "traction": surface.traction(state), "upper": upper, "lower": lower}
     status = surface.status(state)[:, 0] if same_model else None
     contact = contact_values(surface, state) if same_model else {}
     if model.comm.rank:
@@ -169,7 +169,7 @@ def _surface_block(state: State, model: InterfaceModel, means: Mapping[str, Arra
     degree = max(joint.degree, model.structure.degree)
     # extrapolation from quadrature points to nodes, exact for polynomials of this degree
     to_nodes = np.linalg.pinv(lagrange(surface.kind, degree).tabulate(0, surface.points)[0, :, :, 0])
-    at = {name: np.einsum("nq,dfq->fnd", to_nodes, f) for name, f in fields.items()}
+    at = {name: np.einsum("nq,dfq->fnd", to_nodes, f) for name, f in on_s.items()}
     n, k = at["x"].shape[:2]
     kind, order = (vtk_type(surface.kind, k), vtk_order(surface.kind, k)) if d == 3 else (POLY_LINE, np.r_[0, 2:k, 1])
     cells = np.column_stack([np.full(n, k), np.arange(n * k).reshape(n, k)[:, order]]).ravel()
@@ -219,11 +219,11 @@ def _nodal_data(at: Mapping[str, Array], d: int) -> dict[str, Array]:
     n = at["n"] / np.linalg.norm(at["n"], axis=2, keepdims=True)
     jump = upper - lower
     data = {"traction": t, "jump": jump, "normal": n, "u": (upper + lower) / 2, "u_upper": upper, "u_lower": lower}
-    fields = {name: _three_components(values) for name, values in data.items()}
+    arrays = {name: _three_components(values) for name, values in data.items()}
     for name, vector in (("t", t), ("w", jump)):
         along_n = np.einsum("fki,fki->fk", vector, n)
         tangential = vector - along_n[..., None] * n
-        fields[f"{name}_N"] = along_n.ravel()
+        arrays[f"{name}_N"] = along_n.ravel()
         signed = n[..., 1] * vector[..., 0] - n[..., 0] * vector[..., 1]
-        fields[f"{name}_T"] = signed.ravel() if d == 2 else _three_components(tangential)
-    return fields
+        arrays[f"{name}_T"] = signed.ravel() if d == 2 else _three_components(tangential)
+    return arrays

@@ -1,4 +1,4 @@
-"""Files for ParaView with all fields of a state, gathered on rank 0."""
+"""Files for ParaView with all results of a state, gathered on rank 0."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COLLECTION_SUFFIX = ".pvd"
 def write(solution: Solution, path: str | Path, *, surface: Surface | None = None) -> None:
     """Write a state, or all states that a history keeps with their times, for ParaView. Collective.
 
-    Rank 0 gathers all fields and writes "run.pvd" and the folder "run_pvd". Blocks:
+    Rank 0 gathers all results and writes "run.pvd" and the folder "run_pvd". Blocks:
 
     - "bodies": "u" at the nodes; nodes on S are double, so that jumps are kept. On cells: the means of "stress",
       "von Mises" and the internal variables of laws by their names; "region", its position in the field "regions".
@@ -71,8 +71,7 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     path = Path(path)
     folder = path.with_name(f"{path.stem}_pvd")
     on_root(comm, lambda: _make_room(path, folder))
-    digits = max(4, len(str(len(states))))
-    names = [folder / f"{number:0{digits}}.vtm" for number in range(len(states))]
+    names = [folder / f"{number:0{max(4, len(str(len(states))))}}.vtm" for number in range(len(states))]
     for state, name in zip(states, names, strict=True):
         on_root(comm, partial(_save, blocks(state, model if isinstance(model, InterfaceModel) else None), name))
     files = [quoteattr(name.relative_to(path.parent).as_posix()) for name in names]

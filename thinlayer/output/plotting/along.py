@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
@@ -19,6 +20,7 @@ from thinlayer.output.plotting.picture import Picture, finish_picture
 from thinlayer.output.surface import Surface
 from thinlayer.surface.lines import Plane
 
+Drawn = npt.ArrayLike | Mapping[str, npt.ArrayLike] | State | Contact  # a field, cases of it, or results
 COMPONENT_STYLES = ("-", "--", ":")  # line styles of the normal component and of the tangential components
 PANEL_INCHES = (5.2, 2.5)  # width and height of a panel, inches; the first is shared by all seams
 LOW_PANEL_INCHES = 1.7  # height of a panel in pictures with three or more rows, inches
@@ -26,7 +28,7 @@ LOW_PANEL_INCHES = 1.7  # height of a panel in pictures with three or more rows,
 
 def along(
     surface: Surface,
-    fields: Mapping[str, Any] | State | Contact,
+    fields: Mapping[str, Drawn] | State | Contact,
     *,
     plane: Plane | None = None,
     save: str | Path | None = None,
@@ -75,14 +77,14 @@ def along(
     return finish_picture(figure, save, title)
 
 
-def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, np.ndarray]]:
+def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, npt.ArrayLike]]:
     """Label of a row -> label of a case -> field; without forces at pinned nodes, which supports exert."""
     cases = dict(fields) if isinstance(fields, Mapping) else {"": fields}
     if not cases:
-        raise InputError("along: there is nothing to draw")
+        raise InputError("along: fields is empty; give a field, or label -> field")
     if not all(isinstance(case, (State, Contact)) for case in cases.values()):
         return {label: case if isinstance(case, Mapping) else {"": case} for label, case in cases.items()}
-    rows: dict[str, dict[str, np.ndarray]] = {}
+    rows: dict[str, dict[str, npt.ArrayLike]] = {}
     for label, case in cases.items():
         if isinstance(case, State):
             t, w = (surface.frame(f(case)) for f in (surface.traction, surface.jump))
@@ -102,7 +104,7 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
 class _Row:
     """One row of panels: the lines of each case."""
 
-    def __init__(self, surface: Surface, label: str, cases: Mapping[str, np.ndarray], plane: Plane | None) -> None:
+    def __init__(self, surface: Surface, label: str, cases: Mapping[str, npt.ArrayLike], plane: Plane | None) -> None:
         self.label = label
         self.lines = {case: surface.along(f, plane=plane) for case, f in cases.items()}
         values = [line.values for lines in self.lines.values() for line in lines]
@@ -130,7 +132,7 @@ class _Row:
 
 def _legend(figure: Picture, rows: list[_Row], dim: int) -> None:
     """Draw a legend of vector components and cases."""
-    handles, vectors = list[Any](), any(row.components > 1 for row in rows)
+    handles, vectors = list[Line2D](), any(row.components > 1 for row in rows)
     if vectors:
         names = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
         styles = zip(COMPONENT_STYLES, names, strict=False)

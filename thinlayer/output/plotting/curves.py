@@ -8,19 +8,30 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
-from forms.base import InputError, require
+from forms.base import Array, InputError, require
 from thinlayer.output.plotting.picture import Picture, finish_picture, symbols
 from thinlayer.system.table import Table
 
-Lines = Mapping[str, tuple[Any, Any]]  # label -> (x, y)
+Lines = Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]]  # label -> (x, y)
 Range = tuple[float, float] | None
 StyleChoice = str | Sequence[str] | Mapping[str, str] | None  # one for all curves, several in turn, or by label
 # Styles of curves, in turn: colours for colour-blind readers (Okabe and Ito); line styles and markers for grey prints.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-LINE_STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)), (0, (1, 3)))
+Dash = str | tuple[int, tuple[int, ...]]  # matplotlib's line style
+LINE_STYLES: tuple[Dash, ...] = (
+    "-",
+    "--",
+    "-.",
+    ":",
+    (0, (8, 2)),
+    (0, (4, 1, 1, 1, 1, 1)),
+    (0, (1, 3)),
+)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SYMLOG_RANGE = 1e-3  # smallest visible value, over the largest, on an axis that is logarithmic on both sides of zero
 # sizes in a legend, inches: width of a letter, width of the line and the margins of an entry, height of a row
@@ -52,9 +63,8 @@ def rates(
     """
     tables = table if isinstance(table, Mapping) else {"": table}
     if not tables:
-        raise InputError("rates: there is no table to draw")
-    lines: dict[str, tuple[Any, Any]] = {}
-    styles, colours = {}, {}
+        raise InputError("rates: table is empty; give a table, or label -> table")
+    lines, styles, colours = dict[str, tuple[Array, Array]](), {}, {}
     for j, (case, source) in enumerate(tables.items()):
         require(isinstance(source, (Table, str, Path)), f"rates: {case or 'table'}", source, "give what sweep returns")
         data = source if isinstance(source, Table) else Table.load(source)
@@ -123,7 +133,7 @@ def curves(
     labels = list(dict.fromkeys(label for part in parts.values() for label in part))
     grey = {label: "0.5" for label in labels if label.startswith("slope")}
     styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | grey | _by_label(labels, colours)
-    dashes, drawn = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Any]()
+    dashes, drawn = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Line2D]()
     for ax, (panel, part) in zip(panels, parts.items(), strict=True):
         for label, line in part.items():
             # points without a line are open markers, which do not hide one another

@@ -26,7 +26,7 @@ VECTOR_STYLE = {
     "svg.hashsalt": "thinlayer",
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
 }
-UNDATED_METADATA: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+UNDATED_METADATA: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 # Words that are Greek letters; letters with an index, these letters alone, and powers.
 GREEK_LETTERS = "eps|lambda|nu|mu|pi|kappa|rho|psi|omega|Omega|delta|sigma"
 SYMBOL_PATTERN = r"(?:\\[A-Za-z]+|\b[A-Za-z]{1,2})_(?:[NTxyz\d]|min)\b|\\[A-Za-z]+|\b(?:10|L)\^-?\d+"

@@ -28,15 +28,17 @@ DRAWN_DISPLACEMENT_SHARE = 0.05  # largest drawn displacement, over the size of 
 DEFAULT_VIEWS = {2: (0.0, 0.0, 1.0), 3: (0.55, 0.45, 1.0)}  # dimension -> direction to the viewer
 LINE_LIFT = 0.004  # shift of lines towards the viewer, over the picture's width, so that surfaces do not hide them
 IMAGE_PIXELS = 1400  # length of the longer side of an image
-LAYER_STYLE: dict[str, Any] = {"color": "crimson", "line_width": 4, "lighting": False}
-SEAM_STYLE: dict[str, Any] = LAYER_STYLE | {"line_width": 2}  # the two sides of S
-EDGE_STYLE: dict[str, Any] = {"color": "black", "line_width": 3, "lighting": False}
-BASE_STYLE: dict[str, Any] = {"color": "dimgrey", "line_width": 8, "lighting": False}
-U_STYLE: dict[str, Any] = {"scalars": "u", "cmap": "viridis", "show_scalar_bar": False, "ambient": 0.7, "diffuse": 0.3}
-PLAIN_BODY_STYLE: dict[str, Any] = {"color": "#ece5da", "lighting": False}
-OUTLINE_STYLE: dict[str, Any] = {"color": "#6b6256", "line_width": 2, "lighting": False}
-SURFACE_STYLE: dict[str, Any] = {"scalars": "rgb", "rgb": True, "line_width": 12, "lighting": False}
-COLOUR_BAR_STYLE: dict[str, Any] = {"orientation": "horizontal", "aspect": 40, "shrink": 0.6, "pad": 0.02}
+Style = dict[str, Any]  # arguments of pyvista's add_mesh, or of matplotlib
+LAYER_STYLE: Style = {"color": "crimson", "line_width": 4, "lighting": False}
+SEAM_STYLE: Style = LAYER_STYLE | {"line_width": 2}  # the two sides of S
+EDGE_STYLE: Style = {"color": "black", "line_width": 3, "lighting": False}
+BASE_STYLE: Style = {"color": "dimgrey", "line_width": 8, "lighting": False}
+DISPLACEMENT_LIGHT = {"ambient": 0.7, "diffuse": 0.3}
+DISPLACEMENT_STYLE: Style = {"scalars": "u", "cmap": "viridis", "show_scalar_bar": False} | DISPLACEMENT_LIGHT
+PLAIN_BODY_STYLE: Style = {"color": "#ece5da", "lighting": False}
+OUTLINE_STYLE: Style = {"color": "#6b6256", "line_width": 2, "lighting": False}
+SURFACE_STYLE: Style = {"scalars": "rgb", "rgb": True, "line_width": 12, "lighting": False}
+COLOUR_BAR_STYLE: Style = {"orientation": "horizontal", "aspect": 40, "shrink": 0.6, "pad": 0.02}
 PLACE_DECIMALS = 9  # decimals of coordinates, over the structure's size, that distinguish nodes
 
 SUBDIVISION_LEVEL = 3  # subdivision level of curved cells
@@ -113,15 +115,13 @@ class DeformedShape:
             return cls(parts, base)
         low, high = grid.points.min(axis=0), grid.points.max(axis=0)
         plane = {"normal": cut, "origin": (low + high) / 2 + CUT_OFFSET * (high - low).max() * np.asarray(cut)}
-        behind = {number: part.clip(**plane) for number, part in parts.items()}
-        regions = {number: part for number, part in behind.items() if part.n_cells}
+        regions = {number: behind for number, part in parts.items() if (behind := part.clip(**plane)).n_cells}
         return cls(regions, base.clip(**plane) if base is not None else None, plane)
 
     @property
     def points(self) -> Array:
         """(n, 3) nodes of the regions and then of the base."""
-        meshes = [*self.regions.values(), *([] if self.base is None else [self.base])]
-        return np.concatenate([mesh.points for mesh in meshes])
+        return np.concatenate([mesh.points for mesh in (*self.regions.values(), self.base) if mesh is not None])
 
     @property
     def values(self) -> Array:
@@ -153,7 +153,7 @@ def _axes(dim: int, view: View) -> Array:
         raise InputError("towards and cut are for three-dimensional structures")
     towards = finite_values(DEFAULT_VIEWS[dim] if view.towards is None else view.towards, (3,))
     if towards is None or not towards.any():
-        raise InputError(f"towards is {view.towards}; it needs three components, not all zero")
+        raise InputError(f"towards is {view.towards}; it must have three components, not all zero")
     towards /= np.linalg.norm(towards)
     right = np.cross((0.0, 1.0, 0.0) if np.hypot(*towards[::2]) > 1e-6 else (0.0, 0.0, -towards[1]), towards)
     right /= np.linalg.norm(right)
@@ -239,17 +239,14 @@ class Scene:
         size = [round(IMAGE_PIXELS * side / max(x1 - x0, y1 - y0)) for side in (x1 - x0, y1 - y0)]
         plotter = pyvista.Plotter(off_screen=True, window_size=size, lighting="none")
         plotter.add_light(pyvista.Light(light_type="headlight"))
-        body, outlines = (
-            U_STYLE | {"clim": self.limits} if on_s is None else PLAIN_BODY_STYLE,
-            on_s is not None and grid.dim == 3,
-        )
-        edge = EDGE_STYLE if on_s is None else OUTLINE_STYLE
+        body = DISPLACEMENT_STYLE | {"clim": self.limits} if on_s is None else PLAIN_BODY_STYLE
+        edge, only_outlines = EDGE_STYLE if on_s is None else OUTLINE_STYLE, on_s is not None and grid.dim == 3
         parts = [(region, body, *((LAYER_STYLE, 2) if tag < 0 else (edge, 1))) for tag, region in shape.regions.items()]
-        for mesh, look, pen, lift in parts + (
-            [] if shape.base is None or outlines else [(shape.base, BASE_STYLE, BASE_STYLE, 0)]
-        ):
+        if shape.base is not None and not only_outlines:
+            parts.append((shape.base, BASE_STYLE, BASE_STYLE, 0))
+        for mesh, look, pen, lift in parts:
             outside = outer_surface(mesh)
-            if not outlines:
+            if not only_outlines:
                 plotter.add_mesh(outside, **look)
             lines = sharp_edges(outside)
             lines.points += lift * LINE_LIFT * (x1 - x0) * towards
@@ -281,10 +278,10 @@ def _range(x: Array) -> tuple[float, float]:
     return float(x.min() - margin), float(x.max() + margin)
 
 
-def _window(zoom: Any) -> Window:
+def _window(zoom: object) -> Window:
     """The four numbers of a window; raise InputError if they are invalid."""
     sides = finite_values(zoom, (4,))
     if sides is None or not (sides[0] < sides[1] and sides[2] < sides[3]):
-        raise InputError(f"zoom is {zoom!r}; it needs (left, right, bottom, top), left < right and bottom < top")
+        raise InputError(f"zoom is {zoom!r}; it must be (left, right, bottom, top), left < right and bottom < top")
     left, right, bottom, top = map(float, sides)
     return left, right, bottom, top

@@ -123,7 +123,7 @@ def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
     """Label -> state; raise InputError if an entry is no state, or there is no entry."""
     panels = dict(states) if isinstance(states, Mapping) else {"": states}
     if not panels:
-        raise InputError(f"{what}: there is no state to draw")
+        raise InputError(f"{what}: states is empty; give a state, or label -> state")
     for label, state in panels.items():
         if not isinstance(state, State):
             received = f"{label!r} is {state!r}" if label else f"states is {state!r}"
