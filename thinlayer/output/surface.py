@@ -13,7 +13,7 @@ from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, contact_result, contact_values
-from thinlayer.output.tractions import layer_points, layer_tractions, points_of_rule, consistent_tractions
+from thinlayer.output.tractions import consistent_tractions, layer_points, layer_tractions, points_of_rule
 from thinlayer.surface.law_points import LawPoints, layer_shares
 from thinlayer.surface.pressure_excess import resting_sublayers, times_too_stiff
 from thinlayer.surface.surface_mesh import SurfaceMesh
@@ -56,7 +56,7 @@ class Surface(SurfaceMesh):
         """(d, n, q) traction whose nodal forces on both sides are those of the bodies, linear on each facet.
 
         Where a support constrains one side, the other side determines it. Where supports constrain both sides, and in a
-        cycle of seams around a vertex, nodal forces do not determine it completely. It is then the solution closest to the
+        cycle of seams around a vertex, nodal forces do not determine it. It is then the solution closest to the
         mean tractions at neighbouring nodes. At a tip of S it is zero.
         """
         self._require_same_joint(state)
