@@ -121,4 +121,4 @@ def test_comparisons_by_name():
     refused(InputError, "where is true nowhere", compare, full, limit, seam="HEAD", where=lambda x: x[0] < -1)
     refused(InputError, "unknown seam 'BEDS', did you mean 'BED'", lambda: compare(full, limit, seam="BEDS"))
     other = solve(bricks.interface(layers | {"HEAD": springs(1.2, 0.45, 0.02)}), 1.0)
-    refused(InputError, r"one thickness of the layer 'HEAD', not 0\.013.* and 0\.02", lambda: compare(full, other))
+    refused(InputError, r"the same thickness of the layer 'HEAD', not 0\.013.* and 0\.02", lambda: compare(full, other))

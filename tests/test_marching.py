@@ -118,4 +118,4 @@ def test_compare_takes_histories_and_states_of_the_same_time():
     history, other = march(full, [0.1, 0.2]), march(interface(), [0.1, 0.2])
     assert compare(history, other)["error_jump"] < 1e-9
     assert compare(history, other, at=0.1)["jump"] < compare(history, other)["jump"]
-    refused(InputError, r"states of the same time, not t = 0\.1 and 0\.2", lambda: compare(history.at(0.1), other))
+    refused(InputError, r"the same time, not t = 0\.1 and 0\.2", lambda: compare(history.at(0.1), other))

@@ -58,7 +58,7 @@ def test_where_that_holds_nowhere(states, where):
 
 @pytest.mark.parametrize("where", [lambda x: "x", lambda x: x[0], lambda x: 0.5 < x[0] < 1.0, lambda x, t: x[0] > 1])
 def test_where_that_is_no_condition(states, where):
-    refused(InputError, r"where (is no numpy function|gives numbers)", lambda: compare(*states, where=where))
+    refused(InputError, r"where (is not a numpy function|gives numbers)", lambda: compare(*states, where=where))
     assert 0 < compare(*states, where=lambda x: (x[0] > 0.5) & (x[0] < 1.5))["error_jump"] < 1
 
 

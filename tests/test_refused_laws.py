@@ -39,8 +39,8 @@ def test_a_law_in_c(tmp_path):
 
 def test_whether_a_kernel_reads_dt_is_what_it_says(tmp_path):
     for slope, declared, message in [
-        ("in[17]", {"relaxes": True}, "relaxes = True, but its answer does not depend on dt: write relaxes = False"),
-        ("in[17] / (1 + in[15])", {}, "relaxes = False, but its answer depends on dt: write relaxes = True"),
+        ("in[17]", {"relaxes": True}, "relaxes = True, but does not depend on dt; write relaxes = False"),
+        ("in[17] / (1 + in[15])", {}, "relaxes = False, but depends on dt; write relaxes = True"),
         ("in[17] / (1 + in[15])", {"relaxes": True}, None),
     ]:
         source = tmp_path / "spring.c"

@@ -61,18 +61,15 @@ def compare(
     meshed, limit = full.model, interface.model
     if not (isinstance(meshed, FullModel) and isinstance(limit, InterfaceModel)):
         raise InputError(f"compare needs a full and an interface model, not {meshed.name} and {limit.name}")
-    if meshed.joint is not limit.joint or meshed.element != limit.element:
-        raise InputError(f"compare needs two models of the same joint and element, not {meshed} and {limit}")
-    if abs(full.t - interface.t) > TIME_TOLERANCE * max(abs(full.t), abs(interface.t)):
-        raise InputError(f"compare needs states of the same time, not t = {full.t:g} and {interface.t:g}")
-    opened = ([name for name in model.joint.seams if name not in model.layers] for model in (meshed, limit))
-    is_open = [", ".join(names) or "none" for names in opened]
-    if is_open[0] != is_open[1]:
-        raise InputError(f"compare needs the same open or bonded joints, not {is_open[0]} and {is_open[1]}")
+    _require_equal("joint and element", meshed.joint is limit.joint and meshed.element == limit.element, meshed, limit)
+    near = TIME_TOLERANCE * max(abs(full.t), abs(interface.t))
+    _require_equal("time", abs(full.t - interface.t) <= near, f"t = {full.t:g}", f"{interface.t:g}")
+    bare = [", ".join(n for n in model.joint.seams if n not in model.layers) or "none" for model in (meshed, limit)]
+    _require_equal("open or bonded joints", bare[0] == bare[1], *bare)
     for name, layer in limit.layers.items():
         thin, other = meshed.layers[name].thin_layer, layer.thin_layer
-        if thin and other and thin.eps != other.eps:
-            raise InputError(f"compare needs one thickness of {layer}, not {thin.eps} and {other.eps}")
+        if thin and other:
+            _require_equal(f"thickness of {layer}", thin.eps == other.eps, thin.eps, other.eps)
     _require_same_places(meshed, limit)
     with errors_on_all(meshed.comm):
         _require_same_structure(meshed, limit)
@@ -87,6 +84,12 @@ def compare(
         is_nonzero = sizes[name] > (JUMP_ROUNDING_SHARE * moved if name == "jump" else 0.0)
         row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if is_nonzero else math.nan
     return row | sizes | (_too_stiff(interface, seam) if interface.model is limit else {})
+
+
+def _require_equal(what: str, equal: bool, full: object, interface: object) -> None:
+    """Raise InputError unless the full and the interface model have equal data."""
+    if not equal:
+        raise InputError(f"compare needs the same {what}, not {full} and {interface}")
 
 
 def _too_stiff(state: State, seam: str) -> dict[str, float]:
@@ -129,7 +132,7 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
         both = [seam_layer.thin_layer.profile for seam_layer in (full.layers[name], layer) if seam_layer.thin_layer]
         shapes = [full.joint.relative_thickness(profile, name) for profile in both]  # a law on S has no thickness
         if not np.allclose(shapes[0], shapes[-1], rtol=PROFILE_TOLERANCE, atol=0.0):
-            raise InputError("compare needs the same profile of the thickness in both models")
+            raise InputError(f"compare needs the same profile of the thickness of {layer} in both models")
 
 
 def _part(surface: Surface, where: Where | None) -> Array:

@@ -88,7 +88,7 @@ class Surface(SurfaceMesh):
         self._require_same_joint(state)
         model = state.model
         if not isinstance(model, InterfaceModel):
-            raise InputError(f"the state of a status is of {model!r}; give a state of an interface model")
+            raise InputError(f"a status is of a state of an interface model, not of {model!r}")
         areas = {name: np.zeros(len(self.rows)) for name in all_statuses(model)}
         for name in model.joint.seams:
             if len(possible := statuses(model, name)) == 1:

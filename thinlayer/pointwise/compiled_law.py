@@ -136,8 +136,7 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
     if law.relaxes == all(np.array_equal(other[k], usual[k], equal_nan=True) for other in others for k in (0, 2)):
         _CHECKED_KERNELS.discard(key)
         does = "does not depend" if law.relaxes else "depends"
-        said = f"relaxes = {law.relaxes}, but its answer {does} on dt: write relaxes = {not law.relaxes}"
-        raise InputError(f"{name} says {said} in the class")
+        raise InputError(f"{name} has relaxes = {law.relaxes}, but {does} on dt; write relaxes = {not law.relaxes}")
 
 
 def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
@@ -146,8 +145,7 @@ def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
     scalars = [name for name, value in law.parameters().items() if parameter_numbers(value).ndim == 0]
     varying = {name: np.asarray(value, float) for name, value in law.at(x.copy(), t).items()}
     if not varying or not varying.keys() <= set(scalars):
-        allowed = ", ".join(scalars)
-        raise InputError(f"{asked}, gives {sorted(varying)}; allowed: those that vary of {allowed}, scalars")
+        raise InputError(f"{asked}, gives {sorted(varying)}; allowed: those of {', '.join(scalars)} that vary")
     for name, value in varying.items():
         if value.shape != x.shape[1:] or not np.isfinite(value).all():
             raise InputError(f"{asked}, gives {name} of shape {value.shape}; allowed: {x.shape[1:]}, finite numbers")

@@ -85,8 +85,7 @@ class CompiledTerm(Quadrature):
         if self._volume:
             self.B = self._volume.matrix(B)
             destroy(B)
-        stressed = term.kinematics.stress_slots(self.dim)
-        self._none = [k for k in range(len(MANDEL_PAIRS)) if k not in stressed]
+        self._none = [k for k in range(len(MANDEL_PAIRS)) if k not in term.kinematics.stress_slots(self.dim)]
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
         self.material = CompiledLaw(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
@@ -135,13 +134,12 @@ class CompiledTerm(Quadrature):
         at = np.flatnonzero(np.isnan(response.whole[:, 0]))[:1]
         if not len(at):
             return ""
-        k = int(at[0])
+        k, law = int(at[0]), self.term.law
         what = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
-        law = self.term.law
         plane = any(sublayer.in_space is not sublayer for _, sublayer in law.sublayers)
         why = ", or no strain out of the plane makes the stresses there zero" if plane else ""
-        name = type(law.in_space).__name__
-        return f"the {what} of {name} is not finite at x = ({', '.join(f'{c:g}' for c in self.x[k])}){why}"
+        place = ", ".join(f"{c:g}" for c in self.x[k])
+        return f"the {what} of {type(law.in_space).__name__} is not finite at x = ({place}){why}"
 
     def softening_points(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
         """Number of this rank's points where stresses fall as the layer opens or slips, at e or between e_old and e.
@@ -174,7 +172,7 @@ class CompiledTerm(Quadrature):
             InputError: parameters out of range on some rank; all ranks raise it.
         """
         if self.material.varies:
-            places = self.joint_x
+            places = self.joint_x  # collective
             with errors_on_all(self.comm):
                 self.material.take_at(places, t)
 
@@ -230,8 +228,7 @@ class CompiledTerm(Quadrature):
         blocks = np.arange(rows, dtype=PETSc.IntType).reshape(self.count, 1, m)
         indices = (first + np.broadcast_to(blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
         values = (tangent * self.weights[:, None, None]).ravel()
-        size = (B.getSizes()[0], B.getSizes()[0])
-        D = PETSc.Mat().createAIJ(size, csr=(indptr, indices, values), comm=self.comm)
+        D = PETSc.Mat().createAIJ((B.getSizes()[0],) * 2, csr=(indptr, indices, values), comm=self.comm)
         A = D.ptap(B, result=into)
         D.destroy()
         return A

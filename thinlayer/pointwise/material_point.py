@@ -108,8 +108,7 @@ class MaterialPoint:
         where = f"it stopped after {done:.4g} of the step, at {reached}"
         if jumps_given.all():
             return f"the law failed; {where}"
-        hint = "Beyond the law's limit? Prescribe the jump there"
-        return f"no jump was found for the prescribed traction; {where}. {hint}"
+        return f"no jump has the prescribed traction; {where}. Beyond the law's limit? Prescribe the jump there"
 
     def _solve(self, old: MaterialPointState, jumps_given: Array, goal: Array, dt: float) -> MaterialPointState | None:
         """Solve by Newton's method for the jumps whose traction is prescribed; None if it does not converge.

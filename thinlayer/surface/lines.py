@@ -49,8 +49,8 @@ class Line:
         """(k, d) points where values (n,) cross a level, such as the front of a phase or the end of a zone."""
         above = self.values - level
         k = np.flatnonzero(above[:-1] * above[1:] < 0)
-        share = (above[k] / (above[k] - above[k + 1]))[:, None]
-        return np.asarray(self.x[k] + share * (self.x[k + 1] - self.x[k]))
+        share = above[k] / (above[k] - above[k + 1])
+        return np.asarray(self.x[k] + share[:, None] * (self.x[k + 1] - self.x[k]))
 
     def table(self, name: str = "value") -> Table:
         """Columns s, x, y (z) and `name`, or "name x", "name y", ... of a vector; `write` makes a csv file of it."""
@@ -141,7 +141,7 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
 def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> Segments:
     """Segments where a plane cuts facets in 3D; `nodes` (n, k) of facets, taken as straight; else as in `lines_on`."""
     if (both := finite_values(plane, (2, 3))) is None or not both[1].any():
-        raise InputError(f"plane is {plane!r}; it needs (point, normal), three finite numbers each, not all zero")
+        raise InputError(f"plane is {plane!r}; it must be (point, normal), three finite numbers each, not all zero")
     around = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
     ring, values = nodes[:, around], values[:, around]
     x = joint.points[ring]

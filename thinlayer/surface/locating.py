@@ -51,7 +51,7 @@ class LocatedPoints:
         """
         d, degree = nodes.shape[2], geometry_degree(kind, nodes.shape[1])
         if (query := finite_values(x, (d,), (-1, d))) is None or not query.size:
-            raise InputError(f"places are {x!r:.80}; they need {d} finite coordinates each, (n, {d})")
+            raise InputError(f"places are {x!r:.80}; they must have {d} finite coordinates each, (n, {d})")
         query = np.atleast_2d(query)
         low, high = nodes.min(axis=1), nodes.max(axis=1)
         margin = (high - low).max(axis=1, keepdims=True) * (MAX_BULGE if degree > 1 else REFERENCE_TOLERANCE)

@@ -272,10 +272,9 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
     if not layers or not len(rim.vertices):
         return
     if any(k.length == math.inf for sublayers in layers for k in sublayers):
-        effect = "its law holds the normal jump [u_N] at zero, as if these ends were held"
+        what = f"{seam_layer} is incompressible: its law holds [u_N] at zero, but at free ends it is squeezed out"
         remedy = "use order=1, mesh the layer (structure.full), or support its sides if they are held"
-        why = f"{seam_layer} is incompressible and S has free ends: {effect}; a layer with free ends is squeezed out"
-        yield "incompressible", f"{why}; {remedy}"
+        yield "incompressible", f"{what}; {remedy}"
         return
     surface, eps = surface_of(model, seam_layer.name), seam_layer.thin_layer.eps
     width = surface.integral(1.0) / surface.lengths(rim).sum()
@@ -285,11 +284,12 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
     y = delta / width
     lost = 1 / (1 - math.tanh(1 / y) * y) - 1
     if lost > 1 / (1 - MIN_STIFFNESS_ERROR) - 1:
-        falls = f"its pressure falls to zero at the free ends of S over delta = {delta:.3g}"
-        part = f"{y:.2g} of the area of S over the length of its free ends ({width:.3g})"
-        stiff = f"between rigid bodies its law would be about {1 + lost:.3g} times too stiff against normal jumps"
-        remedy = f"{_remedy(seam_layer)}, or support its sides if they are held"
-        yield "free ends", f"{seam_layer} is nearly incompressible{worst.when}: {falls}, {part}; {stiff}; {remedy}"
+        what = (
+            f"{seam_layer} is nearly incompressible{worst.when}: its pressure falls to 0 at free ends over {delta:.3g}"
+        )
+        part = f"{y:.2g} of the area of S over the length of these ends ({width:.3g})"
+        stiff = f"between rigid bodies its law is about {1 + lost:.3g} times too stiff against normal jumps"
+        yield "free ends", f"{what}, {part}; {stiff}; {_remedy(seam_layer)}, or support its sides if they are held"
 
 
 def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
@@ -337,11 +337,13 @@ def stiffness_remark(seam_layer: SeamLayer, states: Sequence[State], start: floa
             rows.append((pressure_excess(FaceDisplacements.of(state, seam_layer), sublayers[0]).reported, sublayers[0]))
     worst, layer = max(rows, key=lambda pair: pair[0], default=(0.0, None))
     if layer and worst > MIN_STIFFNESS_ERROR:
-        ratio = f"{seam_layer}{layer.when} has lmbda/mu = {layer.lmbda / layer.mu:.4g}"
-        stiff = f"with the jumps found, the layer alone is {1 + worst:.4g} times too stiff"
-        why = "as its interface law lets no material flow along S"
-        less = "the structure is off by less where the bodies are soft"
-        yield "too stiff", f"{ratio}: {stiff}, {why}; {less}; {_remedy(seam_layer)}"
+        ratio = (
+            f"{seam_layer}{layer.when} has lmbda/mu = {layer.lmbda / layer.mu:.4g}, and lets no material flow along S"
+        )
+        stiff = (
+            f"for these jumps the layer alone is {1 + worst:.4g} times too stiff, the structure less if bodies are soft"
+        )
+        yield "too stiff", f"{ratio}: {stiff}; {_remedy(seam_layer)}"
 
 
 def _remedy(layer: SeamLayer) -> str:

@@ -54,9 +54,8 @@ class FacetPoints:
         across = np.stack([along[0, ..., 1], -along[0, ..., 0]], -1) if joint.dim == 2 else np.cross(*along)
         size = np.linalg.norm(across, axis=-1)
         above = joint.points[joint.corners[surface.cells[rows, 1]]].mean(axis=1)
-        up = above - joint.points[surface.corners[rows]].mean(axis=1)
-        sign = np.sign(np.einsum("fqd,fd->fq", across, up))
-        self.n = np.moveaxis(across * (sign / size)[..., None], -1, 0)
+        up = np.einsum("fqd,fd->fq", across, above - joint.points[surface.corners[rows]].mean(axis=1))
+        self.n = np.moveaxis(across * (np.sign(up) / size)[..., None], -1, 0)
         self.weights = weights * size * surface.model.kinematics.factor_at(np.moveaxis(self.x, 0, -1))
 
     @cached_property
@@ -174,8 +173,7 @@ class SurfaceMesh:
         there = "but a rigid base" if self.joint.parted is None else EXTENDED_BODIES_HINT
         message = f"no body is on the {side} side of S at {{at}}, {there}"
         refuse(~np.isin(points, wanted // count), located.x[points], message)
-        of_side = np.isin(located.point * count + located.entity, wanted)
-        return located[of_side | ~np.isin(located.point, points)]
+        return located[np.isin(located.point * count + located.entity, wanted) | ~np.isin(located.point, points)]
 
     def in_layer(self, x: npt.ArrayLike, height: npt.ArrayLike) -> Array:
         """Points (n, d) in the meshed layer of a full model, at points x of S and heights between the faces.
@@ -188,7 +186,7 @@ class SurfaceMesh:
             InputError: the surface is not of a full model; points off S.
         """
         if not isinstance(self.model, FullModel):
-            raise InputError(f"places in a meshed layer need a full model, not {self.model!r:.80}")
+            raise InputError(f"the surface of a meshed layer is of a full model, not of {self.model!r:.80}")
         inflated = self.model.inflated
         nodes = self.joint.faces(inflated.cell_points)[:, self.rows]
         if BASE in inflated.facets:
@@ -435,9 +433,8 @@ class SurfaceMesh:
     # ---------------------------------------------------------------- layers
     def thickness(self, layer: SeamLayer, vertices: IntArray) -> Array:
         """Thickness (...) of a layer with a law of strains, at vertices (...) of the joint."""
-        return np.asarray(
-            float(layer.thin_layer.eps) * self.joint.relative_thickness(layer.thin_layer.profile, layer.name)[vertices]
-        )
+        relative = self.joint.relative_thickness(layer.thin_layer.profile, layer.name)
+        return np.asarray(float(layer.thin_layer.eps) * relative[vertices])
 
     def lengths(self, rim: Rim) -> Array:
         """(n,) lengths of the ridges of a part of the rim; in plane models 1, in axisymmetry the circumference."""
