@@ -75,9 +75,7 @@ def test_traction_beyond_the_limit():
     """The steps before are kept, up to them all is as without the step too many."""
     path = [{"w_T": 0.0, "t_N": -1.0}, *({"t_T": t, "t_N": -1.0} for t in (0.3, 0.58, 0.59))]
     assert 0.58 < C * np.cos(np.radians(OMEGA)) + np.sin(np.radians(OMEGA)) < 0.59
-    caught = refused(
-        SolveError, r"step 4 of 4 \(t_T = 0.59, t_N = -1\): no jump has the prescribed traction", drive, LAW, path
-    )
+    caught = refused(SolveError, r"step 4 of 4 \(t_T = 0.59, t_N = -1\): no jump has", drive, LAW, path)
     kept = caught.history
     assert len(kept) == 3
     assert kept.jumps == pytest.approx(drive(LAW, path[:3]).jumps)

@@ -106,7 +106,7 @@ def test_a_gap_on_a_rigid_base():
 def test_laws_without_a_stiffness_of_a_cell():
     cell = Structure(bond_cell((2.0, 1.0), h=0.5), body=ROCK, supports={})
     creeps = cell.interface({"BED": ThinLayer(Maxwell(2.0, 1.0, 0.7), 0.01, at=1.0), "HEAD": springs(3.0, 1.3)})
-    refused(InputError, "there is no stiffness but at a state; march under", homogenised_stiffness, creeps)
+    refused(InputError, "stresses without strains; march under", homogenised_stiffness, creeps)
     assert homogenised_stiffness(cell.interface(ThinLayer(Incompressible(0.7), 0.01, at=1.0))).shape == (3, 3)
     strip = Structure(periodic(sandwich(4.0, 1.0, 1.0, 0.5), ("LEFT", "RIGHT")), body=ROCK, supports={})
     along = strip.interface(ThinLayer(LinearElastic(0.8, 2.1), 0.01, order=1, at=1.0))

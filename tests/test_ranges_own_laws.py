@@ -101,7 +101,7 @@ def test_incompressible_with_free_ends():
         data = {"body": STIFF, "supports": {"BOTTOM": 0.0, **sides}, "tractions": {"TOP": (0.0, -1.0)}}
         reported = range_warnings(lambda data=data: solve(Structure(joint, **data).interface(layer)))
         assert len(reported) == messages
-        assert not reported or "incompressible: the layer is incompressible and S has free ends" in reported[0]
+        assert not reported or "incompressible: the layer is incompressible: its law holds" in reported[0]
 
 
 # ---------------------------------------------------------------- negative stiffness

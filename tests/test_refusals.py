@@ -53,7 +53,7 @@ def test_states_of_other_joints(states):
 
 @pytest.mark.parametrize("where", [lambda x: x[0] > 99.0, lambda x: abs(x[0] - 0.3) < 1e-9])
 def test_where_that_holds_nowhere(states, where):
-    refused(InputError, "holds nowhere on S", lambda: compare(*states, where=where))
+    refused(InputError, "is true nowhere on S", lambda: compare(*states, where=where))
 
 
 @pytest.mark.parametrize("where", [lambda x: "x", lambda x: x[0], lambda x: 0.5 < x[0] < 1.0, lambda x, t: x[0] > 1])
@@ -85,7 +85,7 @@ def test_states_of_another_time_than_asked_for(states):
 
 def test_pictures(states, tmp_path):
     for zoom in ((0, 1), (0, float("nan"), 0, 1), (1, 0, 0, 1), "0011"):
-        refused(InputError, r"it needs \(left, right, bottom, top\)", plotting.View, zoom=zoom)
+        refused(InputError, r"it must be \(left, right, bottom, top\)", plotting.View, zoom=zoom)
     for scale in (float("nan"), "x", True):
         refused(InputError, r"scale is .*; it must be a finite number", plotting.View, scale=scale)
     refused(InputError, "unknown component None; allowed: size", plotting.deformed, states[1], plotting.View(None))

@@ -79,7 +79,7 @@ class Varying(Switch):
 
 
 WRONG = {
-    r"gives \[\]; allowed: those of k that vary": lambda x, t: {},
+    r"gives \[\]; allowed: those of k, way that vary": lambda x, t: {},
     r"gives k of shape \(\); allowed: \(\d+,\), finite numbers": lambda x, t: {"k": 5.0},
     r"gives k of shape \(\d+,\); allowed: .*finite": lambda x, t: {"k": np.where(x[0] > 1, np.nan, 5.0)},
 }

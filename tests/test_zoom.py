@@ -253,7 +253,7 @@ def test_the_layer_is_asked_whether_it_bears_what_the_bodies_do():
     layer = ThinLayer(Rubber.shear(2.0, 0.499), 1 / 16, at=1.0)
     with pytest.warns(RangeWarning, match="times too stiff"):
         zero = state(layer)
-    with pytest.warns(RangeWarning, match=r"differ by \d+ % from what the bodies do"):
+    with pytest.warns(RangeWarning, match=r"differ by \d+ % from those of the bodies"):
         Zoom(zero)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

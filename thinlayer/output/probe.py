@@ -224,6 +224,5 @@ def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str 
 
 def _monomials(x: Array, degree: int) -> Array:
     """Values (n, k) at points x (n, d) of all monomials up to a total degree."""
-    axes = range(x.shape[1])
-    factors = [some for count in range(degree + 1) for some in combinations_with_replacement(axes, count)]
-    return np.column_stack([x[:, some].prod(axis=1) for some in factors])
+    axes = [k for n in range(degree + 1) for k in combinations_with_replacement(range(x.shape[1]), n)]
+    return np.column_stack([x[:, k].prod(axis=1) for k in axes])

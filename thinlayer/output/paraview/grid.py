@@ -68,8 +68,8 @@ class VtkGrid:
 
 def nodal_displacement(state: State) -> fem.Function:
     """Copy of the displacement with nodal values, interpolated if the element's dofs are no nodal values."""
-    V = state.model.space(2) if state.model.element.startswith("S") else state.u.function_space
-    u = fem.Function(V, name="u")
+    is_nodal = not state.model.element.startswith("S")
+    u = fem.Function(state.u.function_space if is_nodal else state.model.space(2), name="u")
     interpolate(u, state.u)
     u.x.scatter_forward()
     return u
