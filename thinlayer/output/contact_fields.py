@@ -136,8 +136,8 @@ class Contact:
 
     @property
     def _counted(self) -> str:
-        seam = "" if self.surface.seam == S else f"{self.surface.seam}: "
-        return seam + ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
+        counts = ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
+        return counts if self.surface.seam == S else f"{self.surface.seam}: {counts}"
 
     def __repr__(self) -> str:
         return f"Contact({self._counted})"

@@ -177,10 +177,9 @@ def _by_run(rows: Sequence[Row]) -> dict[int, Row]:
 def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
     """The table of rows in the order of their runs, all with the same columns."""
     ordered = [rows[k] for k in sorted(rows)]
-    results = dict.fromkeys(key for row in ordered for key in row if key not in (RUN_COLUMN, FAILURE_COLUMN, *cases[0]))
+    names = dict.fromkeys(name for row in ([RUN_COLUMN, *cases[0]], *ordered) for name in row if name != FAILURE_COLUMN)
     failed = [FAILURE_COLUMN] if any(FAILURE_COLUMN in row for row in ordered) else []
-    names = [RUN_COLUMN, *cases[0], *results, *failed]
-    return Table({name: row.get(name) for name in names} for row in ordered)
+    return Table({name: row.get(name) for name in (*names, *failed)} for row in ordered)
 
 
 def _checked_cases(cases: object) -> list[Row]:

@@ -89,13 +89,11 @@ def on_surface(
         InputError: not a state, no scalar field on S; errors of `deformed`. OSError: the picture could not be written.
     """
     panels = _panels(states, "on_surface")
-    surfaces, fields, sides = dict[str, Surface](), dict[str, np.ndarray](), dict[str, tuple[Array, Array]]()
+    surfaces, fields, moved = dict[str, Surface](), dict[str, np.ndarray](), dict[str, Array]()
     for label, state in panels.items():
-        surface = Surface(state.model, seam)
+        surface = surfaces[label] = Surface(state.model, seam)
         fields[label] = np.asarray(field(surface, state) if callable(field) else field)
-        moved = surface.sides(state.u, state.model, surface.corner_points)
-        sides[label] = surface.joint.points[surface.corners], moved
-        surfaces[label] = surface
+        moved[label] = surface.sides(state.u, state.model, surface.corner_points)
     names, fields = numbered_names(fields)
     shown = {label: surfaces[label].at_corners(f) for label, f in fields.items()}
     if wrong := [f.shape[2] for f in shown.values() if f.ndim > 2]:
@@ -103,8 +101,8 @@ def on_surface(
     colours = _Colours(names, np.concatenate([f.ravel() for f in shown.values()]), log=log)
 
     def image(scene: Scene, label: str, grid: VtkGrid) -> npt.NDArray[np.uint8]:
-        x, u = sides[label]
-        lower, upper = x + scene.factor * np.moveaxis(u, 1, -1)
+        x = surfaces[label].joint.points[surfaces[label].corners]
+        lower, upper = x + scene.factor * np.moveaxis(moved[label], 1, -1)
         return scene.image(grid, _meshes(colours, shown[label], lower, upper))
 
     def legend(scene: Scene, figure: Picture, places: list[Axes]) -> None:
