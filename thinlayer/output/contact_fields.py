@@ -165,7 +165,8 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, np.ndarray]:
     if not parts:
         return {}
     nodal = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    at, m, vertex, areas = (surface.find(nodal.pop("number")), len(surface.numbers), *map(nodal.pop, ("own", "areas")))
+    at, m = surface.find(nodal.pop("number")), len(surface.numbers)
+    vertex, areas = nodal.pop("vertex"), nodal.pop("areas")
     around = sum_by_number(at, areas, m)
     values: dict[str, np.ndarray] = {"areas": around}
     for name, array in nodal.items():
@@ -198,7 +199,7 @@ def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
     node, number = body_pairs(model.joint, seam, nodes.file_numbers)
     vertex_count = np.bincount(node, minlength=len(w))
     values: dict[str, np.ndarray] = {
-        "own": vertex_count == 1, "status": status, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],
+        "vertex": vertex_count == 1, "status": status, "u_T": w[:, :-1], "u_N": -w[:, -1], "p": p, "t_T": t[:, :-1],
         "threshold": threshold, "slip": slip, "areas": nodes.weights / vertex_count, "frames": nodes.frames,
     }  # fmt: skip
     nodes.destroy()

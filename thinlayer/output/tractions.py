@@ -164,13 +164,13 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, joined: bool = F
     there[sides[0][is_split & (surface.cells[:, :1] >= 0)]] = True  # the forces of a rigid base are unknown
     valid &= there[:, None]
     both = np.stack([sides.ravel(), np.broadcast_to(surface.nodes, sides.shape).ravel()])
-    of_one = np.bincount(np.unique(both, axis=1)[0], minlength=count) == 1  # elsewhere forces of several seams add up
+    single = np.bincount(np.unique(both, axis=1)[0], minlength=count) == 1  # elsewhere forces of several seams add up
     areas = surface.areas
     M = _to_sides(surface, sides, count)
     around = np.where(there, np.abs(M) @ np.ones(len(areas)), 1.0)
     out = np.zeros((len(areas), d))
     for k in range(d):
-        guess, rows = _lumped(surface, sides, force[:, k] / around, valid[:, k] & of_one), np.flatnonzero(valid[:, k])
+        guess, rows = _lumped(surface, sides, force[:, k] / around, valid[:, k] & single), np.flatnonzero(valid[:, k])
         guess, scale = np.where(tip, 0.0, [guess, areas**-0.5])
         A = scipy.sparse.diags(around[rows] ** -0.5) @ M[rows] @ scipy.sparse.diags(scale)
         b = (force[rows, k] - M[rows] @ guess) * around[rows] ** -0.5

@@ -89,8 +89,8 @@ class Zoom:
     """
 
     def __init__(self, state: State, seam: str = S, *, cells_through: int = 8, at_ends: float | None = None) -> None:
-        self.state, self._one = state, _layer_of(state, seam)
-        self.seam = self._one.name
+        self.state, self._seam_layer = state, _layer_of(state, seam)
+        self.seam = self._seam_layer.name
         if at_ends is None:
             at_ends = END_CELL_SIZES[state.model.joint.cell_type == "tetrahedron"]
         self.layer = state if isinstance(state.model, FullModel) else self._by_itself(cells_through, at_ends)
@@ -117,15 +117,15 @@ class Zoom:
     @property
     def eps(self) -> float:
         """The layer's thickness; if it varies, the thickness that its profile multiplies."""
-        return float(self._one.thin_layer.eps)
+        return float(self._seam_layer.thin_layer.eps)
 
     @property
     def law(self) -> BulkLaw:
         """The layer's law with real parameters; in plane models the law of the kinematics."""
-        return self._known.law
+        return self._applicability.law
 
     @cached_property
-    def _known(self) -> Applicability:
+    def _applicability(self) -> Applicability:
         return self.state.model.applicability[self.seam]
 
     def _require_faces(self, layers: State) -> None:
@@ -134,7 +134,7 @@ class Zoom:
         bodies = surface.reaction(self.state)
         off = surface.norm(surface.traction(layers) - bodies) / (surface.norm(bodies) or 1.0)
         if off > TRACTION_WARNING_ERROR:
-            message = f"zoom into {self._one}: its tractions differ by {100 * off:.2g} % from those of the bodies"
+            message = f"zoom into {self._seam_layer}: tractions differ by {100 * off:.2g} % from those of the bodies"
             warn("zoom", f"{message}; take Zoom(estimate(state).better), where they agree", surface.model.comm)
 
     # ---------------------------------------------------------------- stresses
@@ -151,7 +151,7 @@ class Zoom:
         """
         located, _ = self._surface.at(x)
         y = self._heights(height, len(located.x))
-        free = self._known.free
+        free = self._applicability.free
         if len(free.vertices):
             near = free.distance(self.state.model.joint.points, located.x) < CORNER_EXCLUSION * self.eps
             near &= np.abs(y) > 0.5 - CORNER_EXCLUSION
@@ -181,8 +181,8 @@ class Zoom:
         Raises:
             InputError: ends are curved.
         """
-        free, points = self._known.free, self.state.model.joint.points
-        ends, pairs = straight_ends(free, self._one.sheet), []
+        free, points = self._applicability.free, self.state.model.joint.points
+        ends, pairs = straight_ends(free, self._seam_layer.sheet), []
         every = points[np.unique(free.vertices)]
         for end in ends:
             near = [other.adjoins(every) & (other.distance(every) <= SINGLE_END_DISTANCE * self.eps) for other in ends]
@@ -201,14 +201,14 @@ class Zoom:
         Raises:
             InputError: the exponent of a corner is unknown, with the reason.
         """
-        for load in SideLoad.of(self.state.model, self._one):
+        for load in SideLoad.of(self.state.model, self._seam_layer):
             raise Violation("loaded side", f"the {load.what} acts on the layer's side").error(self._at_corners)
-        self._known.require("corners", self._at_corners)
+        self._applicability.require("corners", self._at_corners)
         return [self._strength(end, x, side) for end, x in self.ends for side in (-1, 1)]
 
     @property
     def _at_corners(self) -> str:
-        return f"zoom into {self._one} at its corners: "
+        return f"zoom into {self._seam_layer} at its corners: "
 
     def _strength(self, end: StraightEnd, x: Array, side: int) -> CornerStrength:
         """Strengths at points x of an end, at the corner on the upper (1) or the lower face (-1)."""

@@ -112,9 +112,9 @@ def drive(
         energies = energies if law.traits.has_energy else np.full_like(energies, np.nan)
         return PointHistory(normal, t, w, traction, mandel_tensors(stress), memory, energies, np.array(parts, int))
 
-    for k, (jumps_given, goal) in enumerate(path):
+    for k, (fixed, goal) in enumerate(path):
         try:
-            state, taken = point.advance(states[-1], jumps_given, goal, lengths[k])
+            state, taken = point.advance(states[-1], fixed, goal, lengths[k])
         except SolveError as error:
             asked = ", ".join(f"{name} = {value:g}" for name, value in steps[k].items())
             raise SolveError(f"step {k + 1} of {len(path)} ({asked}): {error}", history()) from None
@@ -149,8 +149,8 @@ def _read_step(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]
         if (f"w_{c}" in step) == (f"t_{c}" in step):
             number = "both" if f"w_{c}" in step else "neither"
             raise InputError(f"step {k + 1} has {number} of w_{c} (jump) and t_{c} (traction); it must have one")
-    jumps_given = np.array([f"w_{c}" in step for c in names])
-    return jumps_given, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
+    fixed = np.array([f"w_{c}" in step for c in names])
+    return fixed, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
 
 
 def _step_lengths(dt: float | Sequence[float], count: int) -> Array:

@@ -90,10 +90,10 @@ class MaterialPoint:
         spent[0] = state.energies[0]
         return state._replace(energies=spent), parts
 
-    def _settled(self, old: MaterialPointState, jumps_given: Array, aim: Array, dt: float) -> MaterialPointState | None:
+    def _settled(self, old: MaterialPointState, fixed: Array, aim: Array, dt: float) -> MaterialPointState | None:
         """The state after a part of a step and all its changes of phase; None if Newton's method does not converge."""
         while True:
-            state = self._solve(old, jumps_given, aim, dt)
+            state = self._solve(old, fixed, aim, dt)
             if state is None or self.switching is None:
                 return state
             memory = self.switching.switched(state.memory[None], old.memory[None])
@@ -101,22 +101,22 @@ class MaterialPoint:
                 return state
             old = old._replace(memory=memory[0])
 
-    def _stuck(self, state: MaterialPointState, jumps_given: Array, done: float) -> str:
+    def _stuck(self, state: MaterialPointState, fixed: Array, done: float) -> str:
         names = [f"{kind}_{c}" for kind in "wt" for c in COMPONENT_NAMES[len(self.n)]]
         values = zip(names, (*state.w, *state.traction), strict=True)
         reached = ", ".join(f"{name} = {value:.6g}" for name, value in values)
         where = f"it stopped after {done:.4g} of the step, at {reached}"
-        if jumps_given.all():
+        if fixed.all():
             return f"the law failed; {where}"
         return f"no jump has the prescribed traction; {where}. Beyond the law's limit? Prescribe the jump there"
 
-    def _solve(self, old: MaterialPointState, jumps_given: Array, goal: Array, dt: float) -> MaterialPointState | None:
+    def _solve(self, old: MaterialPointState, fixed: Array, goal: Array, dt: float) -> MaterialPointState | None:
         """Solve by Newton's method for the jumps whose traction is prescribed; None if it does not converge.
 
         The tangent is singular at a limit, or where an open layer must close. There the jump moves in the direction of
         the missing traction, by a distance that doubles in each iteration.
         """
-        free, farther = np.logical_not(jumps_given), 1.0
+        free, farther = np.logical_not(fixed), 1.0
 
         def missing(state: MaterialPointState) -> float:
             return float(np.abs(goal - state.traction)[free].max(initial=0.0))
@@ -129,7 +129,7 @@ class MaterialPoint:
             return next((state for state in tried if state is not None and missing(state) <= most), None)
 
         self._respond(old, old.w, dt)  # sets self.stiffness
-        reached = self._respond(old, np.where(jumps_given, goal, old.w), dt)
+        reached = self._respond(old, np.where(fixed, goal, old.w), dt)
         for _ in range(MAX_NEWTON_STEPS):
             if reached is None or farther > MAX_NULL_STEP:
                 return None

@@ -179,8 +179,8 @@ class Quadrature:
         e_0, of_strains = self.term.prescribed_strain, self.term.kinematics.slots(self.dim)
         if self.term.volume is not None:
             of_strains = (*of_strains, *TRACE_SLOTS)
-        of_given = [k for k, pair in enumerate(MANDEL_PAIRS) if e_0 is not None and not isinstance(e_0[pair], Zero)]
-        return sorted({*of_strains, *of_given})
+        of_e_0 = [k for k, pair in enumerate(MANDEL_PAIRS) if e_0 is not None and not isinstance(e_0[pair], Zero)]
+        return sorted({*of_strains, *of_e_0})
 
     def _space(self, shape: tuple[int, ...], mesh: Mesh | None = None) -> fem.FunctionSpace:
         mesh = mesh or self.region.mesh

@@ -73,10 +73,10 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     on_root(comm, lambda: _make_room(path, folder))
     names = [folder / f"{number:0{max(4, len(str(len(states))))}}.vtm" for number in range(len(states))]
     for state, name in zip(states, names, strict=True):
-        on_root(comm, partial(_save, blocks(state, model if isinstance(model, InterfaceModel) else None), name))
+        on_root(comm, partial(_write_blocks, blocks(state, model if isinstance(model, InterfaceModel) else None), name))
     files = [quoteattr(name.relative_to(path.parent).as_posix()) for name in names]
     rows = [f'timestep="{state.t!r}" file={file}' for state, file in zip(states, files, strict=True)]
-    on_root(comm, lambda: _list(path, "Collection", rows))
+    on_root(comm, lambda: _write_listing(path, "Collection", rows))
 
 
 def _states(solution: Solution) -> list[State]:
@@ -99,7 +99,7 @@ def _make_room(path: Path, folder: Path) -> None:
             old.unlink()
 
 
-def _save(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
+def _write_blocks(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
     """Write a file .vtm, and the files of its blocks in a folder next to it.
 
     VTK composes the files in memory, as on a full disk it can end the process.
@@ -116,10 +116,10 @@ def _save(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
         with replace_file(file) as out:
             out.write(writer.GetOutputString().encode())
         rows.append(f'index="{number}" name={quoteattr(block)} file={quoteattr(f"{name.stem}/{file.name}")}')
-    _list(name, "vtkMultiBlockDataSet", rows)
+    _write_listing(name, "vtkMultiBlockDataSet", rows)
 
 
-def _list(path: Path, kind: str, rows: Iterable[str]) -> None:
+def _write_listing(path: Path, kind: str, rows: Iterable[str]) -> None:
     """Write a file that lists other files, with a row of attributes for each."""
     named = "".join(f"    <DataSet {row}/>\n" for row in rows)
     text = f'<VTKFile type="{kind}" version="1.0">\n  <{kind}>\n{named}  </{kind}>\n</VTKFile>\n'
