@@ -155,7 +155,7 @@ def last(solution: Solution) -> State:
 def layer_of(solution: Solution) -> ThinLayer:
     """The only layer of a model, with its thickness."""
     (layer,) = last(solution).model.layers.values()
-    return layer.thin_layer
+    return layer.as_thin_layer
 
 
 def last_order(table: Table, column: str) -> float:

@@ -54,7 +54,7 @@ USED = [
 @pytest.mark.parametrize("used", USED)
 def test_x_and_t_are_no_numbers(used):
     """Each would be found once, when the model is built, and stay as it is."""
-    remedy = r"(is no function \(x, t\)|gives nan).*ufl\.conditional\(.*piecewise\(\{time: value"
+    remedy = r"(is not a function \(x, t\)|gives nan).*ufl\.conditional\(.*piecewise\(\{time: value"
     refused(InputError, f"traction on 'TOP' {remedy}", lambda: model(lambda x, t: (0.0, used(x, t))))
     refused(InputError, f"component y {remedy}", lambda: model(tractions={}, supports={"TOP": {"y": used}}))
 

@@ -309,7 +309,7 @@ def test_refused_structures():
     of_order_1 = ThinLayer(LinearElastic(1.0, 1.0), 0.01, order=1, at=1.0)
     refused(InputError, "order=1, whose strains along S", plain.interface, of_order_1)
     alone = Structure(sandwich(1.0, 0.5, 0.5, 0.25), body=ROCK, supports={"BOTTOM": 0.0}, strain=np.eye(2))
-    refused(InputError, "the mean strain is for a periodic cell, and this joint is none", alone.interface, layer)
+    refused(InputError, "the mean strain needs a periodic joint; see geometry.periodic", alone.interface, layer)
     plain = Structure(alone.joint, body=ROCK, supports={"BOTTOM": 0.0}).interface(layer)
     refused(InputError, "needs a model of a periodic joint", homogenised_stiffness, plain)
     stiffens = Structure(laminate(), body=Stiffening(0.0, 3.0, 6e3), supports={}).interface(layer)

@@ -208,6 +208,6 @@ def test_refused_additions():
     """One whose break times no step would meet, and one that does nothing."""
     data, layer = {"body": LinearElastic.young(30.0, 0.3), "supports": {"BOTTOM": 0.0}}, ThinLayer(CREEP, EPS, at=1.0)
     late = Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Late("TOP")], **data).interface(layer)
-    refused(InputError, r"a part gives it in check\(model\)", lambda: march(late, [1.5, 2.0]))
+    refused(InputError, r"; give it in check\(model\)", lambda: march(late, [1.5, 2.0]))
     made = lambda: Structure(sandwich(1.0, 0.5, 0.5, 0.5), parts=[Nothing()], **data).bonded()
     refused(InputError, "'nothing' does nothing: it has neither part", made)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from forms.base import InputError
 from forms.elastic import MAX_FREE_END_NU, MODULUS_RATIO_TOLERANCE, LinearElastic, poisson_ratio
+from forms.ends.weights import EndStrips
 from forms.law import BulkLaw
 from forms.law_tangents import acoustic_tensor, declared_or_computed_tangent, is_isotropic, tangent_at_rest
 from forms.parameter_fields import parameter_numbers
@@ -30,6 +30,7 @@ MIN_STIFFNESS_CONTRAST = 40.0  # least Young's modulus of the bodies over the la
 # least radius of free ends over the thickness in axisymmetry; the error of end constants is of the order of its inverse
 MIN_RADIUS_RATIO = 4.0
 MESH_REMEDY = "use order=0, or mesh the layer (structure.full)"
+GOALS_REMEDY = "and compare goals: goal.value(state, model)"
 # 48 (1 - nu^2): (eps k)^3 E/mu at which half-spaces are as compliant as the layer under a pressure of wave number k
 BENDING_FACTOR = 44.0
 
@@ -102,7 +103,7 @@ class Applicability:
     @cached_property
     def pressure_lengths(self) -> FloatArray:
         """Decay lengths (n,) of a pressure of order 1 at `loose`, eps sqrt(lmbda/(12 mu)); may be inf."""
-        thin, joint, at = self.layer.thin_layer, self.layer.sheet.joint, self.loose.vertices
+        thin, joint, at = self.layer.as_thin_layer, self.layer.sheet.joint, self.loose.vertices
         laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
         squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
         relative = joint.relative_thickness(thin.profile, self.layer.name)[at].mean(axis=1)
@@ -125,12 +126,12 @@ class Applicability:
         structure is in plane stress. With loose sides this is done for large nu only: the end constants for smaller nu
         need no fine mesh.
         """
-        law, loose = self.layer.thin_layer.law, len(self.loose.vertices) > 0
+        law, loose = self.layer.as_thin_layer.law, len(self.loose.vertices) > 0
         in_sheet = self.layer.structure.plane == "stress"  # no pressure builds up there
         if isinstance(law, LinearElastic) and not (in_sheet or law.fields) and law.lmbda > 0:
             known_ends = loose and poisson_ratio(law) <= MAX_FREE_END_NU + MODULUS_RATIO_TOLERANCE
             law = law if known_ends else Rubber(law.lmbda, law.mu)
-        return replace(self.layer.thin_layer, law=law, order=1)
+        return replace(self.layer.as_thin_layer, law=law, order=1)
 
     # ---------------------------------------------------------------- ends
     @property
@@ -140,7 +141,7 @@ class Applicability:
         return f"not corrected, as {refused.reason}" if refused else "corrected" if self.weights else "none"
 
     @cached_property
-    def strips(self) -> Any:
+    def strips(self) -> EndStrips | None:
         """The `EndStrips` along free ends; None if they are not known for the law."""
         return self.law.end_strips()
 
@@ -152,13 +153,14 @@ class Applicability:
     @property
     def width(self) -> float:
         """Area of the seam over the total length of its free ends, in units of the thickness."""
-        return float(self.layer.sheet.areas.sum() / self.free.length.sum()) / float(self.layer.thin_layer.eps)
+        return float(self.layer.sheet.areas.sum() / self.free.length.sum()) / self.layer.eps
 
     @cached_property
     def all_weights(self) -> FacetWeights:
         """Weights of the free ends on the facets, valid if the conditions of "ends" before "overlap" hold."""
+        assert self.strips is not None
         strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING_FACTOR) ** (1 / 3)))
-        sheet, eps = self.layer.sheet, float(self.layer.thin_layer.eps)
+        sheet, eps = self.layer.sheet, self.layer.eps
         return FacetWeights.of(straight_ends(self.free, sheet), sheet, eps, strips)
 
     @cached_property
@@ -176,8 +178,7 @@ def softest_body(seam_layer: SeamLayer) -> float:
         law = seam_layer.structure.body_laws[joint.regions[number]]
         centres = joint.points[joint.corners[cells[joint.region[cells] == number]]].mean(axis=1)
         for sample in law.samples(centres.T) if law.fields else [law]:
-            C = declared_or_computed_tangent(sample, n)
-            if C is not None:
+            if (C := declared_or_computed_tangent(sample, n)) is not None:
                 lmbda, mu = average_lame(C)
                 moduli.append(mu * (3 * lmbda + 2 * mu) / (lmbda + mu))
     return float(min(moduli))
@@ -186,37 +187,38 @@ def softest_body(seam_layer: SeamLayer) -> float:
 # ---------------------------------------------------------------- conditions, in the order in which they are checked
 def _law_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for a law of order 0 and for a meshed layer."""
-    seam_layer, layer, setup = r.layer, r.layer.layer, r.layer.structure
+    seam_layer, layer, structure = r.layer, r.layer.layer, r.layer.structure
     if not isinstance(layer, ThinLayer | SurfaceLaw):
         yield Violation("no layer", f"the layer is {layer!r}", "give ThinLayer(law, eps), or a law of jumps or contact")
-    seam_layer.law.check_dimension(setup.joint.dim)
+    seam_layer.law.check_dimension(structure.joint.dim)
     if seam_layer.contact:
-        others = {"S2": ("unknowns have no places", "element='Q2'")}
-        if setup.joint.dim == 3:
-            others["P2"] = ("vertices bear no uniform pressure", "element='P1', or hexahedra with element='Q2'")
-        if setup.element in others:
-            reason, remedy = others[setup.element]
-            yield Violation("element", f"a contact law acts at nodes, and in {setup.element} {reason}", f"use {remedy}")
+        reason = f"a contact law acts at nodes, and in {structure.element}"
+        if structure.element == "S2":
+            yield Violation("element", f"{reason} unknowns have no places", "use element='Q2'")
+        if structure.element == "P2" and structure.joint.dim == 3:
+            remedy = "use element='P1', or hexahedra with element='Q2'"
+            yield Violation("element", f"{reason} vertices bear no uniform pressure", remedy)
         seam_layer.contact.check_threshold()
         return
-    if seam_layer.law.traits.constrained and setup.element not in ("P2", "Q2"):
-        yield Violation("element", f"an incompressible layer needs elements P2 or Q2, not {setup.element}", "give them")
-    if seam_layer.thin_layer:
-        # a user's function may fail on one rank only
-        setup.joint.relative_thickness(seam_layer.thin_layer.profile, seam_layer.name)
+    if seam_layer.law.traits.constrained and structure.element not in ("P2", "Q2"):
+        yield Violation(
+            "element", f"an incompressible layer needs elements P2 or Q2, not {structure.element}", "give them"
+        )
+    if seam_layer.thin_layer:  # a user's function may fail on one rank only
+        structure.joint.relative_thickness(seam_layer.thin_layer.profile, seam_layer.name)
     for sample in seam_layer.samples:
         sample.initial_tangents.require_stable()
 
 
 def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for a law of order 1: first away from tips and junctions, then at them."""
-    thin, setup, sheet = r.layer.thin_layer, r.layer.structure, r.layer.sheet
+    thin, structure, sheet = r.layer.thin_layer, r.layer.structure, r.layer.sheet
     if thin is None or thin.order == 0:
         return
-    if thin.law.traits.constrained and setup.plane == "stress":
+    if thin.law.traits.constrained and structure.plane == "stress":
         yield Violation("pressure in a sheet", "no pressure builds up in plane stress", "use LinearElastic or order=0")
-    if setup.degree != 2:
-        yield Violation("element", f"order=1 has gradients on S, elements are {setup.element}", "use degree 2")
+    if structure.degree != 2:
+        yield Violation("element", f"order=1 has gradients on S, elements are {structure.element}", "use degree 2")
     if r.curvature and r.bodies == "kept":
         remedy = "use bodies='extended', for the interface and the full model alike"
         yield Violation("bent", f"order=1 {r.curvature} needs bodies at their true places", remedy)
@@ -234,14 +236,9 @@ def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
 def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
     if r.layer.law.traits.softens and r.layer.law.traits.phases:
         reason = f"the stress of {r.layer.law!r} falls as strains grow: all strain would gather in one row of cells"
-        yield Violation(
-            "softens", reason, "take mixing=1, or NonMonotoneUnrelaxed, which has one phase for each column"
-        )
-    n, sublayers = (
-        r.layer.sheet.mean_normal,
-        [sublayer for sample in r.layer.samples for sublayer in sample.initial_tangents.sublayers],
-    )
-    for law in (law for _, law, _ in sublayers if law.traits.softens):
+        yield Violation("softens", reason, "take mixing=1, or NonMonotoneUnrelaxed with one phase for each column")
+    n, tangents = r.layer.sheet.mean_normal, [sample.initial_tangents for sample in r.layer.samples]
+    for law in (law for of_sample in tangents for _, law, _ in of_sample.sublayers if law.traits.softens):
         C = tangent_at_rest(law, n)
         if C is None or np.linalg.eigvals(acoustic_tensor(C, n)).real.min() <= 0:  # it supports inner nodes
             reason = f"{type(law).__name__} softens, and its stiffness at rest is not known, or not positive"
@@ -255,13 +252,9 @@ def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _support_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for supports on the layer's side NAME/LAYER: the adjacent bodies must be supported there too."""
-    rim, alone = (
-        r.layer.sheet.rim,
-        constrained_directions(r.layer) - constrained_directions(r.layer, of_layer=False),
-    )
-    if len(at := rim.vertices[np.abs(alone).max(axis=(1, 2)) > FLAT_DIRECTION_SHARE]):
-        place = place_text(r.layer.sheet.joint.points[at[0, 0]])
-        reason = f"a support holds the side of {r.layer} alone, at {place}"
+    sheet, alone = r.layer.sheet, constrained_directions(r.layer) - constrained_directions(r.layer, of_layer=False)
+    if len(at := sheet.rim.vertices[np.abs(alone).max(axis=(1, 2)) > FLAT_DIRECTION_SHARE]):
+        reason = f"a support holds the side of {r.layer} alone, at {place_text(sheet.joint.points[at[0, 0]])}"
         yield Violation("held alone", reason, "support the bodies too, or mesh the layer")
 
 
@@ -272,7 +265,7 @@ def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for an interface law of order 1 that corrects its free ends, or has no free ends."""
-    seam_layer, thin = r.layer, r.layer.thin_layer
+    thin = r.layer.as_thin_layer
     if thin.order == 0:
         yield Violation("order 0", "the interface law is of order 0", "use order=1")
     if not len(r.free.vertices):
@@ -282,16 +275,13 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
     if thin.eigenstrain is not None:
         yield Violation("eigenstrain", "constants of free ends are not known for a layer with eigenstrain=...")
     if r.bodies != "kept":
-        yield Violation(
-            "apart", "bodies are not kept, but apart: ends of the layer may be oblique", "use bodies='kept'"
-        )
-    if seam_layer.structure.plane == "axisymmetric":
-        radius = float(seam_layer.structure.joint.points[r.free.vertices, 0].min()) / float(thin.eps)
-        if radius < MIN_RADIUS_RATIO * (1 - MODULUS_RATIO_TOLERANCE):
-            yield Violation(
-                "radius", f"free ends have a radius of {radius:.3g} thicknesses; allowed: {MIN_RADIUS_RATIO:g}"
-            )
+        yield Violation("apart", "bodies are extended: ends of the layer may be oblique", "use bodies='kept'")
+    if r.layer.structure.plane == "axisymmetric":
+        R = float(r.layer.structure.joint.points[r.free.vertices, 0].min()) / r.layer.eps
+        if R < MIN_RADIUS_RATIO * (1 - MODULUS_RATIO_TOLERANCE):
+            yield Violation("radius", f"free ends have a radius of {R:.3g} thicknesses; allowed: {MIN_RADIUS_RATIO:g}")
     yield from _free_end_conditions(r)
+    assert r.strips is not None  # as the condition before requires
     if r.width < r.strips.longest:
         reason = f"its area over the length of free ends is {r.width:.3g} thicknesses"
         yield Violation("short", f"S is short: {reason}; allowed: {r.strips.longest:.3g}")
@@ -370,18 +360,14 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
         sizes = np.linalg.svd(C, compute_uv=False)
         if sizes[-1] <= SINGULARITY_TOLERANCE * sizes[0]:
             reason = f"{r.layer.kind} has strains without stresses, as springs have along S, and moves in itself"
-            yield Violation(
-                "no stress", reason, "solve structure.full(layer), and compare goals: goal.value(state, model)"
-            )
+            yield Violation("no stress", reason, f"solve structure.full(layer), {GOALS_REMEDY}")
 
 
 def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for an estimate from bonded bodies: the meshed layer must shift each body rigidly."""
     if r.curvature:
-        remedy = "solve structure.full(layer, bodies='extended'), and compare goals: goal.value(state, model)"
-        yield Violation(
-            "moved", f"bonded bodies meet on S, where {r.layer} {r.curvature} leaves them in no place", remedy
-        )
+        reason = f"bonded bodies meet on S, where {r.layer} {r.curvature} leaves them in no place"
+        yield Violation("moved", reason, f"solve structure.full(layer, bodies='extended'), {GOALS_REMEDY}")
 
 
 def _rate_conditions(r: Applicability) -> Iterator[Violation]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import basix
 import numpy as np
 import ufl
@@ -60,7 +58,7 @@ def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
 
 
 def boundary_values(
-    domain: Domain, kinematics: Kinematics, name: Any, what: str, *, inside: bool = False, side: bool = False
+    domain: Domain, kinematics: Kinematics, name: str, what: str, *, inside: bool = False, side: bool = False
 ) -> tuple[int, ...]:
     """Return the facet tag values of a named place on the outer boundary.
 
@@ -85,7 +83,7 @@ def boundary_values(
         raise InputError(f"{what}: its facets lie inside, or below a layer; take a facet set on the outer boundary")
     facets = joint.facets.get(name, joint.facets.get(part.whole))
     if not inside and facets is not None and len(facets) and nodes_on_axis(kinematics, joint)[facets].all():
-        raise InputError(f"{what}: these facets are the axis of revolution, which is no boundary")
+        raise InputError(f"{what}: these facets are the axis of revolution, which is not a boundary")
     require_known("facet set", name, domain.facet_values, what)
     if not domain.values(name) and not (side and part.region == LAYER):
         why = ", as the layer is a surface here: mesh it (structure.full)" * (part.region == LAYER)
@@ -131,8 +129,7 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
     for number in range(len(corners)):
         here = np.flatnonzero(local == number)
         nodes = np.array(layout.entity_closure_dofs(d - 1, number))
-        inverse = np.linalg.inv(J[here][:, nodes])
-        n = np.einsum("cnji,j->cni", inverse, outward[number])  # normals transform with J^-T
+        n = np.einsum("cnji,j->cni", np.linalg.inv(J[here][:, nodes]), outward[number])  # normals transform with J^-T
         n /= np.linalg.norm(n, axis=2)[..., None]
         n = np.where(np.isnan(continued[here]), n.swapaxes(0, 1), continued[here]).swapaxes(0, 1)
         x = mesh.geometry.x[cell_nodes(mesh)[cells[here]][:, corners[number]]]

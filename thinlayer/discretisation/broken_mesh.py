@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import basix.ufl
 import dolfinx.mesh
@@ -27,7 +26,7 @@ from thinlayer.discretisation.boundary import AXIS_TOLERANCE
 from thinlayer.discretisation.contact_nodes import ContactSurface
 from thinlayer.discretisation.form_compilation import law_with_expressions
 from thinlayer.discretisation.layer import InitialTangents, ThinLayer, law_of_terms, law_with_numbers
-from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
+from thinlayer.discretisation.mesh_functions import Element, SharedDofs, broken_space
 from thinlayer.system.compat import interior_facet_entities, interpolate
 from thinlayer.system.ranks import communicator, errors_on_all
 
@@ -87,7 +86,7 @@ class BrokenMesh:
             facets = self._owned(tag)
             total, outer = self._sum(len(facets), np.isin(facets, self._outer).sum())
             if not total:
-                raise InputError(f"S: no facet has the tag {tag}; there are {self._known()}")
+                raise InputError(f"S: no facet has the tag {tag}; there are {self._tag_list()}")
             if outer not in (0, total):
                 raise InputError(f"S: {outer} of {total} facets with tag {tag} lie on the boundary; all or none may")
             if not outer:
@@ -100,9 +99,7 @@ class BrokenMesh:
     @staticmethod
     def _kinematics(mesh: Mesh, plane: str) -> Kinematics:
         if plane not in KINEMATICS_BY_NAME or (mesh.geometry.dim == 3 and plane != "strain"):
-            raise InputError(
-                f"{unknown_name_message('plane', plane, KINEMATICS_BY_NAME)}; in three dimensions there is none"
-            )
+            raise InputError(f"{unknown_name_message('plane', plane, KINEMATICS_BY_NAME)}; in 3D leave it out")
         kinematics, x = KINEMATICS_BY_NAME[plane], mesh.geometry.x
         behind = communicator(mesh).allreduce(float(kinematics.radius(x).min(initial=0.0)), MPI.MIN)
         if behind < -AXIS_TOLERANCE * communicator(mesh).allreduce(float(np.abs(x).max(initial=0.0)), MPI.MAX):
@@ -110,7 +107,7 @@ class BrokenMesh:
         return kinematics.on(mesh)
 
     # ---------------------------------------------------------------- for users
-    def space(self, element: Any) -> fem.FunctionSpace:
+    def space(self, element: Element) -> fem.FunctionSpace:
         """Return a function space that is continuous in each body and jumps across S.
 
         Args:
@@ -146,8 +143,8 @@ class BrokenMesh:
             InputError: a contact law (see `contact_surface`), or a law with a pressure field; order 1 with a thickness
                 that varies, or with a law that locks; an eigenstrain, or edges="free".
         """
-        good = isinstance(layer, ThinLayer | TractionLaw)
-        require(good, "layer", layer, "allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart")
+        allowed = "allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart"
+        require(isinstance(layer, ThinLayer | TractionLaw), "layer", layer, allowed)
         law, thin = law_with_numbers(layer, self.kinematics), layer if isinstance(layer, ThinLayer) else None
         if law.traits.constrained:
             raise InputError(f"{type(law).__name__} needs a pressure of its own; use it in a Model")
@@ -157,8 +154,8 @@ class BrokenMesh:
             option = "edges='free'" if thin.edges == "free" else "eigenstrain=..."
             raise InputError(f"{option} of a layer on a mesh of one's own is not known here; use it in a Model")
         if order and profile is not None:
-            need = "bodies at their true places: Structure.interface(layer, bodies='extended')"
-            raise InputError(f"order=1 of a thickness that varies needs {need}")
+            remedy = "use Structure.interface(layer, bodies='extended')"
+            raise InputError(f"order=1 of a thickness that varies needs bodies at their true places; {remedy}")
         if order:
             self._require_no_locking(tag, law)
         sides = replace(self.interface(tag), law_on_surface=partial(self._law_on, tag))
@@ -182,9 +179,9 @@ class BrokenMesh:
         """
         self._require(tag)
         element, wanted = V.ufl_element(), f"contact laws act at nodes: space(('Lagrange', 1, ({self._dim},)))"
-        good = V.mesh is self.mesh and element.reference_value_shape == (self._dim,) and element.family_name == "P"
-        good = good and element.degree <= (1 if self.mesh.topology.cell_name() == "tetrahedron" else 2)
-        require(good, "V", V, f"{wanted} of this mesh, or but for tetrahedra of degree 2")
+        fits = V.mesh is self.mesh and element.reference_value_shape == (self._dim,) and element.family_name == "P"
+        fits = fits and element.degree <= (1 if self.mesh.topology.cell_name() == "tetrahedron" else 2)
+        require(fits, "V", V, f"{wanted} of this mesh, or but for tetrahedra of degree 2")
         facets = self._owned(tag)
         based = tag in self._bases
         upper, lower = (cells_of_facets(self.mesh, facets)[0], None) if based else self._sides[tag][:, [0, 2]].T
@@ -228,7 +225,7 @@ class BrokenMesh:
         facets = self.facet_tags.find(tag)
         return np.sort(facets[facets < self.mesh.topology.index_map(self._dim - 1).size_local])
 
-    def _known(self) -> str:
+    def _tag_list(self) -> str:
         all_tags = {int(tag) for tags in self.comm.allgather(np.unique(self.facet_tags.values)) for tag in tags}
         return ", ".join(map(str, sorted(all_tags))) or "none"
 

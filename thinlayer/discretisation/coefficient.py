@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from functools import cached_property, reduce
 from itertools import product
-from operator import getitem
-from typing import Any, Self
+from typing import Self, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -33,15 +32,18 @@ from thinlayer.discretisation.time_functions import Clock, TimeConstant, time_co
 from thinlayer.errors import FormerNames
 from thinlayer.system.compat import interpolate, interpolation_points, ufl_replace
 
+T = TypeVar("T")
 Value = float | Callable[[Expr, Expr], Expr]
 Load = Sequence[float] | Callable[[Expr, Expr], Sequence[Expr]]
 Shape = tuple[int, ...]
+Components = npt.NDArray[np.object_]  # numbers, or UFL scalars
+Nested: TypeAlias = "Expr | float | npt.NDArray[np.object_] | Sequence[Nested]"  # or rows of them
 
 FUNCTION_TOLERANCE = 1e-9  # largest relative difference of a function's values for symbols and for numbers
 NUMPY_DEGREE = 2  # degree of interpolants of numpy functions
 COMPARISON_TIMES = (0.37, 0.0, 1.0, 2.0)  # times at which a function's values for symbols and for numbers are compared
 NUMPY_HINT = (
-    "x and t stand for all places and times, they are no numbers: use ufl.sin(t), ufl.conditional(ufl.gt(t, 1), a, b), "
+    "x and t are symbols for all places and times, not numbers: use ufl.sin(t), ufl.conditional(ufl.gt(t, 1), a, b), "
     "..., and piecewise({time: value, ...}) for a table"
 )
 
@@ -74,9 +76,8 @@ class Coordinates(FormerNames):
         x, points = ufl.SpatialCoordinate(mesh), (band.base if band else domain.joint).points
         chosen = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
         places = points[sorted(chosen)]
-        return cls(
-            mesh, x if band is None or band.bodies == "extended" else x - inflation_shift(domain), Clock(mesh), places
-        )
+        kept = band is not None and band.bodies != "extended"
+        return cls(mesh, x - inflation_shift(domain) if kept else x, Clock(mesh), places)
 
     @property
     def t(self) -> TimeConstant:
@@ -92,7 +93,7 @@ class Coordinates(FormerNames):
         """A copy with other coordinates x (d,)."""
         return changed(self, x=x)
 
-    def coefficient(self, value: Any, what: str, *shapes: Shape, of_place: bool = False) -> Coefficient:
+    def coefficient(self, value: object, what: str, *shapes: Shape, of_place: bool = False) -> Coefficient:
         """Return the coefficient of a value, made and checked once. Collective.
 
         Arguments and errors are as in `Coefficient`. New break times after a march has begun also raise InputError.
@@ -101,8 +102,8 @@ class Coordinates(FormerNames):
         if key not in self.cache:
             self.cache[key] = coefficient = Coefficient(value, what, shapes, self, of_place=of_place)
             if self.planned and (late := sorted(coefficient.breaks - self.planned[0])):
-                why = f"given after a march has begun, and changes its slope at t = {late[0]:g}, where no step ends"
-                raise InputError(f"{what} is {why}; a part gives it in check(model)")
+                slope = f"changes its slope at t = {late[0]:g}, where no step ends"
+                raise InputError(f"{what} is given after a march has begun, and {slope}; give it in check(model)")
         return self.cache[key]
 
     def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
@@ -139,11 +140,11 @@ class Coefficient:
         varies: False if all components are numbers.
 
     Raises:
-        InputError: another shape; a component that is no finite real number; a function that fails for symbols or that
+        InputError: another shape; a component that is not a finite real number; a function that fails for symbols or that
             compares them.
     """
 
-    def __init__(self, value: Any, what: str, shapes: Sequence[Shape], at: Coordinates, *, of_place: bool) -> None:
+    def __init__(self, value: object, what: str, shapes: Sequence[Shape], at: Coordinates, *, of_place: bool) -> None:
         self.value, self.what, self._shapes, self._of_place = value, what, shapes, of_place
         self.at = at.detached  # does not refer to this object: both are freed with their model
         is_function = callable(value) and not isinstance(value, ufl.core.expr.Expr)
@@ -152,10 +153,11 @@ class Coefficient:
         self.shape = self.components.shape
 
     # ---------------------------------------------------------------- reading
-    def _called(self, x: Any, t: Any) -> Any:
+    def _called(self, x: Expr, t: Expr) -> Nested:
+        assert callable(self.value)
         return self.value(x) if self._of_place else self.value(x, t)
 
-    def _of_function(self) -> npt.NDArray[Any]:
+    def _of_function(self) -> Components:
         """Return the components that a function gives for symbols; its values for plain numbers must agree."""
         try:
             content = self._called(self.at.x, self.at.t)
@@ -173,25 +175,25 @@ class Coefficient:
         f = fem.Function(fem.functionspace(self.at.mesh, ("DG", NUMPY_DEGREE)))
         x = places_in_cells(f.function_space, self.at.x).reshape(-1, self.at.mesh.geometry.dim)
         try:
-            values = np.asarray(self.value(x.T), float)
+            values = np.asarray(self._called(x.T, None), float)
         except Exception as error:
-            raise InputError(f"{self.what} is no function of x, in UFL or numpy: {error}") from error
+            raise InputError(f"{self.what} is not a function of x, in UFL or numpy: {error}") from error
         if values.shape not in ((), (len(x),)):
             raise InputError(f"{self.what} gives an array of shape {values.shape}; for x (d, n) it needs (n,)")
         f.x.array[np.asarray(f.function_space.dofmap.list).ravel()] = values
         return f
 
     def _no_function(self, why: str) -> InputError:
-        return InputError(f"{self.what} is no function (x, t) of UFL coordinates: {why}; {NUMPY_HINT}")
+        return InputError(f"{self.what} is not a function (x, t) of UFL coordinates: {why}; {NUMPY_HINT}")
 
-    def _refusal(self, content: Any, more: str = "") -> InputError:
+    def _refusal(self, content: Nested, more: str = "") -> InputError:
         shapes = [" x ".join(map(str, shape)) for shape in self._shapes]
         need = " or ".join(f"{shape} finite components" if shape else "a finite number" for shape in shapes)
         if callable(self.value):
             return InputError(f"{self.what} gives {content!s:.90}; it needs {need}{more}")
         return InputError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a function (x, t) that gives that")
 
-    def _read(self, content: Any) -> npt.NDArray[Any]:
+    def _read(self, content: Nested) -> Components:
         """Return the components of nested numbers and UFL expressions; raises InputError if they are not allowed."""
         try:
             shape = _shape_of(content)
@@ -201,10 +203,10 @@ class Coefficient:
             raise self._refusal(content)
         components = np.empty(shape, object)
         for index in np.ndindex(*shape):
-            components[index] = self._component(reduce(getitem, index, content))
+            components[index] = self._component(reduce(lambda rows, k: rows[k], index, content))
         return components
 
-    def _component(self, component: Any) -> Any:
+    def _component(self, component: Expr) -> Expr:
         """Return a component as a finite number or a UFL scalar; raises InputError if it is neither."""
         if isinstance(component, np.ndarray):
             component = component[()]
@@ -215,7 +217,7 @@ class Coefficient:
             raise self._refusal(component, f", of finite real numbers; {NUMPY_HINT}")
         return component
 
-    def _on_mesh(self, components: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def _on_mesh(self, components: Components) -> Components:
         """Replace functions on other meshes by their interpolants on this mesh. Collective if there are any."""
         fields = {f for c in components.flat for f in _fields(c) if isinstance(f, fem.Function)}
         others = sorted((f for f in fields if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
@@ -225,7 +227,7 @@ class Coefficient:
                 components[index] = ufl_replace(components[index], replacements)
         return components
 
-    def _compare(self, components: npt.NDArray[Any]) -> None:
+    def _compare(self, components: Components) -> None:
         """Raise InputError if the function gives other values for plain numbers than for symbols."""
         if any(map(_fields, components.flat)):
             return
@@ -236,11 +238,9 @@ class Coefficient:
             except Exception:  # the function accepts symbols only, as with ufl.grad
                 continue
             a, b = (np.array([evaluate_component(c, t, place) for c in some.flat]) for some in (components, plain))
-            if (
-                a.shape == b.shape
-                and np.isfinite([a, b]).all()
-                and np.abs(a - b).max() > FUNCTION_TOLERANCE * np.abs([a, b]).max()
-            ):
+            if a.shape != b.shape or not np.isfinite([a, b]).all():
+                continue
+            if np.abs(a - b).max() > FUNCTION_TOLERANCE * np.abs([a, b]).max():
                 both = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
                 raise self._no_function(f"at {at_place(place)}, t = {t:g} it gives {both}")
 
@@ -264,10 +264,10 @@ class Coefficient:
         components = [c for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)]
         return set[float]().union(*(reading.breaks for c in components for reading in time_constants(c)))
 
-    def once(self, thing: str) -> Coefficient:
-        """Return this coefficient; raises InputError if it depends on the place, as one value must hold for `thing`."""
+    def once(self, body: str) -> Coefficient:
+        """Return this coefficient; raises InputError if it depends on the place, as one value must hold for `body`."""
         if any(depends_on_place(c) for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)):
-            raise InputError(f"{self.what} depends on the place x; it is one for {thing}")
+            raise InputError(f"{self.what} depends on the place x; it is one for {body}")
         return self
 
     def at_time(self, t: float) -> Array:
@@ -293,20 +293,20 @@ class Pressure:
     p: Value
 
 
-def values_by_body(values: Any, joint: Joint, what: str = "", others: Sequence[str] = ()) -> dict[str, Any]:
+def values_by_body(values: T | Mapping[str, T], joint: Joint, what: str = "", more: Sequence[str] = ()) -> dict[str, T]:
     """Map names of bodies to values, from one value for all bodies or a mapping, in the same order on all ranks.
 
     Raises:
-        InputError: a name that is neither a body nor in `others`; the message begins with `what`.
+        InputError: a name that is neither a body nor in `more`; the message begins with `what`.
     """
     each = values if isinstance(values, Mapping) else dict.fromkeys(joint.bodies, values)
-    for name in (name for name in each if name not in others):
+    for name in (name for name in each if name not in more):
         require_known("body", name, joint.bodies, what)
     return {name: each[name] for name in joint.bodies if name in each}
 
 
 # ---------------------------------------------------------------- content
-def _shape_of(content: Any) -> Shape:
+def _shape_of(content: Nested) -> Shape:
     """Return the shape of nested sequences of numbers and UFL expressions; -1 where rows differ."""
     if isinstance(content, ufl.core.expr.Expr):
         return tuple(content.ufl_shape)
@@ -329,11 +329,11 @@ def depends_on_place(expression: Expr) -> bool:
     return any(isinstance(node, (ufl.Coefficient, GeometricQuantity)) for node in unique_pre_traversal(expression))
 
 
-def _fields(component: Any) -> list[Any]:
+def _fields(component: Expr) -> list[fem.Function]:
     return extract_coefficients(component) if isinstance(component, ufl.core.expr.Expr) else []
 
 
-def evaluate_component(component: Any, t: float, place: Sequence[float] = ()) -> float:
+def evaluate_component(component: Expr, t: float, place: Sequence[float] = ()) -> float:
     """Evaluate a number or a UFL scalar at a time and a place; NaN where it has no value."""
     if not isinstance(component, ufl.core.expr.Expr):
         return float(component)

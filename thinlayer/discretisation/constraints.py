@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 import scipy.sparse
@@ -20,7 +20,7 @@ from thinlayer.discretisation.supports import LENGTH_TOLERANCE, Prescribed
 from thinlayer.errors import former_names
 from thinlayer.system.ranks import destroy
 
-Sparse = Any  # scipy.sparse.csr_matrix, which has no types
+Sparse: TypeAlias = scipy.sparse.csr_matrix
 INDEPENDENCE_TOLERANCE = 1e-6  # least singular value of independent conditions
 # largest difference of two values of one displacement, over the largest prescribed displacement
 AGREEMENT_TOLERANCE = 1e-9
@@ -115,7 +115,7 @@ class Constraints:
         self.comm: MPI.Intracomm = prescribed.comm
         self.d, self.n = prescribed.d, prescribed.size
         self.first = int(self.comm.scan(self.n) - self.n)
-        self._require_apart()
+        self._require_no_common_slave()
         self.masters = {mpc.key: self._slots_of(mpc) for mpc in self.mpcs}
         rows = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
         self.slaves = np.unique(np.concatenate([np.empty(0, np.int64), *rows])).astype(np.int64)
@@ -129,7 +129,7 @@ class Constraints:
             self._require_agreement(self._values_of_rows(0.0))
 
     # ---------------------------------------------------------------- slaves and masters
-    def _require_apart(self) -> None:
+    def _require_no_common_slave(self) -> None:
         """Raise InputError if a displacement is a slave of two multi-point constraints."""
         of = {mpc.key: np.diff(mpc.R.indptr) > 0 for mpc in self.mpcs}
         both = sum((rows.astype(int) for rows in of.values()), np.zeros(self.n, int)) > 1
@@ -294,8 +294,8 @@ class Constraints:
         of_supports = touched[touched < len(self.prescribed.entry)]
         where = self.prescribed.place_of(int(of_supports[0])) if len(of_supports) else None
         place = f" at {at_place(where)}" if where is not None else ""
-        said = dict.fromkeys(self._condition_text(int(k), c[k]) for k in touched)
-        return f"contradictory supports{place}: " + " and ".join(said)
+        texts = dict.fromkeys(self._condition_text(int(k), c[k]) for k in touched)
+        return f"contradictory supports{place}: " + " and ".join(texts)
 
     def _condition_text(self, row: int, value: float) -> str:
         if row < len(self.prescribed.entry):
@@ -362,13 +362,13 @@ class Constraints:
         first, shift = len(self.prescribed.supports.entries), np.tile(direction, self.n // self.d)
         return {tie.key: self.motion(tie, shift) * (first + k in holders) for k, tie in enumerate(self.mpcs)}
 
-    def given_resultant(self, holders: Sequence[int], direction: Array, t: float) -> float:
+    def prescribed_resultant(self, holders: Sequence[int], direction: Array, t: float) -> float:
         """Prescribed force at a time, along a direction (d,), on the multi-point constraints among some holders."""
         shifts = self._shifts(holders, direction)
         return float(sum(shifts[tie.key] @ tie.resultant(t) for tie in self.mpcs))
 
     def dual_to_resultant(self, holders: Sequence[int], direction: Array) -> Array:
-        """Return g (n,) such that g . T'r plus `given_resultant` is the force of some holders along a direction.
+        """Return g (n,) such that g . T'r plus `prescribed_resultant` is the force of some holders along a direction.
 
         Args:
             holders: numbers of supports, then of multi-point constraints, as in `Model.holders`.
@@ -473,7 +473,7 @@ def _rows_by_label(labels: np.ndarray) -> list[np.ndarray]:
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
 
 
-def create_aij(A: Sparse, comm: MPI.Intracomm, sizes: Any = None) -> PETSc.Mat:
+def create_aij(A: Sparse, comm: MPI.Intracomm, sizes: object = None) -> PETSc.Mat:
     """Make a PETSc matrix with the rows A (CSR) on this rank; `sizes` as in PETSc, by default the shape of A."""
     csr = (*(places.astype(PETSc.IntType, copy=False) for places in (A.indptr, A.indices)), A.data)
     return PETSc.Mat().createAIJ(sizes or A.shape, csr=csr, comm=comm)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from dolfinx import fem
-from dolfinx.mesh import entities_to_geometry
+from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -72,77 +69,45 @@ class ContactSurface:
         return cls(model.V, model.comm, facets, upper, lower, domain.numbers(d - 1, facets), model.kinematics)
 
 
-class ContactNodes:
-    """Nodes of S under a contact law. Collective.
+@dataclass(eq=False)
+class NodePairs:
+    """Nodes of S as pairs of an upper and a lower displacement, with what contact laws need there.
 
-    A node is a pair of an upper and a lower displacement. A rank has the nodes whose upper displacement it owns.
-    Quadrature is at the nodes, by the trapezoidal rule, or by Simpson's rule for elements of degree 2. Both transmit a
-    uniform pressure exactly. The weight of a node is the area of S around it, and its normal is the mean normal there.
+    A rank has the nodes whose upper displacement it owns.
 
     Attributes:
-        surface: the facets.
+        surface: facets that the nodes belong to; of several seams, the facets of one.
         upper: (n,) local number of the node of V on the upper side.
-        file_numbers: (n,) unique number of each node, also where several nodes share a vertex; the same on any number
-            of ranks. The last k bits mark which of the k sorted vertices of a facet are adjacent to the node. The other
-            bits are the facet's number.
+        lower_numbers: (n,) global number of the node of V on the lower side; -1 on a rigid base.
         x: (n, d) coordinates.
         weights: (n,) areas (lengths in 2D).
         frames: (n, d, d) rows are the axes of the node's frame: tangents as in `Surface.frame`, then the normal.
-        is_fixed: (n, d) mask of the components of the jump (global axes) that supports prescribe.
-        is_fixed_upper: (n, d) mask of the components of the upper side's displacement that supports prescribe.
         gap: (n,) initial gap between the sides; < 0: interference.
     """
 
-    def __init__(self, surface: ContactSurface, bc_dofs: Indices = NO_NODES, *, gap: Callable[[Array], Array]) -> None:
-        """Make the nodes of a surface.
+    surface: ContactSurface
+    upper: Indices
+    lower_numbers: IntArray
+    x: Array
+    weights: Array
+    frames: Array
+    gap: Array
 
-        Args:
-            surface: the facets.
-            bc_dofs: displacements of this rank that supports prescribe (local, unrolled).
-            gap: function of places (d, n) that returns the initial gaps (n,).
-        """
-        self.surface, self.comm, self.dim = surface, surface.comm, surface.V.mesh.topology.dim
-        V, d = surface.V, self.dim
-        imap = V.dofmap.index_map
+    def __post_init__(self) -> None:
+        self.comm, self.dim, imap = self.surface.comm, self.surface.V.mesh.topology.dim, self.surface.V.dofmap.index_map
         self._first, self._size = imap.local_range[0], imap.size_local
-        rows = self._corners()
-        owners = np.concatenate([np.full(imap.size_local, self.comm.rank), imap.owners])
-        sent = np.column_stack([self._global(rows[:, 0]), rows[:, 1:]])
-        corners = send(self.comm, owners[rows[:, 0].astype(int)], sent)
-        pairs, at = np.unique(corners[:, :2], axis=0, return_inverse=True)
-        upper, at = pairs[:, 0], at.ravel()
-        total = sum_by_number(at, corners[:, 2 : 3 + d], len(upper))
-        self.weights, vectors = total[:, 0].copy(), total[:, 1:]  # contiguous, as compiled code reads it
-        self.upper = (upper - self._first).astype(np.int32)
-        self._lower = pairs[:, 1].astype(np.int64)  # global
-        self._corners_of = corners[:, 3 + d].astype(np.int64), at
-        self.file_numbers = np.full(len(upper), np.iinfo(np.int64).max)
-        np.minimum.at(self.file_numbers, at, self._corners_of[0])
-        self.x = V.tabulate_dof_coordinates()[self.upper, :d]
-        if not self.comm.allreduce(len(upper)):
-            raise InputError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")
-        size = np.linalg.norm(vectors, axis=1)
-        if self.comm.allreduce(int((size <= 0).any())):
-            raise InputError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
-        self.frames = np.ascontiguousarray(normal_frames(vectors / size[:, None]))
-        self._note_held(bc_dofs)
-        with errors_on_all(self.comm):
-            self.gap = gap(np.ascontiguousarray(self.x.T))
 
-    @classmethod
-    def joined(cls, several: Sequence[ContactNodes]) -> ContactNodes:
-        """Concatenate the nodes of several seams: both sides, places, areas, frames and gaps."""
-        out = copy(next((nodes for nodes in several if nodes.surface.lower is not None), several[0]))
-        for cached in ("dofs", "lower"):
-            vars(out).pop(cached, None)
-        for name in ("upper", "_lower", "x", "weights", "frames", "gap"):
-            setattr(out, name, np.concatenate([getattr(nodes, name) for nodes in several]))
-        return out
+    @staticmethod
+    def joined(several: Sequence[NodePairs]) -> NodePairs:
+        """Concatenate the nodes of several seams."""
+        surface = next((nodes.surface for nodes in several if nodes.surface.lower is not None), several[0].surface)
+        of_seams = ((s.upper, s.lower_numbers, s.x, s.weights, s.frames, s.gap) for s in several)
+        return NodePairs(surface, *map(np.concatenate, zip(*of_seams, strict=True)))
 
     @property
     def pairs(self) -> IntArray:
         """Global numbers (n, 2) of the nodes of V on the upper and on the lower side; -1 on a rigid base."""
-        return np.column_stack([self._first + self.upper.astype(np.int64), self._lower])
+        return np.column_stack([self._first + self.upper.astype(np.int64), self.lower_numbers])
 
     def shared(self) -> IntArray:
         """Local numbers of this rank's nodes of V that are the lower side of a pair of another rank. Collective."""
@@ -151,87 +116,11 @@ class ContactNodes:
         each, count = self.lower.createVecLeft(), self.zero()
         each.set(1.0)
         self.lower.multTranspose(each, count)
-        here = self._lower - self._first
+        here = self.lower_numbers - self._first
         local_count = np.bincount(here[(here >= 0) & (here < self._size)], minlength=self._size)
         nodes = np.flatnonzero(count.array_r[:: self.dim] > local_count + 0.5)
         destroy(each, count)
         return nodes
-
-    @property
-    def lines(self) -> IntArray:
-        """Pairs (m, 2) of neighbouring nodes along S, on one rank; empty in three dimensions."""
-        number, node = self._corners_of
-        along = np.array([0, 0, 2, 1])[number & 3]  # first end, second end, middle
-        order = np.lexsort((along, number >> 2))[: len(number) if self.dim == 2 else 0]
-        return node[order][np.flatnonzero(np.diff(number[order] >> 2) == 0)[:, None] + [0, 1]]
-
-    def _global(self, local: npt.NDArray[Any]) -> Array:
-        """Global numbers of local nodes, as floats, because they are sent together with areas."""
-        return self.surface.V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
-
-    def _corners(self) -> Array:
-        """Return a row for each node of each facet of S that this rank owns.
-
-        Columns: node on the upper side (local), node on the lower side (global; -1 on a rigid base), area, area times
-        normal (d), number as in `file_numbers`.
-        """
-        V, facets, d = self.surface.V, self.surface.facets, self.dim
-        upper, lower = self.surface.upper, self.surface.lower
-        mesh, topology = V.mesh, V.mesh.topology
-        simpson = V.ufl_element().degree == 2
-        for a, b in ((d, 0), (d - 1, 0), (0, d), *([(d, d - 1), (d, 1), (2, 1), (1, 0)] if simpson else [])):
-            topology.create_connectivity(a, b)
-        vertices = self._entities(d - 1, 0)[facets]
-        places = vertices  # DOLFINx does not accept an empty list
-        if vertices.size:
-            places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
-        corners = mesh.geometry.x[places][..., :d]
-        areas, normals = _vertex_areas(corners)
-        nodes = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
-        inside = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
-        normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # n points from the lower to the upper side
-        numbers, kinematics = np.asarray(mesh.geometry.input_global_indices, np.int64)[places], self.surface.kinematics
-        bits, rows = 1 << numbers.argsort(axis=1).argsort(axis=1), list[Array]()
-        for e in range(d if simpson else 1):  # nodes at vertices, edges and facets
-            here = vertices if e == 0 else facets[:, None] if e == d - 1 else self._entities(d - 1, e)[facets]
-            ends = vertices[:, None] if e == d - 1 else self._entities(e, 0)[here] if e else vertices[..., None]
-            adjacent = (ends[..., None] == vertices[:, None, None]).any(axis=2)  # (n, nodes, k)
-            shares = adjacent / adjacent.sum(axis=2, keepdims=True)
-            around = kinematics.node_areas(corners, areas)
-            if simpson:
-                factors = 4**e / 3 ** (d - 1) * kinematics.factor_at(shares @ corners)
-                around = factors * np.einsum("fak,fk->fa", shares, areas)
-            above = self._nodes(upper, here, e).ravel()
-            below = np.full(above.size, -1.0) if lower is None else self._global(self._nodes(lower, here, e).ravel())
-            vectors = (around[:, :, None] * normals[:, None]).reshape(-1, d)
-            number = (adjacent * bits[:, None]).sum(axis=2)
-            if len(self.surface.rows):
-                number += self.surface.rows[:, None] << vertices.shape[1]
-            has_jump = (below != self._global(above)) & (around.ravel() > 0)  # at a tip of S there is no jump
-            rows.append(np.column_stack([above, below, around.ravel(), vectors, number.ravel()])[has_jump])
-        return np.concatenate(rows)
-
-    def _entities(self, a: int, b: int) -> Indices:
-        """Entities (n, m) of dimension b of each local entity of dimension a."""
-        connectivity = self.surface.V.mesh.topology.connectivity(a, b)
-        return np.asarray(connectivity.array.reshape(connectivity.num_nodes, -1))
-
-    def _nodes(self, cells: Indices, entities: Indices, e: int) -> Indices:
-        """Local nodes of V at entities (n, k) of dimension e of cells (n,)."""
-        V = self.surface.V
-        of_cells = self._entities(self.dim, e)[cells]
-        which = (of_cells[:, None, :] == entities[:, :, None]).argmax(axis=2)
-        places = np.array([V.dofmap.dof_layout.entity_dofs(e, k)[0] for k in range(of_cells.shape[1])])
-        return np.asarray(np.take_along_axis(np.asarray(V.dofmap.list)[cells], places[which], axis=1), np.int32)
-
-    # ---------------------------------------------------------------- supports
-    def _note_held(self, bc_dofs: Indices) -> None:
-        """Set `is_fixed` and `is_fixed_upper` from the constrained dofs of this rank (local, unrolled)."""
-        mark = self.zero()
-        mark.array[bc_dofs] = 1.0
-        self.is_fixed_upper = mark.array_r.reshape(-1, self.dim)[self.upper] > 0
-        self.is_fixed = self.is_fixed_upper & (self.lower is None or self.lower_side(mark) > 0)
-        mark.destroy()
 
     # ---------------------------------------------------------------- displacements, jumps and forces
     def zero(self) -> PETSc.Vec:
@@ -248,8 +137,8 @@ class ContactNodes:
         """Matrix (n d, N) that selects the displacements of the lower side; None on a rigid base."""
         if self.surface.lower is None:
             return None
-        n, d, there = len(self.upper), self.dim, self._lower >= 0
-        columns = (self._lower[there, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
+        n, d, there = len(self.upper), self.dim, self.lower_numbers >= 0
+        columns = (self.lower_numbers[there, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
         rows = np.append(0, np.cumsum(there.repeat(d))).astype(PETSc.IntType)
         csr, size = (rows, columns, np.ones(len(columns))), self._size * d
         return PETSc.Mat().createAIJ(((n * d, None), (size, None)), csr=csr, comm=self.comm)
@@ -306,6 +195,126 @@ class ContactNodes:
     def destroy(self) -> None:
         """Free the matrices."""
         destroy(vars(self).get("lower"))
+
+
+class ContactNodes(NodePairs):
+    """Nodes of S under a contact law on one seam. Collective.
+
+    Quadrature is at the nodes, by the trapezoidal rule, or by Simpson's rule for elements of degree 2. Both transmit a
+    uniform pressure exactly. The weight of a node is the area of S around it, and its normal is the mean normal there.
+
+    Attributes:
+        file_numbers: (n,) unique number of each node, also where several nodes share a vertex; the same on any number
+            of ranks. The last k bits mark which of the k sorted vertices of a facet are adjacent to the node. The other
+            bits are the facet's number.
+        is_fixed: (n, d) mask of the components of the jump (global axes) that supports prescribe.
+        is_fixed_upper: (n, d) mask of the components of the upper side's displacement that supports prescribe.
+    """
+
+    def __init__(self, surface: ContactSurface, bc_dofs: Indices = NO_NODES, *, gap: Callable[[Array], Array]) -> None:
+        """Make the nodes of a surface.
+
+        Args:
+            surface: the facets.
+            bc_dofs: displacements of this rank that supports prescribe (local, unrolled).
+            gap: function of places (d, n) that returns the initial gaps (n,).
+        """
+        V, comm, d = surface.V, surface.comm, surface.V.mesh.topology.dim
+        imap, rows = V.dofmap.index_map, _corners(surface)
+        owners = np.concatenate([np.full(imap.size_local, comm.rank), imap.owners])
+        corners = send(comm, owners[rows[:, 0].astype(int)], np.column_stack([_global(V, rows[:, 0]), rows[:, 1:]]))
+        pairs, node = np.unique(corners[:, :2], axis=0, return_inverse=True)
+        node = node.ravel()
+        total = sum_by_number(node, corners[:, 2 : 3 + d], len(pairs))
+        weights, vectors = total[:, 0].copy(), total[:, 1:]  # contiguous, as compiled code reads it
+        upper = (pairs[:, 0] - imap.local_range[0]).astype(np.int32)
+        self._corners_of = corners[:, 3 + d].astype(np.int64), node
+        self.file_numbers = np.full(len(pairs), np.iinfo(np.int64).max)
+        np.minimum.at(self.file_numbers, node, self._corners_of[0])
+        x = V.tabulate_dof_coordinates()[upper, :d]
+        if not comm.allreduce(len(upper)):
+            raise InputError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")
+        size = np.linalg.norm(vectors, axis=1)
+        if comm.allreduce(int((size <= 0).any())):
+            raise InputError("contact: a node of S has no normal, its facets fold back; use a finer mesh there")
+        frames = np.ascontiguousarray(normal_frames(vectors / size[:, None]))
+        with errors_on_all(comm):
+            gaps = gap(np.ascontiguousarray(x.T))
+        super().__init__(surface, upper, pairs[:, 1].astype(np.int64), x, weights, frames, gaps)
+        mark = self.zero()
+        mark.array[bc_dofs] = 1.0
+        self.is_fixed_upper = mark.array_r.reshape(-1, self.dim)[self.upper] > 0
+        self.is_fixed = self.is_fixed_upper & (self.lower is None or self.lower_side(mark) > 0)
+        mark.destroy()
+
+    @property
+    def lines(self) -> IntArray:
+        """Pairs (m, 2) of neighbouring nodes along S, on one rank; empty in three dimensions."""
+        number, node = self._corners_of
+        along = np.array([0, 0, 2, 1])[number & 3]  # first end, second end, middle
+        order = np.lexsort((along, number >> 2))[: len(number) if self.dim == 2 else 0]
+        return node[order][np.flatnonzero(np.diff(number[order] >> 2) == 0)[:, None] + [0, 1]]
+
+
+def _global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
+    """Global numbers of local nodes, as floats, because they are sent together with areas."""
+    return V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
+
+
+def _corners(surface: ContactSurface) -> Array:
+    """Return a row for each node of each facet of S that this rank owns.
+
+    Columns: node on the upper side (local), node on the lower side (global; -1 on a rigid base), area, area times
+    normal (d), number as in `file_numbers`.
+    """
+    V, facets, upper, lower = surface.V, surface.facets, surface.upper, surface.lower
+    mesh, topology, d = V.mesh, V.mesh.topology, V.mesh.topology.dim
+    simpson = V.ufl_element().degree == 2
+    for a, b in ((d, 0), (d - 1, 0), (0, d), *([(d, d - 1), (d, 1), (2, 1), (1, 0)] if simpson else [])):
+        topology.create_connectivity(a, b)
+    vertices = _entities(mesh, d - 1, 0)[facets]
+    places = vertices  # DOLFINx does not accept an empty list
+    if vertices.size:
+        places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
+    corners = mesh.geometry.x[places][..., :d]
+    areas, normals = _vertex_areas(corners)
+    nodes = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
+    inside = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
+    normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # n points from the lower to the upper side
+    numbers, kinematics = np.asarray(mesh.geometry.input_global_indices, np.int64)[places], surface.kinematics
+    bits, rows = 1 << numbers.argsort(axis=1).argsort(axis=1), list[Array]()
+    for e in range(d if simpson else 1):  # nodes at vertices, edges and facets
+        here = vertices if e == 0 else facets[:, None] if e == d - 1 else _entities(mesh, d - 1, e)[facets]
+        ends = vertices[:, None] if e == d - 1 else _entities(mesh, e, 0)[here] if e else vertices[..., None]
+        adjacent = (ends[..., None] == vertices[:, None, None]).any(axis=2)  # (n, nodes, k)
+        shares = adjacent / adjacent.sum(axis=2, keepdims=True)
+        around = kinematics.node_areas(corners, areas)
+        if simpson:
+            factors = 4**e / 3 ** (d - 1) * kinematics.factor_at(shares @ corners)
+            around = factors * np.einsum("fak,fk->fa", shares, areas)
+        above = _nodes(V, upper, here, e).ravel()
+        below = np.full(above.size, -1.0) if lower is None else _global(V, _nodes(V, lower, here, e).ravel())
+        vectors = (around[:, :, None] * normals[:, None]).reshape(-1, d)
+        number = (adjacent * bits[:, None]).sum(axis=2)
+        if len(surface.rows):
+            number += surface.rows[:, None] << vertices.shape[1]
+        has_jump = (below != _global(V, above)) & (around.ravel() > 0)  # at a tip of S there is no jump
+        rows.append(np.column_stack([above, below, around.ravel(), vectors, number.ravel()])[has_jump])
+    return np.concatenate(rows)
+
+
+def _entities(mesh: Mesh, a: int, b: int) -> Indices:
+    """Entities (n, m) of dimension b of each local entity of dimension a."""
+    connectivity = mesh.topology.connectivity(a, b)
+    return np.asarray(connectivity.array.reshape(connectivity.num_nodes, -1))
+
+
+def _nodes(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> Indices:
+    """Local nodes of V at entities (n, k) of dimension e of cells (n,)."""
+    of_cells = _entities(V.mesh, V.mesh.topology.dim, e)[cells]
+    which = (of_cells[:, None, :] == entities[:, :, None]).argmax(axis=2)
+    places = np.array([V.dofmap.dof_layout.entity_dofs(e, k)[0] for k in range(of_cells.shape[1])])
+    return np.asarray(np.take_along_axis(np.asarray(V.dofmap.list)[cells], places[which], axis=1), np.int32)
 
 
 def _vertex_areas(corners: Array) -> tuple[Array, Array]:

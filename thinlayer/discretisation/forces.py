@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -23,6 +23,9 @@ from thinlayer.discretisation.coefficient import Coordinates, Load, Pressure, va
 from thinlayer.discretisation.form_compilation import compiled
 from thinlayer.discretisation.point_loads import ConcentratedForms
 from thinlayer.errors import warn
+
+if TYPE_CHECKING:
+    from thinlayer.discretisation.structure import Structure
 
 BodyForce = Load | Mapping[str, Load]
 
@@ -55,7 +58,7 @@ class Forces:
         domain: the domain.
         kinematics: kinematics of the mesh; all measures have their factor.
         points: makes forms of loads at points and along lines.
-        setup: the `Setup`, for tractions, body force, and loads at points and along lines; its module imports this one.
+        structure: the structure, for tractions, body force, and loads at points and along lines.
 
     Attributes:
         at: coordinates for loads that are functions.
@@ -65,15 +68,16 @@ class Forces:
         InputError: unknown names, a traction on S or inside the bodies, loads that are no vectors.
     """
 
-    def __init__(self, domain: Domain, kinematics: Kinematics, points: ConcentratedForms, setup: Any) -> None:
+    def __init__(self, domain: Domain, kinematics: Kinematics, points: ConcentratedForms, structure: Structure) -> None:
         self.domain, self.at, self._kinematics = domain, points.at, kinematics
-        self.user_loads: dict[str, Any] = {}
+        self.user_loads: dict[str, object] = {}
         # label, force, region, name of the seam if it is a layer's load
         self._loads: list[tuple[str, Expr, LoadRegion, str]] = []
         self._form: tuple[fem.FunctionSpace, fem.Form] | None = None  # a space, and the work in it
         ds = ufl.Measure("ds", domain=domain.mesh, subdomain_data=domain.facet_tags)
         dx = ufl.Measure("dx", domain=domain.mesh, subdomain_data=domain.cell_tags)
-        tractions, body_force = ({} if loads is None else loads for loads in (setup.tractions, setup.body_force))
+        tractions = {} if structure.tractions is None else structure.tractions
+        body_force = {} if structure.body_force is None else structure.body_force
         require(isinstance(tractions, Mapping), "tractions", tractions, "give {name: traction}")
         for name in sorted(tractions, key=str):  # in the same order on all ranks
             load = tractions[name]
@@ -85,11 +89,12 @@ class Forces:
                 what, loaded, *_ = self._loads[-1]
                 self.add_weighted("", what, share * loaded, LoadRegion(ds(domain.values(side)), 1))
         seams = (*(domain.joint.band.base if domain.joint.band else domain.joint).seams, S)
-        for name, load in values_by_body(body_force, domain.joint, "body_force", seams).items():
+        of_bodies: dict[str, Load] = values_by_body(body_force, domain.joint, "body_force", seams)
+        for name, load in of_bodies.items():
             what = f"body force in {name!r}"
             require(not isinstance(load, Pressure), what, load, "there is no normal inside a body; give a vector")
             self._add(what, load, dx(domain.cell_values(name)))
-        for concentrated_load in setup.loads:
+        for concentrated_load in structure.loads:
             self.user_loads[f"{concentrated_load.what}, {len(self.user_loads)}"] = concentrated_load
             for density, measure in points.terms(concentrated_load):  # total forces: without the factor of measures
                 self.add_weighted("", concentrated_load.what, density, LoadRegion(measure, 1))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import Mesh, exterior_facet_indices
+from dolfinx.mesh import Mesh, MeshTags, exterior_facet_indices
 from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.algorithms import estimate_total_polynomial_degree
@@ -34,6 +34,9 @@ from thinlayer.pointwise.quadrature import MEASURE_OF_INTEGRAL, MeshOrigin, Quad
 from thinlayer.system.compat import by_domain, compiled, without_cycles
 from thinlayer.system.ranks import errors_on_all
 
+if TYPE_CHECKING:
+    from thinlayer.discretisation.model import Model
+
 show_warnings()  # users' warnings too
 
 TAGS_OF_INTEGRAL = {
@@ -43,7 +46,7 @@ TAGS_OF_INTEGRAL = {
 }
 
 
-def whole_structure_form(form: Any, model: Any, what: str = "a form") -> ufl.Form:
+def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl.Form:
     """Check a user's form on a model's mesh, and return it with the factor 2 pi r in axisymmetry. Collective.
 
     Raises:
@@ -64,7 +67,7 @@ def whole_structure_form(form: Any, model: Any, what: str = "a form") -> ufl.For
             raise InputError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
         data = form.subdomain_data()[integral.ufl_domain()][kind]
         present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(item, kind, model) for item in data)))
-        missing = [str(tag) for tag in asked if tag not in set[Any]().union(*present)]
+        missing = [str(tag) for tag in asked if tag not in set[object]().union(*present)]
         if missing:
             where = f"{name}({', '.join(missing)})"
             tags = TAGS_OF_INTEGRAL.get(name, TAGS_OF_INTEGRAL["ds"])
@@ -73,11 +76,11 @@ def whole_structure_form(form: Any, model: Any, what: str = "a form") -> ufl.For
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])
 
 
-def _tags(data: Any, kind: str, model: Any) -> set[Any]:
+def _tags(data: MeshTags | Iterable[tuple[object, Array]] | None, kind: str, model: Model) -> set[object]:
     """Tags on this rank of the cells or facets that a measure integrates over; for ds of outer facets only."""
     if data is None:
         return set()
-    if not hasattr(data, "values"):
+    if not isinstance(data, MeshTags):
         return {tag for tag, rows in data if len(rows)}
     values = data.values
     if kind == "exterior_facet":
@@ -113,7 +116,7 @@ def compiled_scalars(form: Expr) -> list[fem.Form]:
     """
     if len(form.integrals()) == 1:  # estimating a degree takes as long as a signature
         return [compiled(form)]
-    by_rule: dict[Any, list[Any]] = {}
+    by_rule: dict[tuple[object, str], list[ufl.Integral]] = {}
     for domain, integrals in by_domain(form).items():
         for integral in integrals:
             rule = f"{sorted(integral.metadata().items())} {_degree(integral)}"
@@ -131,7 +134,7 @@ def per_unit(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Array:
 
 
 @without_cycles()
-def _degree(integral: Any) -> Any:
+def _degree(integral: ufl.Integral) -> object:
     """Quadrature degree that UFL estimates; "" if the metadata have it, the integrand itself if UFL cannot."""
     if "quadrature_degree" in integral.metadata():
         return ""
@@ -170,9 +173,8 @@ def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:
     if law.traits.compiled:
         return term
     f = points.function(np.column_stack([values[name] for name in law.fields]))
-    return replace(
-        term, law=law_with_expressions(law, V.mesh, dict(zip(law.fields, f, strict=True))), measure=points.measure
-    )
+    expressions = dict(zip(law.fields, f, strict=True))
+    return replace(term, law=law_with_expressions(law, V.mesh, expressions), measure=points.measure)
 
 
 def law_with_expressions(law: BulkLaw, mesh: Mesh, values: Mapping[str, Expr]) -> BulkLaw:

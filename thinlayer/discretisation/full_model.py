@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any, Self
+from functools import partial
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import ufl
-from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from forms import work as forms
@@ -18,20 +17,22 @@ from forms.law_tangents import needs_director
 from geometry.inflating.dividing import RefinedLayers, refined_towards_ends
 from geometry.inflating.inflation import inflate, without_bodies
 from geometry.inflating.layering import check_layering
-from geometry.joint import Joint
+from geometry.joint import InflatedBand, Joint
 from geometry.parallel import on_root
 from geometry.refusals import require_known
-from geometry.seam import BASE, LAYER, FacetName, S
+from geometry.seam import BASE
 from thinlayer.discretisation.boundary import require_revolution, require_shifts
 from thinlayer.discretisation.forces import LoadRegion
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import Layers, SeamLayer, ThinLayer, law_with_constants, law_with_numbers
-from thinlayer.discretisation.mesh_functions import director
+from thinlayer.discretisation.mesh_functions import band_of, director
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import Violation
 from thinlayer.pointwise.quadrature import quadrature_degree
+
+if TYPE_CHECKING:
+    from thinlayer.discretisation.structure import Structure
 
 MAX_THICKNESS = 1e6  # largest thickness over the bodies' size: beyond it coordinates have fewer than ten digits left
 
@@ -46,7 +47,9 @@ class FullModel(Model):
     name = "full"
     inflated: Joint
 
-    def __init__(self, structure: Setup, layer: Layers, bodies: str, cells_through: int, junctions: str | None) -> None:
+    def __init__(
+        self, structure: Structure, layer: Layers, bodies: str, cells_through: int, junctions: str | None
+    ) -> None:
         self._bodies, self._cells_through, self._junctions = bodies, cells_through, junctions
         chosen = {} if junctions is None else {"junctions": junctions}
         super().__init__(structure, layer, bodies=bodies, cells_through=cells_through, **chosen)
@@ -63,16 +66,19 @@ class FullModel(Model):
         gaps, first = self.gaps, () if self._junctions is None else (self._junctions,)
         for name in first:
             require_known("seam", name, self.layers, "junctions")
-        thin = {name: seam_layer.thin_layer for name, seam_layer in self.layers.items()}
+        thin = {name: seam_layer.as_thin_layer for name, seam_layer in self.layers.items()}
         eps = {name: layer.eps for name, layer in (thin | gaps).items()}
         if (thickest := max(eps.values(), default=0.0)) > MAX_THICKNESS * self.joint.size:
             sizes = f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}"
             raise InputError(f"{sizes}: their shape is lost in rounding; is eps in the unit of the mesh?")
-        profile, fractions = ({k: getattr(layer, of) for k, layer in thin.items()} for of in ("profile", "fractions"))
-        shapes: dict[str, Any] = {"profile": profile, "fractions": fractions, "cells_through": self._cells_through}
-        shapes |= {"bodies": self._bodies, "junctions": (*first, *thin), "gaps": tuple(gaps)}
-        inflated = on_root(self.structure.comm, lambda: inflate(self.joint, eps, **shapes))
-        self._check_junctions(inflated.band)
+        profiles = {name: layer.profile for name, layer in thin.items()}
+        fractions = {name: layer.fractions for name, layer in thin.items()}
+        inflating = partial(inflate, self.joint, eps, profile=profiles, fractions=fractions, bodies=self._bodies)
+        junctions, count = (*first, *thin), self._cells_through
+        inflated = on_root(
+            self.structure.comm, lambda: inflating(cells_through=count, junctions=junctions, gaps=[*gaps])
+        )
+        self._check_junctions(band_of(inflated))
         require_revolution(self.structure.kinematics, inflated)
         self.inflated = inflated
         return inflated
@@ -91,7 +97,7 @@ class FullModel(Model):
         self._require_shapes(other)
         self._check_junctions(self._band)
 
-    def _check_junctions(self, band: Any) -> None:
+    def _check_junctions(self, band: InflatedBand) -> None:
         """Raise InputError if the law of a junction needs columns or a normal of S, which its cells do not have."""
         for region, name in band.junctions.items():
             law = self.applicability[name].law
@@ -128,8 +134,8 @@ class FullModel(Model):
         return LoadRegion(cells, self.kinematics.factor)
 
     @property
-    def _band(self) -> Any:
-        return self.domain.joint.band
+    def _band(self) -> InflatedBand:
+        return band_of(self.domain.joint)
 
     def _shared(self, name: str) -> list[str]:
         """Regions of junctions whose cells have the law of a seam."""
@@ -151,7 +157,7 @@ class LayerModel(FullModel):
         at_ends: largest length along S of cells at ends, over the thickness; None: the length of the facets of S there.
 
     Raises:
-        InputError: `at_ends` is no number > 0, or so small that nodes would coincide.
+        InputError: `at_ends` is not a number > 0, or so small that nodes would coincide.
     """
 
     name = "layer"
@@ -160,24 +166,15 @@ class LayerModel(FullModel):
     def __init__(
         self, model: InterfaceModel, layers: Mapping[str, ThinLayer], cells_through: int, at_ends: float | None = None
     ) -> None:
-        setup, joint = copy.copy(model.structure), model.joint
+        structure, joint = model.structure.layers_alone(layers), model.joint
         if at_ends is not None:
             require(is_finite(at_ends) and at_ends > 0, "at_ends", at_ends, "allowed: > 0, over the thickness")
             at_ends *= min(float(layer.eps) for layer in layers.values())
-        vars(setup).pop("sheet", None)
-        seams = {name: seam for name, seam in joint.seams.items() if name in layers}
-        if replace(joint, seams=seams).tip is not None and (refused := meeting_layers(joint, seams)):
+        if structure.joint.tip is not None and (refused := meeting_layers(joint, structure.joint.seams)):
             raise refused.error()
-        # fields on S of refined cells do not fit the model's facets: with other points they are refused
-        points = joint.points if at_ends is None else joint.points.copy()
-        setup.joint = replace(joint, points=points, seams=seams)
-        setup.comm, setup.parts, setup.loads, setup.body_laws, setup.eigenstrains = MPI.COMM_SELF, (), (), {}, {}
-        setup.tractions = {k: v for k, v in (setup.tractions or {}).items() if FacetName.parse(k).region == LAYER}
-        force = setup.body_force
-        setup.body_force = {k: v for k, v in force.items() if k in (*layers, S)} if isinstance(force, Mapping) else None
         free = [model.applicability[name].free.vertices.ravel() for name in layers]
         self._ends, self._at_ends = joint.points[np.unique(np.concatenate([*free, joint.branch_vertices]))], at_ends
-        super().__init__(setup, layers, bodies=model._bodies, cells_through=cells_through, junctions=None)
+        super().__init__(structure, layers, bodies=model._bodies, cells_through=cells_through, junctions=None)
 
     def _checked(self) -> Joint:
         layers = without_bodies(super()._checked())
@@ -186,8 +183,7 @@ class LayerModel(FullModel):
             try:
                 self.divided = refined_towards_ends(layers, distance, self._at_ends)
             except InputError:
-                short = "cells at ends are so short that nodes are at one place"
-                raise InputError(f"{short}; make at_ends larger") from None
+                raise InputError("cells at ends are so short that nodes coincide; make at_ends larger") from None
             layers = self.divided.joint
 
         def has(place: Place) -> bool:
@@ -197,6 +193,11 @@ class LayerModel(FullModel):
 
         self.structure.supports = {place: support for place, support in self.structure.supports.items() if has(place)}
         return layers
+
+    @property
+    def surface_identity(self) -> object:
+        """As in `Model`; fields on S of cells that are refined fit this model alone."""
+        return super().surface_identity if self._at_ends is None else self
 
     def require_supported(self) -> None:
         """Check nothing, as the bodies that would support the layers are absent."""

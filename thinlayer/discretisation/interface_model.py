@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import ufl
@@ -31,11 +31,13 @@ from thinlayer.discretisation.form_compilation import law_with_expressions
 from thinlayer.discretisation.layer import Layers, SeamLayer, law_of_terms, law_with_numbers, seam_entities
 from thinlayer.discretisation.mesh_functions import MidSurface, cellwise_function, relative_thickness
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.side_loads import add_side_loads
 from thinlayer.errors import Violation
 from thinlayer.pointwise.quadrature import quadrature_degree
 from thinlayer.system.ranks import errors_on_all
+
+if TYPE_CHECKING:
+    from thinlayer.discretisation.structure import Structure
 
 END_DEGREE_INCREASE = 2  # increase of the quadrature degree where weights of free ends are linear along S
 
@@ -46,7 +48,7 @@ class InterfaceModel(Model):
     name = "interface"
     broken = True
 
-    def __init__(self, structure: Setup, layer: Layers, bodies: str = "kept") -> None:
+    def __init__(self, structure: Structure, layer: Layers, bodies: str = "kept") -> None:
         self._bodies = bodies
         super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
 
@@ -59,14 +61,14 @@ class InterfaceModel(Model):
             raise InputError("bodies='extended': seams meet or branch, where S has no middle; use bodies='kept'")
         thin = {name: layer.thin_layer for name, layer in self.layers.items() if layer.thin_layer}
         for name in (name for name in self.joint.seams if name not in thin):
-            reason = f"{name!r} has no ThinLayer, so that no thickness tells where bodies are; use bodies='kept'"
-            raise InputError(f"bodies='extended' of an interface model: {reason}")
-        eps, profiles = ({name: getattr(layer, of) for name, layer in thin.items()} for of in ("eps", "profile"))
-        joint = with_gaps(self.joint, eps, profile=profiles)
+            where = "so that no thickness tells where bodies are"
+            raise InputError(f"bodies='extended': the seam {name!r} has no ThinLayer, {where}; use bodies='kept'")
+        eps = {name: layer.eps for name, layer in thin.items()}
+        joint = with_gaps(self.joint, eps, profile={name: layer.profile for name, layer in thin.items()})
         require_revolution(self.structure.kinematics, joint)
         return joint
 
-    def _forces(self, structure: Setup) -> Forces:
+    def _forces(self, structure: Structure) -> Forces:
         forces = super()._forces(structure)  # first, as it raises errors about bad data
         for layer in self.layers.values():
             if layer.thin_layer and layer.thin_layer.order == 1:
@@ -149,15 +151,15 @@ class InterfaceModel(Model):
     @property
     def remarks(self) -> list[str]:
         """Sentences for the log: whether free ends of layers of order 1 are corrected."""
-        ordered = [r for r in self.applicability.values() if r.layer.thin_layer and r.layer.thin_layer.order]
-        return [f"free ends of {r.layer}: {r.free_end_text}" for r in ordered]
+        of_order_1 = [r for r in self.applicability.values() if r.layer.thin_layer and r.layer.thin_layer.order]
+        return [f"free ends of {r.layer}: {r.free_end_text}" for r in of_order_1]
 
     def shifts(self) -> FloatArray | None:
         """Shifts as in `Model`, by layers of order 1 between bodies that meet on S; other laws ignore the thickness."""
         eps = np.zeros(len(self.joint.surface_rows))
         for layer in self.layers.values():
             if layer.thin_layer and layer.thin_layer.order:
-                eps[layer.sheet.facets] = np.nan if layer.thin_layer.profile else float(layer.thin_layer.eps)
+                eps[layer.sheet.facets] = np.nan if layer.thin_layer.profile else layer.eps
         if self._middle or not eps.any() or np.isnan(eps).any():
             return None
         try:
@@ -181,11 +183,8 @@ class InterfaceModel(Model):
         if self._middle:  # UFL would estimate a high degree for its slopes and lengths
             degree = quadrature_degree(self.V, measure) + self.kinematics.degree
             measure = measure(metadata={"quadrature_degree": degree})
-        sides = replace(
-            sides,
-            measure=measure,
-            law_on_surface=partial(_law_on_surface, self.domain, self.joint, layer.name, sides.upper),
-        )
+        on_surface = partial(_law_on_surface, self.domain, self.joint, layer.name, sides.upper)
+        sides = replace(sides, measure=measure, law_on_surface=on_surface)
         if layer.thin_layer is None:
             terms = [forms.jump_term(law, sides)]
         else:
@@ -202,13 +201,12 @@ class InterfaceModel(Model):
     def _thickness(self, layer: SeamLayer, sides: Interface) -> Expr:
         if self._middle:
             return self._middle.thickness(sides)
-        eps: Expr = fem.Constant(self.domain.mesh, float(layer.thin_layer.eps))
-        if layer.thin_layer.profile is None:
-            return eps
-        return eps * sides.upper(relative_thickness(self.domain, layer.thin_layer.profile, layer.name))
+        eps: Expr = fem.Constant(self.domain.mesh, layer.eps)
+        profile = layer.as_thin_layer.profile
+        return eps if profile is None else eps * sides.upper(relative_thickness(self.domain, profile, layer.name))
 
     def _data(self) -> dict[str, Any]:
-        names = [name for name, reduction in self.applicability.items() if reduction.weights]
+        names = [name for name, applicability in self.applicability.items() if applicability.weights]
         return super()._data() | ({"free ends": names} if names else {})
 
     def _place_of(self, layer: SeamLayer) -> LoadRegion:

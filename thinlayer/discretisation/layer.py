@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
@@ -29,6 +29,11 @@ from thinlayer.discretisation.prescribed_strains import EigenstrainContext, Eige
 from thinlayer.errors import Violation
 from thinlayer.system.compat import exterior_facet_entities, interior_facet_entities
 from thinlayer.system.fingerprint import describe
+
+if TYPE_CHECKING:
+    from thinlayer.discretisation.forces import BodyForce
+    from thinlayer.discretisation.model import Model
+    from thinlayer.discretisation.structure import Structure
 
 BODIES = "bodies"  # name of all bodies together, among the names of seams
 EDGE_CHOICES = (None, "free", "plain")
@@ -137,7 +142,7 @@ SeamContent = Layer | Gap | Bond | None
 Layers = Layer | Bond | Mapping[str, SeamContent]
 
 
-def _check_thickness(what: str, eps: Any) -> None:
+def _check_thickness(what: str, eps: float) -> None:
     require(is_finite(eps) and eps > 0, f"the {what}", eps, "allowed: > 0")
 
 
@@ -209,10 +214,10 @@ class SeamLayer:
     Attributes:
         name: name of the seam.
         layer: the layer as the user wrote it.
-        structure: the data of the bodies, a `Structure`; its module imports this one.
+        structure: the data of the bodies, a `Structure`.
     """
 
-    def __init__(self, name: str, layer: Layer, structure: Any) -> None:
+    def __init__(self, name: str, layer: Layer, structure: Structure) -> None:
         self.name, self.layer, self.structure = name, layer, structure
 
     def __str__(self) -> str:
@@ -242,9 +247,20 @@ class SeamLayer:
         return self.thin_layer is not None and self.thin_layer.order == 1 and self.thin_layer.law.traits.constrained
 
     @property
-    def thin_layer(self) -> Any:
-        """The layer, a `ThinLayer`, if it has a law of strains; else None."""
+    def thin_layer(self) -> ThinLayer | None:
+        """The layer if it has a law of strains; else None."""
         return None if isinstance(self.layer, SurfaceLaw) else self.layer
+
+    @property
+    def as_thin_layer(self) -> ThinLayer:
+        """The layer, which must have a law of strains."""
+        assert self.thin_layer is not None
+        return self.thin_layer
+
+    @property
+    def eps(self) -> float:
+        """Thickness of a layer with a law of strains; if it varies, the thickness that its profile multiplies."""
+        return float(self.as_thin_layer.eps)
 
     @property
     def contact(self) -> ContactLaw | None:
@@ -278,9 +294,9 @@ class SeamLayer:
 
     @cached_property
     def _samples(self) -> list[SeamLayer]:
-        joint = self.structure.joint
-        laws = self.thin_layer.law.samples(joint.points[joint.table.vertices[joint.rows_of(self.name)]].mean(axis=1).T)
-        return [SeamLayer(self.name, replace(self.thin_layer, law=law), self.structure) for law in laws]
+        joint, thin = self.structure.joint, self.as_thin_layer
+        laws = thin.law.samples(joint.points[joint.table.vertices[joint.rows_of(self.name)]].mean(axis=1).T)
+        return [SeamLayer(self.name, replace(thin, law=law), self.structure) for law in laws]
 
     @cached_property
     def initial_tangents(self) -> InitialTangents:
@@ -291,24 +307,22 @@ class SeamLayer:
         """Return the strain (3, 3) to add to that of the displacements: minus the eigenstrain; None without one."""
         if self.thin_layer is None:
             return None
-        kinematics = self.structure.kinematics
-        matter = EigenstrainContext(
-            str(self), law_with_numbers(self.layer, kinematics), self.sheet.mean_normal, kinematics, at
-        )
+        kinematics, n = self.structure.kinematics, self.sheet.mean_normal
+        matter = EigenstrainContext(str(self), law_with_numbers(self.layer, kinematics), n, kinematics, at)
         return prescribed_strain(self.thin_layer.eigenstrain, matter)
 
     @property
-    def profile(self) -> Any:
+    def profile(self) -> object:
         """Description of the profile, as JSON; None: the thickness is uniform."""
         profile = self.thin_layer.profile if self.thin_layer else None
         return describe(self.structure.joint.relative_thickness(profile, self.name)) if profile else None
 
     @property
-    def shape(self) -> tuple[Any, ...]:
+    def shape(self) -> tuple[object, ...]:
         """Thickness, profile and fractions of sublayers, on which the layer's mesh depends; () for a law on S."""
         return (self.thin_layer.eps, self.profile, self.thin_layer.fractions) if self.thin_layer else ()
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """Description of the layer without its law, as JSON."""
         thin = self.thin_layer
         return {
@@ -319,7 +333,9 @@ class SeamLayer:
         }
 
 
-def loads_of_layers(force: Any, joint: Joint, layers: Mapping[str, SeamLayer], bonds: Sequence[str]) -> dict[str, Load]:
+def loads_of_layers(
+    force: BodyForce | None, joint: Joint, layers: Mapping[str, SeamLayer], bonds: Sequence[str]
+) -> dict[str, Load]:
     """Map names of seams to forces per volume of their layers, from the user's body forces; bonds are left out.
 
     Raises:
@@ -329,7 +345,9 @@ def loads_of_layers(force: Any, joint: Joint, layers: Mapping[str, SeamLayer], b
     loads = [(seam, named[name]) for name in named for seam in joint.seams if name in (S, seam) and seam not in bonds]
     for seam, _ in loads:
         if seam not in layers or not layers[seam].thin_layer:
-            raise InputError(f"body force in the layer {seam!r}: it has no layer with a thickness, no weight is known")
+            raise InputError(
+                f"body force in the layer {seam!r}: it has no layer with a thickness, so no weight is known"
+            )
     return dict(loads)
 
 
@@ -349,7 +367,7 @@ def seam_entities(domain: Domain, name: str) -> Indices:
     return entities
 
 
-def nodes_of_sides(model: Any, V: fem.FunctionSpace, name: str) -> tuple[IntArray, IntArray]:
+def nodes_of_sides(model: Model, V: fem.FunctionSpace, name: str) -> tuple[IntArray, IntArray]:
     """Local nodes (n, k) of a space at this rank's facets of a seam, on the upper and on the lower side. Collective.
 
     On a rigid base the lower array is empty. In a space of degree 1 nodes in the same column face each other.

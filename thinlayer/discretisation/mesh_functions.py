@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
 import basix.ufl
 import numpy as np
@@ -18,18 +18,19 @@ from forms.tensors import Expr
 from forms.work import Interface
 from geometry.domain import Domain, index_map
 from geometry.inflating.inflation import offset_to_middle
-from geometry.joint import Joint, Profile
+from geometry.joint import InflatedBand, Joint, Profile
 from geometry.refusals import place_text
 from geometry.seam import S
 from geometry.topology import Indices, IntArray, Splitting
 from thinlayer.system.compat import interpolation_points, space_with_dofmap
 from thinlayer.system.ranks import ask, communicator
 
+Element: TypeAlias = ufl.AbstractFiniteElement | tuple[str, int] | tuple[str, int, tuple[int, ...]]
 EntityKeys = Sequence[IntArray | Indices]
 INWARD_SHARE = 1e-6  # shift of a place towards the middle of its cell, to one side of S, over its distance from there
 
 
-def cellwise_function(domain: Domain, element: tuple[Any, ...], values: Array) -> fem.Function:
+def cellwise_function(domain: Domain, element: Element, values: Array) -> fem.Function:
     """Make a function from its dofs on each cell of the joint, (n_cells, dofs per cell, components)."""
     f = fem.Function(fem.functionspace(domain.mesh, element))
     dofs = f.function_space.dofmap.list
@@ -43,11 +44,17 @@ def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.F
     return cellwise_function(domain, ("Lagrange", 1), joint.relative_thickness(profile, name)[joint.corners][..., None])
 
 
+def band_of(joint: Joint) -> InflatedBand:
+    """How layers were meshed in an inflated joint."""
+    assert joint.band is not None
+    return joint.band
+
+
 def director(domain: Domain) -> Expr:
     """Unit normal (d,) of S in the cells of the meshed layer, from the lower to the upper body; undefined in bodies."""
-    joint: Any = domain.joint
+    joint, directors = domain.joint, band_of(domain.joint).director
     values = np.zeros((*joint.corners.shape, joint.dim))
-    values[-len(joint.band.director) :] = joint.band.director
+    values[-len(directors) :] = directors
     n = cellwise_function(domain, ("DG", 1, (joint.dim,)), values)
     return n / ufl.sqrt(ufl.dot(n, n))
 
@@ -55,9 +62,8 @@ def director(domain: Domain) -> Expr:
 def inflation_shift(domain: Domain) -> fem.Function:
     """Displacement (d,) of each place by inflating: rigid for the bodies, away from S for the layer."""
     joint = domain.joint
-    return cellwise_function(
-        domain, ("Lagrange", joint.degree, (joint.dim,)), (joint.points - joint.reference)[joint.cells]
-    )
+    shifts = (joint.points - joint.reference)[joint.cells]
+    return cellwise_function(domain, ("Lagrange", joint.degree, (joint.dim,)), shifts)
 
 
 class MidSurface:
@@ -149,7 +155,7 @@ class SharedDofs:
     of_cells: IntArray
 
     @classmethod
-    def of_components(cls, comm: MPI.Intracomm, mesh: Mesh, element: Any, components: EntityKeys) -> SharedDofs:
+    def of_components(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, components: EntityKeys) -> SharedDofs:
         """Make keys from dofs of the continuous space and components; the dof's owner is the meeting rank. Collective.
 
         Args:
@@ -172,7 +178,7 @@ class SharedDofs:
         return cls(whole, numbers[place] * count + number, owner[place], (used.cumsum() - 1)[copies])
 
     @classmethod
-    def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Any, keys: EntityKeys) -> SharedDofs:
+    def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, keys: EntityKeys) -> SharedDofs:
         """Make keys from numbers of entities of local cells, for elements with at most one dof per entity. Collective.
 
         Args:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, reduce
 from operator import add
-from typing import Any, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 import ufl
@@ -50,7 +50,13 @@ from thinlayer.discretisation.layer import (
 from thinlayer.discretisation.mesh_functions import cut_at_faces, vector_space
 from thinlayer.discretisation.part_definition import check_part_definitions
 from thinlayer.discretisation.point_loads import ConcentratedForms, ConcentratedLoad, check_loads
-from thinlayer.discretisation.prescribed_strains import EigenstrainContext, MeanStrain, MeanStress, prescribed_strain
+from thinlayer.discretisation.prescribed_strains import (
+    EigenstrainContext,
+    MeanStrain,
+    MeanStress,
+    Strain,
+    prescribed_strain,
+)
 from thinlayer.discretisation.rigid_motions import (
     Resultant,
     free_axes,
@@ -60,7 +66,6 @@ from thinlayer.discretisation.rigid_motions import (
     resultants_of_loads,
     scaled_motions,
 )
-from thinlayer.discretisation.setup import Setup
 from thinlayer.discretisation.supports import ByPlace, Place, Prescribed, Supports, is_part
 from thinlayer.discretisation.time_functions import TimeLevel
 from thinlayer.errors import warn
@@ -68,6 +73,23 @@ from thinlayer.pointwise.quadrature import Quadrature, quadrature_degree
 from thinlayer.system.compat import interpolate
 from thinlayer.system.fingerprint import describe, digest
 from thinlayer.system.ranks import collect, errors_on_all, require_same
+
+if TYPE_CHECKING:
+    from thinlayer.discretisation.state import State
+    from thinlayer.discretisation.structure import Structure
+
+T = TypeVar("T")
+# cached properties that follow from mesh and bonds alone, which all models on one mesh share
+CACHES_OF_MESH = ("split_mesh", "places", "volume", "_middle", "dS", "sides")
+
+
+def copied(source: T, keep: Collection[str] = ()) -> T:
+    """Copy an object without the values of its cached properties, except those in `keep`: they may change with data."""
+    new = copy.copy(source)
+    for name in vars(source).keys() - {*keep}:
+        if isinstance(getattr(type(source), name, None), cached_property):
+            del vars(new)[name]
+    return new
 
 
 class Freeable(Protocol):
@@ -147,7 +169,7 @@ class Model(ABC):
     broken: ClassVar[bool] = False
     _bodies = "kept"
 
-    def __init__(self, structure: Setup, layer: Layers, **options: object) -> None:
+    def __init__(self, structure: Structure, layer: Layers, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws = structure.element, structure.body_laws
         self._options, self.family, self.issued_warnings = options, ModelFamily(), set[tuple[Hashable, ...]]()
@@ -165,7 +187,7 @@ class Model(ABC):
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
         with errors_on_all(self.comm):
             self.supports = self._supports(structure.supports)
-            self.body_strains = {name: self._given(name) for name in self.body_laws}
+            self.body_strains = {name: self._body_strain(name) for name in self.body_laws}
             self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
             if not (structure.strain is None and structure.stress is None):
                 self.require("mean strain")
@@ -200,20 +222,21 @@ class Model(ABC):
                 self.constraints = self._constrained()
             require_support(names, resistance_matrices(self, resistances))
 
-    def _lay(self, data: Layers, check: Callable[[], Any]) -> Any:
+    def _lay(self, data: Layers, check: Callable[[], T]) -> T:
         """Set the layers of the seams and return the result of a check of them. Collective."""
-        setup = self.structure
-        with errors_on_all(setup.comm):
+        structure = self.structure
+        with errors_on_all(structure.comm):
             self.on_seams: dict[str, SeamContent] = value_by_seam(self.joint, data, "layer")
             layers = {name: value for name, value in self.on_seams.items() if not isinstance(value, Gap | Bond | None)}
-            self.layers = {name: SeamLayer(name, content, setup) for name, content in layers.items()}
+            self.layers = {name: SeamLayer(name, content, structure) for name, content in layers.items()}
             self.contacts = {name: layer.contact for name, layer in self.layers.items() if layer.contact}
             self.applicability = {name: Applicability(layer, self._bodies) for name, layer in self.layers.items()}
             checked = check()
-        self.data_hash = setup.data_hash + require_same(setup.comm, model=self.name, layer=data, options=self._options)
+        same = require_same(structure.comm, model=self.name, layer=data, options=self._options)
+        self.data_hash = structure.data_hash + same
         return checked
 
-    def _given(self, name: str) -> Expr | None:
+    def _body_strain(self, name: str) -> Expr | None:
         """Return the strain to add to that of the displacements in a body: minus its eigenstrain; None without one."""
         law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
         body = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
@@ -250,7 +273,7 @@ class Model(ABC):
         return Supports(self.domain, supports, self.coordinates.detached, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
-    def _forces(self, structure: Setup) -> Forces:
+    def _forces(self, structure: Structure) -> Forces:
         at = self.coordinates.detached
         points = ConcentratedForms(self.domain, self.joint, structure.degree, at)
         forces = Forces(self.domain, self.kinematics, points, structure)
@@ -273,8 +296,13 @@ class Model(ABC):
 
     def require(self, question: str, what: str = "") -> None:
         """Raise InputError, with the prefix `what`, if a layer violates a condition of a question (`Applicability`)."""
-        for reduction in self.applicability.values():
-            reduction.require(question, what)
+        for applicability in self.applicability.values():
+            applicability.require(question, what)
+
+    @property
+    def surface_identity(self) -> object:
+        """Object that models share (`is`) if fields on S of one fit the facets of the other."""
+        return self.joint.points  # which joints with other seams or periods take from the first one
 
     @property
     def bonds(self) -> tuple[str, ...]:
@@ -305,15 +333,15 @@ class Model(ABC):
         Raises:
             InputError: as in these methods; a meshed layer of another shape.
         """
-        new = self._shared_copy()
-        new.issued_warnings = set()
-        return new._copy_with_layers(self, layer)
+        return self._relative()._replace_layers(self, layer)
 
     def improved(self, layers: Mapping[str, ThinLayer]) -> Self:
         """Return this model with better laws of some layers, as `with_layer` does; issued warnings are not repeated."""
-        return self._shared_copy()._copy_with_layers(self, {**self.on_seams, **layers})
+        new = self._relative()
+        new.issued_warnings = self.issued_warnings
+        return new._replace_layers(self, {**self.on_seams, **layers})
 
-    def _copy_with_layers(self, other: Self, layer: Layers) -> Self:
+    def _replace_layers(self, other: Self, layer: Layers) -> Self:
         """Set the layers of this copy of another model, and return it. Collective."""
         self._lay(layer, partial(self._check_compatible, other))
         with errors_on_all(self.comm):
@@ -363,13 +391,12 @@ class Model(ABC):
         Raises:
             InputError: as in `Structure`; supports of other places or components.
         """
-        changed: dict[str, Any] = {"tractions": tractions, "body_force": body_force, "supports": supports}
         with errors_on_all(self.comm):
-            changed["loads"] = None if loads is None else check_loads(loads)
-        updates = {name: value for name, value in changed.items() if value is not None}
-        new = self._shared_copy()
-        new.issued_warnings = set()
-        new.structure = structure = self.structure.with_loads(updates)
+            checked = None if loads is None else check_loads(loads)
+        new = self._relative()
+        new.structure = structure = self.structure.with_loads(
+            tractions=tractions, body_force=body_force, loads=checked, supports=supports
+        )
         new.data_hash = digest([self.data_hash, structure.data_hash])
         with errors_on_all(self.comm):
             if supports is not None:
@@ -389,12 +416,26 @@ class Model(ABC):
         ties = [part.multi_point_constraint(self) for part in self.parts if part.ties_nodes]
         return Constraints(Prescribed(self.supports, self.V), ties)
 
-    def _shared_copy(self) -> Self:
-        """Return a copy that shares all data except cached properties that depend on the layers."""
-        new = copy.copy(self)
-        for name in ("linear", "symmetric", "quadratures", "surfaces"):
-            vars(new).pop(name, None)
+    def under_mean_strain(self, strain: Strain) -> Self:
+        """Return this model of a periodic cell under a mean strain alone, without loads and eigenstrains. Collective.
+
+        It shares no matrices with other models, as they would contain its strain.
+        """
+        new = copied(self, keep=CACHES_OF_MESH)
+        new.family, new.coordinates = ModelFamily(), Coordinates.of(self.domain)
+        new.strain, new.stress = MeanStrain(strain, new.coordinates, self.joint), None
+        new.bodies = new._strained([replace(p, prescribed_strain=None) for p in self.bodies])
+        terms = [replace(p, prescribed_strain=None) for p in self.layer_terms]
+        new.layer_terms = terms if self.broken else new._strained(terms)
+        new.structure = self.structure.with_loads(tractions={}, body_force={}, loads=())
+        new.forces = new._forces(new.structure)
+        return new
+
+    def _relative(self) -> Self:
+        """Return a copy of the same family that has issued no warnings, without cached properties that laws change."""
         self.family.several = True
+        new = copied(self, keep=CACHES_OF_MESH)
+        new.issued_warnings = set()
         return new
 
     @property
@@ -432,7 +473,7 @@ class Model(ABC):
         return vector_space(self.domain, cut, degree, family or "Lagrange")
 
     # ---------------------------------------------------------------- where laws act
-    def _rule(self, measure: ufl.Measure) -> dict[str, Any]:
+    def _rule(self, measure: ufl.Measure) -> dict[str, dict[str, int]]:
         """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
         if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
@@ -473,6 +514,11 @@ class Model(ABC):
     def terms_at(self, t: float) -> list[forms.Term]:
         """All terms of the model, with prescribed strains, such as minus the eigenstrain, at a fixed time."""
         return TimeLevel(t).terms(self.terms)
+
+    @cached_property
+    def surfaces(self) -> dict[str, object]:
+        """The meshes of S made so far, by the name of the seam, see `thinlayer.surface.surface_mesh.surface_of`."""
+        return {}
 
     @cached_property
     def quadratures(self) -> dict[str, Quadrature]:
@@ -551,12 +597,12 @@ class Model(ABC):
         """Virtual work of `parts` at displacements u, a UFL form linear in v."""
         return sum((part.work(self, u, v) for part in self.parts), ufl.Form([]))
 
-    def added_work_in(self, state: Any, v: Expr) -> Expr:
+    def added_work_in(self, state: State, v: Expr) -> Expr:
         """Virtual work of `parts` in a state, a UFL form linear in v."""
         return sum((part.work_in(self, state, v) for part in self.parts), ufl.Form([]))
 
     # ---------------------------------------------------------------- identity
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """Identity of the model, as JSON: equal for the same model in another process, on any number of ranks."""
         return {"model": repr(self), **self.domain.joint.identity(), **self.description}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import dolfinx.fem.petsc
 import numpy as np
@@ -24,10 +24,14 @@ from thinlayer.discretisation.supports import Place
 from thinlayer.errors import FormerNames
 from thinlayer.system.ranks import destroy
 
+if TYPE_CHECKING:
+    from thinlayer.discretisation.model import Model
+    from thinlayer.discretisation.state import Configuration, State
+
 RESERVED_KEYS = ("forms", LAYER_KIND, PRESSURE_KIND, CONTACT_KIND, BODIES, "loads")  # keys that every model may have
 
 
-HostModel = Any  # a `Model`; its module imports this one
+HostModel: TypeAlias = "Model"  # imported for checks of types alone, as its module imports this one
 
 
 class PartDefinition(FormerNames):
@@ -46,7 +50,7 @@ class PartDefinition(FormerNames):
     place: str
     components: ClassVar[Sequence[str] | None] = None
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         accept_renamed(cls, cls.former_names)
 
@@ -78,7 +82,7 @@ class PartDefinition(FormerNames):
         """Virtual work of the part's forces at displacements u, a UFL form linear in v; by default none."""
         return ufl.Form([])
 
-    def work_in(self, model: HostModel, state: Any, v: Expr) -> Expr:
+    def work_in(self, model: HostModel, state: State, v: Expr) -> Expr:
         """Virtual work of the part's forces in a state, for computing tractions on S; by default as in `work`.
 
         Raises:
@@ -131,7 +135,7 @@ class PartDefinition(FormerNames):
         """Return the multi-point constraint of displacements that follow motions of the part. Collective."""
         raise NotImplementedError
 
-    def load_work(self, model: HostModel, state: Any) -> float:
+    def load_work(self, model: HostModel, state: Configuration) -> float:
         """Work of prescribed forces of the part, as of loads, in the displacements of a configuration. Collective.
 
         By default the work of the resultants of its multi-point constraint.
@@ -147,7 +151,7 @@ class PartDefinition(FormerNames):
         return None
 
 
-def check_part_definitions(parts: Sequence[Any], model: HostModel) -> None:
+def check_part_definitions(parts: Sequence[PartDefinition], model: HostModel) -> None:
     """Raise InputError unless `parts` are part definitions that fit the model and have distinct keys. Collective."""
     of_seams = {Key(kind, name) for kind in (LAYER_KIND, CONTACT_KIND, PRESSURE_KIND) for name in model.joint.seams}
     keys = {*RESERVED_KEYS, *map(str, of_seams), *(str(Key(BODY_KIND, name)) for name in model.joint.bodies)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import basix
 import basix.ufl
@@ -157,7 +156,7 @@ def _in_one_body(joint: Joint, cells: IntArray, components: Indices, body: str |
 ConcentratedLoad = PointLoad | LineLoad
 
 
-def check_loads(loads: Any) -> tuple[ConcentratedLoad, ...]:
+def check_loads(loads: Iterable[ConcentratedLoad]) -> tuple[ConcentratedLoad, ...]:
     """Return loads as a tuple; raises InputError unless each is a `PointLoad` or a `LineLoad`."""
     require(isinstance(loads, Iterable) and not isinstance(loads, str), "loads", loads, "it must be a list of loads")
     checked = tuple(loads)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import ufl
@@ -25,10 +25,10 @@ from thinlayer.discretisation.time_functions import time_constants
 from thinlayer.system.compat import compiled
 
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
-Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Sequence[Sequence[Any]]]
+Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Sequence[Sequence[Expr]]]
 VOIGT_PAIRS_OF_DIM = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
-Rows = list[list[Any]]  # numbers, or UFL scalars of place and time
-Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Any], Any]
+Rows = list[list[Expr]]  # numbers, or UFL scalars of place and time
+Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Expr]
 SYMMETRY_TOLERANCE = 1e-12  # largest difference of a table from its transpose, over its largest entry
 # smallest singular value of a stiffness, over its largest, up to which it is singular: no strain causes some stresses
 SINGULARITY_TOLERANCE = 1e-12
@@ -54,22 +54,22 @@ class MeanStrain:
 
     def __init__(self, value: Strain, at: Coordinates, joint: Joint) -> None:
         if joint.periods is None:
-            raise InputError(f"{self.what} is for a periodic cell, and this joint is none; see geometry.periodic")
+            raise InputError(f"{self.what} needs a periodic joint; see geometry.periodic")
         self._dim = d = joint.dim
-        self._given, self.size = at.coefficient(value, self.what, (d, d)).once("the whole cell"), joint.size
-        if not self._given.varies:
+        self._coefficient, self.size = at.coefficient(value, self.what, (d, d)).once("the whole cell"), joint.size
+        if not self._coefficient.varies:
             self.at(0.0)
 
     def at(self, t: float) -> Array:
         """The strain (d, d) at a time; raises InputError if it is not finite or not symmetric."""
-        strain = self._given.at_time(t)
-        require_symmetric(strain.tolist(), f"{self.what} at t = {t:g}")  # type: ignore[arg-type]
+        strain = self._coefficient.at_time(t)
+        require_symmetric(strain, f"{self.what} at t = {t:g}")
         return strain
 
     @property
     def expression(self) -> Expr:
         """The strain (3, 3) as an expression of the time."""
-        return three_dimensional(self._given.expression)
+        return three_dimensional(self._coefficient.expression)
 
 
 class MeanStress(MeanStrain):
@@ -81,8 +81,9 @@ class MeanStress(MeanStrain):
 
     what = "the mean stress"
 
-    def __init__(self, value: Strain, at: Coordinates, joint: Any, bodies: Sequence[Term]) -> None:
+    def __init__(self, value: Strain, at: Coordinates, joint: Joint, bodies: Sequence[Term]) -> None:
         super().__init__(value, at, joint)
+        assert joint.periods is not None  # as the base class requires
         d = joint.dim
         if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < d:
             raise InputError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
@@ -125,11 +126,11 @@ class EigenstrainContext:
     kinematics: Kinematics
     at: Coordinates
 
-    def rows(self, value: Any, what: str) -> Rows:
+    def rows(self, value: object, what: str) -> Rows:
         """Return the components of a tensor, (d, d) or (3, 3); a number becomes a multiple of the identity (3, 3).
 
         Raises:
-            InputError: another shape, components that are no finite numbers, or a table that is not symmetric.
+            InputError: another shape, components that are not finite numbers, or a table that is not symmetric.
         """
         what, d = f"{what} of {self.name}", len(self.n)
         coefficient = self.at.coefficient(value, what, (), (d, d), (3, 3))
@@ -139,12 +140,12 @@ class EigenstrainContext:
         require_symmetric(rows, what)
         return rows
 
-    def scalar(self, value: Any, what: str) -> Any:
+    def scalar(self, value: object, what: str) -> Expr:
         """Return a value as a number or a UFL scalar; raises InputError if it is neither."""
         return self.at.coefficient(value, f"{what} of {self.name}", ()).components[()]
 
 
-def require_symmetric(rows: Rows, what: str) -> None:
+def require_symmetric(rows: Rows | Array, what: str) -> None:
     """Raise InputError if a table is not symmetric; UFL expressions must be equal as they are written."""
     numbers = [abs(c) for row in rows for c in row if isinstance(c, float)]
     for i, j in combinations(range(len(rows)), 2):
@@ -166,7 +167,7 @@ class Eigenstrain(ABC):
 class PrescribedEigenstrain(Eigenstrain):
     """An eigenstrain given directly: a number times the identity, a table (d, d) or (3, 3), or a function (x, t)."""
 
-    value: Tensor
+    value: object
 
     def components(self, matter: EigenstrainContext) -> Rows:
         """As in `Eigenstrain`."""
@@ -189,18 +190,19 @@ class ThermalExpansion(Eigenstrain):
     With a Function this is collective, and other processes do not recognise it as the same data.
 
     Raises:
-        InputError: alpha of another shape, not finite or not symmetric; T or factor that is no number or function.
+        InputError: alpha of another shape, not finite or not symmetric; T or factor that is not a number or a
+            function.
     """
 
     alpha: float | Sequence[float] | Sequence[Sequence[float]] | Array
-    T: float | Callable[[Expr, Any], Any] | fem.Function
-    factor: float | Callable[[Expr, Any], Any] = 1.0
+    T: float | Callable[[Expr, Expr], Expr] | fem.Function
+    factor: float | Callable[[Expr, Expr], Expr] = 1.0
 
     def __post_init__(self) -> None:
         alpha = finite_values(self.alpha, (), (3,), (3, 3))
         require(alpha is not None, "alpha", self.alpha, "allowed: a finite number, three, or a symmetric (3, 3)")
         if np.ndim(self.alpha) == 2:
-            require_symmetric(np.array(self.alpha, float).tolist(), "alpha")
+            require_symmetric(np.array(self.alpha, float), "alpha")
         for name, value in (("the change of temperature T", self.T), ("factor", self.factor)):
             require(callable(value) or is_finite(value), name, value, "allowed: a finite number or a function (x, t)")
 
@@ -278,7 +280,7 @@ class Prestress(Eigenstrain):
 EigenstrainInput = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
 
 
-def eigenstrains(eigenstrain: Any) -> list[Eigenstrain]:
+def eigenstrains(eigenstrain: EigenstrainInput) -> list[Eigenstrain]:
     """Return the eigenstrains, which add up, of a user's value: a single one, such as a table, or a list of several."""
     if isinstance(eigenstrain, Eigenstrain):
         return [eigenstrain]
@@ -289,16 +291,16 @@ def eigenstrains(eigenstrain: Any) -> list[Eigenstrain]:
     return [PrescribedEigenstrain(eigenstrain)]
 
 
-def _is_table(rows: Sequence[Any]) -> bool:
+def _is_table(rows: Sequence[object]) -> bool:
     """Whether a list is a table: a list of rows of scalars."""
     return bool(rows) and all(isinstance(row, (list, tuple, np.ndarray)) and np.ndim(row[0]) == 0 for row in rows)
 
 
-def prescribed_strain(eigenstrain: Any, matter: EigenstrainContext) -> Expr | None:
+def prescribed_strain(eigenstrain: EigenstrainInput | None, matter: EigenstrainContext) -> Expr | None:
     """Return minus the eigenstrain, (3, 3) UFL, to be added to the strain of the displacements; None if it is zero.
 
     Raises:
-        InputError: a value that is no eigenstrain, or that does not suit this body or layer.
+        InputError: a value that is not an eigenstrain, or that does not suit this body or layer.
     """
     if eigenstrain is None:
         return None
@@ -318,12 +320,11 @@ class VaryingStrainIntegrals:
     def __init__(self, terms: Sequence[Term], at: Coordinates) -> None:
         self._at, self._forms = at, []
         for p in terms:
-            if p.prescribed_strain is not None and (
-                time_constants(p.prescribed_strain) or depends_on_place(p.prescribed_strain)
-            ):
+            strain = p.prescribed_strain
+            if strain is not None and (time_constants(strain) or depends_on_place(strain)):
                 q = ufl.TestFunction(fem.functionspace(at.mesh, ("DG", 0, (3, 3))))
                 q = q("+") if p.measure.integral_type() == "interior_facet" else q
-                self._forms.append((p, compiled(ufl.inner(p.prescribed_strain, q) * p.measure)))
+                self._forms.append((p, compiled(ufl.inner(strain, q) * p.measure)))
 
     def integrals(self, t: float) -> list[Array]:
         """Integrals over this rank's cells or facets at a time.

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
@@ -21,10 +20,14 @@ from geometry.domain import Domain
 from geometry.joint import Joint
 from geometry.refusals import place_text as at_place
 from geometry.seam import FacetName
+from geometry.topology import IntArray
 from thinlayer.discretisation.boundary import AXIS_NAMES
 from thinlayer.discretisation.form_compilation import per_unit
 from thinlayer.discretisation.supports import Place
 from thinlayer.discretisation.time_functions import TimeLevel
+
+if TYPE_CHECKING:
+    from thinlayer.discretisation.model import Model
 
 Resistance = Callable[[Sequence[fem.Function]], Array]
 # plane (i, j) and sense of each rotation
@@ -41,7 +44,7 @@ def motion_count(dim: int) -> int:
     return dim + len(ROTATION_PLANES[dim])
 
 
-def motion_fields(x: npt.NDArray[Any], about: Array) -> Array:
+def motion_fields(x: Array, about: Array) -> Array:
     """Displacements (n, d, k) at places x (n, d) of unit translations and rotations about a point."""
     n, d = x.shape
     shifts, turns = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", UNIT_ROTATIONS[d], x - about)
@@ -73,7 +76,7 @@ def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
     return motion, sum(turned, ufl.as_vector([motion[i] for i in range(d)]))
 
 
-def motion_values(x: Array, about: Array, rows: npt.NDArray[Any]) -> Array:
+def motion_values(x: Array, about: Array, rows: IntArray) -> Array:
     """Values (m, k) of the motions of `motion_fields` at dofs `rows` (m,) of the displacements at places x (n, d)."""
     return motion_fields(x[rows // x.shape[1]], about)[np.arange(len(rows)), rows % x.shape[1]]
 
@@ -97,14 +100,14 @@ def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
     return shares
 
 
-def model_motion_values(model: Any, rows: npt.NDArray[Any], kinematics: Kinematics | None = None) -> Array:
+def model_motion_values(model: Model, rows: IntArray, kinematics: Kinematics | None = None) -> Array:
     """Values (m, k) of the motions of `scaled_motions` at local displacement dofs `rows` (m,) of a model."""
     joint = model.domain.joint
     shares = [*scaled_motions(joint, kinematics or model.kinematics).values()]
     return motion_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(shares)
 
 
-def model_motions(model: Any, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
+def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
     """Return the motions of `scaled_motions` as displacements of a model, by name. Collective."""
     values = model_motion_values(model, np.arange(model.places.size), kinematics)
     modes = {name: fem.Function(model.V) for name in scaled_motions(model.domain.joint, kinematics or model.kinematics)}
@@ -113,7 +116,7 @@ def model_motions(model: Any, kinematics: Kinematics | None = None) -> dict[str,
     return modes
 
 
-def resistance_matrices(model: Any, resistances: Sequence[Resistance]) -> Array:
+def resistance_matrices(model: Model, resistances: Sequence[Resistance]) -> Array:
     """Gram matrix (m, m) of the constraint violations of rigid motions, plus scaled stiffnesses of parts. Collective.
 
     Args:
@@ -133,8 +136,10 @@ def resistance_matrices(model: Any, resistances: Sequence[Resistance]) -> Array:
 def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[str, ...]:
     """Return the axes along which nothing prevents a translation; `resistance` as in `require_support`."""
     # translations are the first motions of `scaled_motions`
-    much = {AXIS_NAMES[k]: r for k, r in zip(kinematics.translations(joint.dim), np.diag(resistance), strict=False)}
-    return tuple(axis for axis, r in much.items() if r <= MIN_RELATIVE_EIGENVALUE * max(*much.values(), 1.0))
+    axes = [*kinematics.translations(joint.dim)]
+    diagonal = np.diag(resistance)[: len(axes)]
+    limit = MIN_RELATIVE_EIGENVALUE * max(*diagonal, 1.0)
+    return tuple(AXIS_NAMES[k] for k, r in zip(axes, diagonal, strict=True) if r <= limit)
 
 
 def require_support(names: Sequence[str], resistance: Array) -> None:
@@ -202,19 +207,19 @@ def centroid(domain: Domain, name: str) -> Array:
     return np.asarray(np.where(np.abs(centre) > COMPONENT_TOLERANCE * domain.joint.size, centre, 0.0))
 
 
-def resultants_of_loads(model: Any, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
+def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
     """Resultants about the centre, by name, of loads at a time, from their work in motions v. Collective."""
-    hand = TimeLevel(t)
+    level = TimeLevel(t)
     motion, v = motion_expression(model.domain.mesh, model.centre)
-    return {name: resultant(model, per_unit(model.comm, hand.of(form), motion)) for name, form in work(v).items()}
+    return {name: resultant(model, per_unit(model.comm, level.of(form), motion)) for name, form in work(v).items()}
 
 
-def resultant(model: Any, values: Array) -> Resultant:
+def resultant(model: Model, values: Array) -> Resultant:
     """Make a resultant from the work (k,) in motions about the centre; zero where it vanishes in axisymmetry."""
     return Resultant.of(np.asarray(values) * balanced_motions(model.kinematics, model.joint.dim), model.centre)
 
 
-def default_moment_point(model: Any, place: Place, chosen: Sequence[Place]) -> Array:
+def default_moment_point(model: Model, place: Place, chosen: Sequence[Place]) -> Array:
     """Return the default point of moments: the centroid of a facet set, or the vertex itself."""
     domain = model.domain
     if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):

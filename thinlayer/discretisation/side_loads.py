@@ -98,7 +98,7 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, s
         shares = np.zeros((len(model.joint.cells), 1, 5))
         upper = model.joint.surface_cells[layer.sheet.facets, 1]
         constants = free_end(poisson_ratio(law_with_numbers(layer.layer, layer.structure.kinematics)))
-        shares[upper, 0] = _shares(end, load.rim, layer.sheet, model.kinematics, float(layer.thin_layer.eps), constants)
+        shares[upper, 0] = _shares(end, load.rim, layer.sheet, model.kinematics, layer.eps, constants)
         facet_shares = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), shares))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
         place = at.moved(at.x + (offset - ufl.dot(m, at.x)) * m)
@@ -118,8 +118,8 @@ def _shares(
     ends = points[rim.vertices].mean(axis=1)
     at_end = kinematics.factor_at(ends[end.has(ends)]).mean()
     l_N, l_T = strips.opening.length, strips.shear.length
-    handed = [within(eps * reach) for reach in (strips.r_N, strips.r_T, 2 * ANTIPLANE_MOMENT)]
-    forces = [eps * end.length * at_end * share / (share @ factor) for share in handed]
+    shares = [within(eps * reach) for reach in (strips.r_N, strips.r_T, 2 * ANTIPLANE_MOMENT)]
+    forces = [eps * end.length * at_end * share / (share @ factor) for share in shares]
     drawn = constants.drawn_in / l_N * within(eps * l_N), constants.c_T / l_T * within(eps * l_T)
     return np.stack([*forces, *drawn], axis=1)
 

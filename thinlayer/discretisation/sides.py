@@ -38,7 +38,7 @@ def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
     """
     sheet, projectors = layer.sheet, constrained_directions(layer)
     normals = sheet.joint.interface_normals[sheet.parts[0][sheet.rim.simplex]]
-    shares = np.stack([np.einsum("ni,nij,nj->n", way, projectors, way) for way in (sheet.rim.outward, normals)], axis=1)
+    shares = np.stack([np.einsum("ni,nij,nj->n", e, projectors, e) for e in (sheet.rim.outward, normals)], axis=1)
     slight = FLAT_DIRECTION_SHARE if sheet.planar else CURVED_DIRECTION_SHARE
     along, across = (shares > slight).T
     kinds = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[along.astype(int), across.astype(int)]
@@ -47,12 +47,13 @@ def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
 
 def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArray:
     """Projections (n, d, d) onto constrained directions of the layer's side at the rim; `of_layer`: also NAME/LAYER."""
-    setup, rim, joint = layer.structure, layer.sheet.rim, layer.sheet.joint
+    structure, rim, joint = layer.structure, layer.sheet.rim, layer.sheet.joint
     d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]
     dyads = np.zeros((len(keys), d, d))
-    dyads[nodes_on_axis(setup.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
-    entries = [(place, tuple(value) if isinstance(value, Mapping) else axes) for place, value in setup.supports.items()]
-    plates = [part for part in setup.parts if isinstance(part, PartDefinition) and part.ties_nodes]
+    dyads[nodes_on_axis(structure.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
+    supports = structure.supports.items()
+    entries = [(place, tuple(value) if isinstance(value, Mapping) else axes) for place, value in supports]
+    plates = [part for part in structure.parts if isinstance(part, PartDefinition) and part.ties_nodes]
     for place, components in [*entries, *((part.place, part.components or axes) for part in plates)]:
         name = FacetName.parse(place).continued if isinstance(place, str) else S
         if name in (S, *joint.seams) or name not in joint.facets:  # a vertex, or the side of one body
@@ -61,8 +62,8 @@ def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArra
             continue
         on = np.isin(keys, continued_ridges(joint, joint.facets[name]))
         for axis in components:
-            way = np.eye(d)[axes.index(axis)] if axis in axes else _normals(joint, rim, name)
-            dyads += np.where(on[:, None], way, 0.0)[:, :, None] * way[..., None, :]
+            direction = np.eye(d)[axes.index(axis)] if axis in axes else _normals(joint, rim, name)
+            dyads += np.where(on[:, None], direction, 0.0)[:, :, None] * direction[..., None, :]
     return np.asarray(dyads @ np.linalg.pinv(dyads, rcond=COSINE_TOLERANCE, hermitian=True))
 
 

@@ -153,11 +153,11 @@ class State(Configuration):
     def __repr__(self) -> str:
         return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """Identity of the state: identity of its model, and its time."""
         return {"state of": self.model.identity(), "t": self.t}
 
-    def integral(self, form: Any) -> float:
+    def integral(self, form: ufl.Form) -> float:
         """Value of a UFL form without arguments, with the factor 2 pi r in axisymmetry. Collective.
 
         Raises:
@@ -166,7 +166,7 @@ class State(Configuration):
         """
         return self._sum(whole_structure_form(form, self.model))
 
-    def _sum(self, form: Any) -> float:
+    def _sum(self, form: ufl.Form) -> float:
         return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(form)))))
 
     def energies(self) -> dict[str, float]:
@@ -224,15 +224,14 @@ class State(Configuration):
             holders = ", ".join(map(repr, every)) or "nothing"
             raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {holders}")
         total = reduce(add, (every[name] for name in chosen))
-        return total.at(
-            moment_centre(model.kinematics, default_moment_point(model, place, chosen)) if about is None else about
-        )
+        point = moment_centre(model.kinematics, default_moment_point(model, place, chosen)) if about is None else about
+        return total.at(point)
 
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
         """Reactions of all places that support the structure, moments about one point (default: `Model.centre`)."""
         model = self.model
         if self.reactions is None:
-            raise InputError("this state has no reactions: it is no equilibrium that was solved for")
+            raise InputError("this state has no reactions: it was not solved for")
         of_parts = [row for part in model.parts for row in part.reaction(model, self.u)]
         rows = [*zip(model.holders, self.reactions, strict=True), *of_parts]
         reactions = [(place, resultant(model, values)) for place, values in rows]
@@ -322,9 +321,7 @@ class State(Configuration):
                 yield p, stress(p, self.u), p.measure
                 continue
             if p.measure.integral_type() != "cell":
-                raise InputError(
-                    f"the stress of {type(p.law.in_space).__name__} on S is no field; see Surface.traction"
-                )
+                raise InputError(f"{type(p.law.in_space).__name__} on S has no field of stress; see Surface.traction")
             rules = self.model.quadratures.items()
             key, points = next((key, rule) for key, rule in rules if rule.term.measure is p.measure)
             values = self.stresses.get(key, np.zeros((points.count, len(MANDEL_PAIRS))))

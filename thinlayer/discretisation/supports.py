@@ -93,10 +93,9 @@ class Supports:
     def _components(self, place: Place, support: Support) -> Components:
         require(not callable(support) and support is not None, f"support on {place!r}", support, "give {axis: value}")
         components: Components = dict(support if isinstance(support, Mapping) else dict.fromkeys(self.axes, support))
-        for axis in components:  # a vertex has no normal
-            require_known(
-                "component", axis, (*self.axes, *[NORMAL_COMPONENT] * isinstance(place, str)), f"support on {place!r}"
-            )
+        allowed = (*self.axes, NORMAL_COMPONENT) if isinstance(place, str) else self.axes  # a vertex has no normal
+        for axis in components:
+            require_known("component", axis, allowed, f"support on {place!r}")
         return components
 
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> Indices:
@@ -222,7 +221,7 @@ class Prescribed:
             expression = ufl.as_vector([coefficient.expression] * self.d) + on_mesh
             return _Source(entry, place, axis, value, fem.Expression(expression, interpolation_points(self.V)))
         if coefficient is not None and coefficient.value:
-            interpolate(value, lambda x: np.full((self.d, x.shape[1]), float(coefficient.value)))
+            interpolate(value, lambda x: np.full((self.d, x.shape[1]), float(coefficient.components[()])))
         return _Source(entry, place, axis, value)
 
     def _find_conditions(self) -> None:

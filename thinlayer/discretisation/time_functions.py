@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 from weakref import WeakSet
 
 import numpy as np
@@ -69,10 +68,11 @@ class TimeConstant(fem.Constant):
         time_constants: all constants of the clock.
     """
 
-    def __init__(self, mesh: Mesh, time: TimeConstant | None = None, argument: Any = None, table: Any = None) -> None:
+    def __init__(
+        self, mesh: Mesh, time: TimeConstant | None = None, argument: Expr = None, table: PiecewiseLinear | None = None
+    ) -> None:
         super().__init__(mesh, np.full(table.columns.shape[1], np.nan) if table else math.nan)
-        self.mesh, self._time, self._argument = mesh, time, argument
-        self._table: PiecewiseLinear | None = table
+        self.mesh, self._time, self._argument, self._table = mesh, time, argument, table
         self.time_constants: WeakSet[TimeConstant] = WeakSet() if time is None else time.time_constants
         self.time_constants.add(self)
 
@@ -83,15 +83,14 @@ class TimeConstant(fem.Constant):
 
     __hash__ = fem.Constant.__hash__
 
-    def at(self, t: float) -> Any:
+    def at(self, t: float) -> float | Array:
         """Value at a time: a number, or (columns,)."""
         return t if self._table is None else self._table.at(self._argument_at(t))
 
     def _argument_at(self, t: float) -> float:
         """The table's argument at a time; NaN where it has no value."""
-        argument: Any = self._argument
         try:
-            return float(t if argument is self._time else argument((), {self._time: float(t)}))
+            return float(t if self._argument is self._time else self._argument((), {self._time: float(t)}))
         except (ArithmeticError, ValueError, TypeError):
             return math.nan
 
@@ -123,28 +122,26 @@ class TimeLevel:
     """
 
     def __init__(self, t: float = 0.0) -> None:
-        self._t, self._own = t, dict[TimeConstant, fem.Constant]()
+        self._t, self._constants = t, dict[TimeConstant, fem.Constant]()
 
     def set(self, t: float) -> None:
         """Set the time of the level."""
         self._t = t
-        for reading, constant in self._own.items():
-            constant.value = reading.at(t)
+        for clock, constant in self._constants.items():
+            constant.value = clock.at(t)
 
     def of(self, expression: Expr) -> Expr:
         """Return an expression or a form that reads this time level instead of the clock."""
-        shown = time_constants(expression)
-        for reading in shown:
-            if reading not in self._own:
-                self._own[reading] = fem.Constant(reading.mesh, np.array(reading.at(self._t), float))
-        return ufl_replace(expression, {reading: self._own[reading] for reading in shown}) if shown else expression
+        clocks = time_constants(expression)
+        for clock in clocks:
+            if clock not in self._constants:
+                self._constants[clock] = fem.Constant(clock.mesh, np.array(clock.at(self._t), float))
+        return ufl_replace(expression, {c: self._constants[c] for c in clocks}) if clocks else expression
 
     def terms(self, terms: Iterable[Term]) -> list[Term]:
         """Return the terms with prescribed strains at this time level."""
-        return [
-            p if p.prescribed_strain is None else replace(p, prescribed_strain=self.of(p.prescribed_strain))
-            for p in terms
-        ]
+        strains = ((p, p.prescribed_strain) for p in terms)
+        return [p if e is None else replace(p, prescribed_strain=self.of(e)) for p, e in strains]
 
 
 class StepStrains:
@@ -209,7 +206,7 @@ class PiecewiseLinear:
         changes = np.abs(np.diff(slopes, axis=0)) > TIME_TOLERANCE * np.abs(slopes).max(axis=0)
         self.breaks = tuple(map(float, times[[True, *changes.any(axis=1), True]]))
 
-    def __call__(self, t: Any) -> Any:
+    def __call__(self, t: Expr) -> Expr | list[Expr]:
         """Return the value at t, a number or a UFL expression; a list of components unless the table is scalar."""
         if is_number(t) or isinstance(t, ufl.constantvalue.RealValue | ufl.constantvalue.Zero):
             y = [*map(float, self.at(float(t)))]
@@ -232,11 +229,11 @@ class PiecewiseLinear:
         times, steps = [*map(float, self.times)], map(float, np.diff(column) / np.diff(self.times))
         inside = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))
         within = (ufl.max_value(0, ufl.min_value(t, b) - a) for a, b in pairwise(times))
-        value = sum((slope * way for slope, way in zip(steps, within, strict=True)), float(column[0]))
+        value = sum((slope * length for slope, length in zip(steps, within, strict=True)), float(column[0]))
         return ufl.conditional(inside, value, ufl.sqrt(-1 - t * t))
 
 
-def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr, Expr], Any]:
+def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr, Expr], Expr]:
     """Return a load or prescribed displacement that is linear in time between given values, and undefined outside.
 
     Tables of thousands of values are fine, `piecewise(dict(zip(times, forces)))`. The table may be used in a function,
@@ -250,7 +247,7 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
         A function (x, t) for the data of a model; it returns numbers if t is a number.
 
     Raises:
-        InputError: fewer than two times, values that are no numbers or of different lengths.
+        InputError: fewer than two times, values that are not numbers or of different lengths.
     """
     try:
         times = real_values(sorted(values))
@@ -261,10 +258,10 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
         raise InputError(f"piecewise needs two times or more, each with a number or components, not {values!r}")
     table = PiecewiseLinear(times, rows)
 
-    def at(_: Any, t: Any) -> Any:
+    def at(_: Expr, t: Expr) -> Expr:
         return table(t)
 
-    at.times = table.breaks  # type: ignore[attr-defined]
+    vars(at)["times"] = table.breaks
     return at
 
 

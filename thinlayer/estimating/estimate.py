@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -241,11 +240,10 @@ def _has_multi_point_constraints(model: InterfaceModel) -> bool:
 
 def _of_order_1(applicability: Applicability) -> ThinLayer:
     """The layer with its plain law of order 1; unchanged if there is none, as for anisotropic sublayers."""
-    thin_layer = applicability.layer.thin_layer
-    assert isinstance(thin_layer, ThinLayer)
-    with suppress(InputError):
-        thin_layer = replace(applicability.next_order(), edges="plain")
-    return thin_layer
+    try:
+        return replace(applicability.next_order(), edges="plain")
+    except InputError:
+        return applicability.layer.as_thin_layer
 
 
 def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:

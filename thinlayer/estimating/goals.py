@@ -182,7 +182,7 @@ class Reaction(DirectedGoal):
         return q, adjoint.reaction_motions(self.place, along)
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
-        return model.constraints.given_resultant(model.holder_rows(self.place), self.unit(model), state.t)
+        return model.constraints.prescribed_resultant(model.holder_rows(self.place), self.unit(model), state.t)
 
     def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
         return np.zeros_like(layers.load), layers.motion_of(self.place, self.unit(layers.model))

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import replace
-
 import numpy as np
 
 from forms.base import Array, InputError
-from forms.work import with_added_strain
 from geometry.parallel import default_comm
-from thinlayer.discretisation.coefficient import Coordinates
-from thinlayer.discretisation.forces import Forces
-from thinlayer.discretisation.model import Model, ModelFamily
-from thinlayer.discretisation.point_loads import ConcentratedForms
-from thinlayer.discretisation.prescribed_strains import VOIGT_PAIRS_OF_DIM, MeanStrain, Strain
+from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.prescribed_strains import VOIGT_PAIRS_OF_DIM, Strain
 from thinlayer.discretisation.time_functions import piecewise
 from thinlayer.errors import SolveError
 from thinlayer.solving.solve import Solver
@@ -46,19 +39,7 @@ def homogenised_stiffness(model: Model) -> Array:
     """
     with errors_on_all(model.comm if isinstance(model, Model) else default_comm()):
         _check(model)
-    strained = copy(model)
-    strained.family = ModelFamily()  # the matrices that the model's family keeps contain its strains
-    strained.coordinates = at = Coordinates.of(model.domain)
-    strained.strain, strained.stress = MeanStrain(_unit_strains(model.joint.dim), at, model.joint), None
-    some = model.bodies, model.layer_terms
-    bodies, strained.layer_terms = ([replace(p, prescribed_strain=None) for p in terms] for terms in some)
-    strained.bodies = with_added_strain(bodies, strained.strain.expression)
-    if not model.broken:
-        strained.layer_terms = with_added_strain(strained.layer_terms, strained.strain.expression)
-    points = ConcentratedForms(model.domain, model.joint, model.structure.degree, at)
-    unloaded = model.structure.with_loads({"tractions": None, "body_force": None, "loads": ()})
-    strained.forces = Forces(model.domain, model.kinematics, points, unloaded)
-    with Solver(strained) as solver:
+    with Solver(model.under_mean_strain(_unit_strains(model.joint.dim))) as solver:
         times = map(float, range(len(VOIGT_PAIRS_OF_DIM[model.joint.dim])))
         stresses = [solver.step(solver.rest(t), t).mean_stress() for t in times]
     stiffness = np.column_stack([[stress[pair] for pair in VOIGT_PAIRS_OF_DIM[len(stress)]] for stress in stresses])

@@ -102,7 +102,7 @@ class Zoom:
         assert isinstance(model, InterfaceModel)
         layers = {}
         for name in [*model.layers] if model.joint.seams_meet else [self.seam]:
-            what, thin = f"zoom into {model.layers[name]}: ", model.layers[name].thin_layer
+            what, thin = f"zoom into {model.layers[name]}: ", model.layers[name].as_thin_layer
             model.applicability[name].require("alone", what)
             if thin.law.traits.remembers and not state.sudden:
                 raise InputError(f"{what}it remembers earlier steps; mesh it (structure.full)")
@@ -117,7 +117,7 @@ class Zoom:
     @property
     def eps(self) -> float:
         """The layer's thickness; if it varies, the thickness that its profile multiplies."""
-        return float(self._seam_layer.thin_layer.eps)
+        return self._seam_layer.eps
 
     @property
     def law(self) -> BulkLaw:

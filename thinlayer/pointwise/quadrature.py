@@ -24,7 +24,7 @@ from forms.work import Term
 from geometry.domain import create_connectivity
 from geometry.topology import Indices, IntArray
 from thinlayer.pointwise.columns import Columns
-from thinlayer.system.compat import compiled, create_submesh
+from thinlayer.system.compat import EntityMaps, compiled, create_submesh
 from thinlayer.system.ranks import communicator
 
 TRACE_SLOTS = (0, 1, 2)  # Mandel components whose sum is the trace
@@ -326,7 +326,7 @@ def assemble_values(form: fem.Form | None, count: int) -> Array:
 
 
 def add_distributed(
-    density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, b: PETSc.Vec, maps: object = None
+    density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, b: PETSc.Vec, maps: EntityMaps | None = None
 ) -> None:
     """Add the integral of a density to the first displacement component at nodes, distributed by shape functions.
 

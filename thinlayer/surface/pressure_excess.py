@@ -101,7 +101,7 @@ def jump_stiffness(layer: SeamLayer) -> tuple[float, float]:
         if min(along, up) <= NEGLIGIBLE_MODULUS_RATIO * size:
             return up, 0.0
         compliances += [fraction / up, fraction / along]
-    normal, tangential = 1 / (compliances * layer.thin_layer.eps)
+    normal, tangential = 1 / (compliances * layer.as_thin_layer.eps)
     return float(normal), float(tangential)
 
 
@@ -276,7 +276,7 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
         remedy = "use order=1, mesh the layer (structure.full), or support its sides if they are held"
         yield "incompressible", f"{what}; {remedy}"
         return
-    surface, eps = surface_of(model, seam_layer.name), seam_layer.thin_layer.eps
+    surface, eps = surface_of(model, seam_layer.name), seam_layer.as_thin_layer.eps
     width = surface.integral(1.0) / surface.lengths(rim).sum()
     lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
     worst = max(layers[lengths.index(max(lengths))], key=lambda k: k.length)

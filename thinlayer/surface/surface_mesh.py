@@ -218,7 +218,7 @@ class SurfaceMesh:
     def _require_same_joint(self, state: State) -> None:
         if not isinstance(state, State):
             raise InputError(f"Surface takes a state, as solve returns it or history.last is, not {state!r:.80}")
-        if state.model.joint.points is not self.model.joint.points:
+        if state.model.surface_identity is not self.model.surface_identity:
             raise InputError("this state's model has another joint than the surface; build both from the same one")
 
     def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
@@ -433,8 +433,8 @@ class SurfaceMesh:
     # ---------------------------------------------------------------- layers
     def thickness(self, layer: SeamLayer, vertices: IntArray) -> Array:
         """Thickness (...) of a layer with a law of strains, at vertices (...) of the joint."""
-        relative = self.joint.relative_thickness(layer.thin_layer.profile, layer.name)
-        return np.asarray(float(layer.thin_layer.eps) * relative[vertices])
+        relative = self.joint.relative_thickness(layer.as_thin_layer.profile, layer.name)
+        return np.asarray(layer.eps * relative[vertices])
 
     def lengths(self, rim: Rim) -> Array:
         """(n,) lengths of the ridges of a part of the rim; in plane models 1, in axisymmetry the circumference."""

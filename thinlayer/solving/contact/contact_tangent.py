@@ -8,7 +8,7 @@ from scipy.sparse.linalg import splu
 
 from forms.base import Array
 from thinlayer.discretisation.constraints import local_csr
-from thinlayer.discretisation.contact_nodes import ContactNodes
+from thinlayer.discretisation.contact_nodes import NodePairs
 from thinlayer.solving.contact.pairs import ContactPairs
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.petsc import PREFIX, convert_to_blocks, lean_products
@@ -41,7 +41,7 @@ class ContactTangent:
     """
 
     def __init__(
-        self, A: PETSc.Mat, nodes: ContactNodes, pairs: ContactPairs, equations: Equations, start: Array | None
+        self, A: PETSc.Mat, nodes: NodePairs, pairs: ContactPairs, equations: Equations, start: Array | None
     ) -> None:
         self._A, self.nodes, self.pairs, self.bc_dofs = A, nodes, pairs, equations.bc_dofs
         first = A.getOwnershipRange()[0]

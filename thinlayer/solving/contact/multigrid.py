@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 from forms.base import Array, InputError
 from forms.contact import Status
-from thinlayer.discretisation.contact_nodes import ContactNodes
+from thinlayer.discretisation.contact_nodes import NodePairs
 from thinlayer.discretisation.state import State
 from thinlayer.errors import SolveError
 from thinlayer.solving.contact.contact_solver import ContactSolver
@@ -74,7 +74,7 @@ class MultigridContact(ContactSolver):
     def __init__(self, equations: Equations, like: State | None) -> None:
         super().__init__(equations, like)
         library(C_SOURCE, self.comm)
-        self.nodes = nodes = ContactNodes.joined([part.nodes for part in self.parts])
+        self.nodes = nodes = NodePairs.joined([part.nodes for part in self.parts])
         self.pairs = ContactPairs(self.parts, self.is_fixed, self.x.getOwnershipRange()[0] // nodes.dim, nodes.shared())
         self._tangent: ContactTangent | None = None
         self._forces = equations.vector()
