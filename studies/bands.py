@@ -4,37 +4,35 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from forms import HolonomicCoulomb, IncrementalCoulomb, MohrCoulombMonodirectional
 from forms.base import Array
-from geometry.joint import Joint
-from studies.problems import pressed
+from studies.problems import LoadPath, Problem, pressed
 from studies.sweeping import Tables, last
 from thinlayer import Surface
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 
-MODULI: Any = {"lmbda": 60.0, "mu": 40.0}
+MODULI = (60.0, 40.0)  # lmbda, mu
 OMEGA = 25.0
 FRICTION = math.tan(math.radians(OMEGA))
 # One cell through the band needs no elastic fraction: its nodes belong to the bodies, which support it where it is
 # open. Inner nodes need an elastic fraction; the error is proportional to it and does not vanish with eps.
-BAND = MohrCoulombMonodirectional(**MODULI, cohesion=0.0, friction_angle=OMEGA, unilateral=True)
+BAND = MohrCoulombMonodirectional(*MODULI, cohesion=0.0, friction_angle=OMEGA, unilateral=True)
 IN_CELLS = replace(BAND, elastic_fraction=1e-5)
-AT_ONCE = HolonomicCoulomb.of_layer(**MODULI, friction=FRICTION)
-IN_TIME = IncrementalCoulomb.of_layer(**MODULI, friction=FRICTION)
+AT_ONCE = HolonomicCoulomb.of_layer(*MODULI, friction=FRICTION)
+IN_TIME = IncrementalCoulomb.of_layer(*MODULI, friction=FRICTION)
 SINE = replace(AT_ONCE, friction=math.sin(math.radians(OMEGA)))  # a wrong law
-ONCE = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
-TO_AND_FRO = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
+ONCE: LoadPath = {0: (0.28, 1.0, 1.5), 1: (0.28, 1.0, 1.5)}
+TO_AND_FRO: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.28, 1.0, 0.0), 2: (0.28, 1.0, 1.5), 3: (0.28, 0.0, -1.0)}
 NO_PRESSURE = 1e-3  # pressure, relative to the largest one, below which a node counts as separated
 AT_LIMIT = 1e-2  # relative distance from the threshold at which a node counts as sliding
 
 
-def blocks(h: float, path: dict[Any, tuple[float, float, float]]) -> tuple[Joint, dict[str, Any]]:
+def blocks(h: float, path: LoadPath) -> Problem:
     """The blocks of `pressed`, of elements Q1; contact acts at the nodes of S, the band at its quadrature points."""
     joint, setup = pressed(h, path)
     return joint, setup | {"element": "Q1"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from geometry import sandwich
 from studies.problems import FOURIER_BODY as BODY
 from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.model import Model
+from thinlayer.discretisation.supports import Support
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
@@ -178,7 +178,7 @@ class Column:
         self.record, self.case, self.pull = record, case, pull
         joint = sandwich(1.0, 0.5, 0.5, 0.5, cell="quadrilateral", structured=True)
         moves, stays = ("xy"[pull.axis], "yx"[pull.axis])
-        supports: dict[str, Any] = {"BOTTOM": 0.0, "LEFT": {stays: 0.0}, "RIGHT": {stays: 0.0}}
+        supports: dict[str, Support] = {"BOTTOM": 0.0, "LEFT": {stays: 0.0}, "RIGHT": {stays: 0.0}}
         supports |= {"TOP": {moves: pull.end}} if case.relaxes else {}
         pulled = {} if case.relaxes else {"TOP": pull.stress * np.eye(2)[pull.axis]}
         structure = Structure(joint, body=BODY, supports=supports, tractions=pulled)

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from forms import LinearElastic
 from forms.base import Array
 from geometry import fibre, sandwich
-from geometry.joint import Joint
+from studies.problems import Problem, StructureArguments
 from studies.sweeping import Tables, last, layer_of
 from thinlayer import Surface
+from thinlayer.discretisation.supports import Support
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 
@@ -158,11 +159,11 @@ GLASS, RESIN = young(E=5.0, nu=0.3), young(E=1.0, nu=0.2)
 COATING = LinearElastic(lmbda=0.6, mu=0.7)  # at the thickness 1
 
 
-def coated_fibre(h: float) -> tuple[Joint, dict[str, Any]]:
+def coated_fibre(h: float) -> Problem:
     """A fibre in a disc of resin whose rim is stretched; joint, arguments of its `Structure`. Without units."""
-    rim = {"x": lambda x, t: STRETCH * x[0], "y": 0.0}
-    setup = {"body": {"FIBRE": GLASS, "MATRIX": RESIN}, "supports": {"OUTSIDE": rim}}
-    return fibre(RADIUS, RIM, h, cell="quadrilateral", degree=2), setup
+    joint = fibre(RADIUS, RIM, h, cell="quadrilateral", degree=2)
+    rim: Support = {"x": lambda x, t: STRETCH * x[0], "y": 0.0}
+    return joint, {"body": {"FIBRE": GLASS, "MATRIX": RESIN}, "supports": {"OUTSIDE": rim}}
 
 
 def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
@@ -195,19 +196,19 @@ RADII = (6.0, 12.0, 18.0)  # mm: bore, S, rim
 HEIGHT = 8.0  # mm
 PRESSURE, PUSH = 50.0, 40.0  # MPa: in the bore; on the end of the shaft
 LAME = 5e-5  # relative error of displacements and tractions with Q2 cells of 1 mm; with 2 mm 16 times as large
-BETWEEN_PLATES = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
-PRESSED: dict[str, Any] = {"supports": BETWEEN_PLATES, "tractions": {"BOTTOM": (PRESSURE, 0.0)}}
-PUSHED: dict[str, Any] = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/LOWER": (0.0, -PUSH)}}
+PLATES: dict[str, Support] = {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+PRESSED: StructureArguments = {"supports": PLATES, "tractions": {"BOTTOM": (PRESSURE, 0.0)}}
+PUSHED: StructureArguments = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"LEFT/LOWER": (0.0, -PUSH)}}
 
 
-def tubes(h: float, loads: dict[str, Any]) -> tuple[Joint, dict[str, Any]]:
+def tubes(h: float, loads: StructureArguments) -> Problem:
     """A tube glued into another tube, in section; joint, arguments of its `Structure`.
 
     x is the radius; "BOTTOM" is the bore, "LEFT" the upper end.
     """
     bore, on_S, rim = RADII
     flat = sandwich(HEIGHT, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
-    bodies = {"body": {"LOWER": SHAFT, "UPPER": HUB}, "plane": "axisymmetric"}
+    bodies: StructureArguments = {"body": {"LOWER": SHAFT, "UPPER": HUB}, "plane": "axisymmetric"}
     return flat.rotated(-np.pi / 2).moved((on_S, 0.0)), bodies | loads
 
 

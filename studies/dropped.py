@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import pi
-from typing import Any, ClassVar
+from typing import ClassVar, Unpack
 
 import numpy as np
 import ufl
@@ -35,7 +35,16 @@ from forms.law import Step
 from forms.tensors import Expr
 from geometry import block, faults, ring, sandwich
 from geometry.joint import Joint
-from studies.problems import FOURIER_BODY, WALLS, fourier, free_blocks, of
+from studies.problems import (
+    FOURIER_BODY,
+    WALLS,
+    Heights,
+    LayerOfThickness,
+    StructureArguments,
+    fourier,
+    free_blocks,
+    of,
+)
 from thinlayer import (
     RangeWarning,
     RigidPlate,
@@ -44,23 +53,25 @@ from thinlayer import (
     ThinLayer,
     goals,
 )
+from thinlayer.discretisation.coefficient import Load
+from thinlayer.discretisation.interface_model import InterfaceModel
+from thinlayer.discretisation.supports import Place, Support
 
 COARSE, FINE = 1 / 16, 1 / 64  # thicknesses
 ALONG, ENDS = 1 / 24, 8  # cell size on S; cells within a thickness at free ends
 TILT = 0.5  # rad
 WIDTH, DEPTH = 1.3, 0.8
-CLAMPED: dict[Any, Any] = {"BOTTOM": 0.0}
+CLAMPED: dict[Place, Support] = {"BOTTOM": 0.0}
 young, shear = LinearElastic.young, LinearElastic.shear
 STEEL, SOFT = young(E=1e4, nu=0.3), young(E=70.0, nu=0.3)
-Vector = tuple[float, ...]
-Layers = ThinLayer | dict[str, ThinLayer]
 
 
 # ---------------------------------------------------------------- structures; `_`: the mesh suits any thickness
 # fmt: off
-def loaded(joint: Joint, top: Any, *, body: Any = FOURIER_BODY, supports: Any = CLAMPED, **more: Any) -> Structure:
+def loaded(joint: Joint, top: Load, **more: Unpack[StructureArguments]) -> Structure:
     """Bodies under a traction on top, clamped below."""
-    return Structure(joint, body=body, supports=supports, tractions={"TOP": top}, **more)
+    setup: StructureArguments = {"body": FOURIER_BODY, "supports": CLAMPED, "tractions": {"TOP": top}}
+    return Structure(joint, **setup | more)
 
 
 def rollers(_: float) -> Structure:
@@ -72,8 +83,7 @@ def rollers(_: float) -> Structure:
 def box(_: float) -> Structure:
     """A box between rollers on all four sides, under half a wave along x and a whole one along z."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, depth=0.5, cell="hexahedron", structured=True)
-    k1, k3 = pi, 2 * pi
-    k = (k1**2 + k3**2) ** 0.5
+    k1, k3, k = pi, 2 * pi, (pi**2 + (2 * pi) ** 2) ** 0.5
 
     def top(x: Expr, t: Expr) -> tuple[Expr, ...]:
         (s1, c1), (s3, c3) = ((ufl.sin(a * x[i]), ufl.cos(a * x[i])) for a, i in ((k1, 0), (k3, 2)))
@@ -87,11 +97,11 @@ def _ends(eps: float) -> float:
 
 
 def free(
-    eps: float, load: Vector = (0.3, -1.0), heights: tuple[float, float] = (0.5, 0.5), *,
-    lower: LinearElastic = FOURIER_BODY, upper: LinearElastic = FOURIER_BODY, **more: Any,
+    eps: float, load: Load = (0.3, -1.0), heights: Heights = (0.5, 0.5), *,
+    lower: LinearElastic = FOURIER_BODY, upper: LinearElastic = FOURIER_BODY, plane: str = "strain",
 ) -> Structure:
     """Two blocks, 1 wide, with free sides, clamped below, under a traction above."""
-    return free_blocks(_ends(eps), load, heights, h_S=ALONG, body={"LOWER": lower, "UPPER": upper}, **more)
+    return free_blocks(_ends(eps), load, heights, h_S=ALONG, body={"LOWER": lower, "UPPER": upper}, plane=plane)
 
 
 def displaced(eps: float) -> Structure:
@@ -182,7 +192,7 @@ class DroppedCase:
 
     name: str
     structure: Callable[[float], Structure]
-    layers: Callable[[float], Layers]
+    layers: Callable[[float], ThinLayer | dict[str, ThinLayer]]
     bodies: str = "kept"
     step: float = 0.0
     asked: tuple[goals.Goal, ...] = (goals.Compliance(),)
@@ -220,7 +230,7 @@ class Hardening(BulkLaw):
         return self.lmbda / 2 * ufl.tr(step.e) ** 2 + self.mu * square + self.c / 4 * square**2
 
 
-def soft(mu: float, nu: float) -> Callable[[float], ThinLayer]:
+def soft(mu: float, nu: float) -> LayerOfThickness:
     """Return thickness -> elastic layer; mu is the shear modulus over the thickness."""
     return of(LinearElastic.shear(mu, nu))
 
@@ -268,7 +278,7 @@ HARD, TENDER = shear(400.0, 0.3), shear(4.0, 0.3)  # plies
 FIBRES = Anisotropic(np.diag([200.0, 60.0, 90.0, 25.0, 30.0, 40.0]) + 20.0 * np.eye(6)[[1, 0, 2, 3, 4, 5]], "layer")
 
 
-def _plies(*laws: BulkLaw) -> Callable[[float], ThinLayer]:
+def _plies(*laws: BulkLaw) -> LayerOfThickness:
     """Return thickness -> layer of plies that are equally thick."""
     return of(Stack(*((1 / len(laws), law) for law in laws)))
 
@@ -325,7 +335,7 @@ def random_case(seed: int) -> tuple[float, DroppedCase]:
     load, on_rollers, eigenstrain = rng.normal(size=2), rng.random() < 0.3, -0.01 if rng.random() < 0.2 else None
     words = [type(ply).__name__ for ply in plies] + ["rollers"] * on_rollers + ["shrinks"] * (eigenstrain is not None)
 
-    def mean(u: Expr, model: Any) -> Expr:
+    def mean(u: Expr, model: InterfaceModel) -> Expr:
         along = fem.Constant(model.domain.mesh, np.array([0.6, 0.8]) / heights[1])
         return ufl.inner(along, u) * model.ds(model.domain.values("RIGHT/UPPER"))
 

@@ -13,15 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal, Unpack
 
 import numpy as np
 
 from forms import LinearElastic, MohrCoulomb
 from geometry import block
 from geometry.joint import Joint
-from studies.problems import STEEL
+from studies.problems import STEEL, StructureArguments
 from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting, solve
+from thinlayer.discretisation.coefficient import Load
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
@@ -59,9 +60,10 @@ class Loads:
     shown: tuple[float, float]
 
     @property
-    def tractions(self) -> dict[str, tuple[float, float]]:
-        """Both loads by side."""
-        return dict([self.pressure, self.shear])
+    def setup(self) -> StructureArguments:
+        """Arguments of the bar's `Structure`."""
+        tractions = dict([self.pressure, self.shear])
+        return {"body": STEEL, "supports": self.supports, "tractions": tractions, "element": "S2"}
 
 
 READINGS = {
@@ -94,10 +96,9 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
         for label, state in shown.items():
             table.extend({"loads": name, "model": label} | row for row in bar.profile(state))
         bar.check(shown)
-        ends = dict([*shown.items()][1:])
-        title = f"left end of a Mohr-Coulomb layer, loads {name}"
-        window, picture = (-2.0, 6.0, -1.6, 4.0), record.path(f"layer_end_{name}.png")
-        plotting.deformed(ends, plotting.View(scale=reading.scale, unit="mm", zoom=window), save=picture, title=title)
+        title, picture = f"left end of a Mohr-Coulomb layer, loads {name}", record.path(f"layer_end_{name}.png")
+        view = plotting.View(scale=reading.scale, unit="mm", zoom=(-2.0, 6.0, -1.6, 4.0))
+        plotting.deformed(dict([*shown.items()][1:]), view, save=picture, title=title)
     if "R1" in readings:
         bar = YieldingBar(record, "R1", READINGS["R1"], coarsest if quick else coarse)
         refine(record, bar, STEPS[: 3 if quick else None])
@@ -119,24 +120,22 @@ class YieldingBar:
     def __init__(self, record: Record, name: str, loads: Loads, sizes: tuple[float, float, float]) -> None:
         self.record, self.name, self.loads = record, name, loads
         self.joint = meshed(sizes)
-        self.surface = Surface(self.model(Structure.interface, 0.0, loads.tractions))
+        self.surface = Surface(self.model(Structure.interface, 0.0))
 
-    def model(self, kind: Callable[..., Model], h: float, tractions: dict[str, Any]) -> Model:
+    def model(self, kind: Callable[..., Model], h: float, **changed: Unpack[StructureArguments]) -> Model:
         """Model of the bar; its layer has the elastic fraction h."""
-        layer = ThinLayer(glue(h), EPS)
-        supports = self.loads.supports
-        return kind(Structure(self.joint, body=STEEL, supports=supports, tractions=tractions, element="S2"), layer)
+        return kind(Structure(self.joint, **self.loads.setup | changed), ThinLayer(glue(h), EPS))
 
     def solved(self, kind: Callable[..., Model], h: float) -> State:
         """The state under all loads, solved in one step."""
-        return self.record.solved(solve(self.model(kind, h, self.loads.tractions)))
+        return self.record.solved(solve(self.model(kind, h)))
 
     def sheared(self, steps: int) -> State:
         """The state of the interface model after the pressure in one step and then the shear in equal steps."""
         side, (x_part, y_part) = self.loads.shear
-        tractions = dict([self.loads.pressure]) | {side: lambda x, t: (t * x_part, t * y_part)}
+        tractions: dict[str, Load] = {**dict([self.loads.pressure]), side: lambda x, t: (t * x_part, t * y_part)}
         times = [float(t) for t in np.linspace(0, 1, steps + 1)[1:]]
-        return march(self.model(Structure.interface, 0.0, tractions), times, keep="last").last
+        return march(self.model(Structure.interface, 0.0, tractions=tractions), times, keep="last").last
 
     def profile(self, state: State) -> Table:
         """Table of h, displacement, traction and their tangential ratio along S; ratios near 0/0 are empty."""
@@ -154,8 +153,7 @@ class YieldingBar:
 
     def check(self, shown: dict[str, State]) -> None:
         """Check numbers against the independent code, and the elastic ratio where Fig. 3 shows it."""
-        record, mu = self.record, GLUE.mu / EPS
-        limit = next(iter(shown.values()))
+        record, mu, limit = self.record, GLUE.mu / EPS, next(iter(shown.values()))
         record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in shown.items()}
         record.check(f"{self.name}: Newton steps of the interface law, one load step", limit.report.iterations, high=7)
         profile = self.profile(limit)

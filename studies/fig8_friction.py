@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
+from studies.sweeping import Curves
 from thinlayer import Structure, Surface, Table, plotting, solve
 from thinlayer.running.record import Record
 
@@ -71,7 +71,7 @@ def in_tens(lmbda: float) -> str:
 
 def draw(record: Record) -> None:
     """Draw figures 7 and 8, nodes as dots, from table.csv."""
-    panels = {title: dict[str, Any]() for title in (STATUS, *PANELS)}
+    panels = {title: Curves() for title in (STATUS, *PANELS)}
     for number, (lmbda, part) in enumerate(record.load("table.csv").split("lmbda").items()):
         status = [str(row["status"]) for row in part.rows]
         name = f"{in_tens(lmbda)}: " + ", ".join(f"{status.count(level)} {level}" for level in LEVELS[:3])

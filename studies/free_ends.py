@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Unpack
 from unittest.mock import patch
 
 import numpy as np
@@ -21,11 +21,12 @@ from forms.tensors import Expr
 from geometry import block
 from geometry.joint import Joint
 from studies.half_strip import half_strip
-from studies.problems import FOURIER_BODY, free_blocks
+from studies.problems import FOURIER_BODY, Heights, StructureArguments, free_blocks
 from studies.sweeping import by_reaction, last_order
 from thinlayer import Structure, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation import applicability
 from thinlayer.discretisation.applicability import MIN_STIFFNESS_CONTRAST
+from thinlayer.discretisation.coefficient import Load
 from thinlayer.discretisation.state import State
 from thinlayer.errors import RangeWarning
 from thinlayer.running.record import Record
@@ -73,8 +74,14 @@ class EndCase:
         return f"{self.name.replace(', ', '_').replace(' ', '_')}.csv"
 
 
-def _blocks(eps: float, cells: float, load: Any = (0.3, -1.0), **choices: Any) -> Structure:
-    return free_blocks(eps / cells, load, **choices)
+def _blocks(
+    eps: float,
+    cells: float,
+    load: Load = (0.3, -1.0),
+    heights: Heights = (0.5, 0.5),
+    **more: Unpack[StructureArguments],
+) -> Structure:
+    return free_blocks(eps / cells, load, heights, **more)
 
 
 def _based(eps: float, cells: float) -> Structure:
@@ -143,12 +150,12 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
         end = half_strip(float(ratio))
         table.append(_row(end) | {"from_table": _difference(end)})
     record.check("largest difference from the package's table", np.nanmax(table["from_table"]), high=1e-8)
-    if not quick:
+    if quick:
+        _rates(record, CASES[:1], EPS[:2], CELLS // 2)
+    else:
         _nodes(record)
         _rates(record, CASES, EPS, CELLS)
         _rates(record, [EDGE], EPS[:2], CELLS_3D)
-    else:
-        _rates(record, CASES[:1], EPS[:2], CELLS // 2)
     _rates(record, RUBBER, EPS[:2] if quick else EPS, CELLS_RUBBER)
     _contrasts(record, SOFT_RATIOS[::2] if quick else SOFT_RATIOS, SOFT_EPS[:1] if quick else SOFT_EPS)
 
@@ -180,15 +187,15 @@ def _nodes(record: Record) -> None:
 
 def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, float]:
     """Errors of laws of order 1 on the inner part of S, and of the work of loads on top, for each treatment of ends."""
-    structure, errors, law = case.structure(eps, cells), {"eps": eps}, case.law
+    structure, row, law = case.structure(eps, cells), {"eps": eps}, case.law
     full = record.solved(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
     for kind, edges in KINDS.items():
         with warnings.catch_warnings(action="ignore", category=RangeWarning):  # says that ends are ignored
             limit = record.solved(solve(structure.interface(ThinLayer(law, eps, order=1, edges=edges, at=1.0))))
-        traction = by_reaction(full, limit, case.inner)["error_reaction"]
-        jump, work = compare(full, limit, where=case.inner)["error_jump"], _work_on_top(limit) / _work_on_top(full)
-        errors |= dict(zip((_column(what, kind) for what in WHAT), (traction, jump, abs(work - 1)), strict=True))
-    return errors
+        row[_column("traction", kind)] = by_reaction(full, limit, case.inner)["error_reaction"]
+        row[_column("jump", kind)] = compare(full, limit, where=case.inner)["error_jump"]
+        row[_column("work", kind)] = abs(_work_on_top(limit) / _work_on_top(full) - 1)
+    return row
 
 
 def _work_on_top(state: State) -> float:
@@ -208,14 +215,13 @@ def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cel
     for case in cases:
         table = record.sweep(partial(_errors, record, case, cells), sizes, case.file)
         for kind in KINDS:
-            row: dict[str, float | str] = {"structure": case.name, "ends": kind, "eps": sizes[-1]}
-            row |= {what: float(table[_column(what, kind)][-1]) for what in WHAT}
-            for what in WHAT:
-                row[f"order of {what}"] = order = last_order(table, _column(what, kind))
-                bounds = {"high": 1.3} if kind == IGNORED else {"low": case.lowest}
-                if kind != IGNORED or what in case.low:
-                    record.check(f"{case.name}, ends {kind}: last order of the {what}", order, **bounds)
-            rows.append(row)
+            errors = {what: float(table[_column(what, kind)][-1]) for what in WHAT}
+            orders = {what: last_order(table, _column(what, kind)) for what in WHAT}
+            for what in WHAT if kind == KNOWN else case.low:
+                bounds = {"low": case.lowest} if kind == KNOWN else {"high": 1.3}
+                record.check(f"{case.name}, ends {kind}: last order of the {what}", orders[what], **bounds)
+            orders = {f"order of {what}": order for what, order in orders.items()}
+            rows.append({"structure": case.name, "ends": kind, "eps": sizes[-1]} | errors | orders)
     record.say(rows)
 
 
@@ -250,9 +256,9 @@ def draw(record: Record) -> None:
             shown[f"ends {kind}"] = Table.of({"eps": table["eps"], **columns})
         title, save = f"{case.name}, order 1, inner half of S", record.path(case.file.replace(".csv", ".svg"))
         plotting.rates(shown, reference=2.0, title=title, save=save)
-    table, ratios = record.load("table.csv"), np.linspace(0.02, 0.4995, 200)
-    lines = Table(_row(free_end(float(ratio))) for ratio in ratios)
-    parts = {name: {"half strip": (table["nu"], table[name]), "shipped": (ratios, lines[name])} for name in DRAWN}
+    table, lines = record.load("table.csv"), Table(_row(free_end(float(nu))) for nu in np.linspace(0.02, 0.4995, 200))
+    curves = {"half strip": table, "shipped": lines}
+    parts = {name: {label: (rows["nu"], rows[name]) for label, rows in curves.items()} for name in DRAWN}
     units = {name: "over eps" for name in DRAWN if name != "kappa"}
     limits, save = {"c_N": (0.0, 3.0), "rho_N": (0.0, 3.0), "m_N/c_N": (0.0, 4.0)}, record.path("constants.svg")
     look = {"title": "constants of a free end between rigid faces", "styles": ("o", "-"), "ylim": limits}

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import basix.ufl
 import dolfinx.mesh
@@ -27,6 +26,7 @@ from forms.base import Array
 from forms.ends.constants import FreeEnd, flow_factor, lame_over_mu
 from forms.tensors import Expr
 from geometry.domain import create_mesh
+from geometry.topology import BoolArray
 
 MIDDLE = 0.5  # y of the middle line; the half of the strip below it is solved
 FAR = 14.0  # x at which fields that decay over the thickness are negligible
@@ -67,7 +67,7 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
     form = ufl.inner(stress(u, p), ufl.grad(v)) * dx + q * (ufl.div(u) - compliance * p) * dx
     K = fem.assemble_matrix(fem.form(form)).to_scipy().tocsr()
 
-    def dofs(space: fem.FunctionSpace, where: Callable[[Array], Any]) -> npt.NDArray[np.int32]:
+    def dofs(space: fem.FunctionSpace, where: Callable[[Array], BoolArray]) -> npt.NDArray[np.int32]:
         return np.asarray(fem.locate_dofs_geometrical((space, space.collapse()[0]), where)[0])
 
     faces = dofs(W.sub(0), lambda x: (x[1] < 1e-13) | np.isclose(x[0], x[0].max()))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import cos, radians, sin
-from typing import Any
 
 import numpy as np
 import ufl
@@ -22,8 +21,10 @@ from thinlayer import Structure, Surface, Table, ThinLayer, UflPart, plotting, s
 from thinlayer.discretisation.key import LAYER_KIND, Key
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
+from thinlayer.discretisation.supports import Support
 from thinlayer.running.record import Record
 from thinlayer.system.progress import track
+from thinlayer.system.table import Row
 
 EPS = (0.04, 0.02, 0.01, 0.005, 0.0025)
 BODY = LinearElastic.young(E=1.0, nu=0.2)
@@ -73,7 +74,7 @@ class JunctionCase:
 
     def structure(self, joint: Joint, *, meshed: bool) -> Structure:
         """Structure of the network; only the meshed model has stiff junctions."""
-        supports: dict[str, Any] = {"BOTTOM": 0.0, "TOP": dict(zip("xyz", SHIFT[: joint.dim], strict=False))}
+        supports: dict[str, Support] = {"BOTTOM": 0.0, "TOP": dict(zip("xyz", SHIFT[: joint.dim], strict=False))}
         parts = [UflPart(energy=stiff_fill)] if meshed and self.stiff else []
         return Structure(joint, body=BODY, supports=supports, parts=parts)
 
@@ -138,39 +139,35 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
         rows = compared(record, name, sizes) if sizes else []
         table.extend(rows)
         if len(rows) > 1:
-            check(record, name, rows)
+            check(record, name, Table(rows))
 
 
-def compared(record: Record, name: str, sizes: Sequence[float]) -> list[dict[str, Any]]:
+def compared(record: Record, name: str, sizes: Sequence[float]) -> list[Row]:
     """Rows of the table for one case, with observed orders."""
-    case, rows = CASES[name], list[dict[str, Any]]()
+    case, rows = CASES[name], list[Row]()
     for eps in sizes:
         joint = case.joint(eps)
         full = record.solved(solve(case.structure(joint, meshed=True).full(case.thin(eps), bodies=case.bodies)))
         by_law = record.solved(solve(case.structure(joint, meshed=False).interface(case.thin(eps))))
-        rows.append({"case": name, "eps": eps} | differences(case, full, by_law))
+        rows.append({"case": name, "eps": eps, **differences(case, full, by_law)})
         if eps == max(sizes) and name in PICTURED:
             states = {f"meshed layers, eps = {eps:g}": full, "interface laws": by_law}
             plotting.deformed(states, plotting.View(unit="widths"), save=record.path(PICTURED[name]), title=name)
-    for error in ERRORS:
-        for row, order in zip(rows, Table(rows).orders(error), strict=True):
-            row[f"order_{error}"] = order
-    return rows
+    orders = {f"order_{error}": Table(rows).orders(error) for error in ERRORS}
+    return [row | {name: values[k] for name, values in orders.items()} for k, row in enumerate(rows)]
 
 
 def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, float]:
     """Relative L2 differences on S, relative difference of the energies, and the share of junctions in the energy."""
-    surface = Surface(by_law.model)
+    surface, energy = Surface(by_law.model), stored_in(full)
     inner = far_from_junctions(surface, case.distance)
-    fields = {
-        "jump": (Surface.jump, 1),
-        "inner_jump": (Surface.jump, inner),
-        "inner_traction": (Surface.traction, inner),
+    return {
+        "jump": difference(surface, Surface.jump, full, by_law),
+        "inner_jump": difference(surface, Surface.jump, full, by_law, inner),
+        "inner_traction": difference(surface, Surface.traction, full, by_law, inner),
+        "energy": abs(energy / stored_in(by_law) - 1),
+        "in_junctions": in_junctions(case, full) / energy,
     }
-    errors = {name: difference(surface, field, full, by_law, part) for name, (field, part) in fields.items()}
-    full_energy, limit_energy = (stored_in(state) for state in (full, by_law))
-    energies = {"energy": abs(full_energy / limit_energy - 1), "in_junctions": in_junctions(case, full) / full_energy}
-    return errors | energies
 
 
 def stored_in(state: State) -> float:
@@ -179,19 +176,18 @@ def stored_in(state: State) -> float:
     return sum(energy for key, energy in state.energies().items() if key not in skipped)
 
 
-def check(record: Record, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
+def check(record: Record, name: str, rows: Table) -> None:
     """Check the orders of one case."""
-    orders = {error: [row[f"order_{error}"] for row in rows[1:]] for error in ERRORS}
-    case = CASES[name]
+    case, orders = CASES[name], {error: rows[f"order_{error}"][1:] for error in ERRORS}
     if case.stiff and case.refined:
-        growth = np.diff([1 / row["energy"] for row in rows]) / -np.diff(np.log([row["eps"] for row in rows]))
+        growth = np.diff(1 / rows["energy"]) / -np.diff(np.log(rows["eps"]))
         if len(growth) > 1:
             what = "growth of 1 / error of the energy with -log eps, the last over the one before"
             record.check(f"{name}: {what}", growth[-1] / growth[-2], low=0.8, high=1.25)
         return
     if case.stiff:
         record.check(f"{name}: last order of the inner jump", orders["inner_jump"][-1], high=0.3)
-        record.check(f"{name}: error of the inner jump that is left", rows[-1]["inner_jump"], low=0.025)
+        record.check(f"{name}: error of the inner jump that is left", rows["inner_jump"][-1], low=0.025)
         return
     for error in ("inner_jump", "inner_traction"):
         what = f"order of the {error.replace('_', ' ')}"

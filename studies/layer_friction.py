@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from forms import MohrCoulomb, MohrCoulombMonodirectional, formulas
+from forms.base import Array
+from studies.sweeping import Curves
 from thinlayer import Table, plotting
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.pointwise.drive import PointHistory, drive
 from thinlayer.running.record import Record
 
-Array = npt.NDArray[np.floating[Any]]
 LMBDA, MU = 60.0, 40.0
 NU = LMBDA / (2 * (LMBDA + MU))
 OMEGA = 30.0
@@ -41,8 +41,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         record: where to write.
         quick: longer steps.
     """
-    steps = 100 if quick else 400
-    law = MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
+    steps, law = 100 if quick else 400, MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
     mono = MohrCoulombMonodirectional(LMBDA, MU, 0.0, OMEGA)
     curves: dict[str, PointHistory] = {
         HELD_STRESS: drive(law, stress_held(steps)),
@@ -53,28 +52,26 @@ def run(record: Record, *, quick: bool = False) -> None:
         f"{PLANES}, {HELD_JUMP}": drive(mono, opening_held(steps)),
     }
     for psi, name in DILATANT.items():
-        flowing = MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi)
+        flowing = replace(law, dilatancy_angle=psi)
         curves[name] = drive(flowing, stress_held(steps))
         curves[f"{name}, {HELD_JUMP}"] = drive(flowing, opening_held(steps))
     table = record.table("table.csv")
     for name, history in curves.items():
         shear, friction = MU * history.jumps[:, 0] / PRESSURE, ratio(history)
-        columns = {name: history.table[name] for name in history.table.columns}
+        columns = {column: history.table[column] for column in history.table.columns}
         table.extend(Table.of({"path": name, "shear": shear, "friction": friction, **columns}))
 
-    fixed_opening = curves[HELD_JUMP]
-    exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, fixed_opening.jumps[:, 0])
-    error = np.abs(fixed_opening.tractions - exact).max()
+    held = curves[HELD_JUMP]
+    exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, held.jumps[:, 0])
+    error, maximum = np.abs(held.tractions - exact).max(), float(np.nanmax(ratio(curves[UNLOADED])))
     record.check("largest error against the closed form, opening held", error, high=6 / steps)
-    maximum = float(np.nanmax(ratio(curves[UNLOADED])))
     record.check_near("largest friction while the normal stress is taken away", maximum, tangent(), 1e-5)
     for name, path in {HELD_JUMP: opening_held, HELD_STRESS: stress_held}.items():
         friction = ratio(drive(law, path(60, LASTING)))[-1]
         record.check_near(f"lasting friction, {name}", friction, np.sin(np.radians(OMEGA)), 1e-6)
     for psi in DILATANCIES[:2]:
-        history = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA, dilatancy_angle=psi), stress_held(60, LASTING))
-        expected = formulas.apparent_friction(OMEGA, psi)
-        record.check_near(f"lasting friction, psi = {psi:g}", ratio(history)[-1], expected, 5e-7)
+        friction = ratio(drive(replace(law, dilatancy_angle=psi), stress_held(60, LASTING)))[-1]
+        record.check_near(f"lasting friction, psi = {psi:g}", friction, formulas.apparent_friction(OMEGA, psi), 5e-7)
     record.check_near(f"lasting friction, {PLANES}", ratio(curves[PLANES])[-1], tangent(), 1e-12)
 
 
@@ -92,7 +89,7 @@ def tangent() -> float:
 # ---------------------------------------------------------------- paths
 def shears(steps: int, end: float) -> Array:
     """Values of w_T at the ends of equal steps from 0."""
-    return np.linspace(0, end * PRESSURE / MU, steps + 1)[1:]
+    return np.linspace(0, end * PRESSURE / MU, steps + 1, dtype=np.float64)[1:]
 
 
 def opening_held(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
@@ -127,14 +124,14 @@ def draw(record: Record) -> None:
     shown = {PATHS: (UNLOADED, HELD_STRESS, HELD_JUMP, PROPORTIONAL), FLOW: (HELD_STRESS, *DILATANT.values(), PLANES)}
     straight = {PATHS: {"tan(Omega)": tan, "sin(Omega)": sin, "first yield": formulas.first_yield_ratio(NU, OMEGA)}}
     straight[FLOW] = {"tan(Omega)": tan, "sin(Omega)": sin} | dict(zip(DAVIS, davis, strict=True))
-    parts: dict[str, dict[str, tuple[Any, Any]]] = {}
+    panels = dict[str, Curves]()
     for title, paths in shown.items():
-        parts[title] = {path: (curves[path]["shear"], curves[path]["friction"]) for path in paths}
-        parts[title] |= {name: ([0.0, SHEAR], [value, value]) for name, value in straight[title].items()}
+        panels[title] = {path: (curves[path]["shear"], curves[path]["friction"]) for path in paths}
+        panels[title] |= {name: (np.array([0.0, SHEAR]), np.full(2, value)) for name, value in straight[title].items()}
     styles = {"tan(Omega)": ":", "sin(Omega)": "--", "first yield": ":"} | dict.fromkeys(DAVIS, "-.")
     colours = dict(zip((*DILATANT.values(), PLANES), (*COLOURS[4:], "0.3"), strict=True))
     colours |= dict.fromkeys(("tan(Omega)", "sin(Omega)"), "black") | dict.fromkeys(("first yield", *DAVIS), "0.5")
     title = f"Mohr-Coulomb layer, Omega = {OMEGA:g}°: its lasting friction is sin(Omega), not tan(Omega)"
     labels = ("shear mu w_T over the pressure at the start", "apparent friction t_T / |t_N|")
     look = {"styles": styles, "colours": colours, "ylim": (0.0, 0.65), "save": record.path("friction.svg")}
-    plotting.curves(parts, *labels, title=title, **look)
+    plotting.curves(panels, *labels, title=title, **look)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
@@ -15,11 +15,12 @@ from thinlayer.output.plotting.picture import Picture, finish_picture
 RANGES = ("#5e9bc8", "#b7dfc0", "#fff7b0", "#f8b26a", "#dd5a4d")  # colours of the ranges, from the lowest values
 CELL, MARGIN = (0.37, 0.25), (0.45, 0.35)  # inches: of a cell, and of a panel around its cells
 SIZE = 8  # size of text, points: 6 in print, where two columns fill 170 mm
+Panel = tuple[npt.ArrayLike, npt.NDArray[np.str_]]  # values of cells, texts of cells
 Axis = tuple[str, Sequence[str]]  # label of the axis, labels of its columns or rows
 
 
 def maps(
-    parts: Mapping[str, tuple[Any, Any]], x: Axis, y: Axis, ranges: Mapping[str, float], *, title: str, save: Path
+    parts: Mapping[str, Panel], x: Axis, y: Axis, ranges: Mapping[str, float], *, title: str, save: Path
 ) -> Picture:
     """Draw values over two axes as cells, in panels in two columns with one legend.
 
@@ -34,15 +35,13 @@ def maps(
     rows = -(-len(parts) // columns)
     width, height = (len(axis[1]) * cell + margin for axis, cell, margin in zip((x, y), CELL, MARGIN, strict=True))
     figure = Picture(figsize=(width * columns, height * rows + 1.4), layout="constrained")
-    colours = RANGES[: len(ranges)]
-    norm = BoundaryNorm([-np.inf, *ranges.values()], len(ranges))
+    colours, norm = RANGES[: len(ranges)], BoundaryNorm([-np.inf, *ranges.values()], len(ranges))
     for k, (label, (values, texts)) in enumerate(parts.items()):
         axes = figure.add_subplot(rows, columns, k + 1)
-        cells = np.ma.masked_invalid(np.asarray(values, float))
+        cells, last = np.ma.masked_invalid(np.asarray(values, float)), k >= len(parts) - columns
         axes.pcolormesh(cells, cmap=ListedColormap(colours), norm=norm, edgecolors="white")
         for (i, j), text in np.ndenumerate(texts):
             axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=SIZE)
-        last = k >= len(parts) - columns
         axes.set_xticks(np.arange(len(x[1])) + 0.5, x[1] if last else [], rotation=60, fontsize=SIZE)
         axes.set_yticks(np.arange(len(y[1])) + 0.5, y[1] if k % columns == 0 else [], fontsize=SIZE)
         axes.tick_params(length=0)

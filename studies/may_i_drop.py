@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import ufl
@@ -30,7 +28,8 @@ from thinlayer.estimating.result import ESTIMATED_FIELDS, Estimate
 from thinlayer.output.plotting.curves import fraction
 from thinlayer.pointwise.quadrature import assemble_values
 from thinlayer.running.record import Record
-from thinlayer.solving.history import History
+from thinlayer.solving.history import Solution
+from thinlayer.surface.surface_mesh import Where as SurfacePart
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 
@@ -131,7 +130,7 @@ class Dropped:
         assert isinstance(model, InterfaceModel)
         before = self.estimate.goals
         changes = {goal.name: goal.value(self.full, model) - before[goal.name].value for goal in self.case.asked}
-        return self._on_s(self.full, lambda _: 1.0) | changes
+        return self._on_s(self.full) | changes
 
     @property
     def estimated(self) -> dict[str, float]:
@@ -141,26 +140,22 @@ class Dropped:
 
     def inner(self, state: State) -> dict[str, float]:
         """Relative changes of traction and jump to a state on the inner half of S, from x = 1/4 to 3/4."""
-
-        def part(on: Surface) -> Any:
-            return abs(on.x[0] - 0.5) < INNER if self.case.inner else 1.0
-
+        part = (lambda x: abs(x[0] - 0.5) < INNER) if self.case.inner else 1.0
         return self._on_s(state, part, Surface.reaction)  # as in the other program
 
     def _on_s(
-        self, state: State, part_of: Callable[[Surface], Any], traction: Field = Surface.traction
+        self, state: State, part: SurfacePart | float = 1.0, traction: Field = Surface.traction
     ) -> dict[str, float]:
         squares = np.zeros((2, 2))
         for name in self.estimate.layers:
             surface = Surface(self.estimate.better.model, name)
-            part = part_of(surface)
             for row, field in zip(squares, (traction, Surface.jump), strict=True):
                 before = field(surface, self.estimate.state)
                 row += surface.norm(field(surface, state) - before, part) ** 2, surface.norm(before, part) ** 2
         return {name: math.sqrt(change / size) for name, (change, size) in zip(ESTIMATED_FIELDS, squares, strict=True)}
 
 
-def solved(case: DroppedCase, model: Model) -> State | History:
+def solved(case: DroppedCase, model: Model) -> Solution:
     """The state of a model, or the history of the case's step."""
     with unwarned():
         return march(model, [case.step]) if case.step else solve(model)
@@ -168,17 +163,16 @@ def solved(case: DroppedCase, model: Model) -> State | History:
 
 def effectivities(dropped: Dropped) -> tuple[dict[str, float], list[dict[str, float | str]]]:
     """True changes, and estimated over true changes: a row for traction and jump, and a row for each goal."""
-    truth, estimated = dropped.truth, dropped.estimated
-    row = {f"true_{name}": truth[name] for name in ESTIMATED_FIELDS}
-    row |= {name: estimated[name] / truth[name] for name in ESTIMATED_FIELDS}
-    asked: list[dict[str, float | str]] = []
+    truth, asked = dropped.truth, list[dict[str, float | str]]()
+    ratios = {name: estimated / truth[name] for name, estimated in dropped.estimated.items()}
     for name, goal in dropped.estimate.goals.items():
-        changes = {"true": truth[name] / goal.value, "effectivity": estimated[name] / truth[name]}
         true, least = goal.value + truth[name], ROUNDING * abs(goal.value)
         outside = goal.bounded and not goal.lower - least <= true <= goal.upper + least
-        changes["width"] = (goal.upper - goal.lower) / abs(truth[name])
-        asked.append({"goal": name, **changes, "told": float(not (goal.zero or goal.fixed)), "outside": float(outside)})
-    return row, asked
+        flags = {"told": float(not (goal.zero or goal.fixed)), "outside": float(outside)}
+        changes = {"true": truth[name] / goal.value, "effectivity": ratios[name]}
+        asked.append({"goal": name, **changes, "width": (goal.upper - goal.lower) / abs(truth[name]), **flags})
+    row = {f"true_{name}": truth[name] for name in ESTIMATED_FIELDS}
+    return row | {name: ratios[name] for name in ESTIMATED_FIELDS}, asked
 
 
 # ---------------------------------------------------------------- along S
@@ -214,9 +208,8 @@ def along(dropped: Dropped) -> Table:
 def _of_layer(dropped: Dropped, at: Array) -> Array:
     """Work of the meshed layer's stress in the strain of v, see `along`, distributed to the columns at x."""
     model, state, layers = dropped.full.model, dropped.full, dropped.estimate._layers
-    V, Q, comm = model.V, fem.functionspace(model.domain.mesh, ("Lagrange", 1)), model.comm
-    v, q = fem.Function(V), ufl.TestFunction(Q)
-    x = V.tabulate_dof_coordinates()[:, :2]
+    Q, comm = fem.functionspace(model.domain.mesh, ("Lagrange", 1)), model.comm
+    v, q, x = fem.Function(model.V), ufl.TestFunction(Q), model.V.tabulate_dof_coordinates()[:, :2]
     inner = np.flatnonzero(np.abs(x[:, 1]) <= dropped.eps / 2 * (1 + 1e-9))
     faces = layers.at_faces(dropped.estimate.state.u.x.array)
     bent = Probe(layers.state(layers.dirichlet_displacements(faces, layers.load, layers.values)))
@@ -240,15 +233,15 @@ PANELS = {
 
 def draw(record: Record) -> None:
     """Draw the effectivities of all cases, and changes along S of one of them, from the tables."""
-    parts, names = dict[str, dict[str, tuple[Any, Any]]](), dict[str, list[str]]()
+    parts, names = dict[str, dict[str, tuple[list[float], list[int]]]](), dict[str, list[str]]()
     for case, rows in record.load("effectivities.csv").split("case").items():
         group, _, name = case.partition(": ")
         names.setdefault(group, []).append(name)
         for field in ESTIMATED_FIELDS:
             for eps, value in zip(rows["eps"], rows[field], strict=True):
-                label = f"{field}, eps = {fraction(eps)}"
-                x, y = parts.setdefault(group, {}).get(label, ((), ()))
-                parts[group][label] = (*x, value), (*y, len(names[group]) - 1)
+                x, y = parts.setdefault(group, {}).setdefault(f"{field}, eps = {fraction(eps)}", ([], []))
+                x.append(value)
+                y.append(len(names[group]) - 1)
     look = {"styles": ("o", "s", "x", "+"), "columns": 2, "levels": names, "save": record.path("effectivities.svg")}
     plotting.curves(parts, "1: the estimate is right", title="estimated over true changes", xlim=(0.98, 1.02), **look)
     table = record.load("along.csv")

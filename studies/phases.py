@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import ufl
@@ -13,8 +12,7 @@ from forms.base import Array
 from forms.tensors import Expr
 from forms.traction import JumpStep
 from geometry import sandwich
-from geometry.joint import Joint
-from studies.problems import FOURIER_BODY, WALLS, phases_on_s
+from studies.problems import FOURIER_BODY, WALLS, Problem, StructureArguments, phases_on_s
 from studies.sweeping import Tables, last, last_order
 from thinlayer import Surface
 from thinlayer.discretisation.state import State
@@ -78,21 +76,21 @@ PRINTED, ONE_BRANCH = Formula.of(CASES[""][0], K_N=100.0), Formula.of(CASES[""][
 SMALL_GAIN = Formula.of(CASES["across"][0], G=1 / 140)
 
 
-def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> tuple[Joint, dict[str, Any]]:
+def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Problem:
     """Two blocks, 2 wide, 0.5 high, under (shear sin(pi x), pull cos(pi x/2)) on top; joint, arguments of `Structure`.
 
     This is a traction; with `moved` it is a displacement, times t. The lower side is clamped, the lateral sides are on
     rollers.
     """
-    joint = sandwich(2.0, 0.5, 0.5, h, cell="quadrilateral", structured=True)
 
-    def top(x: Any, t: Any) -> tuple[Any, Any]:
+    def top(x: Expr, t: Expr) -> tuple[Expr, Expr]:
         share = t if moved else 1
         return share * shear * ufl.sin(ufl.pi * x[0]), share * pull * ufl.cos(ufl.pi * x[0] / 2)
 
-    moves = {"TOP": {"x": lambda x, t: top(x, t)[0], "y": lambda x, t: top(x, t)[1]}}
-    data = {"supports": WALLS | (moves if moved else {}), "tractions": {} if moved else {"TOP": top}}
-    return joint, {"body": FOURIER_BODY} | data
+    setup: StructureArguments = {"body": FOURIER_BODY, "supports": WALLS, "tractions": {} if moved else {"TOP": top}}
+    if moved:
+        setup["supports"] = WALLS | {"TOP": {"x": lambda x, t: top(x, t)[0], "y": lambda x, t: top(x, t)[1]}}
+    return sandwich(2.0, 0.5, 0.5, h, cell="quadrilateral", structured=True), setup
 
 
 def along_s(state: State, _: Surface) -> dict[str, Array]:
@@ -121,12 +119,12 @@ def snaps(full: Solution, limit: Solution) -> dict[str, float]:
     """Shares; number of snaps on S; both models' relative differences in snap times (largest) and total energy lost."""
     assert isinstance(full, History)
     assert isinstance(limit, History)
-    row = shares(full, limit) | {"snaps": len(limit.snaps), "error_times": np.nan, "error_lost": np.nan}
+    row, times, lost = shares(full, limit) | {"snaps": len(limit.snaps)}, np.nan, np.nan
     meshed, on_s = (np.array([(snap.t, snap.lost) for snap in march.snaps]).reshape(-1, 2) for march in (full, limit))
     if len(meshed) == len(on_s) > 0:
-        row["error_times"] = float(abs(meshed - on_s)[:, 0].max() / on_s[-1, 0])
-        row["error_lost"] = float(abs(meshed[:, 1].sum() / on_s[:, 1].sum() - 1))
-    return row
+        times = float(abs(meshed - on_s)[:, 0].max() / on_s[-1, 0])
+        lost = float(abs(meshed[:, 1].sum() / on_s[:, 1].sum() - 1))
+    return row | {"error_times": times, "error_lost": lost}
 
 
 def same_snaps(record: Record, tables: Tables) -> None:

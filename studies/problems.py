@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TypedDict, Unpack
 
 import numpy as np
 import ufl
@@ -15,27 +15,53 @@ from scipy.linalg import expm
 
 from forms import BulkLaw, LinearElastic, MohrCoulomb
 from forms.base import Array
+from forms.tensors import Expr
 from geometry import block, read, ring, sandwich
-from geometry.joint import Joint
+from geometry.joint import Joint, Profile
+from geometry.shapes.sizing import GridArgs
+from geometry.topology import BoolArray
 from thinlayer import Structure, Surface, ThinLayer, piecewise
+from thinlayer.discretisation.coefficient import Load
+from thinlayer.discretisation.forces import BodyForce
+from thinlayer.discretisation.part_definition import PartDefinition
 from thinlayer.discretisation.state import State
+from thinlayer.discretisation.supports import ByPlace, Place, Support
 
 FOURIER_BODY = LinearElastic.young(E=100.0, nu=0.3)
 FOURIER_LAYER = LinearElastic(lmbda=60.0, mu=40.0)
 MORTAR = MohrCoulomb(60.0, 40.0, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # for `sheared`
 BAR = LinearElastic.young(E=130e3, nu=0.2)  # MPa, section 8.2 of the paper
-WALLS: dict[Any, Any] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}  # clamped below, between rollers
+WALLS: dict[Place, Support] = {"BOTTOM": 0.0, "LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}}  # clamped below, between rollers
 CHI = np.array([[0.0, 0.3], [0.3, 1.0]])  # a layer changes phase as it opens and is sheared
-SNAPPING: dict[str, Any] = {"lmbda": 1.0, "mu": 1.0, "alpha": 1.2, "transformation_energy": 0.9, "chi": CHI}
+SNAPPING = (1.0, 1.0, 1.2, 0.9, CHI)  # lmbda, mu, alpha, transformation energy and chi of a layer that snaps
 SHEAR = 5.0  # largest shear on the upper side in `sheared`, over the pressure there
 
 
-def of(law: BulkLaw, at: float | None = 1.0, **choices: Any) -> Callable[[float], ThinLayer]:
+class StructureArguments(TypedDict, total=False):
+    """Arguments of `Structure` in addition to the joint."""
+
+    body: BulkLaw | Mapping[str, BulkLaw]
+    supports: ByPlace
+    tractions: Mapping[str, Load]
+    body_force: BodyForce
+    plane: str
+    element: str
+    parts: Sequence[PartDefinition]
+    eigenstrain: Mapping[str, float]
+
+
+Problem = tuple[Joint, StructureArguments]
+Heights = tuple[float, float]  # of the lower and the upper block
+LayerOfThickness = Callable[[float], ThinLayer]
+LoadPath = Mapping[float, tuple[float, float, float]]  # time -> p, r and q of `pressed`, linear in between
+
+
+def of(law: BulkLaw, at: float | None = 1.0, order: int = 0, profile: Profile | None = None) -> LayerOfThickness:
     """Return thickness -> layer; the law's parameters are valid at the thickness `at`, for None at each thickness."""
-    return partial(ThinLayer, law, at=at, **choices)
+    return partial(ThinLayer, law, at=at, order=order, profile=profile)
 
 
-def fourier(h: float, *, cell: str = "triangle") -> tuple[Joint, dict[str, Any]]:
+def fourier(h: float, *, cell: str = "triangle") -> Problem:
     """Two blocks, 1 wide and 0.5 high, under a traction with one half-wave; its solution is a single Fourier mode.
 
     The lower side is clamped, the lateral sides (the layer's too) are on rollers, the upper side carries
@@ -81,29 +107,28 @@ class Wave:
     def solved(self, lmbda: float, mu: float, eps: float) -> tuple[Array, Array, float]:
         """Amplitudes of the layer's mean traction (S, T) and of its jump (U, V); work of the load over a half-wave of 1."""
         body, layer = self.across(*self.body, self.height), self.across(lmbda, mu, eps)
-        load = np.array(self.load)
-        below = body @ np.append(np.zeros(2), np.linalg.solve((body @ layer @ body)[2:, 2:], load))
+        below = body @ np.append(np.zeros(2), np.linalg.solve((body @ layer @ body)[2:, 2:], self.load))
         above = layer @ below
-        return (above + below)[2:] / 2, (above - below)[:2], float(load @ (body @ above)[:2]) / 2
+        return (above + below)[2:] / 2, (above - below)[:2], float(self.load @ (body @ above)[:2]) / 2
 
 
 def free_blocks(
     h_ends: float,
-    load: Any = (0.3, -1.0),
-    heights: tuple[float, float] = (0.5, 0.5),
+    load: Load = (0.3, -1.0),
+    heights: Heights = (0.5, 0.5),
     *,
     h_S: float = 1 / 32,
-    **more: Any,
+    **more: Unpack[StructureArguments],
 ) -> Structure:
     """Two blocks, 1 wide, with free sides, clamped below, under a traction on top.
 
     Cells have the size h_S on S, and h_ends at the ends of S.
     """
-    setup: dict[str, Any] = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}}
+    setup: StructureArguments = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}}
     return Structure(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), **setup | more)
 
 
-def pressed(h: float, path: Mapping[Any, tuple[float, float, float]]) -> tuple[Joint, dict[str, Any]]:
+def pressed(h: float, path: LoadPath) -> Problem:
     """Two blocks, 2 wide and 0.5 high, pressed together more at one end than at the other, and sheared.
 
     The lower side is clamped, the lateral sides (the layer's too) are on rollers, so that nothing is singular at the ends
@@ -121,25 +146,25 @@ def pressed(h: float, path: Mapping[Any, tuple[float, float, float]]) -> tuple[J
     joint = sandwich(2.0, 0.5, 0.5, h, cell="quadrilateral", structured=True)
     loads = piecewise(path)
 
-    def top(x: Any, t: Any) -> tuple[Any, Any]:
+    def top(x: Expr, t: Expr) -> tuple[Expr, Expr]:
         p, r, q = loads(x, t)
         return q * ufl.sin(ufl.pi * x[0] / 2), -p - r * ufl.cos(ufl.pi * x[0] / 2)
 
     return joint, {"body": FOURIER_BODY, "supports": WALLS, "tractions": {"TOP": top}}
 
 
-def sheared(h: float) -> tuple[Joint, dict[str, Any]]:
+def sheared(h: float) -> Problem:
     """The blocks of `fourier` under pressure, sheared up to t = 1 and then back; joint, arguments of `Structure`."""
     joint, setup = fourier(h, cell="quadrilateral")
 
-    def load(x: Any, t: Any) -> tuple[Any, Any]:
+    def load(x: Expr, t: Expr) -> tuple[Expr, Expr]:
         shear = SHEAR * ufl.conditional(ufl.lt(t, 1), t, 2 - t)
         return shear * ufl.sin(ufl.pi * x[0]), -1 + 0.3 * ufl.cos(ufl.pi * x[0])
 
     return joint, setup | {"tractions": {"TOP": load}}
 
 
-def sliding_bar(n: int, *, depth: bool = False, **cells: Any) -> tuple[Joint, dict[str, Any]]:
+def sliding_bar(n: int, *, depth: bool = False, **cells: Unpack[GridArgs]) -> Problem:
     """The bar of Fig. 7: a square of 40 mm, in plane strain, pushed along a rigid base AB by 100 MPa and onto it by 50 MPa.
 
     u_1 = 0 on the right side, and its lower corner B is fixed. With `depth` it is a cube whose back side is on rollers,
@@ -154,12 +179,12 @@ def sliding_bar(n: int, *, depth: bool = False, **cells: Any) -> tuple[Joint, di
         The joint, and the arguments of its `Structure`.
     """
     side = 40.0
-    joint = block(side, side, side / n, depth=side if depth else None, **{"structured": True} | cells)
-    supports: dict[Any, Any] = {"RIGHT": {"x": 0.0}}
-    supports |= {"BACK": {"z": 0.0}} if depth else {(side, 0.0): 0.0}
+    cells.setdefault("structured", True)
+    joint = block(side, side, side / n, depth=side if depth else None, **cells)
+    fixed: dict[Place, Support] = {"BACK": {"z": 0.0}} if depth else {(side, 0.0): 0.0}
     zero = (0.0,) if depth else ()
     loads = {"LEFT": (100.0, 0.0, *zero), "TOP": (0.0, -50.0, *zero)}
-    return joint, {"body": BAR, "supports": supports, "tractions": loads, "element": "P1"}
+    return joint, {"body": BAR, "supports": {"RIGHT": {"x": 0.0}, **fixed}, "tractions": loads, "element": "P1"}
 
 
 # ---------------------------------------------------------------- joints as they are built, in mm or m, and MPa
@@ -173,24 +198,24 @@ WEIGHT = (0.0, -0.025)  # MN/m^3
 ARCH_RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two thirds of their length
 
 
-def glued_hub(h: float) -> tuple[Joint, dict[str, Any]]:
+def glued_hub(h: float) -> Problem:
     """A hollow shaft, fixed inside, glued into a hub pushed down on its upper half; joint, arguments of `Structure`."""
     tractions = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / RADII[2], 0.0))}
-    setup = {"body": {"INNER": STEEL, "OUTER": ALUMINIUM}, "supports": {"INSIDE": 0.0}, "tractions": tractions}
-    return ring(*RADII, h=h, cell="quadrilateral", degree=2), setup
+    joint, bodies = ring(*RADII, h=h, cell="quadrilateral", degree=2), {"INNER": STEEL, "OUTER": ALUMINIUM}
+    return joint, {"body": bodies, "supports": {"INSIDE": 0.0}, "tractions": tractions}
 
 
-def arch(element: str) -> tuple[Joint, dict[str, Any]]:
+def arch(element: str) -> Problem:
     """Five stones, from a mesh file, under their weight and a load on the right half; all four joints are one seam."""
     tractions = {"EXTRADOS": lambda x, t: (0.0, ufl.conditional(x[0] > 0, -0.4, -0.1))}
-    loaded = {"supports": {"SPRINGINGS": 0.0}, "tractions": tractions, "body_force": WEIGHT}
-    joint = read(MESH, S="JOINTS", lower="ODD STONES", upper="EVEN STONES")
-    return joint, {"body": STONE, "element": element, **loaded}
+    setup: StructureArguments = {"body": STONE, "tractions": tractions, "body_force": WEIGHT, "element": element}
+    setup["supports"] = {"SPRINGINGS": 0.0}
+    return read(MESH, S="JOINTS", lower="ODD STONES", upper="EVEN STONES"), setup
 
 
-def inside_joints(x: Any) -> Any:
+def inside_joints(x: Array) -> BoolArray:
     """Whether points x are away from the ends of the arch's joints."""
-    return abs(np.sqrt(x[0] ** 2 + x[1] ** 2) - ARCH_RADIUS) < MIDDLE
+    return np.asarray(abs(np.sqrt(x[0] ** 2 + x[1] ** 2) - ARCH_RADIUS) < MIDDLE)
 
 
 def phases_on_s(state: State) -> tuple[Array, Array]:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
 
 from forms import LinearElastic, VonMises, formulas
+from forms.tensors import Expr
 from geometry import block, ring, sandwich
 from geometry.joint import Joint
+from studies.problems import StructureArguments
+from studies.sweeping import Curves
 from thinlayer import Structure, Surface, Table, ThinLayer, march, plotting
 from thinlayer.discretisation.state import State
+from thinlayer.discretisation.supports import Support
 from thinlayer.running.record import Record
 
 K = 1.0  # yield stress in shear; all stresses of the punch and the cylinder are relative to it
@@ -68,21 +71,21 @@ def punched(record: Record, cells: Sequence[int]) -> None:
     """Push the punch into the block on each mesh, and check its pressure."""
     table, limit = record.table("punch.csv"), formulas.prandtl_pressure(K)
     metal = VonMises.young(E=1000.0, nu=0.45, strength=STRENGTH)
-    supports: dict[str, Any] = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "PUNCH": {"x": 0.0, "y": lambda x, t: -t}}
+    supports: dict[str, Support] = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "PUNCH": {"x": 0.0, "y": lambda x, t: -t}}
     errors = []
     for n in cells:
         model = Structure(half_space(n), body=metal, supports=supports).bonded()
         history = record.solved(march(model, SUNK, keep="last", observe={"pressure": pressure}))
-        over = history.table["pressure"] / limit
-        table.extend(Table.of({"n": n, "sunk": history.t, "pressure": history.table["pressure"], "over": over}))
-        errors.append(float(history.table["pressure"][-1]) / limit - 1)
+        pressures = history.table["pressure"]
+        table.extend(Table.of({"n": n, "sunk": history.t, "pressure": pressures, "over": pressures / limit}))
+        errors.append(float(pressures[-1]) / limit - 1)
     record.check("pressure under the punch on the finest mesh, over (2 + pi) k", 1 + errors[-1], low=0.99, high=1.01)
     record.check("its error there over that on the coarsest mesh", errors[-1] / errors[0], low=0.0, high=0.4)
 
 
 # ---------------------------------------------------------------- cylinder
-def cylinders(h: float) -> dict[str, tuple[dict[str, Any], str, str]]:
-    """Name -> arguments of `Structure`, and names of the boundaries inside and outside, for two models of the cylinder.
+def cylinders(h: float) -> dict[str, tuple[Joint, StructureArguments, str, str]]:
+    """Name -> joint, arguments of `Structure`, names of the boundaries inside and outside, for two models of the cylinder.
 
     One is a quarter of its cross section in plane strain. The other is axisymmetric, and its ends do not move along the
     axis. S is the cylinder of radius CUT in both.
@@ -91,30 +94,27 @@ def cylinders(h: float) -> dict[str, tuple[dict[str, Any], str, str]]:
     quarter = ring(c.a, CUT, c.b, h, angle=math.pi / 2, cell="triangle", degree=2)
     wall = sandwich(0.5, CUT - c.a, c.b - CUT, h, structured=True).rotated(-math.pi / 2).moved((CUT, 0.0))
 
-    def inside(x: Any, t: Any) -> tuple[Any, Any]:
+    def inside(x: Expr, t: Expr) -> tuple[Expr, Expr]:
         r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
         return t * x[0] / r, t * x[1] / r
 
-    plane = {"joint": quarter, "supports": {"START": {"y": 0.0}, "END": {"x": 0.0}}, "tractions": {"INSIDE": inside}}
-    axial = {
-        "joint": wall, "supports": {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}, "plane": "axisymmetric",
-        "tractions": {"BOTTOM": lambda x, t: (t, 0.0)},
-    }  # fmt: skip
-    return {"plane strain": (plane, "INSIDE", "OUTSIDE"), "axisymmetric": (axial, "BOTTOM", "TOP")}
+    ends, plates = {"START": {"y": 0.0}, "END": {"x": 0.0}}, {"LEFT": {"y": 0.0}, "RIGHT": {"y": 0.0}}
+    plane: StructureArguments = {"supports": ends, "tractions": {"INSIDE": inside}}
+    axial: StructureArguments = {"supports": plates, "tractions": {"BOTTOM": lambda x, t: (t, 0.0)}}
+    axial["plane"] = "axisymmetric"
+    return {"plane strain": (quarter, plane, "INSIDE", "OUTSIDE"), "axisymmetric": (wall, axial, "BOTTOM", "TOP")}
 
 
 def inflated(record: Record, h: float) -> None:
     """Raise the pressure in both models of the cylinder, and check them against the closed form."""
-    c, table = CYLINDER, record.table("cylinder.csv")
-    nu = 0.499
+    c, nu, table = CYLINDER, 0.499, record.table("cylinder.csv")
     metal = VonMises.young(E=2 * c.mu * (1 + nu), nu=nu, strength=STRENGTH)
     bond = ThinLayer(LinearElastic(BOND, BOND), 1e-3, at=1.0)
-    for kind, (data, inside, outside) in cylinders(h).items():
-        model = Structure(body=metal, **data).interface(bond)
+    for kind, (joint, setup, inside, outside) in cylinders(h).items():
+        model = Structure(joint, **setup | {"body": metal}).interface(bond)
         surface = Surface(model)
-        area = surface.integral(1.0)
         for state in list(march(model, PRESSURES))[1:]:
-            radial = surface.integral(surface.frame(surface.traction(state))[-1]) / area
+            radial = surface.integral(surface.frame(surface.traction(state))[-1]) / surface.integral(1.0)
             row = {"model": kind, "pressure": state.t, "zone": c.zone(state.t), "stress": radial}
             row["stress_exact"] = float(c.radial_stress(state.t, np.array(CUT)))
             for name, place, r in (("inside", inside, c.a), ("outside", outside, c.b)):
@@ -139,18 +139,17 @@ def moved(state: State, name: str, r: float) -> float:
 def draw(record: Record) -> None:
     """Draw the pressure under the punch, and the cylinder."""
     limit, sunk = formulas.prandtl_pressure(K), np.array([0.0, max(SUNK)])
-    curves: dict[str, tuple[Any, Any]] = {
-        f"{n:.0f} cells under the punch": (part["sunk"], part["over"])
-        for n, part in record.load("punch.csv").split("n").items()
-    }
-    curves["(2 + pi) k"], styles = (sunk, np.ones(2)), {"(2 + pi) k": ":"}
+    curves, styles = Curves(), {"(2 + pi) k": ":"}
+    for n, part in record.load("punch.csv").split("n").items():
+        curves[f"{n:.0f} cells under the punch"] = part["sunk"], part["over"]
+    curves["(2 + pi) k"] = sunk, np.ones(2)
     title, save = "a rough punch on ideally plastic metal tends to Prandtl's pressure", record.path("punch.svg")
     labels = ("depth over half-width", f"mean pressure over {limit:.3f} k")
     plotting.curves(curves, *labels, save=save, title=title, styles=styles)
     p, curves, styles = np.linspace(0.0, PRESSURES[-1], 100), {}, {}
     for r, name in ((CYLINDER.a, "inside"), (CYLINDER.b, "outside")):
-        exact = [float(CYLINDER.displacement(float(at), np.array(r))) for at in p]
-        curves[f"closed form, {name}"] = np.array(exact), p
+        exact = np.array([float(CYLINDER.displacement(float(at), np.array(r))) for at in p])
+        curves[f"closed form, {name}"] = exact, p
         for kind, part in record.load("cylinder.csv").split("model").items():
             curves[f"{kind}, {name}"] = part[f"u_{name}"], part["pressure"]
             styles[f"{kind}, {name}"] = "o" if "strain" in kind else "x"

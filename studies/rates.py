@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 from forms import (
     Incompressible,
@@ -16,15 +16,16 @@ from forms import (
     Norton,
     Rubber,
     Stack,
+    TractionLaw,
     VonMises,
 )
 from forms.base import Array
-from geometry.joint import Joint
 from studies import bands, cylinders, phases, problems, rods
 from studies import fig3_mohr_coulomb as fig3
 from studies.bands import MODULI, TO_AND_FRO
-from studies.problems import FOURIER_BODY, FOURIER_LAYER, MORTAR, fourier, of, pressed, sheared
+from studies.problems import FOURIER_BODY, FOURIER_LAYER, MORTAR, LoadPath, Problem, fourier, of, pressed, sheared
 from studies.sweeping import (
+    Floors,
     Row,
     Tables,
     by_reaction,
@@ -45,6 +46,8 @@ from thinlayer.solving.history import History, Solution
 EARLY, SPECTRAL = 0.05, {"traction": 0.56140781698, "jump": 7.0602412711e-4}  # time; norms on S, p = 1.5, same steps
 FRACTION, LESS = 0.01, 1e-4  # elastic fractions: pulled layers have no shear strength, open layers none along n
 FLOOR = {"traction": (0.14, 0.18), "jump": (0.26, 0.31)}  # relative errors that Coulomb's law with tan(Omega) leaves
+PRINTED_FLOOR = {"traction": (0.13, 0.16), "jump": (0.22, 0.26)}  # the same of wrong laws in `phases`
+ONE_BRANCH_FLOOR, GAIN_FLOOR = {"traction": (0.12, 0.16), "jump": (0.29, 0.35)}, {"traction": (0.018, 0.026)}
 
 
 def early(_: Solution, limit: Solution) -> dict[str, float]:
@@ -118,14 +121,12 @@ def both_yield(record: Record, tables: Tables) -> None:
 
 
 # ---------------------------------------------------------------- problems
-def bar(sizes: tuple[float, float, float]) -> tuple[Joint, dict[str, Any]]:
+def bar(sizes: tuple[float, float, float]) -> Problem:
     """The bar of Fig. 2 under the loads R1, in mm and MPa; joint, arguments of its `Structure`."""
-    loads = fig3.READINGS["R1"]
-    setup = {"body": fig3.STEEL, "supports": loads.supports, "tractions": loads.tractions, "element": "S2"}
-    return fig3.meshed(sizes), setup
+    return fig3.meshed(sizes), fig3.READINGS["R1"].setup
 
 
-def of_metal(h: float) -> tuple[Joint, dict[str, Any]]:
+def of_metal(h: float) -> Problem:
     """The blocks of `sheared`, of hardening metal; joint, arguments of its `Structure`."""
     joint, setup = sheared(h)
     return joint, setup | {"body": VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)}
@@ -136,19 +137,19 @@ def wedge(x: Array) -> Array:
     return 0.5 + x[0]
 
 
-PUSHED = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
+PUSHED: LoadPath = {0: (0.0, 0.0, 0.0), 1: (0.3, 0.35, 0.0), 2: (0.3, 1.0, 1.5), 3: (0.3, 0.0, -0.9)}
 SHEARED = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 PATH = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 pushed, pulled = partial(pressed, path=PUSHED), partial(pressed, path=TO_AND_FRO)
 
 
 # ---------------------------------------------------------------- layers
-KELVIN_VOIGT = KelvinVoigt(**MODULI, theta_lmbda=0.3, theta_mu=0.5)
-MAXWELL = Maxwell(**MODULI, t1=0.7, t2=1.0)  # the mean stress relaxes with the time 1.04
-NORTON = Norton(**MODULI, eta=5.0, p=1.5)  # at rest the tangent is infinite for p < 2, and zero for p > 2
-SLIPPING = MohrCoulombMonodirectional(**MODULI, cohesion=0.05, friction_angle=25.0)
+KELVIN_VOIGT = KelvinVoigt(*MODULI, theta_lmbda=0.3, theta_mu=0.5)
+MAXWELL = Maxwell(*MODULI, t1=0.7, t2=1.0)  # the mean stress relaxes with the time 1.04
+NORTON = Norton(*MODULI, eta=5.0, p=1.5)  # at rest the tangent is infinite for p < 2, and zero for p > 2
+SLIPPING = MohrCoulombMonodirectional(*MODULI, cohesion=0.05, friction_angle=25.0)
 OPENING = replace(SLIPPING, elastic_fraction=FRACTION, unilateral=True)
-COULOMB = MohrCoulombMonodirectional(**MODULI, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # slips on S
+COULOMB = MohrCoulombMonodirectional(*MODULI, cohesion=0.05, friction_angle=30.0, elastic_fraction=0.02)  # slips on S
 PLANES = replace(COULOMB, lmbda=fig3.GLUE.lmbda, mu=fig3.GLUE.mu, cohesion=0.0, elastic_fraction=0.01)
 HARD = {"hard_layer": LinearElastic(lmbda=600.0, mu=400.0), "hard_layer softer": LinearElastic(lmbda=6.0, mu=4.0)}
 SUBLAYERS = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 60.0)), (0.4, LinearElastic(60.0, 5.0)))
@@ -178,12 +179,16 @@ in_bar = partial(
 at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.ONCE, TO_AND_FRO))
 
 
-def switches(case: str, label: str, **changed: Any) -> Row:
+def switches(case: str, label: str) -> Row:
     """Return a row for a two-phase layer, the case of this name in `phases.CASES`."""
     law, shear, pull = phases.CASES[case]
     problem = partial(phases.blocks, shear=shear, pull=pull)
-    measured = {"orders": None} if "instead" in changed else {"more": phases.shares, "along": phases.along_s}
-    return fine(of(law), label, problem, cells_through=2, pictured=None, **measured, **changed)
+    return fine(of(law), label, problem, cells_through=2, pictured=None, more=phases.shares, along=phases.along_s)
+
+
+def switches_wrongly(case: str, label: str, law: TractionLaw, floors: Floors) -> Row:
+    """Return the row of `switches` with a wrong law on S, and the errors that it leaves."""
+    return replace(switches(case, label), instead=law, floors=floors, orders=None, more=None, along=None)
 
 
 ROWS: dict[str, Row] = {
@@ -222,7 +227,7 @@ ROWS: dict[str, Row] = {
     ),
     "kelvin_voigt": Row(of(KELVIN_VOIGT), times=TENTHS),
     "maxwell": Row(of(MAXWELL), "t2 = 1.0", times=FIFTHS),
-    "maxwell t1": Row(of(Maxwell(**MODULI, t1=0.7)), "t2 = t1", times=FIFTHS),
+    "maxwell t1": Row(of(Maxwell(*MODULI, t1=0.7)), "t2 = t1", times=FIFTHS),
     "norton": norton(of(NORTON), "p = 1.5"),
     "norton p3": norton(of(replace(NORTON, eta=2000.0, p=3.0)), "p = 3", check=spectral),
     "stack": Row(of(Stack((0.5, MAXWELL), (0.5, KELVIN_VOIGT))), "Maxwell, Kelvin-Voigt", eps=halves(4), times=FIFTHS),
@@ -255,33 +260,27 @@ ROWS: dict[str, Row] = {
     ),
     "non_monotone": switches("", "oblique chi"),
     "non_monotone across": switches("across", "n (x) n"),
-    "non_monotone along": switches("along", "sym(t (x) n)", check=phases.all_there),
+    "non_monotone along": replace(switches("along", "sym(t (x) n)"), check=phases.all_there),
     "non_monotone unrelaxed": fine(
         of(phases.PURE), "oblique chi, pure phases", partial(phases.blocks, shear=0.04, pull=0.03, moved=True),
         h=(1 / 8, 1 / 8), cells_through=2, times=(0.25, 0.5, 0.75, 1.0), steps=slice(None), more=phases.snaps,
         along=phases.along_s, check=phases.same_snaps,
     ),
-    "non_monotone printed": switches(
-        "", "lambda + mu on S", instead=phases.PRINTED, floors={"traction": (0.13, 0.16), "jump": (0.22, 0.26)}
-    ),
-    "non_monotone one_branch": switches(
-        "", "no phase -1 on S", instead=phases.ONE_BRANCH, floors={"traction": (0.12, 0.16), "jump": (0.29, 0.35)}
-    ),
-    "non_monotone across small_gain": switches(
-        "across", "n (x) n, G across", instead=phases.SMALL_GAIN, floors={"traction": (0.018, 0.026)}
-    ),
+    "non_monotone printed": switches_wrongly("", "lambda + mu on S", phases.PRINTED, PRINTED_FLOOR),
+    "non_monotone one_branch": switches_wrongly("", "no phase -1 on S", phases.ONE_BRANCH, ONE_BRANCH_FLOOR),
+    "non_monotone across small_gain": switches_wrongly("across", "n (x) n, G across", phases.SMALL_GAIN, GAIN_FLOOR),
     "bar": in_bar(of(fig3.glue(0.02)), "h = 0.02"),
     "bar less_elastic": in_bar(of(fig3.glue(0.01)), "h = 0.01", long=True),
     "bar monodirectional": in_bar(of(PLANES), "monodirectional, h = 0.01", long=True),
 }
 LAWS = tuple(dict.fromkeys(name.split()[0] for name in ROWS))
 ORDERS = {f"{name}, order {k}": f"{key}{'' if k else '_order0'}" for k in (0, 1) for name, key in ERROR_COLUMNS.items()}
-DRAWN: dict[str, dict[str, Any]] = {
-    "order1": {"errors": ORDERS, "reference": 2.0},
-    "order1_stack": {"errors": ORDERS | {"jump, mirrored": "error_jump_mirrored"}, "reference": 2.0},
-    "hard_layer": {"errors": {"traction": "error_reaction"}, "reference": 3.0},
-    "rubber": {"errors": {"jump": "error_jump"}, "reference": 2.0},
-    "incompressible": {"errors": ERROR_COLUMNS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}},
+DRAWN = {  # law -> label and column of each error, reference order
+    "order1": (ORDERS, 2.0),
+    "order1_stack": (ORDERS | {"jump, mirrored": "error_jump_mirrored"}, 2.0),
+    "hard_layer": ({"traction": "error_reaction"}, 3.0),
+    "rubber": ({"jump": "error_jump"}, 2.0),
+    "incompressible": (ERROR_COLUMNS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}, 1.0),
 }
 APART = ("monodirectional", "friction", "non_monotone")  # laws with separate pictures of tractions and jumps
 
@@ -322,7 +321,8 @@ def draw(record: Record) -> None:
             continue
         tables = {label: record.path(table_of(name)) for label, name in [*rows.items()][: len(COLOURS)]}
         if law not in APART:
-            plotting.rates(tables, save=record.path(f"rates_{law}.svg"), title=title, **DRAWN.get(law, {}))
+            errors, order = DRAWN.get(law, (ERROR_COLUMNS, 1.0))
+            plotting.rates(tables, save=record.path(f"rates_{law}.svg"), title=title, errors=errors, reference=order)
         for error, end in (("traction", ""), ("jump", "_jump")) if law in APART else ():
             look = {"title": f"{title}: {error}", "errors": {error: f"error_{error}"}}
             plotting.rates(tables, save=record.path(f"rates_{law}{end}.svg"), **look)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
+from forms.base import Array
 from geometry import disc, sandwich
-from geometry.joint import Joint
-from studies.problems import STEEL
+from geometry.topology import BoolArray
+from studies.problems import STEEL, Problem
 from studies.sweeping import Tables, last, layer_of
 from thinlayer import Structure, Surface, solve
 from thinlayer.discretisation.state import State
@@ -21,24 +21,24 @@ STRESS, BENDING = 20.0, 30.0  # MPa: mean, and at the edge
 SAME = 0.01  # relative difference of means in three dimensions and in the axisymmetric section
 
 
-def rods(sizes: tuple[float, float]) -> tuple[Joint, dict[str, Any]]:
+def rods(sizes: tuple[float, float]) -> Problem:
     """Two cylinders, glued end to end, under tension and bending; `sizes` of cells inside and on S.
 
     Bending opens one half of S as much as it closes the other half. Means over S and over the top are therefore equal
     to the means under tension alone, which the section through the axis gives, too.
     """
     tractions = {"TOP": lambda x, t: (0.0, STRESS + BENDING * x[0] / RADIUS, 0.0)}
-    setup = {"body": STEEL, "supports": {"BOTTOM": 0.0}, "tractions": tractions}
-    return disc(RADIUS, HEIGHT, HEIGHT, sizes[0], h_S=sizes[1], cell="hexahedron", degree=2), setup
+    joint = disc(RADIUS, HEIGHT, HEIGHT, sizes[0], h_S=sizes[1], cell="hexahedron", degree=2)
+    return joint, {"body": STEEL, "supports": {"BOTTOM": 0.0}, "tractions": tractions}
 
 
-def inside_rods(x: Any) -> Any:
+def inside_rods(x: Array) -> BoolArray:
     """Whether points x are away from the edge, where the layer's free side disturbs."""
     return _radius(x) < 0.75 * RADIUS
 
 
-def _radius(x: Any) -> Any:
-    return np.sqrt(sum(x[k] ** 2 for k in (0, 2)[: len(x) - 1]))
+def _radius(x: Array) -> Array:
+    return np.asarray(np.sqrt(sum(x[k] ** 2 for k in (0, 2)[: len(x) - 1])))
 
 
 def against_section(full: Solution, limit: Solution) -> dict[str, float]:
@@ -48,8 +48,7 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
     the radius, and y the axis.
     """
     layer = layer_of(limit)
-    section = sandwich(RADIUS, HEIGHT, HEIGHT, 2.0, h_S=0.8, h_ends=0.3)
-    load = {"TOP": (0.0, STRESS)}
+    section, load = sandwich(RADIUS, HEIGHT, HEIGHT, 2.0, h_S=0.8, h_ends=0.3), {"TOP": (0.0, STRESS)}
     tension = Structure(section, body=STEEL, supports={"BOTTOM": 0.0}, tractions=load, plane="axisymmetric")
     limit_there = solve(tension.interface(layer))
     means = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -53,7 +52,7 @@ def _errors(reports: dict[float, Contact]) -> Table:
     def norm(field: np.ndarray) -> float:
         return float(np.sqrt(reports[LIMIT].areas @ (field**2).sum(axis=1)))
 
-    columns: dict[str, list[Any]] = {"K_T": [*STIFFNESS]}
+    columns = {"K_T": [*STIFFNESS]}
     for name, limit_field in limit.items():
         by_stiffness = [fields(reports[K])[name] for K in STIFFNESS]
         columns[f"error_{name}"] = [norm(field - limit_field) / norm(limit_field) for field in by_stiffness]

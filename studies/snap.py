@@ -9,7 +9,7 @@ follows its paths.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from forms import LinearElastic, NonMonotone, NonMonotoneUnrelaxed
 from forms.base import Array
 from forms.non_monotone import Phases
+from forms.tensors import Expr
 from geometry import block
 from geometry.joint import Joint
 from geometry.sheet import vectors_from_segments
@@ -38,36 +39,37 @@ ROUNDING = 1e-9  # largest relative difference of states that should be the same
 ALONG = 5e-3  # largest distance of two polygons along one path, relative to its size
 
 
+Displacement = Callable[[Expr, Expr], Expr]
+Times = Sequence[float] | ArcLength
+
+
 # ---------------------------------------------------------------- the block
 def followed(
-    joint: Joint, law: type[Phases], delta: Any, times: Any, eps: float | None = None, keep: str = "all", **choices: Any
+    joint: Joint, law: Phases, delta: Displacement, times: Times, eps: float = 0, keep: str = "all"
 ) -> History:
     """March the block with delta(x, t), on its interface law or a meshed layer of thickness eps; observe the force."""
-
-    def top(x: Any, t: Any) -> Any:
-        return delta(x, t) * (1 + TILT * (x[0] - MIDDLE))
 
     def force(state: State) -> float:
         reaction = state.reaction("TOP")
         return float(reaction.force[1] + TILT * reaction.moment)
 
-    layer = ThinLayer(law(**SNAPPING, **choices), eps or THIN, at=1.0)
-    supports: dict[str, Support] = {"LEFT": {"x": 0}, "TOP": {"y": top}}
-    structure = Structure(joint, body=BODY, supports=supports)
+    top: Support = {"y": lambda x, t: delta(x, t) * (1 + TILT * (x[0] - MIDDLE))}
+    structure = Structure(joint, body=BODY, supports={"LEFT": {"x": 0}, "TOP": top})
+    layer = ThinLayer(law, eps or THIN, at=1.0)
     model: Model = structure.full(layer, cells_through=1) if eps else structure.interface(layer)
     return march(model, times, observe={"force": force}, keep=keep)
 
 
-def cycle(joint: Joint, steps: int, eps: float | None = None) -> History:
+def cycle(joint: Joint, steps: int, eps: float = 0) -> History:
     """March pure phases, up to END in equal steps and back."""
     times = [END * k / steps for k in range(1, 2 * steps + 1)]
-    return followed(joint, NonMonotoneUnrelaxed, piecewise({0: 0, END: END, 2 * END: 0}), times, eps)
+    return followed(joint, NonMonotoneUnrelaxed(*SNAPPING), piecewise({0: 0, END: END, 2 * END: 0}), times, eps)
 
 
 def path(joint: Joint, r: float, first: float, *, back: bool = False) -> Table:
     """Table of equilibria from delta = 0 to END, or from END to 0, by arc length."""
-    arc = ArcLength(end=END, first=first)
-    history = followed(joint, NonMonotone, lambda x, t: END - t if back else t, arc, keep="last", mixing=r)
+    law, arc = NonMonotone(*SNAPPING, mixing=r), ArcLength(end=END, first=first)
+    history = followed(joint, law, lambda x, t: END - t if back else t, arc, keep="last")
     return rows(f"path by arc length, r = {r:g}", history, END - history.t if back else history.t)
 
 
@@ -114,12 +116,13 @@ def run(record: Record, *, quick: bool = False) -> None:
 
     pure = cycle(joint, steps)
     note(PURE, pure)
-    relaxed = followed(joint, NonMonotone, lambda x, t: t, sorted({*moved(pure.t).round(12)} - {0.0}))
+    times = sorted({*moved(pure.t).round(12)} - {0.0})
+    relaxed = followed(joint, NonMonotone(*SNAPPING), lambda x, t: t, times)
     response.extend(rows(RELAXED, relaxed, relaxed.t).rows)
     response.extend(follow(record, joint, relaxed, r, step, quick=quick).rows)
     check_energies(record, pure, relaxed)
     for eps in EPS[: 1 if quick else None]:
-        band = cycle(joint, steps, eps=eps)
+        band = cycle(joint, steps, eps)
         note(f"{PURE}, layer meshed, eps = {eps:g}", band)
         late = np.abs(switches(band) - switches(pure)).max() / eps
         record.check(f"eps = {eps:g}: delta where a column switches, less that on S, over eps", late, high=1.0)

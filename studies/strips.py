@@ -5,7 +5,7 @@ Strips are in plane strain: their axial modulus is E/(1 - nu^2), their free expa
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -13,13 +13,14 @@ import numpy.typing as npt
 from forms import LinearElastic
 from forms.base import Array
 from geometry import sandwich
+from studies.sweeping import Curves
 from thinlayer import Structure, Surface, Table, ThermalExpansion, ThinLayer, plotting, solve
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
+from thinlayer.discretisation.supports import Place, Support
 from thinlayer.output.plotting.curves import COLOURS
 from thinlayer.running.record import Record
 
-Numbers = npt.NDArray[np.floating[Any]]
 NU = 0.3
 ALUMINIUM, STEEL = LinearElastic.young(E=70e3, nu=NU), LinearElastic.young(E=210e3, nu=NU)  # MPa
 ALPHA = {"LOWER": 23e-6, "UPPER": 12e-6}  # 1/K, of aluminium below and steel above
@@ -45,12 +46,12 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 # ---------------------------------------------------------------- strips
-def strips(h: float, mu: float, supports: dict[Any, Any]) -> dict[str, Model]:
+def strips(h: float, mu: float, supports: Mapping[Place, Support]) -> dict[str, Model]:
     """Return name -> model of the right halves of two cooled strips with a layer of the shear modulus mu."""
     joint = sandwich(LENGTH, HEIGHTS["LOWER"], HEIGHTS["UPPER"], h, cell="quadrilateral", structured=True)
     cooled = {name: ThermalExpansion(alpha, COOLING) for name, alpha in ALPHA.items()}
-    bodies = {"LOWER": ALUMINIUM, "UPPER": STEEL}
-    structure = Structure(joint, body=bodies, supports={"LEFT": {"x": 0.0}} | supports, eigenstrain=cooled)
+    bodies, held = {"LOWER": ALUMINIUM, "UPPER": STEEL}, {"LEFT": {"x": 0.0}, **supports}
+    structure = Structure(joint, body=bodies, supports=held, eigenstrain=cooled)
     layer = ThinLayer(LinearElastic.shear(mu, 0.4), EPS)
     return {"meshed layer": structure.full(layer), "interface law": structure.interface(layer)}
 
@@ -76,7 +77,7 @@ def arm(eps: float = 0.0) -> float:
     return sum(HEIGHTS.values()) / 2 + eps
 
 
-def lag(mu: float, x: Numbers) -> Array:
+def lag(mu: float, x: npt.NDArray[np.floating]) -> Array:
     """Shear stress on S of strips that do not bend, at distances x from the middle: Volkersen's shear lag."""
     B = np.sqrt(mu / EPS * compliances()[0])
     return np.asarray(mu * difference() * np.sinh(B * x) / (EPS * B * np.cosh(B * LENGTH)))
@@ -122,28 +123,26 @@ def curvature(surface: Surface, state: State) -> float:
 
 def bending(record: Record, h: float) -> None:
     """Solve strips that are free to bend, with layers of growing stiffness, and check their curvature."""
-    table, supports = record.table("bending.csv"), {(0.0, -HEIGHTS["LOWER"]): {"y": 0.0}}
+    table = record.table("bending.csv")
     gaps = {"meshed layer": EPS, "interface law": 0.0}  # the interface law neglects the thickness in the lever arm
     for mu in STIFFENING:
-        models = strips(h, mu, supports)
+        models = strips(h, mu, {(0.0, -HEIGHTS["LOWER"]): {"y": 0.0}})
         surface = Surface(models["interface law"])
         curvatures = {name: curvature(surface, record.solved(solve(model))) for name, model in models.items()}
         table.append({"mu": mu, **curvatures, **{f"{name}, closed form": bent(mu, eps) for name, eps in gaps.items()}})
     for name in gaps:
-        ratio = table[name] / table[f"{name}, closed form"]
-        record.check(f"curvature with a shear lag, {name}: largest relative error", abs(ratio - 1).max(), high=0.02)
-        ratio = table[name][-1] / timoshenko()
-        record.check_near(f"curvature of the stiffest layer over Timoshenko's, {name}", ratio, 1.0, 0.02)
+        ratios, stiffest = table[name] / table[f"{name}, closed form"], table[name][-1] / timoshenko()
+        record.check(f"curvature with a shear lag, {name}: largest relative error", abs(ratios - 1).max(), high=0.02)
+        record.check_near(f"curvature of the stiffest layer over Timoshenko's, {name}", stiffest, 1.0, 0.02)
 
 
 # ---------------------------------------------------------------- pictures
 def draw(record: Record) -> None:
     """Draw the shear lag, at every fourth point, and the bending, from the tables."""
-    lines: dict[str, tuple[Any, Any]] = {}
+    lines, grid = Curves(), np.linspace(0, LENGTH, 200)
     for mu, of_mu in record.load("shear_lag.csv").split("mu").items():
         for name, part in of_mu.split("model").items():
             lines[f"{name}, G = {mu:g} MPa"] = part["x"][::4], part["tau"][::4]
-        grid = np.linspace(0, LENGTH, 200)
         lines[f"closed form, G = {mu:g} MPa"] = grid, lag(mu, grid)
     title, save = "two strips of unequal expansion, cooled by 80 K, held flat", record.path("shear_lag.svg")
     look = {"styles": ("s", ".", "-", "s", ".", "--"), "colours": [colour for colour in COLOURS[:2] for _ in range(3)]}

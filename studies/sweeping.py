@@ -7,13 +7,13 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+
+import numpy.typing as npt
 
 from forms import BulkLaw
 from forms.base import Array
 from forms.law import Law
-from geometry.joint import Joint
-from studies.problems import fourier
+from studies.problems import LayerOfThickness, Problem, fourier
 from thinlayer import Structure, Surface, Table, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation.layer import SurfaceLaw
 from thinlayer.discretisation.model import Model
@@ -22,11 +22,12 @@ from thinlayer.output.comparison import Where
 from thinlayer.output.plotting.curves import ERROR_COLUMNS, fraction
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
+from thinlayer.surface.surface_mesh import Where as SurfacePart
 
 Floors = Mapping[str, tuple[float, float]]  # traction or jump -> range of the relative error that a wrong law leaves
 Tables = dict[str, Table]
 Field = Callable[[Surface, State], Array]
-Problem = Callable[[Any], tuple[Joint, dict[str, Any]]]
+Curves = dict[str, tuple[npt.ArrayLike, npt.ArrayLike]]  # label -> x and y
 ON_S = "interface law"
 
 
@@ -67,10 +68,10 @@ class Row:
         long: whether the row is left out with --quick.
     """
 
-    layer: Callable[[float], ThinLayer]
+    layer: LayerOfThickness
     label: str = ""
-    problem: Problem = SQUARES
-    h: tuple[Any, Any] = (1 / 32, 1 / 8)
+    problem: Callable[..., Problem] = SQUARES
+    h: tuple[object, object] = (1 / 32, 1 / 8)
     eps: Sequence[float] = EIGHTHS
     orders: tuple[float, float | None] | None = (0.93, 1.07)
     times: Sequence[float] | None = None
@@ -79,8 +80,8 @@ class Row:
     bodies: str = "kept"
     cells_through: int = 4
     where: Where | None = None
-    other_layers: Mapping[str, Callable[[float], ThinLayer]] = field(default_factory=dict)
-    more: Callable[[Solution, Solution], dict[str, Any]] | None = None
+    other_layers: Mapping[str, LayerOfThickness] = field(default_factory=dict)
+    more: Callable[[Solution, Solution], dict[str, float]] | None = None
     along: Callable[[State, Surface], dict[str, Array]] | None = None
     floors: Floors = field(default_factory=dict)
     check: Callable[[Record, Tables], None] | None = None
@@ -117,8 +118,11 @@ class Row:
                 record.write(along_of(name, e), rows)
             if e == shown:
                 what = re.split(r"[;.]\s", getattr(self.problem, "func", self.problem).__doc__ or name)[0]
-                title, save = ", ".join(filter(None, (what, self.label))), record.path(f"deformed_{case}.png")
-                plotting.deformed(states, plotting.View(unit=self.unit), save=save, title=title)
+                look = {
+                    "save": record.path(f"deformed_{case}.png"),
+                    "title": ", ".join(filter(None, (what, self.label))),
+                }
+                plotting.deformed(states, plotting.View(unit=self.unit), **look)
             row = compare(full, limit, where=self.where) | elastic_fraction(layer.law)
             for end, further in self.other_layers.items():
                 errors = compare(full, by_law(further(e), f"interface{end}_{e:g}"), where=self.where)
@@ -168,11 +172,13 @@ def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> 
 
     Errors of the laws' own tractions do not show the next term in eps, which nearly cancels in them.
     """
-    surface = Surface(last(limit).model)
-    return {"error_reaction": difference(surface, Surface.reaction, last(full), last(limit), where or 1.0)}
+    state = last(limit)
+    return {"error_reaction": difference(Surface(state.model), Surface.reaction, last(full), state, where or 1.0)}
 
 
-def difference(surface: Surface, field: Field, state: State, reference: State, where: Any = 1.0) -> float:
+def difference(
+    surface: Surface, field: Field, state: State, reference: State, where: SurfacePart | float = 1.0
+) -> float:
     """Relative L2 difference, on a part of S, of a field in a state and in a reference state."""
     wanted = field(surface, reference)
     return surface.norm(field(surface, state) - wanted, where) / surface.norm(wanted, where)
@@ -200,13 +206,14 @@ def along_of(case: str, eps: float) -> str:
 
 def draw_along(record: Record, cases: Mapping[str, str], name: str) -> None:
     """Draw the last column of tables along S for all eps and the interface law; `cases`: label -> case."""
-    parts: dict[str, dict[str, tuple[Any, Any]]] = {}
+    panels: dict[str, Curves] = {}
     for label, case in cases.items():
         for eps in record.load(table_of(case))["eps"]:
             table = record.load(along_of(case, eps))
-            lines, what = parts.setdefault(f"{table.columns[-1]}, {label}", {}), table.columns[-1]
-            for model, part in table.split("model").items():
+            *_, column = table.columns
+            lines = panels.setdefault(f"{column}, {label}", {})
+            for model, rows in table.split("model").items():
                 lines.pop(ON_S, None)  # the interface law comes last
-                lines[ON_S if model == ON_S else f"meshed layer, eps = {fraction(eps)}"] = part["x"], part[what]
+                lines[ON_S if model == ON_S else f"meshed layer, eps = {fraction(eps)}"] = rows["x"], rows[column]
     look = {"styles": {ON_S: "--"}, "colours": {ON_S: "black"}, "columns": 2, "save": record.path(f"{name}.svg")}
-    plotting.curves(parts, "x along S over half the width", **look)
+    plotting.curves(panels, "x along S over half the width", **look)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import partial
 from math import radians, tan
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from thinlayer import LimitLoad, Structure, Surface, Table, ThinLayer, march, pl
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
+from thinlayer.discretisation.supports import Support
 from thinlayer.running.record import Record
 from thinlayer.solving.history import History
 
@@ -84,7 +84,7 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
 
 def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
     """Move the top of a panel with mortar of `MohrCoulomb`; compare its force by the interface law and meshed."""
-    supports: dict[str, Any] = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t}}
+    supports: dict[str, Support] = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t}}
     panel, pressed = wall(*PANEL, BRICK, BRICK[1] / 6, cell="quadrilateral"), {"TOP": (0.0, -PRESSURE)}
     structure = Structure(panel, body=CLAY, supports=supports, tractions=pressed, element="Q1")
 
@@ -92,12 +92,11 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
         law = partial(MohrCoulomb, MORTAR.lmbda, MORTAR.mu, friction_angle=ANGLE, elastic_fraction=ELASTIC_FRACTION)
         return {name: ThinLayer(law(cohesion=cohesion), eps, at=EPS) for name, cohesion in COHESION.items()}
 
-    limit = structure.interface(mortar(EPS))
-    beds, table, forces = Surface(limit, "BED"), record.table("panel.csv"), {}
-    length = beds.integral(1.0)
-    models: dict[str, Model] = {"interface law": limit}
+    models: dict[str, Model] = {"interface law": structure.interface(mortar(EPS))}
     for eps in thicknesses:
         models[f"meshed, {eps:g} mm"] = structure.full(mortar(eps), cells_through=2, bodies="extended")
+    beds, table, forces = Surface(models["interface law"], "BED"), record.table("panel.csv"), {}
+    length = beds.integral(1.0)
     for name, model in models.items():
         history = record.solved(march(model, list(SHIFTS)))
         # failed steps were subdivided: the models are compared at the times that they share
@@ -114,8 +113,7 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
 def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:
     """The interface model of a wall on a rigid foot, pressed at t = 0 and pushed along by a shear stress t, MPa."""
     law = partial(MohrCoulombMonodirectional, MORTAR.lmbda, MORTAR.mu, friction_angle=ANGLE)
-    opens = {"BED": True, "HEAD": False}
-    layers = {k: ThinLayer(law(cohesion=C, unilateral=opens[k]), EPS) for k, C in COHESION.items()}
+    layers = {name: ThinLayer(law(cohesion=C, unilateral=name == "BED"), EPS) for name, C in COHESION.items()}
     joint, loads = wall(bricks, courses, BRICK, h), {"TOP": lambda x, t: (t, -PRESSURE)}
     structure = Structure(joint, body=CLAY, supports={"BOTTOM": 0.0}, tractions=loads)
     return structure.interface(layers if heads else layers | {"HEAD": None})
@@ -132,8 +130,7 @@ def pushed(model: InterfaceModel, step: float, end: float) -> tuple[History, flo
 
 def shift(state: State) -> float:
     """Mean displacement of the top along the wall, mm."""
-    model = state.model
-    top = model.ds(model.domain.values("TOP"))
+    top = state.model.ds(state.model.domain.values("TOP"))
     return state.integral(state.u[0] * top) / state.integral(1.0 * top)
 
 
@@ -143,8 +140,7 @@ def draw(record: Record) -> None:
         ("table.csv", "wall", "shear.svg", "a wall, pushed"),
         ("panel.csv", "model", "panel.svg", "a panel, its top moved along"),
     ):
-        parts = record.load(file).split(column)
-        columns = "shift_mm", "shear_MPa"
+        parts, columns = record.load(file).split(column), ("shift_mm", "shear_MPa")
         lines = {name: tuple(np.insert(part[key], 0, 0) for key in columns) for name, part in parts.items()}
         look = {"title": f"{title}, under a pressure of {PRESSURE:g} MPa", "styles": ("o-", "s-", "^--", "v--", "d--")}
         plotting.curves(lines, "shift of the top (mm)", "shear stress (MPa)", save=record.path(picture), **look)

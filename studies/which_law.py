@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import ufl
@@ -15,7 +14,7 @@ import ufl
 from forms import Incompressible, LinearElastic, Rubber
 from forms.base import Array
 from geometry.parallel import default_comm
-from studies.maps import maps
+from studies.maps import Panel, maps
 from studies.problems import FOURIER_BODY, Wave, fourier, free_blocks
 from studies.sweeping import difference
 from thinlayer import RangeWarning, Structure, Surface, Table, ThinLayer, solve
@@ -212,7 +211,7 @@ def _drawn(table: Table) -> list[str]:
     return [law for law in LAWS if np.isfinite(_worst(table, law)).any()]
 
 
-def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, tuple[Array, Any]], dict[str, str]]:
+def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, Panel], dict[str, str]]:
     """Find the first law whose error is below each of `WANTED`, with corrected ends if possible; else the meshed layer.
 
     Returns:
@@ -221,7 +220,7 @@ def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, t
     corrected = {law: name for name, law in CORRECTED.items() if name in laws}
     laws = [law for law in laws if law in LETTERS]
     names = {LETTERS[law]: LAWS[law] for law in laws} | {"m": "meshed layer"}
-    parts = {}
+    parts = dict[str, Panel]()
     for contrast in CONTRASTS:
         both = (laws, [corrected.get(law, law) for law in laws])
         plain, improved = (np.array([errors[f"{LAWS[law]}; E/mu = {contrast:,}"] for law in some]) for some in both)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -27,8 +26,8 @@ HEIGHTS = np.array([-0.3, -0.15, 0.0, 0.15, 0.3])  # heights of these; nearer to
 AT_END = 3.0  # distance over eps up to which points belong to the end
 
 
-def _by_law(blocks: Structure, law: LinearElastic, eps: float, **choices: Any) -> State:
-    return solve(blocks.interface(ThinLayer(law, eps, at=EPS[0], **choices)))
+def _by_law(blocks: Structure, law: LinearElastic, eps: float, order: int = 0, edges: str | None = None) -> State:
+    return solve(blocks.interface(ThinLayer(law, eps, order, at=EPS[0], edges=edges)))
 
 
 STATES: dict[str, Callable[[Structure, LinearElastic, float], State]] = {
@@ -56,7 +55,7 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
     for eps in track(list(thicknesses), "zoom", f"nu = {nu:g}, E/mu = {ratio:g}, eps = {{:g}}"):
         layer = ThinLayer(law, eps, at=EPS[0])
         full = Zoom(record.solved(solve(free_blocks(eps / THROUGH).full(layer, cells_through=THROUGH))))
-        row: dict[str, Any] = {"eps": eps, "M/E": (law.lmbda + 2 * law.mu) * eps / EPS[0] / 100.0}
+        row = {"eps": eps, "M/E": (law.lmbda + 2 * law.mu) * eps / EPS[0] / 100.0}
         for name, state in STATES.items():
             zoom = Zoom(record.solved(state(free_blocks(LONG * eps, h_S=LONG * eps), law, eps)))
             row |= {f"{key} {name}": value for key, value in _compared(zoom, full).items()}
@@ -79,8 +78,7 @@ def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
         stress = full.stress(x, y)
         samples.append((d, stress, zoom.stress(x, y) - stress))
     distance, stress, error = (np.concatenate(arrays) for arrays in zip(*samples, strict=True))
-    near = distance <= AT_END
-    parts = {"end": near, "inside": ~near}
+    parts = {"end": distance <= AT_END, "inside": distance > AT_END}
     errors = {name: float(np.sqrt(np.mean(error[at] ** 2) / np.mean(stress[at] ** 2))) for name, at in parts.items()}
     zoomed, meshed = (np.array([corner.H[0] for corner in of.corners]) for of in (zoom, full))
     return errors | {"H": float(np.abs(zoomed - meshed).max() / np.abs(meshed).max())}
@@ -88,13 +86,12 @@ def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
 
 def draw(record: Record) -> None:
     """Draw errors against the thickness."""
-    parts = {}
+    parts, lines = {}, {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
     names = [f"{key} {state}" for state in STATES for key in ("end", "inside", "H")]
     for nu, ratio in CASES:
         if record.has(file := f"errors_{nu:g}_{ratio:g}.csv"):
             table = record.load(file)
             parts[f"nu = {nu:g}, E/mu = {ratio:g}"] = {name: (table["eps"], table[name]) for name in names}
-    lines = {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
     styles = {name: lines[name.split(" ", 1)[1]] for name in names}
     colours, save = dict(zip(names, 3 * COLOURS[:3], strict=True)), record.path("errors.svg")
     look = {"styles": styles, "colours": colours, "log": "y", "columns": 2, "save": save}
