@@ -106,8 +106,7 @@ def free(
 
 def displaced(eps: float) -> Structure:
     """Two stiff blocks with free sides, the upper one pressed down by 0.01."""
-    pressed = CLAMPED | {"TOP": {"x": 0.0, "y": -0.01}}
-    return free_blocks(_ends(eps), h_S=ALONG, body=STEEL, supports=pressed, tractions={})
+    return free_blocks(_ends(eps), h_S=ALONG, body=STEEL, supports=CLAMPED | {"TOP": {"x": 0.0, "y": -0.01}}, tractions={})
 
 
 def tilted(eps: float) -> Structure:
@@ -242,8 +241,7 @@ def known_cases() -> list[DroppedCase]:
     ended = partial(DroppedCase, structure=free, asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
     unequal = partial(ended, structure=partial(free, load=(1.0, 0.0), lower=SOFT))
     steel = partial(ended, structure=partial(free, load=(0.3, -1.0), lower=STEEL, upper=STEEL))
-    asked = (goals.Reaction("TOP", (0.0, 1.0)), goals.MeanTraction((0.0, 1.0)))
-    pressed = partial(ended, structure=displaced, asked=asked)
+    pressed = partial(ended, structure=displaced, asked=(goals.Reaction("TOP", (0.0, 1.0)), goals.MeanTraction((0.0, 1.0))))
     hardening, plastic = of(Hardening(60.0, 40.0, 3e5)), of(YIELDING)
     bearing, viscous, in_box = of(BEARING, None), of(VISCOUS), partial(DroppedCase, structure=box, solid=True)
 

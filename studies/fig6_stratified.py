@@ -46,8 +46,7 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
     for model, ratio, near in (("meshed layer", ratio_band, 1e-3), ("interface law", ratio_interface, 1e-6)):
         worst = np.abs(ratio[inner] / K_T - 1).max()
         record.check(f"largest |t_T/u_T / K_T - 1| of the {model}, x in {INNER} mm", worst, high=near)
-        at_place = float(np.interp(PLACE, x, ratio))
-        record.check_near(f"t_T/u_T of the {model} at {PLACE:g} mm, N/mm^3", at_place, K_T, near)
+        record.check_near(f"t_T/u_T of the {model} at {PLACE:g} mm, N/mm^3", np.interp(PLACE, x, ratio), K_T, near)
     if len(eps) > 1:
         last = deviation["order_moduli_held"][-1]
         record.check(f"last observed order of the deviation at {PLACE:g} mm, moduli held", last, low=0.9, high=1.1)
@@ -83,11 +82,10 @@ class StratifiedBar:
 
 def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Table:
     """Deviations as eps -> 0, with moduli over thickness fixed (K_T fixed), and with the moduli fixed (K_T ~ 1/eps)."""
-    rows = []
+    table = Table()
     for e in track(eps, "fig6_stratified", "eps = {:g} mm"):
         row = {"eps_mm": e, "deviation_ratios_held": bar.deviation(ThinLayer(GLUE, e, at=EPS), K_T)}
-        rows.append(row | {"deviation_moduli_held": bar.deviation(ThinLayer(GLUE, e), K_T * EPS / e)})
-    table = Table(rows)
+        table.append(row | {"deviation_moduli_held": bar.deviation(ThinLayer(GLUE, e), K_T * EPS / e)})
     orders = {f"order_{way}": table.orders(f"deviation_{way}", of="eps_mm") for way in ("ratios_held", "moduli_held")}
     table = Table.of({name: table[name] for name in table.columns} | orders)
     record.write("deviation.csv", table)

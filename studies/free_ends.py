@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Unpack
 from unittest.mock import patch
 
 import numpy as np
@@ -21,12 +20,11 @@ from forms.tensors import Expr
 from geometry import block
 from geometry.joint import Joint
 from studies.half_strip import half_strip
-from studies.problems import FOURIER_BODY, Heights, StructureArguments, free_blocks
+from studies.problems import FOURIER_BODY, free_blocks
 from studies.sweeping import by_reaction, last_order
 from thinlayer import Structure, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation import applicability
 from thinlayer.discretisation.applicability import MIN_STIFFNESS_CONTRAST
-from thinlayer.discretisation.coefficient import Load
 from thinlayer.discretisation.state import State
 from thinlayer.errors import RangeWarning
 from thinlayer.running.record import Record
@@ -74,14 +72,13 @@ class EndCase:
         return f"{self.name.replace(', ', '_').replace(' ', '_')}.csv"
 
 
-def _blocks(
-    eps: float,
-    cells: float,
-    load: Load = (0.3, -1.0),
-    heights: Heights = (0.5, 0.5),
-    **more: Unpack[StructureArguments],
-) -> Structure:
-    return free_blocks(eps / cells, load, heights, **more)
+def _blocks(eps: float, cells: float) -> Structure:
+    return free_blocks(eps / cells)
+
+
+def _unequal(eps: float, cells: float) -> Structure:
+    body = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
+    return free_blocks(eps / cells, lambda x, t: (-0.6, 1 + x[0]), (0.3, 0.6), body=body)
 
 
 def _based(eps: float, cells: float) -> Structure:
@@ -89,8 +86,6 @@ def _based(eps: float, cells: float) -> Structure:
     return Structure(joint, body=FOURIER_BODY, supports={}, tractions={"TOP": (1.0, -0.2)})
 
 
-UNEQUAL = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
-_unequal = partial(_blocks, load=lambda x, t: (-0.6, 1 + x[0]), heights=(0.3, 0.6), body=UNEQUAL)
 CASES = (
     EndCase("equal blocks", _blocks, LinearElastic.shear(40.0, 0.3)),
     EndCase("equal blocks, nu = 0.45", _blocks, LinearElastic.shear(8.0, 0.45)),

@@ -40,8 +40,12 @@ def run(record: Record, *, quick: bool = False) -> None:
         return row | {"traction_difference_times_kappa": difference * kappa}
 
     def sliding(k_t: float) -> dict[str, float]:
+        """Amplitudes of the half-waves [u_T] ~ sin(pi x) and t_T ~ sin(pi x), t_N ~ cos(pi x)."""
         state, surface = interface(K_N, k_t)
-        return {"K_T": k_t, **_amplitudes(surface, state)}
+        sine, cosine = 2 * np.sin(np.pi * surface.x[0]), 2 * np.cos(np.pi * surface.x[0])
+        jump, traction = surface.frame(surface.jump(state)), surface.frame(surface.traction(state))
+        parts = {"jump_T": jump[0] * sine, "traction_T": traction[0] * sine, "traction_N": traction[1] * cosine}
+        return {"K_T": k_t, **{name: surface.integral(part) for name, part in parts.items()}}
 
     last = record.rows("table.csv", KAPPA[:: 2 if quick else 1], stiff, "kappa = {:g}").rows[-1]
     slid = record.rows("sliding.csv", SLIDING[:: 3 if quick else 1], sliding, "K_T = {:g}").rows[-1]
@@ -53,15 +57,6 @@ def run(record: Record, *, quick: bool = False) -> None:
         ("amplitude of t_N at the smallest K_T", slid["traction_N"], SLIDING_TRACTION, tolerance),
     ):
         record.check_near(what, float(value or 0), expected, near)
-
-
-def _amplitudes(surface: Surface, state: State) -> dict[str, float]:
-    """Amplitudes of the half-waves [u_T] ~ sin(pi x) and t_T ~ sin(pi x), t_N ~ cos(pi x)."""
-    x = surface.x[0]
-    jump, traction = surface.frame(surface.jump(state)), surface.frame(surface.traction(state))
-    sine, cosine = 2 * np.sin(np.pi * x), 2 * np.cos(np.pi * x)
-    parts = {"jump_T": jump[0] * sine, "traction_T": traction[0] * sine, "traction_N": traction[1] * cosine}
-    return {name: surface.integral(part) for name, part in parts.items()}
 
 
 def draw(record: Record) -> None:

@@ -55,22 +55,17 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def _effectivities(record: Record, *, quick: bool) -> None:
+    """Estimate the changes of all cases, and check the estimates of fields on S and of goals."""
     chosen = [case for case in (*known_cases(), *further_cases()) if not (quick and case.solid)]
     cases = [(case, eps) for case in chosen for eps in THICKNESSES]
     table, goals = record.table("effectivities.csv"), record.table("goals.csv")
     for case, eps in track(cases, "may_i_drop", "{0[0].name}, {0[1]:g}"):
         dropped = Dropped.of(case, eps, record)
         row, asked = effectivities(dropped)
-        here: dict[str, float | str] = {"case": case.name, "eps": eps}
-        table.append({**here, "unknowns": dropped.estimate.better.model.unknowns, **row})
-        goals.extend(here | goal for goal in asked)
+        table.append({"case": case.name, "eps": eps, "unknowns": dropped.estimate.better.model.unknowns, **row})
+        goals.extend({"case": case.name, "eps": eps, **goal} for goal in asked)
         if (case.name, eps) == (DRAWN, COARSE):
             record.write("along.csv", along(dropped))
-    _check(record, table, goals)
-
-
-def _check(record: Record, table: Table, goals: Table) -> None:
-    """Check the estimates of fields on S and of goals."""
     for name in ESTIMATED_FIELDS:
         off = np.abs(table[name] - 1).max()
         record.check(f"largest distance of the {name}'s effectivity from 1", off, high=CLOSE)
@@ -249,5 +244,4 @@ def draw(record: Record) -> None:
         title: {"meshed layer": (table["x"], table[f"true_{column}"]), "estimate": (table["x"], table[estimated])}
         for title, (column, estimated) in PANELS.items()
     }
-    xlabel, save = f"x along S over its length; eps = {fraction(COARSE)}", record.path("along.svg")
-    plotting.curves(lines, xlabel, save=save)
+    plotting.curves(lines, f"x along S over its length; eps = {fraction(COARSE)}", save=record.path("along.svg"))

@@ -129,11 +129,10 @@ def inflated(record: Record, h: float) -> None:
 
 def moved(state: State, name: str, r: float) -> float:
     """Mean outward displacement of the boundary `name` with the radius r."""
-    model = state.model
-    x = ufl.SpatialCoordinate(model.domain.mesh)
-    there = model.ds(model.domain.values(name))
-    outward = state.u[0] if model.plane == "axisymmetric" else ufl.dot(state.u, x) / r
-    return state.integral(outward * there) / state.integral(fem.Constant(model.domain.mesh, 1.0) * there)
+    mesh, there = state.model.domain.mesh, state.model.ds(state.model.domain.values(name))
+    axisymmetric = state.model.plane == "axisymmetric"
+    outward = state.u[0] if axisymmetric else ufl.dot(state.u, ufl.SpatialCoordinate(mesh)) / r
+    return state.integral(outward * there) / state.integral(fem.Constant(mesh, 1.0) * there)
 
 
 def draw(record: Record) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from forms import HolonomicCoulomb
 from studies.fig8_friction import STIFFNESS, in_tens
 from studies.problems import sliding_bar
+from studies.sweeping import Curves
 from thinlayer import SolveError, Structure, Table, plotting, solve
 from thinlayer.running.record import Record
 
@@ -63,10 +64,9 @@ def check(record: Record, table: Table) -> None:
             ratio, what = table["sweeps"][at][0] / expected, f"sweeps / {expected}, n = {n}, lmbda = {lmbda:g}"
             record.check(f"{what}, omega = {omega}", ratio, low=0.9, high=1.1)
     same = (table["omega"] == table["omega_contact"]) & (table["omega"] > 1)
-    failed = int((same & (table["converged"] == 0)).sum())
-    longest = table["sweeps"][same & (table["converged"] == 0)].max(initial=0)
-    record.check("one omega everywhere: cases that fail", failed, low=1)
-    record.check("one omega everywhere: sweeps until a failure is found", longest, high=MAX_SWEEPS)
+    failures = table["sweeps"][same & (table["converged"] == 0)]
+    record.check("one omega everywhere: cases that fail", len(failures), low=1)
+    record.check("one omega everywhere: sweeps until a failure is found", failures.max(initial=0), high=MAX_SWEEPS)
     stiff = unit_contact & (table["lmbda"] == STIFFNESS[0][0]) & (table["converged"] == 1)
     best = {n: table["sweeps"][stiff & (table["squares"] == n)].min() for n in np.unique(table["squares"])}
     record.results["best_sweeps"] = {int(n): int(sweeps) for n, sweeps in best.items()}
@@ -77,11 +77,10 @@ def check(record: Record, table: Table) -> None:
 
 def draw(record: Record) -> None:
     """Draw sweeps against omega from table.csv."""
-    parts: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
+    panels = dict[str, Curves]()
     for lmbda, part in record.load("table.csv").split("omega_contact")[1].split("lmbda").items():
-        parts[in_tens(lmbda)] = {
-            f"{n:.0f} squares": (table["omega"], np.where(table["converged"] == 1, table["sweeps"], np.nan))
-            for n, table in part.split("squares").items()
-        }
+        for n, rows in part.split("squares").items():
+            sweeps = np.where(rows["converged"] == 1, rows["sweeps"], np.nan)
+            panels.setdefault(in_tens(lmbda), {})[f"{n:.0f} squares"] = rows["omega"], sweeps
     look = {"title": f"sweeps of relaxation; none: above {MAX_SWEEPS:,}", "save": record.path("sweeps.svg")}
-    plotting.curves(parts, "omega (1 at the contact nodes)", "sweeps", styles=("o-", "s--", "^:"), log="y", **look)
+    plotting.curves(panels, "omega (1 at the contact nodes)", "sweeps", styles=("o-", "s--", "^:"), log="y", **look)

@@ -39,13 +39,12 @@ ROUNDING = 1e-9  # largest relative difference of states that should be the same
 ALONG = 5e-3  # largest distance of two polygons along one path, relative to its size
 
 
-Displacement = Callable[[Expr, Expr], Expr]
-Times = Sequence[float] | ArcLength
-
-
 # ---------------------------------------------------------------- the block
+Displacement = Callable[[Expr, Expr], Expr]
+
+
 def followed(
-    joint: Joint, law: Phases, delta: Displacement, times: Times, eps: float = 0, keep: str = "all"
+    joint: Joint, law: Phases, delta: Displacement, times: Sequence[float] | ArcLength, eps: float = 0, keep: str = "all"
 ) -> History:
     """March the block with delta(x, t), on its interface law or a meshed layer of thickness eps; observe the force."""
 

@@ -118,11 +118,8 @@ class Row:
                 record.write(along_of(name, e), rows)
             if e == shown:
                 what = re.split(r"[;.]\s", getattr(self.problem, "func", self.problem).__doc__ or name)[0]
-                look = {
-                    "save": record.path(f"deformed_{case}.png"),
-                    "title": ", ".join(filter(None, (what, self.label))),
-                }
-                plotting.deformed(states, plotting.View(unit=self.unit), **look)
+                title, save = ", ".join(filter(None, (what, self.label))), record.path(f"deformed_{case}.png")
+                plotting.deformed(states, plotting.View(unit=self.unit), save=save, title=title)
             row = compare(full, limit, where=self.where) | elastic_fraction(layer.law)
             for end, further in self.other_layers.items():
                 errors = compare(full, by_law(further(e), f"interface{end}_{e:g}"), where=self.where)
@@ -132,17 +129,16 @@ class Row:
         record.say(f"meshed layer {law}, on S {self.instead}" if self.instead else law)
         table = record.sweep(compare_at, eps, table_of(name))
         low, high = self.orders or (None, None)
-        for what in ("traction", "jump") if self.orders and len(eps) > 1 else ():
-            reaction = what == "traction" and "error_reaction" in table.columns
-            order = last_order(table, "error_reaction" if reaction else f"error_{what}")
-            record.check(f"last observed order of the {what}, {name}", order, low=low, high=high)
+        by_nodes = {"traction": "error_reaction"} if "error_reaction" in table.columns else {}
+        for what, column in (ERROR_COLUMNS | by_nodes).items() if self.orders and len(eps) > 1 else ():
+            record.check(f"last observed order of the {what}, {name}", last_order(table, column), low=low, high=high)
         return table
 
 
 def elastic_fraction(law: Law) -> dict[str, float]:
     """Column h of a table with a law's elastic fraction, the largest in a stack; empty for laws without it."""
-    laws = [sublayer for _, sublayer in law.sublayers]
-    fractions = [law.parameters()["elastic_fraction"] for law in laws if "elastic_fraction" in law.parameters()]
+    parameters = (sublayer.parameters() for _, sublayer in law.sublayers)
+    fractions = [values["elastic_fraction"] for values in parameters if "elastic_fraction" in values]
     return {"h": max(fractions)} if fractions else {}
 
 
@@ -210,7 +206,7 @@ def draw_along(record: Record, cases: Mapping[str, str], name: str) -> None:
     for label, case in cases.items():
         for eps in record.load(table_of(case))["eps"]:
             table = record.load(along_of(case, eps))
-            *_, column = table.columns
+            column = table.columns[-1]
             lines = panels.setdefault(f"{column}, {label}", {})
             for model, rows in table.split("model").items():
                 lines.pop(ON_S, None)  # the interface law comes last

@@ -69,17 +69,17 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
     """Errors of the laws; the reported factor by which order 0 is too stiff; whether each law gives a warning."""
     lmbda = 2 * nu / (1 - 2 * nu) * mu if nu < 0.5 else math.inf
     compared, structure = set_up.against(record, lmbda, mu, eps), set_up.structure(eps)
-    errors: dict[str, float | None] = {f"{quantity}_{law}": None for law in LAWS for quantity in QUANTITIES}
-    reported: dict[str, float | None] = dict.fromkeys(["too_stiff", *(f"warned_{law}" for law in LAWS)])
+    errors = [f"{quantity}_{law}" for law in LAWS for quantity in QUANTITIES]
+    row: dict[str, float | None] = dict.fromkeys([*errors, "too_stiff", *(f"warned_{law}" for law in LAWS)])
     for law, layer in set_up.layers(lmbda, mu, eps).items():
         with warnings.catch_warnings(record=True, action="always") as caught_warnings:
             state = record.solved(solve(structure.interface(layer)))
         warned = any(issubclass(warning.category, RangeWarning) for warning in caught_warnings)
-        reported[f"warned_{law}"] = float(default_comm().bcast(warned))  # rank 0 warns
-        errors |= {f"{quantity}_{law}": error for quantity, error in zip(QUANTITIES, compared(state), strict=True)}
+        row[f"warned_{law}"] = float(default_comm().bcast(warned))  # rank 0 warns
+        row |= {f"{quantity}_{law}": error for quantity, error in zip(QUANTITIES, compared(state), strict=True)}
         if law == "order_0" and nu < 0.5:
-            reported["too_stiff"] = Surface(state.model).table(state)["too_stiff"][0]
-    return errors | reported
+            row["too_stiff"] = Surface(state.model).table(state)["too_stiff"][0]
+    return row
 
 
 def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
@@ -188,7 +188,8 @@ def draw(record: Record) -> None:
     """Draw the errors of each law, and the cheapest law for 1 % and 5 %, over eps and nu, from the tables."""
     tables = record.load("table.csv").split("sides")
     for name, what in SET_UPS.items():
-        table, drawn = tables[name], _drawn(tables[name])
+        table = tables[name]
+        drawn = [law for law in LAWS if np.isfinite(_worst(table, law)).any()]  # laws that accept one of its materials
         nus, eps = np.unique(table["nu"]), np.unique(table["eps"])
         axes = ("Poisson's ratio nu of the layer", [f"{nu:g}" for nu in nus]), ("eps/l", [fraction(e) for e in eps])
         errors = {}
@@ -204,11 +205,6 @@ def draw(record: Record) -> None:
         ranges = {f"{letter}: {law}": k + 0.5 for k, (letter, law) in enumerate(names.items())}
         title = f"the first of {', '.join(names)} whose error is small enough; {what}"
         maps(parts, *axes, ranges, title=title, save=record.path(f"cheapest_{name}.svg"))
-
-
-def _drawn(table: Table) -> list[str]:
-    """Laws that accept a material of the table."""
-    return [law for law in LAWS if np.isfinite(_worst(table, law)).any()]
 
 
 def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, Panel], dict[str, str]]:
