@@ -44,7 +44,12 @@ Displacement = Callable[[Expr, Expr], Expr]
 
 
 def followed(
-    joint: Joint, law: Phases, delta: Displacement, times: Sequence[float] | ArcLength, eps: float = 0, keep: str = "all"
+    joint: Joint,
+    law: Phases,
+    delta: Displacement,
+    times: Sequence[float] | ArcLength,
+    eps: float = 0,
+    keep: str = "all",
 ) -> History:
     """March the block with delta(x, t), on its interface law or a meshed layer of thickness eps; observe the force."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cached_property
 from itertools import permutations
-from typing import Any
 
 import basix.ufl
 import dolfinx.mesh
@@ -16,7 +15,8 @@ from dolfinx.fem.petsc import apply_lifting, assemble_matrix, assemble_vector
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from forms.base import require
+from forms.base import Array, require
+from geometry.topology import IntArray
 from studies.timing import Stages
 
 E, NU = 100.0, 0.3  # of the blocks, MPa
@@ -72,14 +72,14 @@ class TwoBlocks:
         np.add.at(forces, self._top, np.array(LOAD[:dim]) * self._area / dim)
         return forces
 
-    def spring_entries(self, numbers: Any) -> tuple[Any, Any, Any]:
+    def spring_entries(self, numbers: IntArray) -> tuple[IntArray, IntArray, Array]:
         """Rows, columns and values of the springs' stiffness; `numbers` (nodes, dim): numbers of displacements."""
         at = numbers[self.springs].reshape(len(self.springs), -1)
         rows, columns = np.repeat(at, at.shape[1], axis=1), np.tile(at, at.shape[1])
         return rows.ravel(), columns.ravel(), np.tile(self.jump.ravel(), len(at))
 
 
-def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, Any]:
+def by_hand(n: int, dim: int, options: dict[str, object]) -> dict[str, float]:
     """Solve `TwoBlocks` with PETSc options of the linear solver; return `Stages.measured`."""
     stages, blocks = Stages(), TwoBlocks(n, dim)
     element = basix.ufl.element("Lagrange", "triangle" if dim == 2 else "tetrahedron", 1, shape=(dim,))

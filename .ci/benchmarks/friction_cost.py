@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 from petsc4py import PETSc
 
@@ -31,9 +30,9 @@ PREDICTED_LIMIT = 1.15  # limit of ratios in 3D if the contact status is predict
 NETWORK, BRICKS = "friction in 217 bricks", (14, 15, (1.0, 0.5))  # bricks along, courses, size of a brick
 
 
-def bar(n: int, **choices: Any) -> InterfaceModel:
+def bar(n: int, *, depth: bool = False, structured: bool = True) -> InterfaceModel:
     """A bar or a cube of n cells along each side."""
-    joint, setup = sliding_bar(n, **choices)
+    joint, setup = sliding_bar(n, depth=depth, structured=structured)
     return Structure(joint, **setup).interface(HolonomicCoulomb.of_layer(15e8, 5e8, friction=1.0))  # N/mm^3
 
 

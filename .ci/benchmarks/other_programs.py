@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 import scipy.sparse
 from scipy.sparse.linalg import spsolve
 
+from forms.base import Array
+from geometry.topology import IntArray
 from studies.by_hand import NU, E, TwoBlocks
 from studies.timing import Stages
 
@@ -17,7 +19,7 @@ MODULES = {"NGSolve": "ngsolve", "scikit-fem": "skfem"}
 RESIDUAL = 1e-10  # relative residual of conjugate gradients
 
 
-def ngsolve(n: int, dim: int) -> dict[str, Any]:
+def ngsolve(n: int, dim: int) -> dict[str, float]:
     """Solve `TwoBlocks` on one thread: sparse Cholesky in 2D, conjugate gradients in 3D; return `Stages.measured`."""
     ngs, netgen = import_module("ngsolve"), import_module("netgen.meshing")
     ngs.SetNumThreads(1)
@@ -33,7 +35,7 @@ def ngsolve(n: int, dim: int) -> dict[str, Any]:
     strain, tested = ngs.Sym(ngs.grad(u)), ngs.Sym(ngs.grad(v))
     a += (LMBDA * ngs.Trace(strain) * ngs.Trace(tested) + 2 * MU * ngs.InnerProduct(strain, tested)) * ngs.dx
     a.Assemble()
-    entries: Any = blocks.spring_entries(np.arange(V.ndof).reshape(dim, -1).T)
+    entries: Iterable[IntArray | Array] = blocks.spring_entries(np.arange(V.ndof).reshape(dim, -1).T)
     if dim == 2:  # the factorisation takes one matrix
         entries = map(np.concatenate, zip(a.mat.COO(), entries, strict=True))
     A = ngs.la.SparseMatrixd.CreateFromCOO(*entries, V.ndof, V.ndof)
@@ -49,7 +51,7 @@ def ngsolve(n: int, dim: int) -> dict[str, Any]:
     return stages.measured(ngs.InnerProduct(w.vec, A * w.vec) / 2, V.ndof, dim)
 
 
-def scikit_fem(n: int, dim: int) -> dict[str, Any]:
+def scikit_fem(n: int, dim: int) -> dict[str, float]:
     """Solve `TwoBlocks` by scipy's factorisation; return `Stages.measured`."""
     fem, elasticity = import_module("skfem"), import_module("skfem.models.elasticity")
     stages, blocks = Stages(), TwoBlocks(n, dim)

@@ -9,36 +9,41 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import thinlayer
 from forms import IncrementalCoulomb, LinearElastic, NonMonotone, VonMises
 from geometry import sandwich
+from geometry.joint import Joint
 from studies.by_hand import CHOLESKY, K_N, K_T, LOAD, MULTIGRID, NU, E, by_hand
 from studies.friction_cost import NETWORK, WORKS, friction
 from studies.other_programs import MODULES, ngsolve, scikit_fem
 from studies.problems import SNAPPING, WALLS
-from studies.timing import Measured, Stages, compared, in_turn, timed
+from studies.sweeping import Curves
+from studies.timing import Stages, compared, in_turn, timed
 from thinlayer import ArcLength, Bond, SolveError, Structure, ThinLayer, estimate, goals, march, solve
+from thinlayer.discretisation.coefficient import Load
+from thinlayer.discretisation.layer import SurfaceLaw
+from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
+from thinlayer.solving.history import History
 from thinlayer.system.progress import logger
 from thinlayer.system.table import Row, Table
 
 SIZES = {2: (70, 222, 700), 3: (14, 32, 46)}  # dimension -> cells along: about 1e4, 1e5 and 1e6 unknowns, 3e5 in 3D
 QUICK = {2: (70,), 3: (10,)}
-SOLVERS: dict[str, dict[str, Any]] = {"direct": {"pc_type": "cholesky"}, "iterative": {"pc_type": "gamg"}}
+SOLVERS = {"direct": {"pc_type": "cholesky"}, "iterative": {"pc_type": "gamg"}}
 BY_HAND = {"direct": CHOLESKY, "iterative": MULTIGRID}
 # name -> its work, largest numbers of cells along a side with a reasonable time, limits of ratios for the largest mesh
-PROGRAMS: dict[str, tuple[Callable[..., dict[str, Any]], dict[tuple[int, str], int], dict[int, float]]] = {
+PROGRAMS: dict[str, tuple[Callable[..., dict[str, float]], dict[tuple[int, str], int], dict[int, float]]] = {
     "script by hand": (by_hand, {(dim, kind): SIZES[dim][-1] for dim in SIZES for kind in SOLVERS}, {2: 1.0, 3: 1.05}),
     "NGSolve": (ngsolve, {(2, "direct"): 700, (3, "iterative"): 46}, {2: 0.5, 3: 0.5}),
     "scikit-fem": (scikit_fem, {(2, "direct"): 222, (3, "direct"): 14}, {}),
@@ -105,7 +110,7 @@ def draw(record: Record) -> None:
     """Draw ratios of times over unknowns, and unknowns, times and errors of thin layers over width by thickness."""
     rows = record.load("table.csv").split("part")
 
-    def lines(table: Table) -> dict[str, tuple[Any, Any]]:
+    def lines(table: Table) -> Curves:
         return {work: (of["unknowns"], of["ratio"]) for work, of in table.split("work").items()}
 
     panels = {
@@ -117,7 +122,7 @@ def draw(record: Record) -> None:
     contact = lines(rows["friction"])
     panels["friction over bonded"] = contact
     panels["a network over bonded"] = {NETWORK: contact.pop(NETWORK)}
-    look: dict[str, Any] = {"styles": ("o-", "s--", "^-.", "D:", "v-", "P--")}
+    look = {"styles": ("o-", "s--", "^-.", "D:", "v-", "P--")}
     save = record.path("performance_ratios.svg")
     thinlayer.plotting.curves(panels, "unknowns", "ratio of times", save=save, log="x", xlim=(3e3, 2e6), **look)
     panels = {
@@ -133,7 +138,7 @@ def draw(record: Record) -> None:
 
 
 # ---------------------------------------------------------------- works, most of them in a process of their own
-def blocks(n: int, dim: int, element: str = "P1", load: Any = None) -> Structure:
+def blocks(n: int, dim: int, element: str = "P1", load: Load | None = None) -> Structure:
     """Two blocks under a traction, with n cells along each side."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / n, depth=1.0 if dim == 3 else None, structured=True)
     body, tractions = LinearElastic.young(E=E, nu=NU), {"TOP": load or LOAD[:dim]}
@@ -145,7 +150,7 @@ def layer(stiffness: float = 1.0, eps: float = 0.01) -> ThinLayer:
     return ThinLayer(LinearElastic(stiffness * (K_N - 2 * K_T), stiffness * K_T), eps, at=1.0)
 
 
-def on_s(n: int, dim: int, stiffness: float, options: dict[str, Any]) -> dict[str, Any]:
+def on_s(n: int, dim: int, stiffness: float, options: dict[str, str]) -> dict[str, float]:
     """Measure a solve from the mesh to the energy, with a law on S, `stiffness` times `by_hand`; 0: bonded bodies."""
     stages = Stages()
     structure = blocks(n, dim)
@@ -159,7 +164,7 @@ def on_s(n: int, dim: int, stiffness: float, options: dict[str, Any]) -> dict[st
     return stages.measured(energies["bodies"] + energies["layer"], model.unknowns, dim)
 
 
-def alone(work: str, n: int, *others: Any, ranks: int = 1) -> dict[str, Any]:
+def alone(work: str, n: int, *others: object, ranks: int = 1) -> dict[str, float]:
     """Run a work in new processes, one for each rank, and return its row."""
     words = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     command = [*words, sys.executable, "-c", ALONE, work, json.dumps(n), json.dumps(others)]
@@ -189,7 +194,7 @@ def solves(n: int, dim: int, repeats: int) -> Iterable[Row]:
             row = compared(f"law on S, {kind}", law, name, other, limit)
             if name == "bonded":
                 row["error"] = None
-            elif not row["error"] <= SAME:
+            elif not float(row["error"] or 0.0) <= SAME:
                 raise SolveError(f"{name} has the energy {other['energy']!r}, the interface model {law['energy']!r}")
             yield row
 
@@ -208,23 +213,23 @@ def stiffer(n: int, repeats: int) -> Iterable[Row]:
 def thin(dim: int, eps: float) -> Iterable[Row]:
     """Rows of a meshed layer with cells as long as it is thick or as the bodies' cells along S, and of laws on S."""
     depth, h = (0.25, 1 / 8) if dim == 3 else (None, 1 / 16)
-    works = {FINEST: ("full", eps, 0), "flat cells": ("full", h, 0)}
-    works |= {f"law on S of order {order}": ("interface", h, order) for order in (0, 1)}
-    finest: Measured = {}
+    full, interface = Structure.full, Structure.interface
+    works: dict[str, tuple[Callable[..., Model], float, int]] = {FINEST: (full, eps, 0), "flat cells": (full, h, 0)}
+    works |= {f"law on S of order {order}": (interface, h, order) for order in (0, 1)}
+    finest = dict[str, float]()
     for work, (kind, h_S, order) in works.items():
-        joint = sandwich(1.0, 0.5, 0.5, h, depth=depth, h_S=min(h_S, h))
-        soft, data = replace(layer(eps=eps), order=order), {"supports": {"BOTTOM": 0}, "tractions": {"TOP": LOAD[:dim]}}
-        run = partial(solved, kind, soft, joint, body=LinearElastic.young(E=E, nu=NU), **data)
-        took, state = min((timed(run) for _ in range(2)), key=FIRST)
+        joint, soft = sandwich(1.0, 0.5, 0.5, h, depth=depth, h_S=min(h_S, h)), replace(layer(eps=eps), order=order)
+        took, state = min((timed(partial(solved, kind, soft, joint)) for _ in range(2)), key=FIRST)
         row = {"dim": dim, "unknowns": state.model.unknowns, "eps": eps, "seconds": took}
         row["energy"] = state.energies()["bodies"] + state.energies()["layer"]
         finest = finest or row
         yield compared(work, row, FINEST, finest)
 
 
-def solved(kind: str, soft: ThinLayer, *data: Any, **more: Any) -> State:
-    """Make a "full" or "interface" model and return its solution."""
-    return solve(getattr(Structure(*data, **more), kind)(soft))
+def solved(kind: Callable[..., Model], soft: ThinLayer, joint: Joint) -> State:
+    """Make a full or an interface model of two blocks under the load, and return its solution."""
+    body, loads = LinearElastic.young(E=E, nu=NU), {"TOP": LOAD[: joint.dim]}
+    return solve(kind(Structure(joint, body=body, supports={"BOTTOM": 0}, tractions=loads), soft))
 
 
 def ranks(n: int, repeats: int) -> Iterable[Row]:
@@ -234,14 +239,14 @@ def ranks(n: int, repeats: int) -> Iterable[Row]:
     for number, (limit, most) in RANKS.items():
         row = compared(f"{number} ranks", runs[number], "one rank", runs[1], limit)
         yield row
-        memory = row["peak_mb"] / row["reference_peak_mb"]
+        memory = runs[number]["peak_mb"] / runs[1]["peak_mb"]
         yield row | {"work": f"memory of each of {number} ranks", "ratio": memory, "limit": most}
 
 
 def marches(n: int, repeats: int) -> Iterable[Row]:
     """Rows of steps of marches, and of an estimate, against a linear solve of the same mesh."""
-    flowing, switching = VonMises(K_N - 2 * K_T, K_T, strength=0.3), NonMonotone(**SNAPPING, mixing=0.4)
-    works: dict[str, tuple[str, Any, float, Any]] = {
+    flowing, switching = VonMises(K_N - 2 * K_T, K_T, strength=0.3), NonMonotone(*SNAPPING, mixing=0.4)
+    works: dict[str, tuple[str, ThinLayer | SurfaceLaw, float, Sequence[float] | ArcLength | None]] = {
         "step of a march that yields": ("P2", ThinLayer(flowing, 0.01, at=1.0), 1.0, TENTHS),
         "step of a march in contact": ("P1", IncrementalCoulomb(K_N, K_T, friction=0.25), -1.0, TENTHS),
         "step of a path": ("P2", ThinLayer(switching, 0.02, at=1.0), 1.0, ArcLength(end=2.0, first=0.2)),
@@ -252,11 +257,13 @@ def marches(n: int, repeats: int) -> Iterable[Row]:
         structure = blocks(n, 2, element, lambda x, t, pull=pull: (t * LOAD[0], t * pull))
         model, soft = structure.interface(law), structure.interface(layer())
         linear, limit = partial(solve, soft, 1.0), math.inf if times else ESTIMATE_LIMIT
-        ours: Any = partial(march, model, times, keep="last")
-        ours = ours if times else partial(estimate, linear(), goals=[goals.Compliance()])
-        runs = in_turn({work: partial(timed, ours), "linear": partial(timed, linear)}, repeats, FIRST)
-        (took, result), (reference, _) = runs.values()
-        row = {"dim": 2, "unknowns": soft.unknowns, "seconds": took / (len(result.t) - 1 if times else 1)}
+        ours: Callable[[], object] = partial(estimate, linear(), goals=[goals.Compliance()])
+        ours = partial(march, model, times, keep="last") if times else ours
+        works_in_turn: dict[str, Callable[[], tuple[float, object]]]
+        works_in_turn = {work: partial(timed, ours), "linear": partial(timed, linear)}
+        (took, result), (reference, _) = in_turn(works_in_turn, repeats, FIRST).values()
+        steps = len(result.t) - 1 if isinstance(result, History) else 1
+        row = {"dim": 2, "unknowns": soft.unknowns, "seconds": took / steps}
         yield compared(work, row, "linear solve", {"seconds": reference}, limit)
 
 

@@ -6,9 +6,9 @@ import ctypes
 import gc
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -16,9 +16,11 @@ from petsc4py import PETSc
 from geometry.parallel import ResultType
 from thinlayer.solving.petsc import PREFIX, OptionValue, default_options
 from thinlayer.system.ranks import destroy
+from thinlayer.system.table import Row
 
 # "seconds" of a work; if known, also "peak_mb", "unknowns", "dim", "energy", stages
-Measured = Mapping[str, Any]
+Measured = Mapping[str, float]
+WorkName = TypeVar("WorkName", bound=Hashable)
 ENOUGH = 20.0  # s for which short works are repeated in turn: the load of shared cores varies within seconds
 
 
@@ -33,7 +35,7 @@ class Stages(dict[str, float]):
         """End a stage."""
         self[name], self._begin = time.perf_counter() - self._begin, time.perf_counter()
 
-    def measured(self, energy: float, unknowns: int, dim: int) -> dict[str, Any]:
+    def measured(self, energy: float, unknowns: int, dim: int) -> dict[str, float]:
         """All stages as one work, with the largest memory of a rank, MB; ranks divide shared pages. Collective."""
         shared = status("VmRSS") - status("Pss:", "smaps_rollup")
         peak_mb = MPI.COMM_WORLD.allreduce(status("VmHWM") - shared, MPI.MAX)
@@ -41,10 +43,10 @@ class Stages(dict[str, float]):
         return {**of_work, "seconds": sum(self.values()), **self}
 
 
-def compared(work: str, ours: Measured, reference: str, other: Measured, limit: float = math.inf) -> dict[str, Any]:
+def compared(work: str, ours: Measured, reference: str, other: Measured, limit: float = math.inf) -> Row:
     """A row: a work, its reference work, the ratio of times and its limit, the relative difference of energies."""
     error = abs(ours["energy"] / other["energy"] - 1) if {"energy"} <= {*ours} & {*other} else None
-    row = {"work": work, **ours, "reference": reference, "limit": limit, "error": error}
+    row: Row = {"work": work, **ours, "reference": reference, "limit": limit, "error": error}
     row |= {"reference_seconds": other["seconds"], "reference_peak_mb": other.get("peak_mb")}
     return row | {"ratio": ours["seconds"] / other["seconds"]}
 
@@ -58,8 +60,8 @@ def timed(work: Callable[[], ResultType]) -> tuple[float, ResultType]:
 
 
 def in_turn(
-    works: Mapping[Any, Callable[[], ResultType]], repeats: int, key: Callable[[ResultType], Any] | None = None
-) -> dict[Any, ResultType]:
+    works: Mapping[WorkName, Callable[[], ResultType]], repeats: int, key: Callable[[ResultType], float] | None = None
+) -> dict[WorkName, ResultType]:
     """Return the least of several results of each work, by a key; works run in turn, so that a busy machine slows all.
 
     Short works are repeated until `ENOUGH` seconds have passed, unless `repeats` is 1.
