@@ -234,8 +234,8 @@ def soft(mu: float, nu: float) -> LayerOfThickness:
     return of(LinearElastic.shear(mu, nu))
 
 
-def known_cases() -> list[DroppedCase]:
-    """Cases of another program."""
+def published_cases() -> list[DroppedCase]:
+    """Cases that another program has published."""
     work, R = goals.Compliance(), Rubber.shear
     rolled = partial(DroppedCase, structure=rollers, asked=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
     ended = partial(DroppedCase, structure=free, asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)

@@ -36,8 +36,8 @@ ROWS = 17  # number of rows of the package's table
 EPS = (1 / 16, 1 / 32, 1 / 64, 1 / 128)
 CELLS = 24  # per thickness, through it and near the ends: with 12 the mesh's own error is of order 1.5 at nu = 0.45
 CELLS_3D, CELLS_RUBBER = 8, 12
-KNOWN, IGNORED = "known", "ignored"  # treatment of ends; laws that ignore them treat the layer as infinite
-KINDS = {KNOWN: "free", IGNORED: "plain"}
+CORRECTED, IGNORED = "known", "ignored"  # treatment of ends; laws that ignore them treat the layer as infinite
+KINDS = {CORRECTED: "free", IGNORED: "plain"}
 WHAT = ("traction", "jump", "work")
 DRAWN = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
 H, H_S = 1 / 8, 1 / 32  # cell sizes
@@ -201,7 +201,7 @@ def _work_on_top(state: State) -> float:
 
 
 def _column(what: str, kind: str) -> str:
-    return f"error_{what}" + ("" if kind == KNOWN else f", {kind}")
+    return f"error_{what}" + ("" if kind == CORRECTED else f", {kind}")
 
 
 def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cells: int) -> None:
@@ -212,8 +212,8 @@ def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cel
         for kind in KINDS:
             errors = {what: float(table[_column(what, kind)][-1]) for what in WHAT}
             orders = {what: last_order(table, _column(what, kind)) for what in WHAT}
-            for what in WHAT if kind == KNOWN else case.low:
-                bounds = {"low": case.lowest} if kind == KNOWN else {"high": 1.3}
+            for what in WHAT if kind == CORRECTED else case.low:
+                bounds = {"low": case.lowest} if kind == CORRECTED else {"high": 1.3}
                 record.check(f"{case.name}, ends {kind}: last order of the {what}", orders[what], **bounds)
             orders = {f"order of {what}": order for what, order in orders.items()}
             rows.append({"structure": case.name, "ends": kind, "eps": sizes[-1]} | errors | orders)

@@ -26,8 +26,8 @@ LOOSENED = 0.6  # share of the closing by which the layer is opened to reduce th
 LASTING = 60.0  # shear, as in SHEAR, at which friction has its lasting value
 
 PRESSURE = -(LMBDA + 2 * MU) * CLOSING
-HELD_STRESS, HELD_JUMP = "normal stress held", "normal jump held"
-PROPORTIONAL = f"w_T/|w_N| held, {DIRECTION:g}° off the normal"
+FIXED_STRESS, FIXED_JUMP = "normal stress held", "normal jump held"
+RADIAL = f"w_T/|w_N| held, {DIRECTION:g}° off the normal"
 UNLOADED = "sheared, unloaded across S, sheared"
 PLANES = "slips parallel to S alone"
 PATHS, FLOW = "paths, dilatancy angle psi = 0", "flow rules (psi in degrees), normal stress held"
@@ -44,33 +44,33 @@ def run(record: Record, *, quick: bool = False) -> None:
     steps, law = 100 if quick else 400, MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
     mono = MohrCoulombMonodirectional(LMBDA, MU, 0.0, OMEGA)
     curves: dict[str, PointHistory] = {
-        HELD_STRESS: drive(law, stress_held(steps)),
-        HELD_JUMP: drive(law, opening_held(steps)),
-        PROPORTIONAL: drive(law, in_proportion(steps)),
-        UNLOADED: drive(law, unloaded(steps)),
-        PLANES: drive(mono, stress_held(steps)),
-        f"{PLANES}, {HELD_JUMP}": drive(mono, opening_held(steps)),
+        FIXED_STRESS: drive(law, fixed_stress(steps)),
+        FIXED_JUMP: drive(law, fixed_jump(steps)),
+        RADIAL: drive(law, radial_path(steps)),
+        UNLOADED: drive(law, unloaded_path(steps)),
+        PLANES: drive(mono, fixed_stress(steps)),
+        f"{PLANES}, {FIXED_JUMP}": drive(mono, fixed_jump(steps)),
     }
     for psi, name in DILATANT.items():
         flowing = replace(law, dilatancy_angle=psi)
-        curves[name] = drive(flowing, stress_held(steps))
-        curves[f"{name}, {HELD_JUMP}"] = drive(flowing, opening_held(steps))
+        curves[name] = drive(flowing, fixed_stress(steps))
+        curves[f"{name}, {FIXED_JUMP}"] = drive(flowing, fixed_jump(steps))
     table = record.table("table.csv")
     for name, history in curves.items():
         shear, friction = MU * history.jumps[:, 0] / PRESSURE, ratio(history)
         columns = {column: history.table[column] for column in history.table.columns}
         table.extend(Table.of({"path": name, "shear": shear, "friction": friction, **columns}))
 
-    held = curves[HELD_JUMP]
-    exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, held.jumps[:, 0])
-    error, maximum = np.abs(held.tractions - exact).max(), float(np.nanmax(ratio(curves[UNLOADED])))
+    sheared = curves[FIXED_JUMP]
+    exact = formulas.mohr_coulomb_fixed_opening(LMBDA, MU, 0.0, OMEGA, CLOSING, sheared.jumps[:, 0])
+    error, maximum = np.abs(sheared.tractions - exact).max(), float(np.nanmax(ratio(curves[UNLOADED])))
     record.check("largest error against the closed form, opening held", error, high=6 / steps)
     record.check_near("largest friction while the normal stress is taken away", maximum, tangent(), 1e-5)
-    for name, path in {HELD_JUMP: opening_held, HELD_STRESS: stress_held}.items():
+    for name, path in {FIXED_JUMP: fixed_jump, FIXED_STRESS: fixed_stress}.items():
         friction = ratio(drive(law, path(60, LASTING)))[-1]
         record.check_near(f"lasting friction, {name}", friction, np.sin(np.radians(OMEGA)), 1e-6)
     for psi in DILATANCIES[:2]:
-        friction = ratio(drive(replace(law, dilatancy_angle=psi), stress_held(60, LASTING)))[-1]
+        friction = ratio(drive(replace(law, dilatancy_angle=psi), fixed_stress(60, LASTING)))[-1]
         record.check_near(f"lasting friction, psi = {psi:g}", friction, formulas.apparent_friction(OMEGA, psi), 5e-7)
     record.check_near(f"lasting friction, {PLANES}", ratio(curves[PLANES])[-1], tangent(), 1e-12)
 
@@ -92,24 +92,24 @@ def shears(steps: int, end: float) -> Array:
     return np.linspace(0, end * PRESSURE / MU, steps + 1, dtype=np.float64)[1:]
 
 
-def opening_held(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
+def fixed_jump(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
     """Path of a layer that is closed, then sheared at a constant normal jump."""
     return [{"w_T": 0.0, "w_N": CLOSING}, *({"w_T": w, "w_N": CLOSING} for w in shears(steps, end))]
 
 
-def stress_held(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
+def fixed_stress(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
     """Path of a layer that is compressed, then sheared under a constant normal stress."""
     return [{"w_T": 0.0, "t_N": -PRESSURE}, *({"w_T": w, "t_N": -PRESSURE} for w in shears(steps, end))]
 
 
-def in_proportion(steps: int) -> list[dict[str, float]]:
+def radial_path(steps: int) -> list[dict[str, float]]:
     """Path of a layer that is closed and sheared in proportion."""
     return [{"w_T": w, "w_N": -w / np.tan(np.radians(DIRECTION))} for w in shears(steps, SHEAR)]
 
 
-def unloaded(steps: int) -> list[dict[str, float]]:
+def unloaded_path(steps: int) -> list[dict[str, float]]:
     """Path of a layer that is sheared under constant normal stress, opened by LOOSENED of its closing, sheared on."""
-    first = stress_held(steps // 2, SHEAR / 2)
+    first = fixed_stress(steps // 2, SHEAR / 2)
     w_T, w_N = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA), first).jumps[-1]
     opened = [{"w_T": w_T, "w_N": w} for w in np.linspace(w_N, (1 - LOOSENED) * w_N, steps // 2 + 1)[1:]]
     last = opened[-1]["w_N"]
@@ -121,7 +121,7 @@ def draw(record: Record) -> None:
     curves = record.load("table.csv").split("path")
     tan, sin = tangent(), float(np.sin(np.radians(OMEGA)))
     davis = [formulas.apparent_friction(OMEGA, psi) for psi in DILATANCIES if psi < OMEGA]
-    shown = {PATHS: (UNLOADED, HELD_STRESS, HELD_JUMP, PROPORTIONAL), FLOW: (HELD_STRESS, *DILATANT.values(), PLANES)}
+    shown = {PATHS: (UNLOADED, FIXED_STRESS, FIXED_JUMP, RADIAL), FLOW: (FIXED_STRESS, *DILATANT.values(), PLANES)}
     straight = {PATHS: {"tan(Omega)": tan, "sin(Omega)": sin, "first yield": formulas.first_yield_ratio(NU, OMEGA)}}
     straight[FLOW] = {"tan(Omega)": tan, "sin(Omega)": sin} | dict(zip(DAVIS, davis, strict=True))
     panels = dict[str, Curves]()

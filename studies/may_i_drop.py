@@ -15,7 +15,7 @@ from studies.dropped import (
     FINE,
     DroppedCase,
     further_cases,
-    known_cases,
+    published_cases,
     random_case,
     unwarned,
 )
@@ -56,7 +56,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 def _effectivities(record: Record, *, quick: bool) -> None:
     """Estimate the changes of all cases, and check the estimates of fields on S and of goals."""
-    chosen = [case for case in (*known_cases(), *further_cases()) if not (quick and case.solid)]
+    chosen = [case for case in (*published_cases(), *further_cases()) if not (quick and case.solid)]
     cases = [(case, eps) for case in chosen for eps in THICKNESSES]
     table, goals = record.table("effectivities.csv"), record.table("goals.csv")
     for case, eps in track(cases, "may_i_drop", "{0[0].name}, {0[1]:g}"):

@@ -159,7 +159,7 @@ SUBLAYERS = Stack((0.3, LinearElastic(400.0, 20.0)), (0.3, LinearElastic(20.0, 6
 # fmt: off
 MM = (0.8, 0.4, 0.2, 0.1)
 FIFTHS, TENTHS, TWENTIETHS = (0.2, 0.4, 0.6, 0.8, 1.0), (0.1, 0.2, 0.3, 0.4, 0.5), (0.05, 0.1, 0.15, 0.2, 0.25)
-BESIDE = {"_order0": of(SUBLAYERS), "_mirrored": of(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}  # a wrong law
+OTHER_STACKS = {"_order0": of(SUBLAYERS), "_mirrored": of(Stack(*SUBLAYERS.sublayers[::-1]), order=1)}  # a wrong law
 
 still = partial(Row, problem=fourier, orders=(0.95, 1.05), pictured=middle)
 order_1 = partial(Row, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), pictured=None)
@@ -196,7 +196,7 @@ ROWS: dict[str, Row] = {
     "extended": still(of(FOURIER_LAYER), bodies="extended"),
     "tapered": still(of(FOURIER_LAYER, profile=wedge), bodies="extended", orders=(0.9, 1.1)),
     "order1": order_1(of(FOURIER_LAYER, order=1), other_layers={"_order0": of(FOURIER_LAYER)}, more=by_reaction),
-    "order1_stack": order_1(of(SUBLAYERS, order=1), other_layers=BESIDE),
+    "order1_stack": order_1(of(SUBLAYERS, order=1), other_layers=OTHER_STACKS),
     "hard_layer": hard(of(HARD["hard_layer"], None, order=1), "harder than the bodies"),
     "hard_layer softer": hard(of(HARD["hard_layer softer"], None, order=1), "softer than the bodies", check=third_order),
     "rubber": rubber(of(Rubber.shear(40.0, 0.3), order=1), "nu = 0.3"),
@@ -282,7 +282,7 @@ DRAWN = {  # law -> label and column of each error, reference order
     "rubber": ({"jump": "error_jump"}, 2.0),
     "incompressible": (ERROR_COLUMNS | {"[u_N]/[u] of the meshed layer": "normal_jump_full"}, 1.0),
 }
-APART = ("monodirectional", "friction", "non_monotone")  # laws with separate pictures of tractions and jumps
+SEPARATE_LAWS = ("monodirectional", "friction", "non_monotone")  # laws with separate pictures of tractions and jumps
 
 
 def run(
@@ -320,10 +320,10 @@ def draw(record: Record) -> None:
         if not rows:
             continue
         tables = {label: record.path(table_of(name)) for label, name in [*rows.items()][: len(COLOURS)]}
-        if law not in APART:
+        if law not in SEPARATE_LAWS:
             errors, order = DRAWN.get(law, (ERROR_COLUMNS, 1.0))
             plotting.rates(tables, save=record.path(f"rates_{law}.svg"), title=title, errors=errors, reference=order)
-        for error, end in (("traction", ""), ("jump", "_jump")) if law in APART else ():
+        for error, end in (("traction", ""), ("jump", "_jump")) if law in SEPARATE_LAWS else ():
             look = {"title": f"{title}: {error}", "errors": {error: f"error_{error}"}}
             plotting.rates(tables, save=record.path(f"rates_{law}{end}.svg"), **look)
         if along := {label: name for label, name in rows.items() if ROWS[name].along}:

@@ -12,7 +12,6 @@ from geometry.topology import BoolArray
 from studies.problems import STEEL, Problem
 from studies.sweeping import Tables, last, layer_of
 from thinlayer import Structure, Surface, solve
-from thinlayer.discretisation.state import State
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
 
@@ -55,15 +54,11 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
     for name, state, there in (("meshed", full, solve(tension.full(layer))), ("law", limit, limit_there)):
         for where, final, model in ("", last(state), last(limit).model), ("_axisymmetric", there, limit_there.model):
             surface = Surface(model)
-            means[f"rise_{name}{where}"] = _rise(final)
-            part = 1 - _radius(surface.x) ** 2 / RADIUS**2
-            normal = surface.frame(surface.traction(final))[-1]
-            means[f"traction_{name}{where}"] = surface.integral(part * normal) / surface.integral(part)
+            top = final.model.ds(final.model.domain.values("TOP"))
+            means[f"rise_{name}{where}"] = final.integral(final.u[1] * top) / (math.pi * RADIUS**2)
+            weight, normal = 1 - _radius(surface.x) ** 2 / RADIUS**2, surface.frame(surface.traction(final))[-1]
+            means[f"traction_{name}{where}"] = surface.integral(weight * normal) / surface.integral(weight)
     return means
-
-
-def _rise(state: State) -> float:
-    return state.integral(state.u[1] * state.model.ds(state.model.domain.values("TOP"))) / (math.pi * RADIUS**2)
 
 
 def in_section(record: Record, tables: Tables) -> None:

@@ -40,16 +40,11 @@ ALONG = 5e-3  # largest distance of two polygons along one path, relative to its
 
 
 # ---------------------------------------------------------------- the block
-Displacement = Callable[[Expr, Expr], Expr]
+Motion = Callable[[Expr, Expr], Expr]  # of place and time
 
 
 def followed(
-    joint: Joint,
-    law: Phases,
-    delta: Displacement,
-    times: Sequence[float] | ArcLength,
-    eps: float = 0,
-    keep: str = "all",
+    joint: Joint, law: Phases, delta: Motion, times: Sequence[float] | ArcLength, eps: float = 0, keep: str = "all"
 ) -> History:
     """March the block with delta(x, t), on its interface law or a meshed layer of thickness eps; observe the force."""
 
@@ -120,8 +115,8 @@ def run(record: Record, *, quick: bool = False) -> None:
 
     pure = cycle(joint, steps)
     note(PURE, pure)
-    times = sorted({*moved(pure.t).round(12)} - {0.0})
-    relaxed = followed(joint, NonMonotone(*SNAPPING), lambda x, t: t, times)
+    deltas = sorted({*moved(pure.t).round(12)} - {0.0})
+    relaxed = followed(joint, NonMonotone(*SNAPPING), lambda x, t: t, deltas)
     response.extend(rows(RELAXED, relaxed, relaxed.t).rows)
     response.extend(follow(record, joint, relaxed, r, step, quick=quick).rows)
     check_energies(record, pure, relaxed)
@@ -139,8 +134,7 @@ def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float
     if not quick:
         others["with half the steps"] = path(joint, r, step / 2)
     for how, other in others.items():
-        both = ([curve[c] for c in ("delta", "force", "phase")] for curve in (other, first))
-        points, vertices = map(np.column_stack, both)
+        points, vertices = (np.column_stack([path[c] for c in ("delta", "force", "phase")]) for path in (other, first))
         record.check(f"{name}: distance of the path {how}", distance(points, vertices).max(), high=ALONG)
     record.check(f"{name}: delta goes back by", float(np.maximum(-np.diff(first["delta"]), 0).sum()), low=1e-3)
     energy, least = first["energy"][-1], relaxed.table["energy"][-1]

@@ -50,8 +50,8 @@ def strips(h: float, mu: float, supports: Mapping[Place, Support]) -> dict[str, 
     """Return name -> model of the right halves of two cooled strips with a layer of the shear modulus mu."""
     joint = sandwich(LENGTH, HEIGHTS["LOWER"], HEIGHTS["UPPER"], h, cell="quadrilateral", structured=True)
     cooled = {name: ThermalExpansion(alpha, COOLING) for name, alpha in ALPHA.items()}
-    bodies, held = {"LOWER": ALUMINIUM, "UPPER": STEEL}, {"LEFT": {"x": 0.0}, **supports}
-    structure = Structure(joint, body=bodies, supports=held, eigenstrain=cooled)
+    bodies, conditions = {"LOWER": ALUMINIUM, "UPPER": STEEL}, {"LEFT": {"x": 0.0}, **supports}
+    structure = Structure(joint, body=bodies, supports=conditions, eigenstrain=cooled)
     layer = ThinLayer(LinearElastic.shear(mu, 0.4), EPS)
     return {"meshed layer": structure.full(layer), "interface law": structure.interface(layer)}
 

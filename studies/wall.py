@@ -26,7 +26,7 @@ COHESION = {"BED": 0.1, "HEAD": 0.03}  # MPa
 PRESSURE = 0.5  # MPa, on the top
 STRENGTH = COHESION["BED"] + tan(radians(ANGLE)) * PRESSURE  # of a bed along which all bricks above slide
 WALLS = ("heads with mortar", "open heads")
-NEAR = 0.9  # share of the strength of a bed at which walls are compared and drawn
+NEAR_LIMIT = 0.9  # share of the strength of a bed at which walls are compared and drawn
 PANEL = (2, 3)  # bricks and courses of the panel that is meshed
 SHIFTS = (0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)  # mm, of its top
 THICKNESSES = (10.0, 5.0, 2.5)  # mm, of its meshed joints
@@ -70,8 +70,8 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
         moved, steps = [shift(state) for state in history], [state.report.iterations for state in history]
         table.extend(Table.of({"wall": name, "shear_MPa": history.t, "shift_mm": moved, "iterations": steps}))
         record.check(f"{name}: limit over that of a bed that slides", limit / STRENGTH, low=0.995, high=1.0)
-        shifts.append(np.interp(NEAR * STRENGTH, history.t, moved))
-        near[name] = max((state for state in history if state.t <= NEAR * STRENGTH), key=lambda state: state.t)
+        shifts.append(np.interp(NEAR_LIMIT * STRENGTH, history.t, moved))
+        near[name] = max((state for state in history if state.t <= NEAR_LIMIT * STRENGTH), key=lambda state: state.t)
         last[name] = record.solved(history.last)
         for state in (near[name], last[name]):
             for row in Surface(state.model).table(state):

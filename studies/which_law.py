@@ -39,8 +39,8 @@ LETTERS = {"order_0": "0", "order_1": "1", "rubber": "R"}
 CORRECTED = {"edges": "order_1", "rubber_edges": "rubber"}  # law corrected at free ends -> law without correction
 QUANTITIES = ("traction", "jump", "compliance")
 RANGES = {"< 0.1 %": 0.001, "0.1 to 1 %": 0.01, "1 to 5 %": 0.05, "5 to 20 %": 0.2, "> 20 %": math.inf}  # of errors
-WANTED = (0.01, 0.05)  # errors for which the cheapest law is drawn
-TOLD = 0.1  # error of order 1 from which on a warning is required
+ALLOWED_ERRORS = (0.01, 0.05)  # errors for which the cheapest law is drawn
+WARNED_ERROR = 0.1  # error of order 1 from which on a warning is required
 LOAD = 1e-6  # stress: far below the moduli of the layers, so that warnings come from the laws, not from the loads
 INNER = 0.25  # free ends: errors are measured up to this distance from the middle of S
 SIGNS = "!: with a RangeWarning; -: a law without such a material, or S too narrow for its strips at free ends"
@@ -84,13 +84,13 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
 
 def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
     """Layers with the laws that accept a material: no order 1 of `LinearElastic` at nu = 1/2, no `Rubber` at nu = 0."""
-    zero = partial(ThinLayer, eps=eps)
-    first = partial(ThinLayer, eps=eps, order=1, edges="plain")
+    rubber, first = _rubber(lmbda, mu), partial(ThinLayer, eps=eps, order=1, edges="plain")
     if math.isinf(lmbda):
-        return {"order_0": zero(Incompressible(mu)), "rubber": first(Incompressible(mu))}
+        return {"order_0": ThinLayer(rubber, eps), "rubber": first(rubber)}
     elastic = LinearElastic(lmbda, mu)
-    layers = {"order_0": zero(elastic), "order_1": first(elastic)}
-    return layers | ({"rubber": first(_rubber(lmbda, mu))} if lmbda else {})
+    return {"order_0": ThinLayer(elastic, eps), "order_1": first(elastic)} | (
+        {"rubber": first(rubber)} if lmbda else {}
+    )
 
 
 def _rubber(lmbda: float, mu: float) -> Rubber | Incompressible | LinearElastic:
@@ -178,9 +178,9 @@ def _check(record: Record, name: str, table: Table) -> None:
     eps, errors = table["eps"], _worst(table, "rubber")
     order, high, fine = (2, 2.0, eps > 0.03) if name == "rollers" else (1, 0.3, eps < 0.1)
     record.check(f"{name}: largest error of Rubber over eps^{order}", np.nanmax((errors / eps**order)[fine]), high=high)
-    silent = (_worst(table, "order_1") > TOLD) & (table["warned_order_1"] == 0)
+    silent = (_worst(table, "order_1") > WARNED_ERROR) & (table["warned_order_1"] == 0)
     record.check(f"{name}: errors of LinearElastic, order 1, above 10 % without a warning", silent.sum(), high=0)
-    missed = (_worst(table, "rubber") > TOLD) & (eps < 0.2)
+    missed = (_worst(table, "rubber") > WARNED_ERROR) & (eps < 0.2)
     record.check(f"{name}: errors of Rubber above 10 %, eps < 1/5", missed.sum(), high=0)
 
 
@@ -208,7 +208,7 @@ def draw(record: Record) -> None:
 
 
 def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, Panel], dict[str, str]]:
-    """Find the first law whose error is below each of `WANTED`, with corrected ends if possible; else the meshed layer.
+    """Find the first law, corrected at ends if possible, whose error is allowed; else the meshed layer.
 
     Returns:
         Panels of `maps` with numbers and letters of laws; letter -> law.
@@ -221,7 +221,7 @@ def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, P
         both = (laws, [corrected.get(law, law) for law in laws])
         plain, improved = (np.array([errors[f"{LAWS[law]}; E/mu = {contrast:,}"] for law in some]) for some in both)
         stack = np.where(np.isfinite(improved), improved, plain)
-        for wanted in WANTED:
+        for wanted in ALLOWED_ERRORS:
             good = np.append(stack < wanted, np.ones((1, *stack.shape[1:]), bool), axis=0).argmax(axis=0)
             parts[f"error < {100 * wanted:.0f} %; E/mu = {contrast:,}"] = good, np.array(list(names))[good]
     return parts, names

@@ -10,12 +10,12 @@ import pytest
 
 from forms import LinearElastic
 from geometry import faults
-from studies.dropped import free, known_cases, loaded, unwarned
+from studies.dropped import free, loaded, published_cases, unwarned
 from studies.may_i_drop import Dropped, effectivities, solved
 from thinlayer import RangeWarning, ThinLayer, ThinlayerError, estimate, goals, solve
 
 COARSE = 1 / 16
-KNOWN = {case.name: case for case in known_cases()}
+KNOWN = {case.name: case for case in published_cases()}
 
 
 @cache
