@@ -144,8 +144,7 @@ def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequenc
         springs: normal stiffness between neighbours, stress per length; None: bonded.
         p: pressure in the bore; the rim is free.
     """
-    pairs = [None if spring is None else (spring, spring) for spring in springs]
-    between = _between(0, laws, radii[1:-1], pairs)[:, ::2]  # radial rows
+    between = _between(0, laws, radii[1:-1], [None if k is None else (k, k) for k in springs])[:, ::2]  # radial rows
     ends = np.zeros((2, 2 * len(laws)))
     ends[0, :2], ends[1, -2:] = (_solutions(0, laws[k], radii[k])[2] for k in (0, -1))
     A, b = np.concatenate([between.reshape(-1, ends.shape[1]), ends]), np.zeros(ends.shape[1])

@@ -139,9 +139,8 @@ def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: Hi
 def check_digits(record: Record, table: Table, limit: Table) -> None:
     """Check numbers of the bar and its limit, that thresholds are linear in eps, and that the printed U is wrong."""
     for eps, digits in DIGITS.items():
-        row = limit.rows[EPS.index(eps)]
         for name, value in zip(NAMES, digits, strict=True):
-            record.check_near(f"{name} of the bar, eps = {eps:g}", float(row[name] or 0), value, EXACT)
+            record.check_near(f"{name} of the bar, eps = {eps:g}", limit[name][EPS.index(eps)], value, EXACT)
     at = np.flatnonzero((table["eps"] == BAR.eps) & np.isclose(table["delta"], AT))[0]
     for name, value in DIGITS_AT.items():
         record.check_near(f"{name} at delta = {AT:g}", table[name][at], value, EXACT)

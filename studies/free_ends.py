@@ -43,6 +43,7 @@ DRAWN = ("c_N", "rho_N", "m_N/c_N", "c_T", "m_T/c_T", "kappa")
 H, H_S = 1 / 8, 1 / 32  # cell sizes
 CONTRASTS = (10.0, 20.0, MIN_STIFFNESS_CONTRAST, 80.0, 400.0)  # Young's modulus of the bodies over mu of the layer
 SOFT_RATIOS, SOFT_EPS = (0.0, 0.3, 0.45), (1 / 16, 1 / 64)  # Poisson's ratios of elastic layers, thicknesses
+UNEQUAL = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
 
 
 # ---------------------------------------------------------------- structures
@@ -77,8 +78,7 @@ def _blocks(eps: float, cells: float) -> Structure:
 
 
 def _unequal(eps: float, cells: float) -> Structure:
-    body = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
-    return free_blocks(eps / cells, lambda x, t: (-0.6, 1 + x[0]), (0.3, 0.6), body=body)
+    return free_blocks(eps / cells, lambda x, t: (-0.6, 1 + x[0]), (0.3, 0.6), body=UNEQUAL)
 
 
 def _based(eps: float, cells: float) -> Structure:
