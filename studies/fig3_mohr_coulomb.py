@@ -88,11 +88,8 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
     table = record.table("table.csv")
     for name, reading in readings.items():
         bar = YieldingBar(record, name, reading, coarse if quick else fine)
-        shown = {
-            "interface law, h = 0": bar.solved(Structure.interface, 0.0),
-            f"interface law, h = {H:g}": bar.solved(Structure.interface, H),
-            f"meshed layer, h = {H:g}": bar.solved(Structure.full, H),
-        }
+        shown = {f"interface law, h = {h:g}": bar.solved(Structure.interface, h) for h in (0.0, H)}
+        shown[f"meshed layer, h = {H:g}"] = bar.solved(Structure.full, H)
         for label, state in shown.items():
             table.extend({"loads": name, "model": label} | row for row in bar.profile(state))
         bar.check(shown)

@@ -92,10 +92,8 @@ CASES = (
     EndCase("unequal blocks, nu = 0.45", _unequal, LinearElastic.shear(1.6, 0.45)),
     EndCase("rigid base, sheared", _based, LinearElastic.shear(8.0, 0.3)),
 )
-RUBBER = (
-    EndCase("rubber, nu = 0.45", _blocks, Rubber.shear(40.0, 0.45), lowest=1.6, low=("jump",)),
-    EndCase("rubber, nu = 0.5", _blocks, Incompressible(40.0), lowest=1.6, low=("jump",)),
-)
+RUBBER_LAWS = {0.45: Rubber.shear(40.0, 0.45), 0.5: Incompressible(40.0)}  # by Poisson's ratio
+RUBBER = [EndCase(f"rubber, nu = {nu:g}", _blocks, law, lowest=1.6, low=("jump",)) for nu, law in RUBBER_LAWS.items()]
 
 
 def graded(length: float, first: float, last: float) -> Array:

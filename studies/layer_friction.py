@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from forms import MohrCoulomb, MohrCoulombMonodirectional, formulas
+from forms import BulkLaw, MohrCoulomb, MohrCoulombMonodirectional, formulas
 from forms.base import Array
 from studies.sweeping import Curves
 from thinlayer import Table, plotting
@@ -42,19 +42,13 @@ def run(record: Record, *, quick: bool = False) -> None:
         quick: longer steps.
     """
     steps, law = 100 if quick else 400, MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
-    mono = MohrCoulombMonodirectional(LMBDA, MU, 0.0, OMEGA)
-    curves: dict[str, PointHistory] = {
-        FIXED_STRESS: drive(law, fixed_stress(steps)),
-        FIXED_JUMP: drive(law, fixed_jump(steps)),
-        RADIAL: drive(law, radial_path(steps)),
-        UNLOADED: drive(law, unloaded_path(steps)),
-        PLANES: drive(mono, fixed_stress(steps)),
-        f"{PLANES}, {FIXED_JUMP}": drive(mono, fixed_jump(steps)),
-    }
-    for psi, name in DILATANT.items():
-        flowing = replace(law, dilatancy_angle=psi)
-        curves[name] = drive(flowing, fixed_stress(steps))
-        curves[f"{name}, {FIXED_JUMP}"] = drive(flowing, fixed_jump(steps))
+    paths = {FIXED_STRESS: fixed_stress, FIXED_JUMP: fixed_jump, RADIAL: radial_path, UNLOADED: unloaded_path}
+    curves = {name: drive(law, path(steps)) for name, path in paths.items()}
+    laws: dict[str, BulkLaw] = {PLANES: MohrCoulombMonodirectional(LMBDA, MU, 0.0, OMEGA)}
+    laws |= {name: replace(law, dilatancy_angle=psi) for psi, name in DILATANT.items()}
+    for name, other in laws.items():
+        curves[name] = drive(other, fixed_stress(steps))
+        curves[f"{name}, {FIXED_JUMP}"] = drive(other, fixed_jump(steps))
     table = record.table("table.csv")
     for name, history in curves.items():
         shear, friction = MU * history.jumps[:, 0] / PRESSURE, ratio(history)

@@ -88,9 +88,8 @@ def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
     if math.isinf(lmbda):
         return {"order_0": ThinLayer(rubber, eps), "rubber": first(rubber)}
     elastic = LinearElastic(lmbda, mu)
-    return {"order_0": ThinLayer(elastic, eps), "order_1": first(elastic)} | (
-        {"rubber": first(rubber)} if lmbda else {}
-    )
+    layers = {"order_0": ThinLayer(elastic, eps), "order_1": first(elastic)}
+    return layers | ({"rubber": first(rubber)} if lmbda else {})
 
 
 def _rubber(lmbda: float, mu: float) -> Rubber | Incompressible | LinearElastic:
