@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -37,25 +37,18 @@ def softening_law(points: CompiledTerm, e: Array, e_old: Array, memory: Array, r
     return (type(term.law.in_space).__name__, f"at {count} points of the {term.key or LAYER_KIND}") if count else None
 
 
-class PointStrains:
-    """Prescribed strain of a compiled term at its points, at any time. Collective.
+def prescribed_strains(points: CompiledTerm) -> Callable[[float], Array]:
+    """A function of the time that returns the prescribed strains (points, m) of a compiled term. Collective."""
+    time, strain = TimeLevel(), points.term.prescribed_strain
+    if strain is None:
+        return lambda t: np.zeros((points.count, len(points.slots)))
+    form = points.form_of(time.of(strain))
 
-    Args:
-        points: the compiled term.
-    """
+    def strains_at(t: float) -> Array:
+        time.set(t)
+        return points.values_of(form)
 
-    def __init__(self, points: CompiledTerm) -> None:
-        prescribed_strain = points.term.prescribed_strain
-        self._points, self._time = points, TimeLevel()
-        self._form = None if prescribed_strain is None else points.form_of(self._time.of(prescribed_strain))
-
-    def __call__(self, t: float) -> Array:
-        """Prescribed strains (points, m) at time t."""
-        points = self._points
-        if self._form is None:
-            return np.zeros((points.count, len(points.slots)))
-        self._time.set(t)
-        return points.values_of(self._form)
+    return strains_at
 
 
 class CompiledPart(Part):
@@ -81,7 +74,7 @@ class CompiledPart(Part):
         self.key, self._symmetric = key, symmetric
         meshed = term.law.traits.softens and term.measure.integral_type() == "cell"
         self.points = (ColumnTerm if meshed else CompiledTerm)(V, term, origin)
-        self._strains = PointStrains(self.points)
+        self._strains = prescribed_strains(self.points)
         self.comm, self.law = self.points.comm, term.law
         self._t, self._in_body = 0.0, term.n is None
         self._tangent: PETSc.Mat | None = None
@@ -153,7 +146,7 @@ class CompiledPart(Part):
         """As in `Part`. The remainder comes from the law for constant parameters, and from the work if they vary."""
         response, interval = self._response, self.interval
         before = interval.old.stored[self.key] if self.key in interval.old.stored else self._at_rest()
-        after, dissipated, remainder = self.comm.allreduce(response.energies)
+        after, dissipated, remainder = map(float, self.comm.allreduce(response.energies))
         supplied = self.comm.allreduce(float(self.points.weights @ (response.stress * self._growth).sum(axis=1)))
         if self.points.material.varies:
             if interval.t != self._t:
@@ -162,11 +155,10 @@ class CompiledPart(Part):
             worked = float(self.points.forces(response.stress).dot(change)) + supplied
             remainder = worked - (after - before) - dissipated
             change.destroy()
-        stress = self.points.balanced(response.whole)
+        stress = self.points.projected(response.whole)
         if interval.theta < 1:  # extrapolate from old.t + theta dt to the end of the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
-        energies = before, float(after), float(dissipated), float(remainder)
-        return StepOutcome(*energies, response.memory, supplied=supplied, stress=stress)
+        return StepOutcome(before, after, dissipated, remainder, response.memory, supplied=supplied, stress=stress)
 
     def _at_rest(self) -> float:
         """Energy stored before the first step by a prescribed strain that was always present."""

@@ -14,7 +14,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 from ufl.algorithms.check_arities import ArityMismatch
 
-from forms.base import InputError
+from forms.base import Array, InputError
 from forms.check import check
 from forms.law import BulkLaw, Step
 from forms.law_tangents import law_identity
@@ -24,7 +24,7 @@ from thinlayer.discretisation.form_compilation import compiled, compiled_summand
 from thinlayer.discretisation.state import Configuration
 from thinlayer.discretisation.time_functions import StepStrains
 from thinlayer.errors import former_names
-from thinlayer.parts.compiled_part import PointStrains, softening_law
+from thinlayer.parts.compiled_part import prescribed_strains, softening_law
 from thinlayer.parts.part import Block, Part, PartTraits, Softening, StepOutcome, TimeStep
 from thinlayer.pointwise.compiled_term import CompiledTerm
 from thinlayer.pointwise.quadrature import add_assembled_forces, add_distributed, assemble_matrix
@@ -193,9 +193,8 @@ class LawFormPart(FormPart):
         super().__init__(key, u, K, F, stored, g=g)
         opposing = [p for p in others if p.n is None and p.prescribed_strain is not None]
         self._opposing = _opposing_integrals(_with_strains(opposing, over.balanced), u)
-        self.traits = replace(
-            reduce(or_, map(_form_traits, terms), PartTraits()), inner=all(p.n is None for p in terms)
-        )
+        traits = reduce(or_, map(_form_traits, terms), PartTraits())
+        self.traits = replace(traits, inner=all(p.n is None for p in terms))
 
     def named(self) -> dict[str, PartTraits]:
         laws: dict[str, PartTraits] = {}
@@ -256,14 +255,14 @@ class LawFormPart(FormPart):
         return largest if 0 < largest < np.inf else 1.0
 
     @cached_property
-    def _softening(self) -> list[tuple[CompiledTerm, PointStrains]]:
+    def _softening(self) -> list[tuple[CompiledTerm, Callable[[float], Array]]]:
         """Compiled terms, with prescribed strains, of the layers' laws that may soften.
 
         Laws in a meshed layer with parameters that are functions are left out.
         """
         terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
         points = [CompiledTerm(self._u.function_space, replace(p, law=_compiled_law(p.law))) for p in terms]
-        return [(compiled_term, PointStrains(compiled_term)) for compiled_term in points]
+        return [(compiled_term, prescribed_strains(compiled_term)) for compiled_term in points]
 
     def undeclared_softening(self) -> Softening | None:
         old = self.interval.old

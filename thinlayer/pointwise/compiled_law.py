@@ -16,6 +16,7 @@ from forms.parameter_fields import parameter_numbers
 from thinlayer.pointwise.kernels import compile_kernels
 from thinlayer.system.compilation import library, pointers
 
+Slots = Sequence[int]  # Mandel components
 TRIAL_STRAINS = tuple(10.0**k for k in range(-15, 7))  # sizes of trial strains, or of trial jumps in any unit
 TRIAL_STEPS = (1.0, 0.0, 1e12, 1e30)  # lengths of trial steps in any unit of time
 C_SOURCE = Path(__file__).with_name("response.c")
@@ -81,16 +82,7 @@ class CompiledLaw:
         self.parameters = np.ascontiguousarray(np.hstack(columns))
 
     def update(
-        self,
-        slots: Sequence[int],
-        e: Array,
-        e_old: Array,
-        q: Array,
-        n: Array,
-        dt: float,
-        theta: float,
-        *,
-        fixed: bool = False,
+        self, slots: Slots, e: Array, e_old: Array, q: Array, n: Array, dt: float, theta: float, *, fixed: bool = False
     ) -> tuple[Array, Array, Array, Array, int]:
         """Stress (points, 6), tangent (points, m, m), internal values, energies (points, 3), number of failed points.
 

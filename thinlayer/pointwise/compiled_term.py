@@ -99,12 +99,14 @@ class CompiledTerm(Quadrature):
     def values_of(self, form: fem.Form) -> Array:
         """Strains (points, m) of a form of `form_of`, at the present values of its constants, projected for the law."""
         values = np.asarray(fem.assemble_vector(form).array).reshape(-1, len(self.slots))[: self.count]
-        strains = np.asarray(values / self._integrals[:, None])
-        return self._volume(strains) if self._volume else strains
+        return self.projected(values / self._integrals[:, None])
 
-    def balanced(self, stress: Array) -> Array:
-        """Stresses (points, 6) whose work in unprojected strains is the work of `stress` in projected strains."""
-        return self._volume(stress) if self._volume else stress
+    def projected(self, values: Array) -> Array:
+        """Strains (points, m) or stresses (points, 6) with mean volume strains, if the term has them (`MeanVolume`).
+
+        The work of projected stresses in strains is the work of the stresses in projected strains.
+        """
+        return self._volume(values) if self._volume else values
 
     def _vector(self, values: Array) -> PETSc.Vec:
         """A vector over the rows of B."""
@@ -131,10 +133,9 @@ class CompiledTerm(Quadrature):
 
     def failure(self, response: Response) -> str:
         """Message about the first point of this rank where the law failed; "" if it failed nowhere."""
-        at = np.flatnonzero(np.isnan(response.whole[:, 0]))[:1]
-        if not len(at):
+        if not (failed := np.isnan(response.whole[:, 0])).any():
             return ""
-        k, law = int(at[0]), self.term.law
+        k, law = int(failed.argmax()), self.term.law
         what = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
         plane = any(sublayer.in_space is not sublayer for _, sublayer in law.sublayers)
         why = ", or no strain out of the plane makes the stresses there zero" if plane else ""

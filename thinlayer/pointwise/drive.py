@@ -17,6 +17,9 @@ from thinlayer.errors import SolveError
 from thinlayer.pointwise.material_point import COMPONENT_NAMES, MaterialPoint
 from thinlayer.system.table import Table
 
+PathStep = Mapping[str, float]  # name of a jump or a traction -> its prescribed value
+StepLengths = float | Sequence[float]  # one for all steps, or one for each
+
 
 @dataclass(frozen=True, eq=False)
 class PointHistory:
@@ -56,12 +59,7 @@ class PointHistory:
 
 
 def drive(
-    law: Law,
-    steps: Sequence[Mapping[str, float]],
-    n: Sequence[float] = (0.0, 1.0),
-    *,
-    dt: float | Sequence[float] = (),
-    theta: float = 1.0,
+    law: Law, steps: Sequence[PathStep], n: Sequence[float] = (0.0, 1.0), *, dt: StepLengths = (), theta: float = 1.0
 ) -> PointHistory:
     """Drive the interface law of a layer, of order 0, from rest along a path.
 
@@ -85,8 +83,7 @@ def drive(
     """
     if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
         raise InputError(f"law is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw")
-    if law.fields or law.traits.varies:
-        name = next(iter(law.fields), "a parameter")
+    if name := next(iter(law.fields), "a parameter" if law.traits.varies else ""):
         raise InputError(f"{type(law).__name__}: {name} is a function of the place, or of time; a point needs numbers")
     require(isinstance(steps, Iterable), "steps", steps, "it must be a list of dictionaries")
     steps = list(steps)
@@ -136,7 +133,7 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     return normal, np.column_stack([along, normal])
 
 
-def _read_step(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]:
+def _read_step(step: PathStep, k: int, d: int) -> tuple[Array, Array]:
     """(d,) whether each component of a step has a prescribed jump, and (d,) the prescribed values."""
     names = COMPONENT_NAMES[d]
     allowed = ", ".join(f"w_{c} or t_{c}" for c in names)
@@ -153,7 +150,7 @@ def _read_step(step: Mapping[str, float], k: int, d: int) -> tuple[Array, Array]
     return fixed, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
 
 
-def _step_lengths(dt: float | Sequence[float], count: int) -> Array:
+def _step_lengths(dt: StepLengths, count: int) -> Array:
     if (lengths := finite_values(dt, (), (count,))) is None or (lengths < 0).any():
         raise InputError(f"dt is {dt!r}; allowed: a number >= 0, or one for each of the {count} steps")
     return np.broadcast_to(lengths, count)

@@ -75,9 +75,8 @@ def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
 
 
 # ---------------------------------------------------------------- laws written in UFL
-_COMPILED_LAWS: dict[
-    tuple[object, ...], tuple[int, object]
-] = {}  # this package's laws, by name; other laws may use data that change
+# this package's laws, by name; other laws may use data that change
+_COMPILED_LAWS: dict[tuple[object, ...], tuple[int, object]] = {}
 
 
 def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, object]:

@@ -92,14 +92,11 @@ class MaterialPoint:
 
     def _settled(self, old: MaterialPointState, fixed: Array, aim: Array, dt: float) -> MaterialPointState | None:
         """The state after a part of a step and all its changes of phase; None if Newton's method does not converge."""
-        while True:
-            state = self._solve(old, fixed, aim, dt)
-            if state is None or self.switching is None:
-                return state
-            memory = self.switching.switched(state.memory[None], old.memory[None])
-            if memory is None:
-                return state
-            old = old._replace(memory=memory[0])
+        state = self._solve(old, fixed, aim, dt)
+        if state is None or self.switching is None:
+            return state
+        memory = self.switching.switched(state.memory[None], old.memory[None])
+        return state if memory is None else self._settled(old._replace(memory=memory[0]), fixed, aim, dt)
 
     def _stuck(self, state: MaterialPointState, fixed: Array, done: float) -> str:
         names = [f"{kind}_{c}" for kind in "wt" for c in COMPONENT_NAMES[len(self.n)]]

@@ -95,9 +95,12 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
     kind, data, topology = measure.integral_type(), measure.subdomain_data(), mesh.topology
     dim = topology.dim - (kind != "cell")
     create_connectivity(mesh, dim)
-    ids = np.atleast_1d(np.asarray(measure.subdomain_id(), object))
+    imap, ids = topology.index_map(dim), np.atleast_1d(np.asarray(measure.subdomain_id(), object))
     if "everywhere" in ids:
-        entities = _all_entities(mesh, kind)
+        entities: Indices = np.arange(imap.size_local, dtype=np.int32)
+        if kind != "cell":
+            outer = np.asarray(dolfinx.mesh.exterior_facet_indices(topology))
+            entities = outer if kind == "exterior_facet" else np.setdiff1d(entities, outer)
     elif data is None:
         name, tags = MEASURE_OF_INTEGRAL[kind], ", ".join(map(str, ids))
         raise InputError(f"the measure {name}({tags}) has no tags; give {name} its subdomain_data")
@@ -110,20 +113,10 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
             cell, facet = entities.reshape(-1, 2)[:: 2 if kind == "interior_facet" else 1].T
             to_facets = topology.connectivity(topology.dim, dim)
             entities = to_facets.array[to_facets.offsets[cell] + facet]
-    imap = topology.index_map(dim)
     marks = la.vector(imap, dtype=np.int8)
     marks.array[entities[entities < imap.size_local]] = 1
     marks.scatter_forward()
     return np.flatnonzero(marks.array).astype(np.int32)
-
-
-def _all_entities(mesh: Mesh, kind: str) -> Indices:
-    """All owned entities that a measure of this kind integrates over."""
-    owned = np.arange(mesh.topology.index_map(mesh.topology.dim - (kind != "cell")).size_local, dtype=np.int32)
-    if kind == "cell":
-        return owned
-    outer = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
-    return outer if kind == "exterior_facet" else np.setdiff1d(owned, outer)
 
 
 def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
@@ -224,9 +217,8 @@ class Quadrature:
         x = self.origin.x if self.origin else None
         if self.origin and self.origin.x_on_s is not None and self.region.dim < self.dim:
             x = self.origin.x_on_s
-        if x is None or isinstance(x, ufl.SpatialCoordinate):
-            return np.ascontiguousarray(self.x.T)
-        return np.ascontiguousarray(self.values(self.region.side(x)).T)
+        is_here = x is None or isinstance(x, ufl.SpatialCoordinate)
+        return np.ascontiguousarray((self.x if is_here else self.values(self.region.side(x))).T)
 
     def function(self, values: Array) -> fem.Function:
         """Function (m,) on the whole mesh, for `measure`, with `values` (points, m) in cells and zero elsewhere."""
@@ -263,19 +255,14 @@ class Quadrature:
             used[of_cells] = 1
             self.comm.Allreduce(MPI.IN_PLACE, used, MPI.MAX)  # columns of other seams have no points of this law
             of_cells, count = (np.cumsum(used, dtype=np.int64) - 1)[of_cells], int(used.sum())
+        elif self.measure.integral_type() == "cell":
+            raise InputError(f"{type(self.term.law).__name__} has phases in columns, which layers of other meshes lack")
         else:
-            of_cells, count = self._facets()
+            imap = self.region.mesh.topology.index_map(self.region.dim)
+            of_cells, count = np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
         of = np.empty(self.count, np.int64)
         of[self.cells] = of_cells[: len(self.cells), None]
         return Columns(self.comm, of, count, self.weights)
-
-    def _facets(self) -> tuple[IntArray, int]:
-        """Global numbers of the region's facets that this rank owns, and the number of facets on all ranks."""
-        mesh, dim = self.region.mesh, self.region.dim
-        if dim == self.region.parent_mesh.topology.dim:
-            raise InputError(f"{type(self.term.law).__name__} has phases in columns, which layers of other meshes lack")
-        imap = mesh.topology.index_map(dim)
-        return np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
 
 
 def assemble_matrix(form: fem.Form) -> PETSc.Mat:
@@ -333,5 +320,5 @@ def add_distributed(
     On S these are the shape functions of the upper side. As they add up to one, the entries add up to the integral.
     """
     v = ufl.TestFunction(V)
-    v = v("+") if measure.integral_type() == "interior_facet" else v
-    add_assembled_forces(b, compiled(density * v[0] * measure, maps))
+    shape = v("+")[0] if measure.integral_type() == "interior_facet" else v[0]
+    add_assembled_forces(b, compiled(density * shape * measure, maps))

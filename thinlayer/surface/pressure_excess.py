@@ -110,6 +110,7 @@ Remark = tuple[str, str]  # key of a RangeWarning, and its message
 SHEAR_MATRIX = np.array([[7.0, -8.0, 1.0], [-8.0, 16.0, -8.0], [1.0, -8.0, 7.0]])  # int u' v' times 3 h, degree 2
 STRETCH_MATRIX = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]])  # int u v times 30/h, degree 2
 MIN_LAST_OPENING = 0.5  # least opening of the last tested state, relative to the largest opening
+SUPPORT_HINT = "or support its sides if they are held"
 MIN_STIFFNESS_ERROR = 0.1  # relative error of a layer's stiffness above which there is a warning
 
 
@@ -273,23 +274,20 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
         return
     if any(k.length == math.inf for sublayers in layers for k in sublayers):
         what = f"{seam_layer} is incompressible: its law holds [u_N] at zero, but at free ends it is squeezed out"
-        remedy = "use order=1, mesh the layer (structure.full), or support its sides if they are held"
-        yield "incompressible", f"{what}; {remedy}"
+        yield "incompressible", f"{what}; use order=1, mesh the layer (structure.full), {SUPPORT_HINT}"
         return
     surface, eps = surface_of(model, seam_layer.name), seam_layer.as_thin_layer.eps
     width = surface.integral(1.0) / surface.lengths(rim).sum()
     lengths = [pressure_length(sublayers, width / eps) for sublayers in layers]
-    worst = max(layers[lengths.index(max(lengths))], key=lambda k: k.length)
+    when = max(layers[lengths.index(max(lengths))], key=lambda k: k.length).when
     delta = eps * max(lengths)
     y = delta / width
     lost = 1 / (1 - math.tanh(1 / y) * y) - 1
     if lost > 1 / (1 - MIN_STIFFNESS_ERROR) - 1:
-        what = (
-            f"{seam_layer} is nearly incompressible{worst.when}: its pressure falls to 0 at free ends over {delta:.3g}"
-        )
+        what = f"{seam_layer} is nearly incompressible{when}: its pressure falls to 0 at free ends over {delta:.3g}"
         part = f"{y:.2g} of the area of S over the length of these ends ({width:.3g})"
         stiff = f"between rigid bodies its law is about {1 + lost:.3g} times too stiff against normal jumps"
-        yield "free ends", f"{what}, {part}; {stiff}; {_remedy(seam_layer)}, or support its sides if they are held"
+        yield "free ends", f"{what}, {part}; {stiff}; {_remedy(seam_layer)}, {SUPPORT_HINT}"
 
 
 def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
@@ -337,13 +335,9 @@ def stiffness_remark(seam_layer: SeamLayer, states: Sequence[State], start: floa
             rows.append((pressure_excess(FaceDisplacements.of(state, seam_layer), sublayers[0]).reported, sublayers[0]))
     worst, layer = max(rows, key=lambda pair: pair[0], default=(0.0, None))
     if layer and worst > MIN_STIFFNESS_ERROR:
-        ratio = (
-            f"{seam_layer}{layer.when} has lmbda/mu = {layer.lmbda / layer.mu:.4g}, and lets no material flow along S"
-        )
-        stiff = (
-            f"for these jumps the layer alone is {1 + worst:.4g} times too stiff, the structure less if bodies are soft"
-        )
-        yield "too stiff", f"{ratio}: {stiff}; {_remedy(seam_layer)}"
+        ratio = f"has lmbda/mu = {layer.lmbda / layer.mu:.4g}, and lets no material flow along S: for these jumps"
+        stiff = f"the layer alone is {1 + worst:.4g} times too stiff, the structure less if bodies are soft"
+        yield "too stiff", f"{seam_layer}{layer.when} {ratio} {stiff}; {_remedy(seam_layer)}"
 
 
 def _remedy(layer: SeamLayer) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 from weakref import proxy
@@ -163,13 +163,11 @@ class SurfaceMesh:
             InputError: another side; a rigid base, which has no cells below.
         """
         require(side in SIDE_NAMES, "side", side, "allowed: lower, upper")
-        count, on_s, wanted = len(self.joint.cells) + 1, [], np.empty(0, np.int64)
-        for name, nodes, cells in zip(SIDE_NAMES, self.faces, self.cells.T, strict=True):
-            at = LocatedPoints.of(self.kind, nodes, located.x)
-            on_s.append(at.point)
-            if name == side:
-                wanted = (at.point * count + cells[at.entity])[cells[at.entity] >= 0]
-        points = np.unique(np.concatenate(on_s))
+        count, k = len(self.joint.cells) + 1, SIDE_NAMES.index(side)
+        lower, upper = (LocatedPoints.of(self.kind, nodes, located.x) for nodes in self.faces)
+        points, at = np.union1d(lower.point, upper.point), (lower, upper)[k]
+        cells = self.cells[at.entity, k]
+        wanted = (at.point * count + cells)[cells >= 0]
         there = "but a rigid base" if self.joint.parted is None else EXTENDED_BODIES_HINT
         message = f"no body is on the {side} side of S at {{at}}, {there}"
         refuse(~np.isin(points, wanted // count), located.x[points], message)
@@ -226,21 +224,16 @@ class SurfaceMesh:
         element = f.function_space.ufl_element().basix_element
         values = cell_values(f, model, self.cells[at.rows].clip(0))  # not used below S on a rigid base
         out = np.zeros((2, f.function_space.dofmap.bs, *at.weights.shape))
-        for side, here, _, X in self._in_cells(at):
-            out[side][:, here] = np.moveaxis(tabulated(element, X, len(here))[0] @ values[here, side], -1, 0)
-        return out
-
-    def _in_cells(self, at: FacetPoints) -> Iterator[tuple[int, IntArray, IntArray, Array]]:
-        """Yield side, facet numbers, cells and reference points, for each orientation of facets in their cells."""
         geometry = np.asarray(basix.geometry(basix.CellType[self.joint.cell_type]))
         for side, cells in enumerate(self.cells[at.rows].T):
             local = (self.joint.corners[cells][:, None] == self.corners[at.rows][..., None]).argmax(axis=2)
             kinds, kind = np.unique(local, axis=0, return_inverse=True)
-            for k, corners in enumerate(kinds):
+            for k, corners in enumerate(kinds):  # one for each orientation of facets in their cells
                 here = np.flatnonzero((kind.ravel() == k) & (cells >= 0))
-                shapes = at.shapes[0] if at.points.ndim == 2 else at.shapes[here]
                 if len(here):
-                    yield side, here, cells[here], shapes @ geometry[corners]
+                    X = (at.shapes[0] if at.points.ndim == 2 else at.shapes[here]) @ geometry[corners]
+                    out[side][:, here] = np.moveaxis(tabulated(element, X, len(here))[0] @ values[here, side], -1, 0)
+        return out
 
     @cached_property
     def distance_to_ends(self) -> Array:
@@ -264,9 +257,8 @@ class SurfaceMesh:
         except (TypeError, ValueError):
             what = f"an array {f.shape}" if isinstance(f, np.ndarray) and f.ndim else f"{f!r:.80}"
             shape = f"(..., n, q) = (..., {str(self.weights.shape)[1:]}, as surface.jump(state) or surface.x[0]"
-            raise InputError(
-                f"{what} is not a field on S; give an array {shape}, (n, 1) of facets, or values at nodes"
-            ) from None
+            message = f"{what} is not a field on S; give an array {shape}, (n, 1) of facets, or values at nodes"
+            raise InputError(message) from None
 
     def where(self, part: Where | float) -> Array:
         """(n, q) weights of a part of S, from a field or a numpy function of the coordinates x (d, n, q).
