@@ -19,7 +19,7 @@ from thinlayer.discretisation.mesh_functions import SharedDofs, broken_space
 from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, MeanStress, voigt_strain
 from thinlayer.discretisation.time_functions import StepStrains
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, FieldPart, FileOrder, PartTraits, StepOutcome, TimeStep
-from thinlayer.pointwise.quadrature import assemble_matrix, assemble_values
+from thinlayer.pointwise.quadrature import assemble_matrix
 from thinlayer.system.ranks import destroy
 
 
@@ -66,14 +66,9 @@ class MeanStressPart(FieldPart):
     # ---------------------------------------------------------------- a step
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
-        new, old = self._strain_forces(interval.t), self._strain_forces(interval.old.t, at_rest=interval.old.at_rest)
+        new, old = self._strain_forces(self._over, self._strain_work)
         self._strained = new, old, interval.theta * new + (1 - interval.theta) * old
         self._old.array[:] = self.own_start(interval.old)
-
-    def _strain_forces(self, t: float, *, at_rest: bool = False) -> Array:
-        """Forces (own_size,) of the bodies' prescribed strains in the own equations, at time t or at rest."""
-        self._over.look_at(t, at_rest=at_rest)
-        return np.asarray(assemble_values(self._strain_work, self.own_size))
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         theta, self._u = self.interval.theta, u

@@ -17,7 +17,9 @@ from forms.law import Law
 from forms.traits import accept_renamed
 from geometry.topology import IntArray
 from thinlayer.discretisation.state import Configuration
+from thinlayer.discretisation.time_functions import StepStrains
 from thinlayer.errors import former_names
+from thinlayer.pointwise.quadrature import assemble_values
 
 Memory = Array | Mapping[str, fem.Function]  # (n, values) at entities, or functions by name
 Softening = tuple[str, str]  # name of a law whose stress falls, and the place
@@ -395,6 +397,19 @@ class FieldPart(Part):
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """Numbers of this rank's prescribed own unknowns, and their values at time t; 0 if t is None."""
         return np.empty(0, np.int64), np.empty(0)
+
+    def _strain_forces(self, over: StepStrains, form: fem.Form | None) -> tuple[Array, Array]:
+        """Forces (own_size,) of prescribed strains in the own equations, at the end and at the start of the step.
+
+        Args:
+            over: the prescribed strains.
+            form: linear form of the strains `over.now`; None: there are none.
+        """
+        old = self.interval.old
+        over.look_at(self.interval.t)
+        new = assemble_values(form, self.own_size)
+        over.look_at(old.t, at_rest=old.at_rest)
+        return new, assemble_values(form, self.own_size)
 
     def own_result(self) -> fem.Function:
         """Own unknowns at the end of the step, in the units of the state, for the last evaluation."""

@@ -107,9 +107,8 @@ class RigidPlate(PartDefinition):
         each other, with the layer's thickness as lever arm.
         """
         V, d = model.V, model.joint.dim
-        facets = model.domain.facets(self.place, layer_sides=True)
         owned = V.dofmap.index_map.size_local
-        dofs = fem.locate_dofs_topological(V, d - 1, facets)
+        dofs = fem.locate_dofs_topological(V, d - 1, model.domain.facets(self.place, layer_sides=True))
         blocks = np.unique(dofs[dofs < owned])
         try:
             x = V.tabulate_dof_coordinates()[blocks, :d]
@@ -125,9 +124,8 @@ class RigidPlate(PartDefinition):
         values = motion_fields(x, about)
         values[:, :, d:] /= size
         k = values.shape[2]
-        rows = np.repeat(blocks[:, None] * d + np.arange(d), k)
-        columns = np.tile(np.arange(k), len(blocks) * d)
-        return scipy.sparse.csr_matrix((values.ravel(), (rows, columns)), (owned * d, k))
+        at = np.repeat(blocks[:, None] * d + np.arange(d), k), np.tile(np.arange(k), len(blocks) * d)
+        return scipy.sparse.csr_matrix((values.ravel(), at), (owned * d, k))
 
     # ---------------------------------------------------------------- prescribed values
     @property
@@ -138,8 +136,7 @@ class RigidPlate(PartDefinition):
     def check(self, model: HostModel) -> None:
         """As in `PartDefinition`."""
         boundary_values(model.domain, model.kinematics, self.place, self.what)
-        d = model.joint.dim
-        names = motion_names(d)
+        d, names = model.joint.dim, motion_names(model.joint.dim)
         for name in self.motion:
             require_known("motion", name, names, self.what)
             if names.index(name) in self._prevented(model):

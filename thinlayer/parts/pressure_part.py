@@ -70,8 +70,7 @@ class PressurePart(FieldPart):
         self, V: fem.FunctionSpace, term: Term, stiffness: float, origin: MeshOrigin | None = None,
         free: Array | None = None, masters: IntArray | None = None,
     ) -> None:  # fmt: skip
-        self.key, self._origin = str(Key.parse(term.key).pressure), origin
-        self._term = term
+        self.key, self._origin, self._term = str(Key.parse(term.key).pressure), origin, term
         points = Quadrature(V, term, origin) if term.law.fields else None
         self.region = region = points.region if points else MeasureRegion(V.mesh, term.measure)
         if flows_along_surface(term) and origin and origin.middle is not None:
@@ -81,22 +80,20 @@ class PressurePart(FieldPart):
         space = self._whole if masters is None else periodic_functions(region, masters)
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
-        self.G = assemble_matrix(region.compiled(q * ufl.tr(term.strain(v)) * term.weight * term.measure))
+        self.G = G = assemble_matrix(region.compiled(q * ufl.tr(term.strain(v)) * term.weight * term.measure))
         self.C = self._compliance(space, term, points)
-        self.unit = stiffness / self.G.norm(PETSc.NormType.INFINITY)
+        self.unit = stiffness / G.norm(PETSc.NormType.INFINITY)
         if self.C is not None:  # else rounding errors of volumes next to stiff bodies would be as large as forces
             self.unit = min(self.unit, math.sqrt(stiffness / self.C.norm(PETSc.NormType.INFINITY)))
             self.C.scale(self.unit**2)
-        self.G.scale(self.unit)
+        G.scale(self.unit)
         self._zero = dofs_at_vertices(space, free) if free is not None and len(free) else np.empty(0, np.int64)
         strained = [term] if term.prescribed_strain is not None else []
         self._over = StepStrains(V.mesh, strained)
         room = sum(q * ufl.tr(self._over.now(p.prescribed_strain)) * p.weight * p.measure for p in strained)
         self._room = region.compiled(room) if strained else None
-        self._turned = self.G.transpose(PETSc.Mat())
-        self._volume, self._forces = self.G.createVecLeft(), self.G.createVecRight()
-        self._squeezed = self.G.createVecLeft()
-        self._filled: Array | None = None
+        self._turned = G.transpose(PETSc.Mat())
+        self._volume, self._squeezed, self._forces = G.createVecLeft(), G.createVecLeft(), G.createVecRight()
 
     def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
         """The matrix C, or None if it is zero; parameters that are functions are evaluated at `points`. Collective."""
@@ -144,19 +141,14 @@ class PressurePart(FieldPart):
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
-        old = interval.old
-        self._strain_volume = self._strain_volume_at(interval.t)
-        before = self._strain_volume_at(old.t, at_rest=old.at_rest)
-        self._growth = self._strain_volume - before
-
-    def _strain_volume_at(self, t: float, *, at_rest: bool = False) -> Array:
-        """Contribution (own_size,) of prescribed strains to `own_residual`, at time t or at rest."""
-        self._over.look_at(t, at_rest=at_rest)
-        return np.asarray(self.unit * assemble_values(self._room, self.own_size))
+        # contributions (own_size,) of prescribed strains to `own_residual`
+        self._strain_volume, old = (self.unit * volume for volume in self._strain_forces(self._over, self._room))
+        self._growth = self._strain_volume - old
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self.G.mult(u.x.petsc_vec, self._volume)
-        self._filled = None if self.C is None else self._squeeze(self.C, self._end())[0]
+        room = self._volume.array_r + self._strain_volume
+        self._residual: Array = room if self.C is None else room - self._squeeze(self.C, self._end())[0]
 
     def named(self) -> dict[str, PartTraits]:
         return {type(self._term.law).__name__: self.traits}
@@ -171,8 +163,7 @@ class PressurePart(FieldPart):
         add_distributed(density, z.function_space, self._term.measure, out, self.region.maps)
 
     def own_residual(self) -> Array:
-        room = self._volume.array_r + self._strain_volume
-        return np.asarray(room if self._filled is None else room - self._filled)
+        return self._residual
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """As in `FieldPart`: the pressure of a law with flow along S is zero at free ends."""

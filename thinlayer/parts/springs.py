@@ -68,9 +68,8 @@ class Springs(PartDefinition):
 
     def _stiffnesses(self, model: HostModel) -> list[Coefficient]:
         """The normal and the tangential stiffness. Collective."""
-        names = ("normal", "tangential")
-        what = f"springs on {self.place!r}: "
-        return [model.coordinates.coefficient(getattr(self, name), what + name, (), of_place=True) for name in names]
+        values, what = {"normal": self.normal, "tangential": self.tangential}, f"springs on {self.place!r}: "
+        return [model.coordinates.coefficient(k, what + name, (), of_place=True) for name, k in values.items()]
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         """Virtual work of the springs, a UFL form."""

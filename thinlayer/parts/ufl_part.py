@@ -59,8 +59,7 @@ class UflPart(PartDefinition):
             form = self._form(model, u, v)
         except Exception as error:
             raise InputError(f"{what}: {type(error).__name__}: {error}") from error
-        arguments = () if self.virtual_work is None else (v,)
-        wanted = "of u alone" if self.virtual_work is None else "of u, and linear in v"
+        arguments, wanted = ((), "of u alone") if self.virtual_work is None else ((v,), "of u, and linear in v")
         if not isinstance(form, ufl.Form):
             raise InputError(f"{what} gives {form!r}; it must be a UFL form {wanted}")
         if not all(domain is model.V.mesh.ufl_domain() for domain in form.ufl_domains()):
@@ -100,13 +99,9 @@ class _UserFormPart(FormPart):
 
     def __init__(self, part: UflPart, model: HostModel) -> None:
         u, v, linear = fem.Function(model.V), ufl.TestFunction(model.V), part.is_linear(model)
-        if linear:
-            K = assemble_plain_matrix(part.work(model, ufl.TrialFunction(model.V), v))
-            super().__init__(part.key, u, K, kept=True)
-        else:
-            energy = whole_structure_form(part.energy(u, model), model) if part.energy else None
-            super().__init__(part.key, u, None, part.work(model, u, v), energy, kept=True)
-        K = self.K
+        K = assemble_plain_matrix(part.work(model, ufl.TrialFunction(model.V), v)) if linear else None
+        energy = whole_structure_form(part.energy(u, model), model) if part.energy and not linear else None
+        super().__init__(part.key, u, K, None if linear else part.work(model, u, v), energy, kept=True)
         if K is not None and model.comm.allreduce(float(K.getDiagonal().array_r.min(initial=0.0)), min) < 0:
             raise InputError(f"the part {part.key!r} has a negative stiffness: its equilibria may be unstable")
         self._has_energy = K is None or K.isSymmetric(ASYMMETRY_TOLERANCE * K.norm())
