@@ -44,7 +44,10 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
         bc_dofs: displacements of this rank that supports prescribe (local, unrolled).
         bodies: the result of `body_parts`.
     """
-    parts: list[Part] = [*_form_parts(model), *_compiled_parts(model, model.layer_terms)]
+    in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
+    terms = {key: [p for p in in_forms if p.key == key] for key in dict.fromkeys(p.key for p in in_forms)}
+    parts: list[Part] = [LawFormPart(f"{key}/forms", model.V, of_layer) for key, of_layer in terms.items()]
+    parts += _compiled_parts(model, model.layer_terms)
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
         scale = _largest_at_rest(model, bodies or parts)
         joint = model.domain.joint  # its vertices are those of the mesh; `model.joint` is the joint before inflating
@@ -62,13 +65,6 @@ def _largest_at_rest(model: Model, parts: Sequence[Part]) -> float:
         sums = fem.Function(model.V)  # must outlive its PETSc vector
         largest = float(diagonal_at_rest(parts, sums.x.petsc_vec).max()[1])
     return largest or max(part.largest_at_rest() for part in in_forms)
-
-
-def _form_parts(model: Model) -> list[LawFormPart]:
-    """Parts of the layers' terms whose laws are not compiled, one for each layer."""
-    in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
-    keys = dict.fromkeys(p.key for p in in_forms)
-    return [LawFormPart(f"{key}/forms", model.V, [p for p in in_forms if p.key == key]) for key in keys]
 
 
 def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:

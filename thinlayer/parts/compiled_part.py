@@ -236,7 +236,6 @@ class CompiledPart(Part):
     def file_order(self) -> FileOrder:
         """By cell or facet. Points of a facet are sorted by position, as their local order depends on the side."""
         points = self.points
-        numbers = points.original[: len(points.cells)]
         if points.region.dim < points.dim:
-            return FileOrder.by_place(numbers, points.cells, points.x)
-        return FileOrder(numbers, points.cells)
+            return FileOrder.by_place(points.original, points.cells, points.x)
+        return FileOrder(points.original, points.cells)

@@ -6,7 +6,7 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
-from forms.base import Array, InputError
+from forms.base import Array, require
 from forms.contact import ContactHomotopy, ContactLaw
 from geometry.topology import Indices
 from thinlayer.discretisation.contact_nodes import NO_NODES, ContactNodes, ContactSurface
@@ -35,8 +35,7 @@ class ContactPart(Part):
     def __init__(
         self, law: ContactLaw, surface: ContactSurface, bc_dofs: Indices = NO_NODES, key: str = CONTACT_KIND
     ) -> None:
-        if not isinstance(law, ContactLaw):
-            raise InputError(f"{law!r} is not a contact law")
+        require(isinstance(law, ContactLaw), "law", law, "it must be a contact law")
         law.check_threshold()
         of_law = {name: getattr(law.traits, name) for name in ("remembers", "softens")}
         self.traits = PartTraits(nonlinear=True, releases=True, has_homotopy=True, **of_law)

@@ -170,8 +170,7 @@ class LawFormPart(FormPart):
         other_terms: terms of other parts, whose nonzero pattern K includes.
     """
 
-    def __init__(self, key: str, V: fem.FunctionSpace, terms: Iterable[Term], other_terms: Iterable[Term] = ()) -> None:
-        terms = list(terms)
+    def __init__(self, key: str, V: fem.FunctionSpace, terms: Sequence[Term], other_terms: Iterable[Term] = ()) -> None:
         everywhere = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:

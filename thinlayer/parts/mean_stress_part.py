@@ -90,10 +90,9 @@ class MeanStressPart(FieldPart):
         return np.asarray(self._own.array_r + self._strained[2] - self.load)
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        theta = self.interval.theta
-        rows = [(self.B, DISPLACEMENT_KEY, self.key), (self._turned, self.key, DISPLACEMENT_KEY)]
-        rows.append((self.D, self.key, self.key))
-        return [Block(matrix, theta, row, column, kept=True) for matrix, row, column in rows]
+        u, E, theta = DISPLACEMENT_KEY, self.key, self.interval.theta
+        matrices = (self.B, u, E), (self._turned, E, u), (self.D, E, E)
+        return [Block(matrix, theta, row, column, kept=True) for matrix, row, column in matrices]
 
     def commit(self) -> StepOutcome:
         """As in `Part`; the energy is the contribution of the mean strain to the energy of the bodies."""
@@ -104,8 +103,7 @@ class MeanStressPart(FieldPart):
         theta, (new_s, old_s, _) = self.interval.theta, self._strained
         ends = (old, self._old, old_s), (now, self._mid, new_s), (difference, self._change, new_s - old_s)
         before, after, of_change = (self._energy(*arguments) for arguments in ends)
-        supplied = self._product(self.load, self._change)
-        supplied += theta * self._product(new_s - old_s, self._mid)
+        supplied = self._product(self.load, self._change) + theta * self._product(new_s - old_s, self._mid)
         supplied += (1 - theta) * self._product(new_s - old_s, self._old)
         difference.destroy()
         return StepOutcome(before, after, 0.0, (2 * theta - 1) * of_change, kept=False, supplied=supplied)

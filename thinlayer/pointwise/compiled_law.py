@@ -39,7 +39,7 @@ class CompiledLaw:
         self._sublayers: list[np.ndarray] = [addresses.astype(np.intp), memory, plane, self._counts, fractions]
         self.parameters = np.concatenate([k.parameters for k in self._kernels])
         layers = len(self._kernels)
-        self.memory = sum(k.values for k in self._kernels) + (3 * layers if layers > 1 else 0)
+        self.memory = sum(k.memory + 3 * k.plane for k in self._kernels) + (3 * layers if layers > 1 else 0)
         for _, sublayer in law.sublayers:
             _check_kernel(comm, sublayer.in_space)
 

@@ -38,7 +38,7 @@ class Kernel:
 
     Attributes:
         address: address of the C function.
-        memory: number of internal values of the function.
+        memory: number of internal values of the function, without the three out-of-plane strains of `plane`.
         parameters: real parameters, one after the other.
         fraction: share of the thickness.
         plane: whether the out-of-plane strains are solved for at each point, from zero out-of-plane stresses.
@@ -51,11 +51,6 @@ class Kernel:
     fraction: float = 1.0
     plane: bool = False
     keep: object = field(default=None, repr=False, compare=False)
-
-    @property
-    def values(self) -> int:
-        """Number of internal values of the law: `memory`, plus three out-of-plane strains if `plane`."""
-        return self.memory + 3 * self.plane
 
 
 def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:

@@ -159,7 +159,17 @@ class Quadrature:
         self.comm = origin.comm if origin else communicator(V.mesh)
         self.measure = term.measure.reconstruct(metadata=metadata)
         self._functions: dict[int, fem.FunctionSpace] = {}
-        self._geometry()
+        W, mesh, parent = self._space((5 + self.dim,)), self.region.mesh, self.region.parent_mesh
+        self.count = W.dofmap.index_map.size_local
+        self.cells = np.asarray(W.dofmap.list)[: mesh.topology.index_map(mesh.topology.dim).size_local]
+        q, x = (self.region.side(f) for f in (ufl.TestFunction(W), ufl.SpatialCoordinate(parent)))
+        n = three_dimensional(term.n) if term.n is not None else ufl.zero(3)
+        rows = ufl.as_vector([n[0], n[1], n[2], 1, term.weight, *(x[i] for i in range(self.dim))])
+        values = self._integrated(rows, q)
+        self._integrals, self.weights = values[:, 3].copy(), values[:, 4].copy()
+        self.n, self.x = (values[:, part] / values[:, 3:4] for part in (slice(0, 3), slice(5, None)))
+        if term.n is None:
+            self.n[:] = np.nan
 
     @property
     def dim(self) -> int:
@@ -180,21 +190,6 @@ class Quadrature:
         element = basix.ufl.quadrature_element(mesh.basix_cell(), value_shape=shape, degree=self.degree)
         return fem.functionspace(mesh, element)
 
-    def _geometry(self) -> None:
-        """Compute coordinates, director and weights of the points."""
-        d, mesh = self.dim, self.region.mesh
-        W = self._space((5 + d,))
-        self.count = W.dofmap.index_map.size_local
-        self.cells = np.asarray(W.dofmap.list)[: mesh.topology.index_map(mesh.topology.dim).size_local]
-        q, x = (self.region.side(f) for f in (ufl.TestFunction(W), ufl.SpatialCoordinate(self.region.parent_mesh)))
-        n = three_dimensional(self.term.n) if self.term.n is not None else ufl.zero(3)
-        rows = ufl.as_vector([n[0], n[1], n[2], 1, self.term.weight, *(x[i] for i in range(d))])
-        values = self._integrated(rows, q)
-        self._integrals, self.weights = values[:, 3].copy(), values[:, 4].copy()
-        self.n, self.x = (values[:, part] / values[:, 3:4] for part in (slice(0, 3), slice(5, None)))
-        if self.term.n is None:
-            self.n[:] = np.nan
-
     def _integrated(self, rows: Expr, q: Expr) -> Array:
         """Values of m functions at the points, times the quadrature weights, (points, m)."""
         form = self.region.compiled(ufl.inner(rows, q) * self.measure)
@@ -214,9 +209,8 @@ class Quadrature:
     @cached_property
     def joint_x(self) -> Array:
         """Coordinates (d, points) of the points in the joint before inflating; without a joint in the mesh."""
-        x = self.origin.x if self.origin else None
-        if self.origin and self.origin.x_on_s is not None and self.region.dim < self.dim:
-            x = self.origin.x_on_s
+        on_s = self.origin.x_on_s if self.origin and self.region.dim < self.dim else None
+        x = on_s if on_s is not None or self.origin is None else self.origin.x
         is_here = x is None or isinstance(x, ufl.SpatialCoordinate)
         return np.ascontiguousarray((self.x if is_here else self.values(self.region.side(x))).T)
 
@@ -237,9 +231,9 @@ class Quadrature:
 
     @property
     def original(self) -> IntArray:
-        """Number in the joint of the cell or facet that each cell of `region.mesh` is."""
+        """Number in the joint of the cell or facet that each cell of `region.mesh` is which this rank owns."""
         assert self.origin is not None, "a mesh without a joint"
-        return self.origin.numbers(self.region.dim, self.region.parent)
+        return self.origin.numbers(self.region.dim, self.region.parent[: len(self.cells)])
 
     @cached_property
     def columns(self) -> Columns:
@@ -261,7 +255,7 @@ class Quadrature:
             imap = self.region.mesh.topology.index_map(self.region.dim)
             of_cells, count = np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
         of = np.empty(self.count, np.int64)
-        of[self.cells] = of_cells[: len(self.cells), None]
+        of[self.cells] = of_cells[:, None]
         return Columns(self.comm, of, count, self.weights)
 
 

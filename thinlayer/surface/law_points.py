@@ -45,7 +45,7 @@ class LawPoints:
     @cached_property
     def entities(self) -> IntArray:
         """Numbers in the joint of this rank's cells with points, or rows of the facets in the joint's table."""
-        return self.quadrature.original[: len(self.quadrature.cells)]
+        return self.quadrature.original
 
     def stress(self) -> Array:
         """Stresses (points, 3, 3), with the pressure of an incompressible law. Collective."""
@@ -129,11 +129,8 @@ def law_points(state: State) -> Iterator[LawPoints]:
 
 def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
     """The internal variables of a law by name, (points, *shape), from the rows of its memory (points, values)."""
-    if sum(VARIABLE_SIZES[shape] for shape in law.internal.values()) != memory.shape[1]:
+    ends = np.cumsum([VARIABLE_SIZES[shape] for shape in law.internal.values()], dtype=int)
+    if ends.max(initial=0) != memory.shape[1]:
         return {UNNAMED_MEMORY: memory}
-    variables, start = {}, 0
-    for name, shape in law.internal.items():
-        part = memory[:, start : start + VARIABLE_SIZES[shape]]
-        variables[name] = mandel_tensors(part) if shape == (3, 3) else part if shape else part[:, 0]
-        start += VARIABLE_SIZES[shape]
-    return variables
+    parts = zip(law.internal.items(), np.split(memory, ends, axis=1), strict=False)  # the last part is empty
+    return {name: mandel_tensors(q) if shape == (3, 3) else q if shape else q[:, 0] for (name, shape), q in parts}

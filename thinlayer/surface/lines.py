@@ -147,11 +147,9 @@ def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> 
     x = joint.points[ring]
     height = (x - both[0]) @ both[1] / np.linalg.norm(both[1])
     height[np.abs(height) <= LINE_TOLERANCE * joint.size] = 0.0
-    for above in (height >= 0, height > 0):  # if facets lie in the plane, facets on one side are cut at their edges
-        segments = _cut_polygon(ring, x, values, height, above)
-        if len(segments.keys):
-            return segments
-    return segments
+    segments = _cut_polygon(ring, x, values, height, height >= 0)
+    # if facets lie in the plane, facets on one side are cut at their edges
+    return segments if len(segments.keys) else _cut_polygon(ring, x, values, height, height > 0)
 
 
 def _cut_polygon(ring: IntArray, x: Array, values: Array, height: Array, above: BoolArray) -> Segments:

@@ -16,7 +16,6 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from forms.base import Array, InputError, require
-from geometry.joint import Joint
 from geometry.refusals import refuse, require_known
 from geometry.seam import BASE, S
 from geometry.sheet import Rim, Sheet
@@ -110,8 +109,7 @@ class SurfaceMesh:
         if seam != S:
             require_known("seam", seam, model.joint.seams)
         self.model, self.seam = model, seam
-        self.joint: Joint = self.model.domain.joint if self.model.broken else model.joint
-        joint = self.joint
+        self.joint = joint = model.domain.joint if model.broken else model.joint
         self.kind = FACET_TYPES[joint.cell_type]
         self.rows: IntArray = np.searchsorted(joint.surface_rows, joint.rows_of(seam))
         self.cells = joint.surface_cells[self.rows]
@@ -246,12 +244,10 @@ class SurfaceMesh:
     def _field(self, f: object) -> Array:
         """Return f as a field (..., n, q); raise InputError if it is not a field."""
         try:
-            if f is None:
-                raise TypeError
             values = np.asarray(f, float)
             if values.shape == (len(self.numbers),):
                 values = self.at_points(values)
-            if values.ndim and values.shape[-2:] not in ((len(self.rows), 1), self.weights.shape):
+            if f is None or (values.ndim and values.shape[-2:] not in ((len(self.rows), 1), self.weights.shape)):
                 raise ValueError
             return np.broadcast_to(values, (*values.shape[:-2], *self.weights.shape))
         except (TypeError, ValueError):
