@@ -127,7 +127,7 @@ def test_what_is_no_line():
     solid = Surface(uniform(3)[0].interface(LAYER))
     refused(InputError, "cuts by a plane", lambda: solid.along(solid.x))
     for wrong in (((0, 0), (1, 0)), ((0, 0, 0), (0, 0, 0)), "z"):
-        refused(InputError, r"it needs \(point, normal\)", solid.along, solid.x, plane=wrong)
+        refused(InputError, r"it must be \(point, normal\)", solid.along, solid.x, plane=wrong)
     refused(InputError, "does not cut S", lambda: solid.along(solid.x, plane=((0, 0, 5), (0, 0, 1))))
 
 
