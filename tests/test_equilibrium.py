@@ -114,7 +114,7 @@ def test_a_solver_that_lies_is_found_out(solver, monkeypatch):
 
         monkeypatch.setattr(finder, "solve_step", find)
     model = linear() if solver == "linear" else yielding() if solver == "newton" else contact()
-    refused(SolveError, "no equilibrium", lambda: solve(model, method=solver.removeprefix("contact ")))
+    refused(SolveError, "not an equilibrium", lambda: solve(model, method=solver.removeprefix("contact ")))
 
 
 # ---------------------------------------------------------------------------------- the only one

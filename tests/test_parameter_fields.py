@@ -136,7 +136,7 @@ def test_what_takes_no_functions():
     function = lambda x: x[0]
     for build in (lambda: Slipping(function, 30.0, 12.0, 90.0), lambda: Anisotropic(function)):
         refused(InputError, r"allowed: (a number|numbers)", build)
-    with pytest.raises(InputError, match=r"lmbda is a function of the place; allowed: a number, as `at` gives"):
+    with pytest.raises(InputError, match=r"lmbda is a function of places; allowed: a number, as `at` gives"):
         NonMonotone(function, 40.0, 0.2, 0.02, np.eye(2))
     message = "lmbda is a function of the place, or of time; a point needs numbers"
     refused(InputError, message, lambda: drive(LinearElastic(function, 40.0), [{"w_T": 0.1}]))

@@ -97,7 +97,7 @@ def test_parameters_out_of_range(law, name):
     law(**GOOD[law])
     named = "saturation(_strain)?" if name == "saturation" else f"(shape of |smallest eigenvalue of )?{name}"
     for value in OUT[law][name]:
-        refused(InputError, rf"\b{named} is .*(allowed: |give T)", law, **GOOD[law] | {name: value})
+        refused(InputError, rf"\b{named} (is .*allowed: |needs T; give T)", law, **GOOD[law] | {name: value})
 
 
 SPRING, CREEPING = LinearElastic(**MODULI), Maxwell(**GOOD[Maxwell])

@@ -93,7 +93,7 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
     def error():
         state, said = with_warnings(lambda: solve(coarse.interface(layer)))
         assert len(said) == 1
-        assert "make cells there shorter" in said[0]
+        assert "make them shorter" in said[0]
         return of_layer(state.energies()["loads"], coarse) / exact - 1
 
     assert -5e-3 < error() < 0

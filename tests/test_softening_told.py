@@ -39,7 +39,7 @@ def test_softening_is_told_where_it_is_met():
         assert not falling[:2].any()
         assert warnings_and_result(again, 0.05)[0] == []
         assert len(warnings_and_result(again, 0.3)[0]) == 1
-    refused(InputError, "follow them from rest with march", lambda: solve(bar(Cohesive(0.9, 0.11))))
+    refused(InputError, "follow them by march", lambda: solve(bar(Cohesive(0.9, 0.11))))
 
 
 def test_a_step_over_a_loop_is_told():

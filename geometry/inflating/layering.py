@@ -94,7 +94,7 @@ class Layering:
                 raise InputError(f"the fractions {tuple(some)}{which} of sublayers must be numbers > 0 and add up to 1")
         if joint.tip is not None:
             tip = f"S ends inside the bodies (near {place_text(joint.tip)})"
-            raise InputError(f"{tip}: the layer has no room there and cannot be meshed; use the interface model")
+            raise InputError(f"{tip}: the layer has no room at its tip and cannot be meshed; use the interface model")
         relative = np.stack([size * joint.relative_thickness(profiles[name], name) for name, size in sizes.items()])
         thickness = relative[joint.seam_numbers[:, None], joint.surface]
         heights = [level_heights(joint.degree, through, some) for some in shares.values()]
