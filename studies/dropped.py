@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from math import pi
-from typing import ClassVar, Unpack
+from typing import ClassVar
 
 import numpy as np
 import ufl
@@ -34,15 +34,14 @@ from forms.elastic import VOIGT_PAIRS, lame_stress
 from forms.law import Step
 from forms.tensors import Expr
 from geometry import block, faults, ring, sandwich
-from geometry.joint import Joint
 from studies.problems import (
     FOURIER_BODY,
     WALLS,
     Heights,
     LayerOfThickness,
-    StructureArguments,
     fourier,
     free_blocks,
+    loaded,
     of,
 )
 from thinlayer import (
@@ -68,12 +67,6 @@ STEEL, SOFT = young(E=1e4, nu=0.3), young(E=70.0, nu=0.3)
 
 # ---------------------------------------------------------------- structures; `_`: the mesh suits any thickness
 # fmt: off
-def loaded(joint: Joint, top: Load, **more: Unpack[StructureArguments]) -> Structure:
-    """Bodies under a traction on top, clamped below."""
-    setup: StructureArguments = {"body": FOURIER_BODY, "supports": CLAMPED, "tractions": {"TOP": top}}
-    return Structure(joint, **setup | more)
-
-
 def rollers(_: float) -> Structure:
     """Two blocks between rollers under one half-wave, `studies.problems.fourier`."""
     joint, setup = fourier(1 / 16, cell="quadrilateral")
@@ -338,12 +331,10 @@ def random_case(seed: int) -> tuple[float, DroppedCase]:
         return ufl.inner(along, u) * model.ds(model.domain.values("RIGHT/UPPER"))
 
     supports = CLAMPED | ({"LEFT": {"x": 0.0}} if on_rollers else {})
-    return eps, DroppedCase(
-        " ".join(words),
-        lambda _: free_blocks(eps / 4, tuple(load), tuple(heights), h_S=ALONG, body=body, supports=supports),
-        lambda _: ThinLayer(law, eps, eigenstrain=eigenstrain),
-        asked=(goals.Compliance(), goals.Functional("mean displacement", mean)),
-    )
+    blocks = partial(free_blocks, eps / 4, tuple(load), tuple(heights), h_S=ALONG, body=body, supports=supports)
+    layer = ThinLayer(law, eps, eigenstrain=eigenstrain)
+    asked = goals.Compliance(), goals.Functional("mean displacement", mean)
+    return eps, DroppedCase(" ".join(words), lambda _: blocks(), lambda _: layer, asked=asked)
 
 
 def _random_ply(rng: np.random.Generator) -> LinearElastic | Anisotropic:

@@ -9,7 +9,7 @@ import numpy as np
 from forms import HolonomicCoulomb
 from studies.problems import sliding_bar
 from studies.sweeping import Curves
-from thinlayer import Structure, Surface, Table, plotting, solve
+from thinlayer import Structure, Surface, plotting, solve
 from thinlayer.running.record import Record
 
 FRICTION = 1.0
@@ -36,16 +36,13 @@ def run(record: Record) -> None:
             state = record.solved(solve(Structure(joint, **setup).interface(law)))
             reports[n, pair] = Surface(state.model).contact(state)
     names = {"x_mm": "x", "u_T_mm": "u_T", "u_N_mm": "u_N", "p_MPa": "p", "t_MPa": "t_T", "status": "status"}
-    table = Table(
-        {"lmbda": lmbda, "mu": mu} | {column: row[name] for column, name in names.items()}
-        for lmbda, mu in STIFFNESS
-        for row in reports[N, (lmbda, mu)].table.rows
-    )
-    record.write("table.csv", table)
+    table = record.table("table.csv")
     counts = [{"squares": n, "lmbda": pair[0], **report.counts} for (n, pair), report in reports.items()]
     record.results["counts"] = counts
     for (lmbda, mu), expected, u_a in zip(STIFFNESS, COUNTS, U_A, strict=True):
-        report, stiffness = reports[N, (lmbda, mu)], label(lmbda, mu)
+        report, stiffness = reports[N, (lmbda, mu)], f"λ, μ = {lmbda:.3g}, {mu:.3g} N/mm³"
+        nodes = ({column: row[name] for column, name in names.items()} for row in report.table)
+        table.extend({"lmbda": lmbda, "mu": mu, **node} for node in nodes)
         for name, count in zip(LEVELS[:3], expected, strict=True):
             record.check(f"{stiffness}: {name} nodes, {count} expected", report.counts[name], low=count, high=count)
         record.check_near(f"{stiffness}: u_T at A, mm", float(report.u_T[0, 0]), u_a, 1e-6)
@@ -55,11 +52,6 @@ def run(record: Record) -> None:
         record.check(f"{stiffness}: Clapeyron", report.clapeyron, high=1e-9)
         near = max(abs(reports[N + 1, (lmbda, mu)].counts[name] - count) for name, count in report.counts.items())
         record.check(f"{stiffness}: counts on the next mesh move by", near, high=1)
-
-
-def label(lmbda: float, mu: float) -> str:
-    """Text for a stiffness."""
-    return f"λ, μ = {lmbda:.3g}, {mu:.3g} N/mm³"
 
 
 def in_tens(lmbda: float) -> str:

@@ -20,7 +20,7 @@ from forms.tensors import Expr
 from geometry import block
 from geometry.joint import Joint
 from studies.half_strip import half_strip
-from studies.problems import FOURIER_BODY, free_blocks
+from studies.problems import FOURIER_BODY, free_blocks, loaded
 from studies.sweeping import by_reaction, last_order
 from thinlayer import Structure, ThinLayer, compare, plotting, solve
 from thinlayer.discretisation import applicability
@@ -83,7 +83,7 @@ def _unequal(eps: float, cells: float) -> Structure:
 
 def _based(eps: float, cells: float) -> Structure:
     joint = block(1.0, 0.5, h=H, h_S=H_S, h_ends=eps / cells, cell="quadrilateral")
-    return Structure(joint, body=FOURIER_BODY, supports={}, tractions={"TOP": (1.0, -0.2)})
+    return loaded(joint, (1.0, -0.2), supports={})
 
 
 CASES = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import cos, radians, sin
 
 import numpy as np
@@ -35,11 +36,8 @@ SHIFT = (0.01, -0.02, 0.005)  # displacement of the top
 RAYS = (10, 95, 150, 200, 310)  # degrees, directions of the star's layers
 RATE = (0.9, 1.1)  # range of orders away from junctions and free ends
 STYLES = ("o-", "s-", "^-", "D-", "v-", "o--", "s--", "^--", "D--", "v--")  # of the cases' curves, in turn
-DRAWN = {
-    "jump": "jump on all of S",
-    "inner_jump": "jump away from\njunctions and free ends",
-    "inner_traction": "traction away from\njunctions and free ends",
-}
+AWAY = "away from\njunctions and free ends"
+DRAWN = {"jump": "jump on all of S", "inner_jump": f"jump {AWAY}", "inner_traction": f"traction {AWAY}"}
 PICTURED = {"star of five layers": "star.png", "grains": "grains.png"}
 ERRORS = ("jump", "inner_jump", "inner_traction", "energy")
 
@@ -160,14 +158,10 @@ def compared(record: Record, name: str, sizes: Sequence[float]) -> list[Row]:
 def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, float]:
     """Relative L2 differences on S, relative difference of the energies, and the share of junctions in the energy."""
     surface, energy = Surface(by_law.model), stored_in(full)
-    inner = far_from_junctions(surface, case.distance)
-    return {
-        "jump": difference(surface, Surface.jump, full, by_law),
-        "inner_jump": difference(surface, Surface.jump, full, by_law, inner),
-        "inner_traction": difference(surface, Surface.traction, full, by_law, inner),
-        "energy": abs(energy / stored_in(by_law) - 1),
-        "in_junctions": in_junctions(case, full) / energy,
-    }
+    on_s, inner = partial(difference, surface, state=full, reference=by_law), far_from_junctions(surface, case.distance)
+    jumps = {"jump": on_s(Surface.jump), "inner_jump": on_s(Surface.jump, where=inner)}
+    energies = {"energy": abs(energy / stored_in(by_law) - 1), "in_junctions": in_junctions(case, full) / energy}
+    return jumps | {"inner_traction": on_s(Surface.traction, where=inner)} | energies
 
 
 def stored_in(state: State) -> float:

@@ -63,11 +63,9 @@ def draw(record: Record) -> None:
     """Draw the approach to the bonded bodies from table.csv."""
     table = record.load("table.csv")
     kappa = table["kappa"]
-    lines = {
-        "|[u]| over the width": (kappa, table["jump_times_kappa"] / kappa),
-        "|t - t of bonded bodies| over E/100": (kappa, table["traction_difference_times_kappa"] / kappa),
-        "slope -1": (kappa, 5 / kappa),
-    }
+    lines = {"|[u]| over the width": (kappa, table["jump_times_kappa"] / kappa)}
+    lines["|t - t of bonded bodies| over E/100"] = kappa, table["traction_difference_times_kappa"] / kappa
+    lines["slope -1"] = kappa, 5 / kappa
     title, labels = "a stiff interface law tends to bonded bodies", ("K_N = K_T over E/100 per width", "L^2 norm on S")
     look = {"title": title, "styles": ("o-", "s--", ":"), "log": "xy", "save": record.path("bonded.svg")}
     plotting.curves(lines, *labels, **look)

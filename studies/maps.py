@@ -19,9 +19,7 @@ Panel = tuple[npt.ArrayLike, npt.NDArray[np.str_]]  # values of cells, texts of 
 Axis = tuple[str, Sequence[str]]  # label of the axis, labels of its columns or rows
 
 
-def maps(
-    parts: Mapping[str, Panel], x: Axis, y: Axis, ranges: Mapping[str, float], *, title: str, save: Path
-) -> Picture:
+def maps(parts: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float], *, title: str, save: Path) -> Picture:
     """Draw values over two axes as cells, in panels in two columns with one legend.
 
     Args:

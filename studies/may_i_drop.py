@@ -29,7 +29,7 @@ from thinlayer.output.plotting.curves import fraction
 from thinlayer.pointwise.quadrature import assemble_values
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
-from thinlayer.surface.surface_mesh import Where as SurfacePart
+from thinlayer.surface.surface_mesh import Where
 from thinlayer.system.progress import track
 from thinlayer.system.table import Table
 
@@ -138,9 +138,7 @@ class Dropped:
         part = (lambda x: abs(x[0] - 0.5) < INNER) if self.case.inner else 1.0
         return self._on_s(state, part, Surface.reaction)  # as in the other program
 
-    def _on_s(
-        self, state: State, part: SurfacePart | float = 1.0, traction: Field = Surface.traction
-    ) -> dict[str, float]:
+    def _on_s(self, state: State, part: Where | float = 1.0, traction: Field = Surface.traction) -> dict[str, float]:
         squares = np.zeros((2, 2))
         for name in self.estimate.layers:
             surface = Surface(self.estimate.better.model, name)
@@ -219,11 +217,8 @@ def _of_layer(dropped: Dropped, at: Array) -> Array:
 
 
 # ---------------------------------------------------------------- pictures
-PANELS = {
-    "change of t_N": ("traction", "estimated_traction"),
-    "change of [u_N]": ("jump", "estimated_jump"),
-    "where the compliance changes": ("density", "density"),
-}
+PANELS = {"change of t_N": ("traction", "estimated_traction"), "change of [u_N]": ("jump", "estimated_jump")}
+PANELS["where the compliance changes"] = "density", "density"
 
 
 def draw(record: Record) -> None:

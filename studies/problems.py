@@ -112,6 +112,12 @@ class Wave:
         return (above + below)[2:] / 2, (above - below)[:2], float(self.load @ (body @ above)[:2]) / 2
 
 
+def loaded(joint: Joint, top: Load, **more: Unpack[StructureArguments]) -> Structure:
+    """Bodies of E = 100 and nu = 0.3 under a traction on top, clamped below, unless `more` has others."""
+    setup: StructureArguments = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": top}}
+    return Structure(joint, **setup | more)
+
+
 def free_blocks(
     h_ends: float,
     load: Load = (0.3, -1.0),
@@ -124,8 +130,7 @@ def free_blocks(
 
     Cells have the size h_S on S, and h_ends at the ends of S.
     """
-    setup: StructureArguments = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": load}}
-    return Structure(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), **setup | more)
+    return loaded(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), load, **more)
 
 
 def pressed(h: float, path: LoadPath) -> Problem:

@@ -166,7 +166,6 @@ order_1 = partial(Row, h=(1 / 32, 1 / 16), eps=halves(3, 5), orders=(1.9, 2.1), 
 hard = partial(order_1, eps=halves(4, 5), orders=None, more=by_reaction)
 rubber = partial(order_1, eps=halves(3), orders=(1.9, 2.3), cells_through=2, more=by_reaction)
 glued = partial(Row, problem=problems.glued_hub, h=(1.0, 2.0), eps=MM, bodies="extended", unit="mm")
-tubes = partial(Row, h=(1.0, 2.0), eps=MM, bodies="extended", unit="mm")
 norton = partial(Row, h=(1 / 16, 1 / 8), times=(0.01, 0.02, 0.03, 0.04, *TWENTIETHS), more=early)
 fine = partial(Row, h=(1 / 16, 1 / 8), eps=halves(4), orders=(0.9, 1.1), steps=slice(1, None, 2))
 slips = partial(fine, problem=pushed, times=PATH, cells_through=2)
@@ -209,12 +208,12 @@ ROWS: dict[str, Row] = {
         of(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1), eps=(0.08, 0.04, 0.02, 0.01),
         orders=(0.9, 1.1), unit="R", more=cylinders.against_cylinders, check=cylinders.as_cylinders,
     ),
-    "tubes": tubes(
-        of(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", partial(cylinders.tubes, loads=cylinders.PRESSED),
+    "tubes": glued(
+        of(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", problem=partial(cylinders.tubes, loads=cylinders.PRESSED),
         orders=(0.93, 1.1), more=cylinders.against_lame, check=cylinders.as_lame,
     ),
-    "tubes push": tubes(
-        of(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", partial(cylinders.tubes, loads=cylinders.PUSHED),
+    "tubes push": glued(
+        of(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", problem=partial(cylinders.tubes, loads=cylinders.PUSHED),
         orders=(0.9, 1.25), where=lambda x: abs(x[1] + cylinders.HEIGHT / 2) < 0.3 * cylinders.HEIGHT,  # off their ends
     ),
     "own_mesh": Row(

@@ -22,7 +22,7 @@ from thinlayer.output.comparison import Where
 from thinlayer.output.plotting.curves import ERROR_COLUMNS, fraction
 from thinlayer.running.record import Record
 from thinlayer.solving.history import Solution
-from thinlayer.surface.surface_mesh import Where as SurfacePart
+from thinlayer.surface.surface_mesh import Where as OnSurface
 
 Floors = Mapping[str, tuple[float, float]]  # traction or jump -> range of the relative error that a wrong law leaves
 Tables = dict[str, Table]
@@ -172,9 +172,7 @@ def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> 
     return {"error_reaction": difference(Surface(state.model), Surface.reaction, last(full), state, where or 1.0)}
 
 
-def difference(
-    surface: Surface, field: Field, state: State, reference: State, where: SurfacePart | float = 1.0
-) -> float:
+def difference(surface: Surface, field: Field, state: State, reference: State, where: OnSurface | float = 1.0) -> float:
     """Relative L2 difference, on a part of S, of a field in a state and in a reference state."""
     wanted = field(surface, reference)
     return surface.norm(field(surface, state) - wanted, where) / surface.norm(wanted, where)

@@ -30,11 +30,10 @@ def _by_law(blocks: Structure, law: LinearElastic, eps: float, order: int = 0, e
     return solve(blocks.interface(ThinLayer(law, eps, order, at=EPS[0], edges=edges)))
 
 
-STATES: dict[str, Callable[[Structure, LinearElastic, float], State]] = {
-    "order 0": _by_law,
-    "order 1, free": partial(_by_law, order=1, edges="free"),
-    "estimate": lambda *case: estimate(_by_law(*case)).better,
-}  # states that prescribe the displacements of the layer's faces
+# states that prescribe the displacements of the layer's faces
+STATES: dict[str, Callable[[Structure, LinearElastic, float], State]] = {"order 0": _by_law}
+STATES["order 1, free"] = partial(_by_law, order=1, edges="free")
+STATES["estimate"] = lambda *case: estimate(_by_law(*case)).better
 
 
 def run(record: Record, *, quick: bool = False) -> None:

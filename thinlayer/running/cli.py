@@ -43,9 +43,7 @@ EXIT_STATUS_HELP = (
 REPRODUCE_HELP = (
     "Exit status: 0 all numbers hold; 1 one does not; 2 wrong input; 3 a study is not finished, as the page shows."
 )
-RESUME_HELP = (
-    "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
-)
+RESUMING = "Started again, it keeps the runs that are done with the same options and code, and goes on with the others."
 PETSC_PREFIX = "-thinlayer_"
 Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 Command = Callable[["Parser", argparse.Namespace, Petsc], int]
@@ -145,7 +143,7 @@ def command_line() -> argparse.ArgumentParser:
     before.add_argument("--new", action="store_true", help="print a description to fill in, with a mesh file's names")
     _add_json(before)
     what = "Run the studies of the paper, and write a page with its numbers beside those that are computed."
-    page = _command(commands, "reproduce", _batch, "--quick", f"{what} {RESUME_HELP}")
+    page = _command(commands, "reproduce", _batch, "--quick", f"{what} {RESUMING}")
     page.epilog = f"{REPRODUCE_HELP} {page.epilog}"
     _add_batch(page, Path("out", "reproduce"))
     return parser
@@ -153,7 +151,7 @@ def command_line() -> argparse.ArgumentParser:
 
 def _several_studies() -> Parser:
     """The parser of `run` for several studies."""
-    what = f"Run several studies, each in its folder DIR/STUDY. {RESUME_HELP}"
+    what = f"Run several studies, each in its folder DIR/STUDY. {RESUMING}"
     parser = Parser(prog="python3 -m thinlayer run", description=what, epilog=EXIT_STATUS_HELP)
     parser.add_argument("studies", nargs="*", metavar="STUDY", choices=studies(), help="names of studies")
     names = [study.name for study in studies().values() if study.drawn]

@@ -7,6 +7,7 @@ and of `goals`. All moduli are real moduli; a layer's moduli are divided by its 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -150,12 +151,10 @@ def _supports(section: Section, key: str) -> dict[Place, Support]:
 
 def _place(text: str) -> Place:
     """Read a key as a place: "(x, y)" is a vertex, any other text the name of a facet set."""
-    if not (text.startswith("(") and text.endswith(")")):
-        return text
-    try:
-        return tuple(float(c) for c in text[1:-1].split(","))
-    except ValueError:
-        return text
+    if text.startswith("(") and text.endswith(")"):
+        with suppress(ValueError):
+            return tuple(float(c) for c in text[1:-1].split(","))
+    return text
 
 
 def _tractions(section: Section, key: str) -> dict[str, Traction]:
@@ -192,9 +191,7 @@ def _loads(section: Section, key: str) -> tuple[Arguments, ...]:
 
 def _times(section: Section, key: str) -> tuple[float, ...]:
     wrong = "are not times; give numbers > 0 that grow, such as [0.5, 1]"
-    return tuple(
-        map(float, section.checked(key, lambda values: values and is_growing(values) and values[0] > 0, wrong))
-    )
+    return tuple(map(float, section.checked(key, lambda times: times and is_growing(times) and times[0] > 0, wrong)))
 
 
 def _goals(section: Section, key: str) -> dict[str, Arguments]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn, TypeGuard
@@ -66,11 +66,10 @@ def _assignment(text: str, option: str) -> tuple[Keys, object]:
             keys = (*keys, key)
     except ValueError:
         raise DescriptionError(f"{option} cannot be read; give KEY=VALUE in TOML, such as layer.E=2e3") from None
-    try:
+    with suppress(ValueError):
         (value,) = tomllib.loads(f"value={value_text}").values()
-    except ValueError:
-        value = value_text.strip()
-    return keys, value
+        return keys, value
+    return keys, value_text.strip()
 
 
 def _with_value(old: object, keys: Sequence[str], value: object, option: str) -> Any:
@@ -124,12 +123,10 @@ class Section:
             needs: required key -> words for what it is.
             kind: the word for a key in errors.
         """
-        for key in self.values:
-            if key not in keys:
-                self.refuse(unknown_name_message(kind, key, keys))
-        for key, what in (needs or {}).items():
-            if key not in self.values:
-                self.refuse(f"{key} is missing: {what}")
+        if unknown := [key for key in self.values if key not in keys]:
+            self.refuse(unknown_name_message(kind, unknown[0], keys))
+        if missing := [f"{key} is missing: {what}" for key, what in (needs or {}).items() if key not in self.values]:
+            self.refuse(missing[0])
         return {key: read(self, key) for key, read in keys.items() if key in self.values}
 
     def checked(self, key: str, good: Callable[[Any], bool], wrong: str) -> Any:

@@ -260,9 +260,8 @@ def is_done(request: MPI.Request, within: float) -> bool:
 
 
 def _end(status: int) -> None:
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None:
-            stream.flush()
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        stream.flush()
     MPI.COMM_WORLD.Abort(status)
 
 

@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -176,9 +177,6 @@ def _text(value: Entry, form: Callable[[float], str]) -> str:
 
 
 def _value(text: str) -> Entry:
-    if text == "":
-        return None
-    try:
+    with suppress(ValueError):
         return float(text)
-    except ValueError:
-        return text
+    return text or None
