@@ -118,12 +118,10 @@ class Lame:
     """Concentric tubes under inner pressure, without strain along the axis: u = A r + B/r in each.
 
     Attributes:
-        radii: radii of the bore, the interfaces and the rim, growing lengths.
         laws: laws of the tubes, the innermost first.
         coefficients: (tubes, 2) A and B.
     """
 
-    radii: tuple[float, ...]
     laws: tuple[LinearElastic, ...]
     coefficients: Array
 
@@ -140,7 +138,8 @@ def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequenc
     """Solve for tubes under inner pressure.
 
     Args:
-        radii, laws: see `Lame`.
+        radii: radii of the bore, the interfaces and the rim, growing lengths.
+        laws: laws of the tubes, the innermost first.
         springs: normal stiffness between neighbours, stress per length; None: bonded.
         p: pressure in the bore; the rim is free.
     """
@@ -149,7 +148,7 @@ def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequenc
     ends[0, :2], ends[1, -2:] = (_solutions(0, laws[k], radii[k])[2] for k in (0, -1))
     A, b = np.concatenate([between.reshape(-1, ends.shape[1]), ends]), np.zeros(ends.shape[1])
     b[-2] = -p
-    return Lame(tuple(radii), tuple(laws), np.asarray(np.linalg.solve(A, b).reshape(-1, 2), float))
+    return Lame(tuple(laws), np.asarray(np.linalg.solve(A, b).reshape(-1, 2), float))
 
 
 # ---------------------------------------------------------------- a coated fibre

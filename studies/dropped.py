@@ -238,13 +238,10 @@ def published_cases() -> list[DroppedCase]:
     hardening, plastic = of(Hardening(60.0, 40.0, 3e5)), of(YIELDING)
     bearing, viscous, in_box = of(BEARING, None), of(VISCOUS), partial(DroppedCase, structure=box, solid=True)
 
+    on_rollers = {"nu = 0.3": soft(40.0, 0.3), "nu = 0.45": of(R(4.0, 0.45)), "nu = 0.499": soft(40.0, 0.499)}
+    on_rollers |= {"nu = 0.4999": soft(0.4, 0.4999), "cubic hardening": hardening, "plastic": plastic}
     return [
-        rolled("between rollers: nu = 0.3", layers=soft(40.0, 0.3)),
-        rolled("between rollers: nu = 0.45", layers=of(R(4.0, 0.45))),
-        rolled("between rollers: nu = 0.499", layers=soft(40.0, 0.499)),
-        rolled("between rollers: nu = 0.4999", layers=soft(0.4, 0.4999)),
-        rolled("between rollers: cubic hardening", layers=hardening),
-        rolled("between rollers: plastic", layers=plastic),
+        *(rolled(f"between rollers: {words}", layers=layers) for words, layers in on_rollers.items()),
         ended("free ends: nu = 0.3", layers=soft(40.0, 0.3)),
         unequal("free ends: unequal bodies, nu = 0.45", layers=soft(20.0, 0.45)),
         ended("free ends: nu = 0.45", layers=of(R(40.0, 0.45))),

@@ -16,6 +16,7 @@ from forms.base import Array
 from forms.non_monotone import Phases
 from geometry import block
 from geometry.topology import BoolArray
+from studies.sweeping import Curves
 from thinlayer import Structure, Surface, Table, ThinLayer, march, piecewise, plotting
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Support
@@ -212,13 +213,11 @@ def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
     lost = ", ".join(f"{energy:.4f}" for energy in loop["lost"][~np.isnan(loop["lost"])])
     everything = f"pure phases in {ELEMENTS} elements, all equilibria"
     computed = f"the same, computed; energies lost in snaps: {lost}"
-    lines = {
-        everything: (np.tile(FINE, equilibria.shape[1]), equilibria.T.ravel()),
-        "least energy, closed form": (FINE, BAR.sigma(FINE)),
-        "relaxed law, computed": (relaxed["delta"], relaxed["sigma"]),
-        "one phase, kept while it holds, closed form": (np.insert(delta, 2, np.nan), np.insert(kept, 2, np.nan)),
-        computed: (loop["delta"], loop["sigma"]),
-    }
+    lines: Curves = {everything: (np.tile(FINE, equilibria.shape[1]), equilibria.T.ravel())}
+    lines["least energy, closed form"] = FINE, BAR.sigma(FINE)
+    lines["relaxed law, computed"] = relaxed["delta"], relaxed["sigma"]
+    lines["one phase, kept while it holds, closed form"] = np.insert(delta, 2, np.nan), np.insert(kept, 2, np.nan)
+    lines[computed] = loop["delta"], loop["sigma"]
     labels, save = ("delta, displacement of the end, over l", "sigma, force, over K l/2"), record.path("response.svg")
     look = {"styles": ("-", "-", "o", "-", "s--"), "colours": {everything: "0.75", computed: "black"}, "save": save}
     plotting.curves(lines, *labels, title="a bar on a layer of two phases: pure ones snap", **look)

@@ -219,21 +219,15 @@ def _tolerance(section: Section, key: str) -> dict[str, float]:
     return {name: table.checked(name, lambda number: number < 1, f"is not < 1; it is {what}") for name in tolerances}
 
 
+def _bonded(section: Section, key: str) -> bool:
+    return bool(section.checked(key, lambda value: isinstance(value, bool), "is neither true nor false"))
+
+
 MESH_HINT = 'the name of a mesh file, mesh = "joint.msh"'
-ENTRY_READERS: Readers = {
-    "mesh": _mesh,
-    "units": _units,
-    "body": read_materials,
-    "layer": partial(read_materials, thin=True),
-    "supports": _supports,
-    "tractions": _tractions,
-    "body_force": _body_force,
-    "loads": _loads,
-    "plane": choice_reader("strain", "stress", "axisymmetric"),
-    "element": choice_reader("P2", "Q2", "S2"),  # of degree 2, as interface laws of order 1 need it
-    "bodies": choice_reader("kept", "extended"),
-    "times": _times,
-    "goals": _goals,
-    "tolerance": _tolerance,
-    "bonded": lambda section, key: section.checked(key, lambda raw: isinstance(raw, bool), "is neither true nor false"),
-}
+ENTRY_READERS: dict[str, Reader] = {"mesh": _mesh, "units": _units, "body": read_materials}
+ENTRY_READERS |= {"layer": partial(read_materials, thin=True), "supports": _supports, "tractions": _tractions}
+ENTRY_READERS |= {"body_force": _body_force, "loads": _loads}
+ENTRY_READERS["plane"] = choice_reader("strain", "stress", "axisymmetric")
+ENTRY_READERS["element"] = choice_reader("P2", "Q2", "S2")  # of degree 2, as interface laws of order 1 need it
+ENTRY_READERS["bodies"] = choice_reader("kept", "extended")
+ENTRY_READERS |= {"times": _times, "goals": _goals, "tolerance": _tolerance, "bonded": _bonded}
