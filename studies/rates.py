@@ -171,10 +171,8 @@ fine = partial(Row, h=(1 / 16, 1 / 8), eps=halves(4), orders=(0.9, 1.1), steps=s
 slips = partial(fine, problem=pushed, times=PATH, cells_through=2)
 yields = partial(fine, problem=sheared, orders=(0.9, 1.3), times=SHEARED)
 rubs = partial(fine, of(bands.BAND), h=(1 / 128, 1 / 64), cells_through=1, more=bands.zones, along=bands.along_s)
-in_bar = partial(
-    Row, problem=bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25), orders=(0.9, 1.3), unit="mm",
-    where=lambda x: abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE,  # 5 mm off the ends of S
-)
+in_bar = partial(Row, problem=bar, h=((6.0, 3.0, 0.2), (8.0, 4.0, 0.4)), eps=(2.0, 1.0, 0.5, 0.25), orders=(0.9, 1.3),
+    unit="mm", where=lambda x: abs(x[0] - fig3.SIDE / 2) < 0.45 * fig3.SIDE)  # 5 mm off the ends of S
 at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.ONCE, TO_AND_FRO))
 
 
@@ -204,26 +202,17 @@ ROWS: dict[str, Row] = {
     "rubber incompressible": rubber(of(Incompressible(40.0), order=1), "nu = 0.5"),
     "ring": glued(of(problems.GLUE, problems.GLUE_EPS), "order 0", orders=(0.9, 1.1)),
     "ring order1": glued(of(problems.GLUE, problems.GLUE_EPS, order=1), "order 1", orders=(1.8, 2.2), pictured=None),
-    "fibre": glued(
-        of(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1), eps=(0.08, 0.04, 0.02, 0.01),
-        orders=(0.9, 1.1), unit="R", more=cylinders.against_cylinders, check=cylinders.as_cylinders,
-    ),
-    "tubes": glued(
-        of(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", problem=partial(cylinders.tubes, loads=cylinders.PRESSED),
-        orders=(0.93, 1.1), more=cylinders.against_lame, check=cylinders.as_lame,
-    ),
-    "tubes push": glued(
-        of(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", problem=partial(cylinders.tubes, loads=cylinders.PUSHED),
-        orders=(0.9, 1.25), where=lambda x: abs(x[1] + cylinders.HEIGHT / 2) < 0.3 * cylinders.HEIGHT,  # off their ends
-    ),
-    "own_mesh": Row(
-        of(problems.JOINT, problems.JOINT_EPS), "", problems.arch, ("P2", "P1"), (0.04, 0.02, 0.01, 0.005), (0.9, 1.1),
-        bodies="extended", where=problems.inside_joints, pictured=middle, unit="m",
-    ),
-    "butt_joint": Row(
-        of(problems.GLUE, problems.GLUE_EPS), "", rods.rods, ((4.0, 2.5), (6.0, 4.0)), MM, (0.9, None), unit="mm",
-        where=rods.inside_rods, more=rods.against_section, check=rods.in_section,
-    ),
+    "fibre": glued(of(cylinders.COATING), problem=cylinders.coated_fibre, h=(0.05, 0.1), eps=(0.08, 0.04, 0.02, 0.01),
+        orders=(0.9, 1.1), unit="R", more=cylinders.against_cylinders, check=cylinders.as_cylinders),
+    "tubes": glued(of(cylinders.GLUE, cylinders.GLUE_EPS), "inner pressure", orders=(0.93, 1.1), check=cylinders.as_lame,
+        problem=partial(cylinders.tubes, loads=cylinders.PRESSED), more=cylinders.against_lame),
+    "tubes push": glued(of(cylinders.GLUE, cylinders.GLUE_EPS), "shaft pushed", orders=(0.9, 1.25),
+        problem=partial(cylinders.tubes, loads=cylinders.PUSHED),
+        where=lambda x: abs(x[1] + cylinders.HEIGHT / 2) < 0.3 * cylinders.HEIGHT),  # off their ends
+    "own_mesh": Row(of(problems.JOINT, problems.JOINT_EPS), problem=problems.arch, h=("P2", "P1"), orders=(0.9, 1.1),
+        eps=(0.04, 0.02, 0.01, 0.005), bodies="extended", where=problems.inside_joints, pictured=middle, unit="m"),
+    "butt_joint": Row(of(problems.GLUE, problems.GLUE_EPS), problem=rods.rods, h=((4.0, 2.5), (6.0, 4.0)), eps=MM,
+        unit="mm", orders=(0.9, None), where=rods.inside_rods, more=rods.against_section, check=rods.in_section),
     "kelvin_voigt": Row(of(KELVIN_VOIGT), times=TENTHS),
     "maxwell": Row(of(MAXWELL), "t2 = 1.0", times=FIFTHS),
     "maxwell t1": Row(of(Maxwell(*MODULI, t1=0.7)), "t2 = t1", times=FIFTHS),
@@ -237,34 +226,25 @@ ROWS: dict[str, Row] = {
     "monodirectional unilateral": slips(of(OPENING), "unilateral, h = 0.01", problem=pulled),
     "monodirectional stack": slips(of(Stack((0.4, LinearElastic(90.0, 30.0)), (0.6, SLIPPING))), "elastic, bilateral"),
     "monodirectional pulled": slips(of(replace(SLIPPING, elastic_fraction=FRACTION)), "pulled, h = 0.01", problem=pulled),
-    "monodirectional pulled_less": slips(
-        of(replace(SLIPPING, elastic_fraction=LESS)), "pulled, h = 1e-4", problem=pulled, orders=None, check=less_fraction
-    ),
+    "monodirectional pulled_less": slips(of(replace(SLIPPING, elastic_fraction=LESS)), "pulled, h = 1e-4", problem=pulled,
+        orders=None, check=less_fraction),
     "mohr_coulomb": yields(of(MORTAR), "psi = 0"),
     "mohr_coulomb dilatant": yields(of(replace(MORTAR, dilatancy_angle=10.0)), "psi = 10°"),
     "mohr_coulomb coulomb": yields(of(MORTAR), "tan(Omega) on S", orders=None, instead=COULOMB, floors=FLOOR),
-    "mohr_coulomb metal": yields(
-        of(MORTAR), "bodies yield", problem=of_metal, times=SHEARED[:4], steps=slice(None), more=dissipated,
-        check=both_yield,
-    ),
+    "mohr_coulomb metal": yields(of(MORTAR), "bodies yield", problem=of_metal, times=SHEARED[:4], steps=slice(None),
+        more=dissipated, check=both_yield),
     "friction": rubs("at once", at_once, instead=bands.AT_ONCE),
     "friction history": rubs("to and fro", to_and_fro, times=PATH, instead=bands.IN_TIME, check=bands.same_zones),
-    "friction cells": fine(
-        of(bands.IN_CELLS), "4 cells, h = 1e-5", at_once, h=(1 / 64, 1 / 64), orders=(0.7, 1.3), instead=bands.AT_ONCE,
-        long=True,
-    ),
-    "friction sine": fine(
-        of(bands.BAND), "f = sin(Omega)", at_once, h=(1 / 64, 1 / 32), orders=None, cells_through=1, instead=bands.SINE,
-        check=bands.sine_leaves_an_error,
-    ),
+    "friction cells": fine(of(bands.IN_CELLS), "4 cells, h = 1e-5", at_once, h=(1 / 64, 1 / 64), orders=(0.7, 1.3),
+        instead=bands.AT_ONCE, long=True),
+    "friction sine": fine(of(bands.BAND), "f = sin(Omega)", at_once, h=(1 / 64, 1 / 32), orders=None, cells_through=1,
+        instead=bands.SINE, check=bands.sine_leaves_an_error),
     "non_monotone": switches("", "oblique chi"),
     "non_monotone across": switches("across", "n (x) n"),
     "non_monotone along": replace(switches("along", "sym(t (x) n)"), check=phases.all_there),
-    "non_monotone unrelaxed": fine(
-        of(phases.PURE), "oblique chi, pure phases", partial(phases.blocks, shear=0.04, pull=0.03, moved=True),
-        h=(1 / 8, 1 / 8), cells_through=2, times=(0.25, 0.5, 0.75, 1.0), steps=slice(None), more=phases.snaps,
-        along=phases.along_s, check=phases.same_snaps,
-    ),
+    "non_monotone unrelaxed": fine(of(phases.PURE), "oblique chi, pure phases", h=(1 / 8, 1 / 8), cells_through=2,
+        problem=partial(phases.blocks, shear=0.04, pull=0.03, moved=True), times=(0.25, 0.5, 0.75, 1.0), steps=slice(None),
+        more=phases.snaps, along=phases.along_s, check=phases.same_snaps),
     "non_monotone printed": switches_wrongly("", "lambda + mu on S", phases.PRINTED, PRINTED_FLOOR),
     "non_monotone one_branch": switches_wrongly("", "no phase -1 on S", phases.ONE_BRANCH, ONE_BRANCH_FLOOR),
     "non_monotone across small_gain": switches_wrongly("across", "n (x) n, G across", phases.SMALL_GAIN, GAIN_FLOOR),
