@@ -19,15 +19,11 @@ from thinlayer.system.table import Row, Table
 
 ERROR_COLUMNS = ("eps", "error_traction", "error_jump")
 ORDER_COLUMNS = ("order_traction", "order_jump")  # columns that a sweep adds
+RowFunction = Callable[..., Mapping[str, object]]  # of a thickness
 THICKNESS_TOLERANCE = 1e-9  # relative difference of equal thicknesses
 
 
-def sweep(
-    run: Callable[..., Mapping[str, object]],
-    eps: Iterable[float],
-    out: str | Path | None = None,
-    resume: Resume = False,
-) -> Table:
+def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None, resume: Resume = False) -> Table:
     """Compute a table of comparisons over decreasing thickness, with observed orders. Collective.
 
     Args:
@@ -68,7 +64,7 @@ def sweep(
         return _with_orders(rows)
 
 
-def _row(run: Callable[[float], Mapping[str, object]], eps: float, first: Row | None) -> Row:
+def _row(run: RowFunction, eps: float, first: Row | None) -> Row:
     """The checked row of a thickness; an error on one rank is raised on all ranks."""
     what = f"the row that run({eps:g}) returns"
     with errors_on_all(default_comm()):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,13 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from forms.base import InputError, require
+from forms.base import require
 from thinlayer.discretisation.state import State
 from thinlayer.output.contact_fields import PINNED_STATUS, Contact
 from thinlayer.output.plotting.curves import COLOURS, LINE_STYLES, logarithmic
-from thinlayer.output.plotting.picture import Picture, finish_picture
+from thinlayer.output.plotting.picture import Picture, finish_picture, labelled
 from thinlayer.output.surface import Surface
-from thinlayer.surface.lines import Plane
+from thinlayer.surface.lines import Line, Plane
 
 Drawn = npt.ArrayLike | Mapping[str, npt.ArrayLike] | State | Contact  # a field, cases of it, or results
 COMPONENT_STYLES = ("-", "--", ":")  # line styles of the normal component and of the tangential components
@@ -58,30 +58,32 @@ def along(
     """
     require(isinstance(surface, Surface), "along: surface", surface, "give Surface(limit.model)")
     units = [f" ({unit})" if unit else "" for unit in (stress, length)]
-    rows = [_Row(surface, label, cases, plane) for label, cases in _rows(surface, fields, *units).items()]
+    rows = {
+        label: {case: surface.along(f, plane=plane) for case, f in cases.items()}
+        for label, cases in _rows(surface, fields, *units).items()
+    }
     seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL_INCHES[1] if len(rows) < 3 else LOW_PANEL_INCHES
     figure = Picture(figsize=(PANEL_INCHES[0] + 2.2 * (len(seams) - 1), len(rows) * curve + 0.8), layout="constrained")
     panels = figure.subplots(len(rows), len(seams), sharex="col", sharey="row", squeeze=False)
-    for row, places in zip(rows, panels, strict=True):
+    for (label, row), places in zip(rows.items(), panels, strict=True):
+        values = np.concatenate([line.values.ravel() for lines in row.values() for line in lines])
         for axes, seam in zip(places, seams, strict=True):
-            row.draw(axes, seam)
+            _draw(axes, [[line for line in lines if line.seam == seam] for lines in row.values()])
             if log:
-                logarithmic(axes, *row.limits)
-        places[0].set_ylabel(row.label)
+                logarithmic(axes, np.nanmin(values), np.nanmax(values))
+        places[0].set_ylabel(label)
     for axes, seam in zip(panels[0], seams, strict=True):
         axes.set_title(seam if len(seams) > 1 else "", fontsize=11)
     for axes in panels[-1]:
         axes.set_xlabel(f"arc length{f' ({length})' if length else ''}")
-    _legend(figure, rows, surface.joint.dim)
+    _legend(figure, rows.values(), surface.joint.dim)
     figure.align_ylabels()
     return finish_picture(figure, save, title)
 
 
 def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, npt.ArrayLike]]:
     """Label of a row -> label of a case -> field; without forces at pinned nodes, which supports exert."""
-    cases = dict(fields) if isinstance(fields, Mapping) else {"": fields}
-    if not cases:
-        raise InputError("along: fields is empty; give a field, or label -> field")
+    cases = labelled("along: fields", fields, "field")
     if not all(isinstance(case, (State, Contact)) for case in cases.values()):
         return {label: case if isinstance(case, Mapping) else {"": case} for label, case in cases.items()}
     rows: dict[str, dict[str, npt.ArrayLike]] = {}
@@ -101,43 +103,30 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
     return {**rows}
 
 
-class _Row:
-    """One row of panels: the lines of each case."""
-
-    def __init__(self, surface: Surface, label: str, cases: Mapping[str, npt.ArrayLike], plane: Plane | None) -> None:
-        self.label = label
-        self.lines = {case: surface.along(f, plane=plane) for case, f in cases.items()}
-        values = [line.values for lines in self.lines.values() for line in lines]
-        self.limits = min(map(np.nanmin, values)), max(map(np.nanmax, values))
-
-    @property
-    def components(self) -> int:
-        return max(line.values.shape[1] if line.values.ndim > 1 else 1 for (line, *_) in self.lines.values())
-
-    def draw(self, axes: Axes, seam: str) -> None:
-        """Draw the lines of a seam, one after the other."""
-        for number, lines in enumerate(self.lines.values()):
-            start = 0.0
-            for line in lines:
-                if line.seam == seam:
-                    if start and not number:
-                        axes.axvline(start, color="0.7", linewidth=0.8)
-                    components = np.roll(np.atleast_2d(line.values.T), 1, axis=0)  # the normal component was last
-                    styles = COMPONENT_STYLES if len(components) > 1 else (LINE_STYLES[number % len(LINE_STYLES)],)
-                    for style, component in zip(styles, components, strict=False):
-                        axes.plot(start + line.s, component, linestyle=style, color=COLOURS[number % len(COLOURS)])
-                    start += line.length
-        axes.grid(color="0.9")
+def _draw(axes: Axes, cases: list[list[Line]]) -> None:
+    """Draw the lines of each case in one panel, one after the other."""
+    for number, lines in enumerate(cases):
+        start = 0.0
+        for line in lines:
+            if start and not number:
+                axes.axvline(start, color="0.7", linewidth=0.8)
+            components = np.roll(np.atleast_2d(line.values.T), 1, axis=0)  # the normal component was last
+            styles = COMPONENT_STYLES if len(components) > 1 else (LINE_STYLES[number % len(LINE_STYLES)],)
+            for style, component in zip(styles, components, strict=False):
+                axes.plot(start + line.s, component, linestyle=style, color=COLOURS[number % len(COLOURS)])
+            start += line.length
+    axes.grid(color="0.9")
 
 
-def _legend(figure: Picture, rows: list[_Row], dim: int) -> None:
+def _legend(figure: Picture, rows: Iterable[Mapping[str, list[Line]]], dim: int) -> None:
     """Draw a legend of vector components and cases."""
-    handles, vectors = list[Line2D](), any(row.components > 1 for row in rows)
+    handles = list[Line2D]()
+    vectors = any(line.values[0].size > 1 for row in rows for lines in row.values() for line in lines)
     if vectors:
         names = ["normal", "tangential"] if dim == 2 else ["normal", "tangential 1", "tangential 2"]
         styles = zip(COMPONENT_STYLES, names, strict=False)
         handles += [Line2D([], [], color="0.3", linestyle=style, label=name) for style, name in styles]
-    cases = list(dict.fromkeys(case for row in rows for case in row.lines))
+    cases = list(dict.fromkeys(case for row in rows for case in row))
     if len(cases) > 1:
         looks = zip(cycle(COLOURS), cycle(("-",) if vectors else LINE_STYLES), cases, strict=False)
         handles += [Line2D([], [], color=colour, linestyle=dash, label=case) for colour, dash, case in looks]

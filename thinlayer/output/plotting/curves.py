@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator
 
 from forms.base import Array, InputError, require
-from thinlayer.output.plotting.picture import Picture, finish_picture, symbols
+from thinlayer.output.plotting.picture import Picture, finish_picture, labelled, symbols
 from thinlayer.system.table import Table
 
 Lines = Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]]  # label -> (x, y)
@@ -23,15 +23,7 @@ StyleChoice = str | Sequence[str] | Mapping[str, str] | None  # one for all curv
 # Styles of curves, in turn: colours for colour-blind readers (Okabe and Ito); line styles and markers for grey prints.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 Dash = str | tuple[int, tuple[int, ...]]  # matplotlib's line style
-LINE_STYLES: tuple[Dash, ...] = (
-    "-",
-    "--",
-    "-.",
-    ":",
-    (0, (8, 2)),
-    (0, (4, 1, 1, 1, 1, 1)),
-    (0, (1, 3)),
-)
+LINE_STYLES: tuple[Dash, ...] = ("-", "--", "-.", ":", (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SYMLOG_RANGE = 1e-3  # smallest visible value, over the largest, on an axis that is logarithmic on both sides of zero
 # sizes in a legend, inches: width of a letter, width of the line and the margins of an entry, height of a row
@@ -61,9 +53,7 @@ def rates(
     Raises:
         InputError: a table without rows or without these columns. OSError: the picture could not be written.
     """
-    tables = table if isinstance(table, Mapping) else {"": table}
-    if not tables:
-        raise InputError("rates: table is empty; give a table, or label -> table")
+    tables: dict[str, Table | str | Path] = labelled("rates: table", table, "table")
     lines, styles, colours = dict[str, tuple[Array, Array]](), {}, {}
     for j, (case, source) in enumerate(tables.items()):
         require(isinstance(source, (Table, str, Path)), f"rates: {case or 'table'}", source, "give what sweep returns")
@@ -127,14 +117,16 @@ def curves(
     require(isinstance(lines, Mapping), "curves", lines, "give {label: (x, y)}, or {title: {label: (x, y)}}")
     several = bool(lines) and all(isinstance(entry, Mapping) for entry in lines.values())
     parts: Any = lines if several else {title: lines}
-    figure, panels = _panels(len(parts), columns)
-    if not several:
-        figure.set_size_inches(6.5, 4.5)
+    columns = min(columns, len(parts))
+    panel_rows, size = -(-len(parts) // columns), 1.0 if columns > 2 else 1.4
+    inches = (3.1 * size * columns, 2.6 * size * panel_rows + 0.6) if several else (6.5, 4.5)
+    figure = Picture(figsize=inches, layout="constrained")
     labels = list(dict.fromkeys(label for part in parts.values() for label in part))
     grey = {label: "0.5" for label in labels if label.startswith("slope")}
     styles, colours = _by_label(labels, styles), _by_label(labels, COLOURS) | grey | _by_label(labels, colours)
     dashes, drawn = dict(zip(labels, cycle(LINE_STYLES), strict=False)), dict[str, Line2D]()
-    for ax, (panel, part) in zip(panels, parts.items(), strict=True):
+    for number, (panel, part) in enumerate(parts.items(), 1):
+        ax = figure.add_subplot(panel_rows, columns, number)
         for label, line in part.items():
             # points without a line are open markers, which do not hide one another
             look: dict[str, Any] = {"ms": 6, "mfc": "none"} if styles.get(label) in MARKERS else {"ms": 4}
@@ -170,15 +162,6 @@ def _by_label(labels: Iterable[str], chosen: StyleChoice) -> dict[str, str]:
     if isinstance(chosen, Mapping):
         return dict(chosen)
     return dict(zip(labels, cycle([chosen] if isinstance(chosen, str) else chosen or []), strict=False))
-
-
-def _panels(number: int, columns: int) -> tuple[Picture, list[Axes]]:
-    """A picture with `number` sets of axes in rows of at most `columns`."""
-    columns = min(columns, number)
-    rows = -(-number // columns)
-    size = 1.0 if columns > 2 else 1.4
-    figure = Picture(figsize=(3.1 * size * columns, 2.6 * size * rows + 0.6), layout="constrained")
-    return figure, [figure.add_subplot(rows, columns, k + 1) for k in range(number)]
 
 
 def logarithmic(axes: Axes, low: float, high: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,18 +14,15 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from mpi4py import MPI
 
-from forms.base import require
+from forms.base import InputError, require
 from geometry.parallel import on_root
 from thinlayer.system.folder import replace_file
 
 # text width of a page, inches; dots per inch of a saved picture after scaling it down to this width if it is wider
 PAGE_WIDTH, SAVED_DPI = (6.7, 300)
 # Text remains text in vector files, and equal pictures give equal files.
-VECTOR_STYLE = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "thinlayer",
-    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
-}
+VECTOR_FONTS = ["DejaVu Sans", "Verdana", "Arial"]
+VECTOR_STYLE = {"svg.fonttype": "none", "svg.hashsalt": "thinlayer", "font.sans-serif": VECTOR_FONTS}
 UNDATED_METADATA: dict[str, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 # Words that are Greek letters; letters with an index, these letters alone, and powers.
 GREEK_LETTERS = "eps|lambda|nu|mu|pi|kappa|rho|psi|omega|Omega|delta|sigma"
@@ -81,6 +78,17 @@ def finish_picture(figure: FigureType, save: str | Path | None, title: str = "")
     if save is not None:
         on_root(None, lambda: save_picture(figure, save))
     return figure
+
+
+EntryType = TypeVar("EntryType")
+
+
+def labelled(what: str, entries: Mapping[str, EntryType] | EntryType, kind: str) -> dict[str, EntryType]:
+    """Label -> entry, "" -> a single entry; raise InputError, with the name `what` of the argument, for no entry."""
+    by_label = dict(entries) if isinstance(entries, Mapping) else {"": entries}
+    if not by_label:
+        raise InputError(f"{what} is empty; give a {kind}, or label -> {kind}")
+    return by_label
 
 
 def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | Path | None) -> Picture | None:

@@ -11,14 +11,14 @@ import numpy.typing as npt
 import pyvista
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize, SymLogNorm, to_rgb
+from matplotlib.colors import ListedColormap, Normalize, SymLogNorm
 from matplotlib.patches import Patch
 
 from forms.base import Array, InputError
 from thinlayer.discretisation.state import State
 from thinlayer.output.paraview.grid import VtkGrid, gather_grid
 from thinlayer.output.plotting.curves import COLOURS, SYMLOG_RANGE
-from thinlayer.output.plotting.picture import Picture, drawn_on_root
+from thinlayer.output.plotting.picture import Picture, drawn_on_root, finish_picture, labelled
 from thinlayer.output.plotting.scene import COLOUR_BAR_STYLE, Scene, View
 from thinlayer.output.surface import Surface
 
@@ -89,26 +89,24 @@ def on_surface(
         InputError: not a state, no scalar field on S; errors of `deformed`. OSError: the picture could not be written.
     """
     panels = _panels(states, "on_surface")
-    surfaces, fields, moved = dict[str, Surface](), dict[str, np.ndarray](), dict[str, Array]()
-    for label, state in panels.items():
-        surface = surfaces[label] = Surface(state.model, seam)
-        fields[label] = np.asarray(field(surface, state) if callable(field) else field)
-        moved[label] = surface.sides(state.u, state.model, surface.corner_points)
-    names, fields = numbered_names(fields)
+    surfaces = {label: Surface(state.model, seam) for label, state in panels.items()}
+    values = {label: field(surfaces[label], state) if callable(field) else field for label, state in panels.items()}
+    names, fields = numbered_names({label: np.asarray(f) for label, f in values.items()})
+    moved = {label: s.sides(panels[label].u, s.model, s.corner_points) for label, s in surfaces.items()}
     shown = {label: surfaces[label].at_corners(f) for label, f in fields.items()}
     if wrong := [f.shape[2] for f in shown.values() if f.ndim > 2]:
         raise InputError(f"on_surface: the field has {wrong[0]} components; give one of them")
-    colours = _Colours(names, np.concatenate([f.ravel() for f in shown.values()]), log=log)
+    colours = _colour_map(names, np.concatenate([f.ravel() for f in shown.values()]), log=log)
 
     def image(scene: Scene, label: str, grid: VtkGrid) -> npt.NDArray[np.uint8]:
         x = surfaces[label].joint.points[surfaces[label].corners]
         lower, upper = x + scene.factor * np.moveaxis(moved[label], 1, -1)
-        return scene.image(grid, _meshes(colours, shown[label], lower, upper))
+        return scene.image(grid, _meshes(colours, shown[label], lower, upper, smooth=not names))
 
     def legend(scene: Scene, figure: Picture, places: list[Axes]) -> None:
         text = "; ".join(filter(None, [quantity, scene.scaled]))
-        if colours.of_numbers:
-            figure.colorbar(colours.of_numbers, ax=places, **COLOUR_BAR_STYLE, label=text)
+        if not names:
+            figure.colorbar(colours, ax=places, **COLOUR_BAR_STYLE, label=text)
             return
         patches = [Patch(color=colour_of(name, names), label=name) for name in names]
         columns = min(len(patches), 4 * len(panels))
@@ -119,9 +117,7 @@ def on_surface(
 
 def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
     """Label -> state; raise InputError if an entry is no state, or there is no entry."""
-    panels = dict(states) if isinstance(states, Mapping) else {"": states}
-    if not panels:
-        raise InputError(f"{what}: states is empty; give a state, or label -> state")
+    panels = labelled(f"{what}: states", states, "state")
     for label, state in panels.items():
         if not isinstance(state, State):
             received = f"{label!r} is {state!r}" if label else f"states is {state!r}"
@@ -146,9 +142,7 @@ def _side_by_side(
         for axes, (label, grid) in zip(places, grids.items(), strict=True):
             axes.imshow(image(scene, label, grid), extent=scene.window)
             axes.set_title(label, fontsize=11)
-        if title:
-            figure.suptitle(title, fontsize=11)
-        return figure
+        return finish_picture(figure, None, title)
 
     return drawn_on_root(next(iter(panels.values())).model.comm, draw, save)
 
@@ -169,44 +163,34 @@ def colour_of(name: str, names: list[str]) -> str:
     return STATUS_COLOURS.get(name) or COLOURS[names.index(name) % len(COLOURS)]
 
 
-class _Colours:
-    """Colours of numbers, or of positions in a list of names.
+def _colour_map(names: list[str], values: Array, *, log: bool) -> ScalarMappable:
+    """Colours of positions in a list of names, or, if it is empty, of numbers in the range of `values`."""
+    if names:
+        colours = ListedColormap([colour_of(name, names) for name in names])
+        return ScalarMappable(Normalize(-0.5, len(names) - 0.5), colours)
+    finite = values[np.isfinite(values)]
+    low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
+    peak = max(-low, high) or 1.0
+    both = low < 0 < high
+    least, low, high = (10.0 ** np.ceil(np.log10(SYMLOG_RANGE * peak)), *((-peak, peak) if both else (low, high)))
+    norm = SymLogNorm(least, vmin=low, vmax=high) if log else Normalize(low, high)
+    colour_map = ScalarMappable(norm, "RdBu_r" if both else "viridis")
+    colour_map.get_cmap().set_bad(NAN_COLOUR)
+    return colour_map
 
-    Attributes:
-        of_numbers: colour map of numbers; None for names.
+
+def _meshes(colours: ScalarMappable, values: Array, lower: Array, upper: Array, smooth: bool) -> list[pyvista.PolyData]:
+    """Meshes of S between its sides (n, k, d), with "rgb" of values (n, k) at corners: in 2D lines and opened areas.
+
+    With `smooth` values are linear between the corners; otherwise the part of a facet around a corner has its value.
     """
-
-    def __init__(self, names: list[str], values: Array, *, log: bool) -> None:
-        self.of_numbers: ScalarMappable | None = None
-        self._of_names = np.array([to_rgb(colour_of(name, names)) for name in names])
-        if names:
-            return
-        finite = values[np.isfinite(values)]
-        low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))
-        peak = max(-low, high) or 1.0
-        both = low < 0 < high
-        least, low, high = (10.0 ** np.ceil(np.log10(SYMLOG_RANGE * peak)), *((-peak, peak) if both else (low, high)))
-        norm = SymLogNorm(least, vmin=low, vmax=high) if log else Normalize(low, high)
-        self.of_numbers = ScalarMappable(norm, "RdBu_r" if both else "viridis")
-        self.of_numbers.get_cmap().set_bad(NAN_COLOUR)
-
-    def __call__(self, values: Array) -> npt.NDArray[np.uint8]:
-        """(..., 3) colours of values."""
-        if self.of_numbers:
-            flat = self.of_numbers.to_rgba(np.ma.masked_invalid(values.ravel()))  # (n, k, 4) would count as an image
-            rgb = flat[:, :3].reshape(*values.shape, 3)
-        else:
-            rgb = self._of_names[values.astype(int)]
-        return np.asarray(np.rint(255 * rgb), np.uint8)
-
-
-def _meshes(colours: _Colours, values: Array, lower: Array, upper: Array) -> list[pyvista.PolyData]:
-    """Meshes of S between its sides (n, k, d), with "rgb" of values (n, k) at corners: in 2D lines and opened areas."""
     k, d = lower.shape[1:]
     ring = [0, 1, 3, 2] if k == 4 else [*range(k)]
     middle, values = ((lower + upper) / 2)[:, ring], values[:, ring]
     points = 2 if k == 2 else 4
-    rgb = colours(_corner_points(values) if colours.of_numbers else np.repeat(values[:, :, None], points, axis=2))
+    at_points = _corner_points(values) if smooth else np.repeat(values[:, :, None], points, axis=2)
+    flat = colours.to_rgba(np.ma.masked_invalid(at_points.ravel()))[:, :3]  # (n, k, 4) would count as an image
+    rgb = np.asarray(np.rint(255 * flat), np.uint8).reshape(*at_points.shape, 3)
     if d == 3:
         return [_mesh(_corner_points(middle), rgb, "faces")]
     low, high = _corner_points(lower), _corner_points(upper)
