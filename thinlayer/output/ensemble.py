@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from mpi4py import MPI
@@ -82,28 +83,28 @@ def ensemble(
     group, groups = comm.rank // ranks, comm.size // ranks
     first, step = part[0] * groups + group, part[1] * groups
     path = None if out is None else Path(out)
-    subcomm = MPI.Intracomm(comm.Split(group))
-    try:
-        with own_folder(path and path.parent, name=f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK_FILE}"):
-            there = {} if path is None else on_root(None, lambda: _existing_rows(path, make, inputs, resume))
-            left = [k for k in range(first, len(inputs), step) if k not in there]
-            file = _file(path, f"{first}-of-{step}", make) if path and subcomm.rank == 0 else None
-            rows, error = dict[int, Row](), None
-            try:
-                if left:
-                    if file:
-                        file.read(resume)
-                    with use_comm(subcomm):
-                        _compute(subcomm, make, inputs, left, rows, file, alone=step == 1, keep_failures=keep_failures)
-            except Exception as problem:  # raised below, so that the other groups continue
-                error = problem
-            done = there | {k: row for some in comm.allgather(rows) for k, row in some.items()}
-            if path is not None:
-                done |= on_root(None, lambda: _merged(path, inputs))
-            _raise_together(comm, group, error)
-            return _table(inputs, done)
-    finally:
-        subcomm.Free()
+    lock = f".{path and path.name}.{part[0]}-of-{part[1]}{LOCK_FILE}"
+    with ExitStack() as stack, own_folder(path and path.parent, name=lock):
+        subcomm = MPI.Intracomm(comm.Split(group))
+        stack.callback(subcomm.Free)
+        there = {} if path is None else on_root(None, lambda: _existing_rows(path, make, inputs, resume))
+        left = [k for k in range(first, len(inputs), step) if k not in there]
+        name = f"{first}-of-{step}.json"
+        file = RowFile(_parts(path) / name, make, "ensemble") if path and subcomm.rank == 0 else None
+        rows, error = dict[int, Row](), None
+        try:
+            if left:
+                if file:
+                    file.read(resume)
+                with use_comm(subcomm):
+                    _compute(subcomm, make, inputs, left, rows, file, alone=step == 1, keep_failures=keep_failures)
+        except Exception as problem:  # raised below, so that the other groups continue
+            error = problem
+        done = there | {k: row for some in comm.allgather(rows) for k, row in some.items()}
+        if path is not None:
+            done |= on_root(None, lambda: _merged(path, inputs))
+        _raise_together(comm, group, error)
+        return _table(inputs, done)
 
 
 def _compute(
@@ -141,23 +142,17 @@ def _parts(path: Path) -> Path:
     return path.with_name(f"{path.name}.parts")
 
 
-def _file(path: Path, name: str, make: Callable[[], RunFunction]) -> RowFile:
-    """The file of a group."""
-    return RowFile(_parts(path) / f"{name}.json", make, "ensemble")
-
-
 def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
     """The rows of all files; files of an earlier ensemble that is not resumed are first moved away."""
     make_room(path, _parts(path), resume)
-    files = [_file(path, part_path.stem, make) for part_path in sorted(_parts(path).glob("*-of-*.json"))]
+    files = [RowFile(file, make, "ensemble") for file in sorted(_parts(path).glob("*-of-*.json"))]
     rows = _by_run([row for file in files for row in file.read(resume)])
     for k, row in rows.items():
         case = cases[k] if k < len(cases) else {}
-        changed = [name for name, value in case.items() if row.get(name) != value]
-        if not case or changed:
-            what = f"{changed[0]} = {row.get(changed[0])!r} there" if changed else "no such run here"
+        changed = [f"{name} = {row.get(name)!r} there" for name, value in case.items() if row.get(name) != value]
+        if wrong := changed or ["no such run here"] * (not case):
             remedy = f"give another name, or remove it and {str(_parts(path))!r}"
-            raise InputError(f"{str(path)!r} is the table of other cases (run {k}: {what}); {remedy}")
+            raise InputError(f"{str(path)!r} is the table of other cases (run {k}: {wrong[0]}); {remedy}")
     return rows
 
 

@@ -67,8 +67,7 @@ def _check(model: Model) -> None:
 
 def _unit_strains(d: int) -> Strain:
     """Mean strain as a function (x, t), whose values at t = 0, 1, 2, ... are a basis of all strains (d, d)."""
-    basis = np.zeros((len(VOIGT_PAIRS_OF_DIM[d]), d, d))
-    for strain, (i, j) in zip(basis, VOIGT_PAIRS_OF_DIM[d], strict=True):
-        strain[i, j] = strain[j, i] = 1.0 if i == j else 0.5
+    unit = np.eye(d)
+    basis = [(np.outer(unit[i], unit[j]) + np.outer(unit[j], unit[i])) / 2 for i, j in VOIGT_PAIRS_OF_DIM[d]]
     table = piecewise({float(k): strain.ravel().tolist() for k, strain in enumerate(basis)})
     return lambda x, t: np.reshape(table(x, t), (d, d)).tolist()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 from numbers import Integral, Real
 from pathlib import Path
 
-from forms.base import InputError
+from forms.base import InputError, require
 from thinlayer.system.fingerprint import (
     CODE_KEY,
     FILE_KEY,
@@ -99,15 +99,14 @@ def make_room(table: Path, record: Path, resume: Resume) -> None:
         raise InputError(f"{str(table)!r} cannot be resumed: {lacking}; give another name, or remove the table")
 
 
-def checked_row(row: object, what: str, taken: Collection[str]) -> Row:
+def checked_row(row: Mapping[str, object], what: str, taken: Collection[str]) -> Row:
     """Return a user's row with its entries as floats, texts or None.
 
     Raises:
         InputError: the row has a column in `taken`, or entries that are neither numbers nor texts; `what` names the
             row.
     """
-    if not isinstance(row, Mapping):
-        raise InputError(f"{what} is {row!r:.200}; it must be a mapping of names to numbers or texts")
+    require(isinstance(row, Mapping), what, row, "it must be a mapping of names to numbers or texts")
     entries: Row = {}
     for name, value in row.items():
         if not isinstance(name, str) or name in taken:

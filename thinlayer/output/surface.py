@@ -43,14 +43,11 @@ class Surface(SurfaceMesh):
         - Bond: the traction of the bodies' nodal forces (`reaction`).
         """
         self._require_same_joint(state)
-        model = state.model
-        if not model.bonds:
-            return self.at_points(layer_tractions(self, state))
-        bonded = np.isin(self.seams, model.bonds)
-        of_bodies = self.reaction(state)
+        bonded = np.isin(self.seams, state.model.bonds)
         if bonded.all():
-            return of_bodies
-        return np.where(bonded[:, None], of_bodies, self.at_points(layer_tractions(self, state)))
+            return self.reaction(state)
+        of_layers = self.at_points(layer_tractions(self, state))
+        return np.where(bonded[:, None], self.reaction(state), of_layers) if bonded.any() else of_layers
 
     def reaction(self, state: State) -> Array:
         """(d, n, q) traction whose nodal forces on both sides are those of the bodies, linear on each facet.
@@ -165,9 +162,8 @@ class Surface(SurfaceMesh):
                 row |= {name: float(areas @ (status[:, 0] == name)) for name in statuses(model, seam)}
             if layer:
                 row |= layer_shares(state, seam)
-            thin = layer.thin_layer if layer else None
-            if layer and thin and status is not None and (factor := times_too_stiff(state, layer)) is not None:
-                row |= {"delta": float(thin.eps) * resting_sublayers(layer)[0].length, "too_stiff": factor}
+            if layer and status is not None and (factor := times_too_stiff(state, layer)) is not None:
+                row |= {"delta": layer.eps * resting_sublayers(layer)[0].length, "too_stiff": factor}
             rows.append(row)
         columns = dict.fromkeys(name for row in rows for name in row)
         return Table({name: row.get(name) for name in columns} for row in rows)

@@ -12,7 +12,7 @@ from forms.base import Array, InputError
 from forms.ends.corner import CornerField
 from forms.law import BulkLaw
 from forms.temperature import finite_values
-from geometry.refusals import place_text, require_known
+from geometry.refusals import refuse, require_known
 from geometry.seam import S
 from geometry.sheet import StraightEnd, straight_ends
 from thinlayer.discretisation.applicability import Applicability
@@ -150,16 +150,16 @@ class Zoom:
                 a free end.
         """
         located, _ = self._surface.at(x)
-        y = self._heights(height, len(located.x))
+        if (y := finite_values(height, (), located.x.shape[:1])) is None or not (np.abs(y) <= 0.5).all():
+            allowed = f"one number or {len(located.x)}, from -1/2 to 1/2 of the thickness"
+            raise InputError(f"height is {height!r:.80}; allowed: {allowed}")
+        y = np.broadcast_to(y, located.x.shape[:1])
         free = self._applicability.free
         if len(free.vertices):
             near = free.distance(self.state.model.joint.points, located.x) < CORNER_EXCLUSION * self.eps
             near &= np.abs(y) > 0.5 - CORNER_EXCLUSION
-            if near.any():
-                at = f"{place_text(located.x[near.argmax()])}, height {y[near.argmax()]:g}"
-                raise InputError(
-                    f"{at} is too near a corner, where stresses are infinite; `corners` has their strengths"
-                )
+            reason = f"height {y[near.argmax()]:g} is too near a corner, where stresses are infinite"
+            refuse(near, located.x, f"{{at}}, {reason}; `corners` has their strengths")
         stresses = self._probe.stress(self._surface.in_layer(located.x, y))
         return stresses if np.ndim(x) > 1 else stresses[0]
 
@@ -167,11 +167,6 @@ class Zoom:
         """Heights (n,), from -1/2 to 1/2, and the stresses (n, 3, 3) there, at one point x (d,) of S."""
         heights = np.asarray(np.linspace(-0.5, 0.5, n), np.float64)
         return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
-
-    def _heights(self, height: npt.ArrayLike, n: int) -> Array:
-        if (y := finite_values(height, (), (n,))) is None or not (np.abs(y) <= 0.5).all():
-            raise InputError(f"height is {height!r:.80}; allowed: one number or {n}, from -1/2 to 1/2 of the thickness")
-        return np.broadcast_to(y, (n,))
 
     # ---------------------------------------------------------------- corners
     @cached_property
