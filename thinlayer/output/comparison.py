@@ -83,7 +83,7 @@ def compare(
         sizes[name] = surface.norm(by_law, part)
         is_nonzero = sizes[name] > (JUMP_ROUNDING_SHARE * moved if name == "jump" else 0.0)
         row[f"error_{name}"] = surface.norm(field(full) - by_law, part) / sizes[name] if is_nonzero else math.nan
-    return row | sizes | (_too_stiff(interface, seam) if interface.model is limit else {})
+    return row | sizes | _too_stiff(interface, seam)
 
 
 def _require_equal(what: str, equal: bool, full: object, interface: object) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import ufl
 
-from forms.base import Array, InputError
+from forms.base import Array
 from forms.contact import Status
 from geometry.seam import S
 from geometry.topology import IntArray, connected, sum_by_number
@@ -148,16 +148,6 @@ class Contact:
         return "\n".join([self._counted, *lines, forces])
 
 
-def contact_result(surface: SurfaceMesh, state: State) -> Contact:
-    """Contact of a state on a surface; raise InputError if no contact law acts there. Collective."""
-    values = contact_values(surface, state)
-    if not values:
-        seams = ", ".join(state.model.contacts) or "none"
-        raise InputError(f"{surface.seam!r} has no contact law in {state.model!r}; seams with contact laws: {seams}")
-    equilibrium, clapeyron = _balance(state)
-    return Contact(surface=surface, **values, equilibrium=equilibrium, clapeyron=clapeyron)
-
-
 def contact_values(surface: SurfaceMesh, state: State) -> dict[str, np.ndarray]:
     """Values at the nodes of a surface, by the names of `Contact`; {} without contact laws. Collective."""
     seams = [name for name in state.model.contacts if surface.seam in (S, name)]
@@ -206,7 +196,7 @@ def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
     return {"number": number} | {name: array[node] for name, array in values.items()}
 
 
-def _balance(state: State) -> tuple[float, float]:
+def balance_errors(state: State) -> tuple[float, float]:
     """Relative sum of the forces on free nodes, and relative error of the work balance. Collective.
 
     They are NaN for models with compiled laws of layers.

@@ -103,7 +103,9 @@ def ensemble(
         done = there | {k: row for some in comm.allgather(rows) for k, row in some.items()}
         if path is not None:
             done |= on_root(None, lambda: _merged(path, inputs))
-        _raise_together(comm, group, error)
+        failure = None if error is None else f"group {group} of ranks has failed: {type(error).__name__}: {error}"
+        if failures := [*filter(None, comm.allgather(failure))]:
+            raise error or InputError(failures[0])
         return _table(inputs, done)
 
 
@@ -186,12 +188,3 @@ def _checked_cases(cases: object) -> list[Row]:
         if [*row] != [*rows[0]] or None in row.values():
             raise InputError(f"case {k} has {', '.join(row)}, the first one {', '.join(rows[0])}; all need the same")
     return rows
-
-
-def _raise_together(comm: MPI.Intracomm, group: int, error: Exception | None) -> None:
-    """Raise on all ranks an error that one group has. Collective."""
-    errors = comm.allgather(None if error is None else (group, f"{type(error).__name__}: {error}"))
-    if error is not None:
-        raise error
-    if first := next(filter(None, errors), None):
-        raise InputError(f"group {first[0]} of ranks has failed: {first[1]}")

@@ -101,9 +101,11 @@ class Probe:
         out = located.mean(total).reshape(-1, 3, 3)
         return out if np.ndim(x) > 1 else out[0]
 
-    def _located(self, x: npt.ArrayLike, side: str | None, seam: str) -> LocatedPoints:
+    def _located(self, x: npt.ArrayLike, side: str | None = None, seam: str = S, on_s: bool = False) -> LocatedPoints:
+        """The cells that contain points, or the facets of S; checked on all ranks."""
+        model = self.state.model
         with errors_on_all(self._comm):
-            located = cells_at(self.state.model, x, side, seam)
+            located = SurfaceMesh(model).at(x)[0] if on_s else cells_at(model, x, side, seam)
         require_same(self._comm, places=located.x, side=side, seam=seam)
         return located
 
@@ -112,13 +114,11 @@ class Probe:
         out = np.zeros((len(located.entity), values.shape[1]))
         rows = {int(entity): row for row, entity in enumerate(points.entities)}
         degree = self.state.model.structure.degree - (not is_tensor(self._joint.cell_type))
-        for at, cell in enumerate(map(int, located.entity)):
-            if cell not in rows:
-                continue
+        for at in np.flatnonzero(np.isin(located.entity, points.entities)):
+            cell = int(located.entity[at])
             here = points.quadrature.cells[rows[cell]]
             x = points.quadrature.x[here]
-            centre = x.mean(axis=0)
-            size = np.ptp(self._joint.points[self._joint.cells[cell]], axis=0).max()
+            centre, size = x.mean(axis=0), np.ptp(self._joint.points[self._joint.cells[cell]], axis=0).max()
             terms = _monomials((x - centre) / size, degree)
             there = _monomials((located.x[located.point[at]] - centre)[None] / size, degree)
             out[at] = there @ np.linalg.lstsq(terms, values[here], rcond=None)[0]
@@ -180,14 +180,9 @@ class Probe:
             InputError: as in `points`; points where this law does not act.
         """
         points = self.points(name, key)
-        if self._variables[points.key][name][0].quadrature.region.dim == self._joint.dim:
-            located = self._located(x, None, S)
-            entity = located.entity
-        else:
-            with errors_on_all(self._comm):
-                located, _ = SurfaceMesh(self.state.model).at(x)
-            require_same(self._comm, places=located.x)
-            entity = self._joint.surface_rows[located.entity]
+        on_s = self._variables[points.key][name][0].quadrature.region.dim < self._joint.dim
+        located = self._located(x, on_s=on_s)
+        entity = self._joint.surface_rows[located.entity] if on_s else located.entity
         out = np.empty((len(located.x), *points.values.shape[1:]))
         for k, place in enumerate(located.x):
             here = np.flatnonzero(np.isin(points.entity, entity[located.point == k]))

@@ -12,7 +12,7 @@ from geometry.topology import IntArray
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import State
-from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, contact_result, contact_values
+from thinlayer.output.contact_fields import CONTACT_STATUSES, Contact, balance_errors, contact_values
 from thinlayer.output.tractions import consistent_tractions, layer_points, layer_tractions, points_of_rule
 from thinlayer.surface.law_points import LawPoints, layer_shares
 from thinlayer.surface.pressure_excess import resting_sublayers, times_too_stiff
@@ -126,7 +126,11 @@ class Surface(SurfaceMesh):
             InputError: the state's model has no contact law here.
         """
         self._require_same_joint(state)
-        return contact_result(self, state)
+        if not (values := contact_values(self, state)):
+            seams = ", ".join(state.model.contacts) or "none"
+            raise InputError(f"{self.seam!r} has no contact law in {state.model!r}; seams with contact laws: {seams}")
+        equilibrium, clapeyron = balance_errors(state)
+        return Contact(surface=self, **values, equilibrium=equilibrium, clapeyron=clapeyron)
 
     def table(self, state: State) -> Table:
         """A row for each seam; columns that do not apply to a seam's law are None.

@@ -27,10 +27,10 @@ from thinlayer.pointwise.quadrature import Quadrature
 from thinlayer.surface.law_points import LawPoints, law_points
 from thinlayer.surface.surface_mesh import FacetPoints, SurfaceMesh
 
-LEAST_SQUARES_TOLERANCE = 1e-15  # relative tolerance of LSQR for consistent tractions
+# relative tolerances of LSQR for consistent tractions, and its limit of iterations: uniform meshes need 29 to 45
+LSQR_OPTIONS = {"atol": 1e-15, "btol": 1e-15, "iter_lim": 2000}
 _UNIT_STRESS_TRACTIONS: WeakKeyDictionary[Quadrature, Array] = WeakKeyDictionary()
 CENTRE_DISTANCE = 1e-9  # largest distance of the centres of a facet and of its column, over the size of the joint
-MAX_ITERATIONS = 2000  # limit of LSQR iterations; uniform meshes need 29 to 45
 
 
 # ---------------------------------------------------------------- of layers
@@ -153,8 +153,8 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, joined: bool = F
     bc_marker = fem.Function(r.function_space)
     bc_marker.x.array[model.bc_dofs_in(r.function_space)] = 1.0
     bc_marker.x.scatter_forward()
-    by_sides = [surface.sides(f, model, surface.corner_points) for f in (r, bc_marker)]
-    forces, fixed = (np.moveaxis(f, 1, -1) for f in by_sides)  # (2, n, k, d)
+    # both of shape (2, n, k, d)
+    forces, fixed = (np.moveaxis(surface.sides(f, model, surface.corner_points), 1, -1) for f in (r, bc_marker))
     sides, count = _side_nodes(surface, joined)
     force, valid = np.zeros((count, d)), np.zeros((count, d), bool)
     force[sides], valid[sides] = forces, fixed < 0.5
@@ -175,9 +175,7 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, joined: bool = F
         A = scipy.sparse.diags(around[rows] ** -0.5) @ M[rows] @ scipy.sparse.diags(scale)
         b = (force[rows, k] - M[rows] @ guess) * around[rows] ** -0.5
         size = np.abs(b).max(initial=0.0) or 1.0
-        tolerance = LEAST_SQUARES_TOLERANCE
-        change = scipy.sparse.linalg.lsqr(A, b / size, atol=tolerance, btol=tolerance, iter_lim=MAX_ITERATIONS)[0]
-        out[:, k] = guess + size * scale * change
+        out[:, k] = guess + size * scale * scipy.sparse.linalg.lsqr(A, b / size, **LSQR_OPTIONS)[0]
     return out
 
 
@@ -197,11 +195,9 @@ def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
 def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse.csr_matrix:
     """Matrix (count, m) from nodal tractions to nodal forces on the bodies."""
     M = np.einsum("fq,qa,qb->fab", surface.weights, surface.shapes, surface.shapes)
-    columns = np.broadcast_to(surface.nodes[:, None], M.shape).ravel()
-    rows = [np.broadcast_to(side[..., None], M.shape).ravel() for side in sides]
-    values = np.concatenate([M.ravel(), -M.ravel()])
-    shape = count, len(surface.numbers)
-    return scipy.sparse.csr_matrix((values, (np.concatenate(rows), np.tile(columns, 2))), shape=shape)
+    rows, columns = np.broadcast_arrays(sides[..., None], surface.nodes[:, None])  # (2, n, k, k)
+    values, shape = np.stack([M, -M]), (count, len(surface.numbers))
+    return scipy.sparse.csr_matrix((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
 
 def _lumped(surface: SurfaceMesh, sides: IntArray, means: Array, valid: BoolArray) -> Array:

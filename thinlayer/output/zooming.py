@@ -15,7 +15,6 @@ from forms.temperature import finite_values
 from geometry.refusals import refuse, require_known
 from geometry.seam import S
 from geometry.sheet import StraightEnd, straight_ends
-from thinlayer.discretisation.applicability import Applicability
 from thinlayer.discretisation.full_model import FullModel, LayerModel
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.discretisation.layer import SeamLayer
@@ -91,6 +90,7 @@ class Zoom:
     def __init__(self, state: State, seam: str = S, *, cells_through: int = 8, at_ends: float | None = None) -> None:
         self.state, self._seam_layer = state, _layer_of(state, seam)
         self.seam = self._seam_layer.name
+        self._applicability = state.model.applicability[self.seam]
         if at_ends is None:
             at_ends = END_CELL_SIZES[state.model.joint.cell_type == "tetrahedron"]
         self.layer = state if isinstance(state.model, FullModel) else self._by_itself(cells_through, at_ends)
@@ -123,10 +123,6 @@ class Zoom:
     def law(self) -> BulkLaw:
         """The layer's law with real parameters; in plane models the law of the kinematics."""
         return self._applicability.law
-
-    @cached_property
-    def _applicability(self) -> Applicability:
-        return self.state.model.applicability[self.seam]
 
     def _require_faces(self, layers: State) -> None:
         """Warn if the tractions of the layer differ much from the tractions of the bodies."""
@@ -196,14 +192,11 @@ class Zoom:
         Raises:
             InputError: the exponent of a corner is unknown, with the reason.
         """
+        what = f"zoom into {self._seam_layer} at its corners: "
         for load in SideLoad.of(self.state.model, self._seam_layer):
-            raise Violation("loaded side", f"the {load.what} acts on the layer's side").error(self._at_corners)
-        self._applicability.require("corners", self._at_corners)
+            raise Violation("loaded side", f"the {load.what} acts on the layer's side").error(what)
+        self._applicability.require("corners", what)
         return [self._strength(end, x, side) for end, x in self.ends for side in (-1, 1)]
-
-    @property
-    def _at_corners(self) -> str:
-        return f"zoom into {self._seam_layer} at its corners: "
 
     def _strength(self, end: StraightEnd, x: Array, side: int) -> CornerStrength:
         """Strengths at points x of an end, at the corner on the upper (1) or the lower face (-1)."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 import pyvista
-from mpi4py import MPI
 from vtkmodules.vtkCommonCore import vtkStringArray
 
 from forms.base import Array
@@ -41,13 +41,9 @@ def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | N
     if grid is None:
         return None
     whole = _volume(state.model.domain.joint, grid, of_cells)
-    out = pyvista.MultiBlock()
-    out[BODIES_BLOCK] = _part(whole, grid.region >= 0)
-    if (grid.region < 0).any():
-        out[LAYER_BLOCK] = _part(whole, grid.region < 0)
-    if on_s is not None:
-        out[SURFACE_BLOCK] = on_s
-    return out
+    layer = _part(whole, grid.region < 0) if (grid.region < 0).any() else None
+    parts = {BODIES_BLOCK: _part(whole, grid.region >= 0), LAYER_BLOCK: layer, SURFACE_BLOCK: on_s}
+    return pyvista.MultiBlock({name: part for name, part in parts.items() if part is not None})
 
 
 def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
@@ -56,55 +52,47 @@ def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
     They are gathered on rank 0. Where the law of a cell or facet has no variable of a name, the value is NaN.
     """
     model, joint = state.model, state.model.domain.joint
-    of_cells, of_facets = _Means(model.comm, np.arange(len(joint.cells))), _Means(model.comm, model.joint.surface_rows)
-    through: dict[str, int] = {}  # number of terms of each layer on S so far; a layer of order 1 has two
+    of_cells, of_facets = dict[str, Array](), dict[str, Array]()
+    through = Counter[str]()  # number of terms of each layer on S so far; a layer of order 1 has two
     for points in law_points(state):
         if points.quadrature.region.dim == joint.dim:
-            of_cells.add(points, STRESS, points.stress())
-            for name, values in _named_variables(points.internal(), 0, several=False):
-                of_cells.add(points, name, values)
-            continue
-        key = points.term.key
-        several = sum(term.key == key for term in model.layer_terms) > 1
-        for name, values in _named_variables(points.internal(), through.setdefault(key, 0), several=several):
-            of_facets.add(points, name, values)
-        through[key] += 1
-    return of_cells.arrays, of_facets.arrays
+            variables = {STRESS: points.stress()} | _named_variables(points.internal())
+            _add_means(of_cells, np.arange(len(joint.cells)), points, variables)
+        else:
+            key = points.term.key
+            several = sum(term.key == key for term in model.layer_terms) > 1
+            variables = _named_variables(points.internal(), through[key], several=several)
+            _add_means(of_facets, model.joint.surface_rows, points, variables)
+            through[key] += 1
+    return of_cells, of_facets
 
 
-def _named_variables(sublayers: list[dict[str, Array]], before: int, *, several: bool) -> Iterator[tuple[str, Array]]:
-    """Yield names and values of internal variables; names are numbered from below if a facet has several points."""
+def _named_variables(sublayers: list[dict[str, Array]], before: int = 0, *, several: bool = False) -> dict[str, Array]:
+    """Internal variables by the names of their arrays, numbered from below if a facet has several points."""
+    named: dict[str, Array] = {}
     for number, variables in enumerate(sublayers, before + 1):
         for name, values in variables.items():
             array_name = f"internal {name}" if name in RESERVED_ARRAYS else name
-            yield f"{array_name} {number}" if several or len(sublayers) > 1 else array_name, values
+            named[f"{array_name} {number}" if several or len(sublayers) > 1 else array_name] = values
+    return named
 
 
-class _Means:
-    """Means over cells or facets of a joint, gathered on rank 0.
+def _add_means(arrays: dict[str, Array], numbers: IntArray, points: LawPoints, fields: Mapping[str, Array]) -> None:
+    """Add means over cells or facets to arrays on rank 0. Collective.
 
     Args:
-        comm: communicator.
-        numbers: (n,) numbers of the entities in the joint, ascending.
-
-    Attributes:
         arrays: name -> (n, components), NaN where nothing was added; tensors have VTK's six components.
+        numbers: (n,) numbers of the cells or facets in the joint, ascending.
+        points: the points of a law.
+        fields: name -> values (points, ...).
     """
-
-    def __init__(self, comm: MPI.Intracomm, numbers: IntArray) -> None:
-        self._comm, self._numbers = comm, numbers
-        self.arrays: dict[str, Array] = {}
-
-    def add(self, points: LawPoints, name: str, values: Array) -> None:
-        """Add the means of values (points, ...) to the array of this name. Collective."""
+    for name, values in fields.items():
         means = points.quadrature.means(values[:, *VTK_TENSOR_ORDER] if values.ndim == 3 else values)
-        pieces = self._comm.gather((points.entities, means), root=0)
-        if pieces is None:
-            return
-        entities, means = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
-        at = np.searchsorted(self._numbers, entities)
-        total = self.arrays.setdefault(name, np.full((len(self._numbers), *means.shape[1:]), np.nan))
-        total[at] = np.where(np.isnan(total[at]), means, total[at] + means)  # several laws may share cells of junctions
+        if pieces := points.state.model.comm.gather((points.entities, means), root=0):
+            entities, means = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+            at = np.searchsorted(numbers, entities)
+            total = arrays.setdefault(name, np.full((len(numbers), *means.shape[1:]), np.nan))
+            total[at] = np.where(np.isnan(total[at]), means, total[at] + means)  # laws may share cells of junctions
 
 
 def von_mises(stress: Array) -> Array:
@@ -135,9 +123,8 @@ def _volume(joint: Joint, grid: VtkGrid, of_cells: Mapping[str, Array]) -> pyvis
 def _part(mesh: pyvista.UnstructuredGrid, chosen: BoolArray) -> pyvista.UnstructuredGrid:
     """The chosen cells with their points and data, except data that are NaN in all of them, which VTK cannot read."""
     part = mesh.extract_cells(np.flatnonzero(chosen))
-    for name in ("vtkOriginalCellIds", "vtkOriginalPointIds"):
-        part.point_data.pop(name, None)
-        part.cell_data.pop(name, None)
+    part.point_data.pop("vtkOriginalPointIds")
+    part.cell_data.pop("vtkOriginalCellIds")
     for name, values in list(part.cell_data.items()):
         if np.issubdtype(values.dtype, np.floating) and np.isnan(values).all():
             part.cell_data.pop(name)

@@ -59,13 +59,16 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     """
     comm = solution.model.comm if isinstance(solution, (State, History)) else default_comm()
     with errors_on_all(comm):
-        states = _states(solution)
+        require(isinstance(solution, (State, History)), "solution", solution, "give what solve or march returns")
+        states = [solution] if isinstance(solution, State) else list(solution)
+        if not states:
+            raise InputError(f"there is nothing to write: {solution!r} has no state")
         wanted = "it must be the name of a file that ends in .pvd"
         require(isinstance(path, (str, Path)) and Path(path).suffix == COLLECTION_SUFFIX, "path", path, wanted)
         model = surface.model if isinstance(surface, Surface) else states[0].model
         if surface is not None and not (isinstance(surface, Surface) and isinstance(model, InterfaceModel)):
             raise InputError(f"surface is {surface!r:.80}; give Surface(limit.model) of an interface model")
-        if surface is not None and surface.model.joint is not states[0].model.joint:
+        if model.joint is not states[0].model.joint:
             raise InputError("surface is of another joint than the states; give one of the same joint")
     require_same(comm, models=states[0].model.data_hash, states=[state.t for state in states], path=str(path))
     path = Path(path)
@@ -77,16 +80,6 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     files = [quoteattr(name.relative_to(path.parent).as_posix()) for name in names]
     rows = [f'timestep="{state.t!r}" file={file}' for state, file in zip(states, files, strict=True)]
     on_root(comm, lambda: _write_listing(path, "Collection", rows))
-
-
-def _states(solution: Solution) -> list[State]:
-    """The states to write."""
-    if not isinstance(solution, (State, History)):
-        raise InputError(f"solution is {solution!r}; give a state or a history, as solve and march return")
-    states = [solution] if isinstance(solution, State) else list(solution)
-    if not states:
-        raise InputError(f"there is nothing to write: {solution!r} has no state")
-    return states
 
 
 def _make_room(path: Path, folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -58,10 +58,8 @@ def along(
     """
     require(isinstance(surface, Surface), "along: surface", surface, "give Surface(limit.model)")
     units = [f" ({unit})" if unit else "" for unit in (stress, length)]
-    rows = {
-        label: {case: surface.along(f, plane=plane) for case, f in cases.items()}
-        for label, cases in _rows(surface, fields, *units).items()
-    }
+    drawn = _rows(surface, fields, *units)
+    rows = {label: {case: surface.along(f, plane=plane) for case, f in cases.items()} for label, cases in drawn.items()}
     seams, curve = list(dict.fromkeys(surface.seams.tolist())), PANEL_INCHES[1] if len(rows) < 3 else LOW_PANEL_INCHES
     figure = Picture(figsize=(PANEL_INCHES[0] + 2.2 * (len(seams) - 1), len(rows) * curve + 0.8), layout="constrained")
     panels = figure.subplots(len(rows), len(seams), sharex="col", sharey="row", squeeze=False)
@@ -118,7 +116,7 @@ def _draw(axes: Axes, cases: list[list[Line]]) -> None:
     axes.grid(color="0.9")
 
 
-def _legend(figure: Picture, rows: Iterable[Mapping[str, list[Line]]], dim: int) -> None:
+def _legend(figure: Picture, rows: Collection[Mapping[str, list[Line]]], dim: int) -> None:
     """Draw a legend of vector components and cases."""
     handles = list[Line2D]()
     vectors = any(line.values[0].size > 1 for row in rows for lines in row.values() for line in lines)

@@ -54,7 +54,11 @@ def movie(
         InputError: no state, or states of several models; arguments as in `deformed`; another ending; no ffmpeg.
         OSError: the movie could not be written; on all ranks.
     """
-    states = _states(solution)
+    states = list(solution) if isinstance(solution, Iterable) else []
+    if not states or not all(isinstance(state, State) for state in states):
+        raise InputError(f"movie: {solution!r:.80} has no states; give a history that keeps them, or several states")
+    if any(state.model is not states[0].model for state in states):
+        raise InputError("movie: the states are of several models; give those of one march")
     if not isinstance(save, (str, Path)) or Path(save).suffix not in (GIF_EXT, MP4_EXT):
         raise InputError(f"save is {save!r}; it must be the name of a movie, which ends in .gif or .mp4")
     good = is_integer(per_second, 1) and per_second <= MAX_FRAME_RATE
@@ -85,16 +89,6 @@ def movie(
 
     on_root(comm, draw)
     return path
-
-
-def _states(solution: object) -> list[State]:
-    """The states of a movie, of one model."""
-    states = list(solution) if isinstance(solution, Iterable) else []
-    if not states or not all(isinstance(state, State) for state in states):
-        raise InputError(f"movie: {solution!r:.80} has no states; give a history that keeps them, or several states")
-    if any(state.model is not states[0].model for state in states):
-        raise InputError("movie: the states are of several models; give those of one march")
-    return states
 
 
 def _ffmpeg() -> str:

@@ -72,15 +72,15 @@ def _drawn(values: dict[str, Array], D: Array, Y: Array, component: str, title: 
     for axes, (name, field) in zip(rows[:-1], values.items(), strict=True):
         colours = axes.pcolormesh(D, Y, field, shading="gouraud", vmin=low, vmax=high, cmap="viridis")
         axes.set(title=name, ylabel="height/eps", ylim=(-0.5, 0.5))
-    label = f"{COMPONENT_LABELS[component]}{f' ({unit})' if unit else ''}"
-    figure.colorbar(colours, ax=list(rows[:-1]), label=label, extend="both")
+    quantity = f"{COMPONENT_LABELS[component]}{f' ({unit})' if unit else ''}"
+    figure.colorbar(colours, ax=list(rows[:-1]), label=quantity, extend="both")
     for colour, height in zip(COLOURS, (0.45, 0.0, -0.45), strict=False):
         row = int(np.abs(Y[:, 0] - height).argmin())
         for style, (name, field) in zip(("--", "-"), [*values.items()][::-1], strict=False):
-            look = {"linestyle": style, "linewidth": 1.5, "label": f"{name}, height {height:g} eps"}
-            rows[-1].plot(D[row], field[row], color=colour, **look)
+            label = f"{name}, height {height:g} eps"
+            rows[-1].plot(D[row], field[row], style, color=colour, linewidth=1.5, label=label)
     spread = high - low
-    rows[-1].set(xlabel="distance from the end, over eps", ylabel=label, ylim=(low - spread / 3, high + spread / 3))
+    rows[-1].set(xlabel="distance from the end, over eps", ylabel=quantity, ylim=(low - spread / 3, high + spread / 3))
     rows[-1].grid(color="0.9")
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     if title:
