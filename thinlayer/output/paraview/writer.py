@@ -59,7 +59,8 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     """
     comm = solution.model.comm if isinstance(solution, (State, History)) else default_comm()
     with errors_on_all(comm):
-        require(isinstance(solution, (State, History)), "solution", solution, "give what solve or march returns")
+        wanted = "give a state or a history, as solve and march return"
+        require(isinstance(solution, (State, History)), "solution", solution, wanted)
         states = [solution] if isinstance(solution, State) else list(solution)
         if not states:
             raise InputError(f"there is nothing to write: {solution!r} has no state")
