@@ -71,16 +71,13 @@ class _ConditionGroup:
         return self.rank < len(self.columns) and not np.array_equal(self.frame, np.eye(len(self.columns)))
 
     @cached_property
-    def _inverse(self) -> Array:
+    def inverse(self) -> Array:
+        """Matrix from right-hand sides c to the values (rank,) of the constrained unknowns."""
         return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENCE_TOLERANCE))
-
-    def constrained_values(self, c: Array) -> Array:
-        """Values (rank,) of the constrained unknowns for right-hand sides c."""
-        return np.asarray(self._inverse @ c)
 
     def residual(self, c: Array) -> Array:
         """Residual |N y - c| of each condition at the constrained values."""
-        return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ self.constrained_values(c) - c))
+        return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ (self.inverse @ c) - c))
 
     @cached_property
     def shares(self) -> Array:
@@ -114,11 +111,9 @@ class Constraints:
         self.prescribed, self.mpcs = prescribed, list(ties)
         self.comm: MPI.Intracomm = prescribed.comm
         self.d, self.n = prescribed.d, prescribed.size
-        self.first = int(self.comm.scan(self.n) - self.n)
-        self._require_no_common_slave()
+        self.first, self._total = int(self.comm.scan(self.n) - self.n), int(self.comm.allreduce(self.n))
+        self.slaves = self._all_slaves()
         self.masters = {mpc.key: self._slots_of(mpc) for mpc in self.mpcs}
-        rows = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
-        self.slaves = np.unique(np.concatenate([np.empty(0, np.int64), *rows])).astype(np.int64)
         self._T0 = self._tie()
         self._rows = self._conditions()
         self._resolve()
@@ -129,13 +124,14 @@ class Constraints:
             self._require_agreement(self._values_of_rows(0.0))
 
     # ---------------------------------------------------------------- slaves and masters
-    def _require_no_common_slave(self) -> None:
-        """Raise InputError if a displacement is a slave of two multi-point constraints."""
-        of = {mpc.key: np.diff(mpc.R.indptr) > 0 for mpc in self.mpcs}
-        both = sum((rows.astype(int) for rows in of.values()), np.zeros(self.n, int)) > 1
-        names = [key for key, rows in of.items() if (rows & both).any()]
+    def _all_slaves(self) -> IntArray:
+        """Local numbers of all slaves; raises InputError if two multi-point constraints have a common slave."""
+        rows = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
+        slaves, uses = np.unique(np.concatenate([np.empty(0, np.int64), *rows]), return_counts=True)
+        names = [mpc.key for mpc, own in zip(self.mpcs, rows, strict=True) if np.isin(own, slaves[uses > 1]).any()]
         if several := [keys for keys in self.comm.allgather(names) if keys]:
             raise InputError(f"{' and '.join(several[0])} share a node: their motions would not be independent")
+        return slaves
 
     def _slots_of(self, tie: MultiPointConstraint) -> np.ndarray:
         """Global numbers (m,) of the unknowns that are the motions of a multi-point constraint: its first slaves."""
@@ -150,39 +146,35 @@ class Constraints:
         if not self.comm.allreduce(len(self.slaves) + len(self.mpcs)):
             return None
         free = np.setdiff1d(np.arange(self.n), self.slaves)
-        rows, columns, values = [free], [self.first + free], [np.ones(len(free))]
-        for mpc in self.mpcs:
-            entries = mpc.R.tocoo()
-            rows.append(entries.row)
-            columns.append(self.masters[mpc.key][entries.col])
-            values.append(entries.data)
-        return self._matrix(np.concatenate(rows), np.concatenate(columns), np.concatenate(values))
+        of_ties = [(self.masters[mpc.key], mpc.R.tocoo()) for mpc in self.mpcs]
+        entries = [(R.row, masters[R.col], R.data) for masters, R in of_ties]
+        return self._matrix((free, self.first + free, np.ones(len(free))), *entries)
 
-    def _matrix(self, i: np.ndarray, j: np.ndarray, v: Array, rows: int | None = None) -> PETSc.Mat:
-        """Make a PETSc matrix with entries v at local rows i and global columns j.
+    def _matrix(self, *entries: tuple[np.ndarray, np.ndarray, Array]) -> PETSc.Mat:
+        """Make a PETSc matrix (n, n) from local rows, global columns and values of entries, which add up.
 
-        Diagonals of square matrices are stored, as products need them.
+        The diagonal is stored, as products need it.
         """
-        rows = self.n if rows is None else rows
-        if rows == self.n:
-            every = np.arange(self.n)
-            i, j, v = np.append(i, every), np.append(j, self.first + every), np.append(v, np.zeros(self.n))
-        total = int(self.comm.allreduce(self.n))
-        A = scipy.sparse.csr_matrix((v, (i.astype(np.int64), j.astype(np.int64))), (rows, total))
-        return create_aij(A, self.comm, ((rows, None), (self.n, None)))
+        diagonal = np.arange(self.n), self.first + np.arange(self.n), np.zeros(self.n)
+        i, j, v = map(np.concatenate, zip(*entries, diagonal, strict=True))
+        A = scipy.sparse.csr_matrix((v, (i.astype(np.int64), j.astype(np.int64))), (self.n, self._total))
+        return create_aij(A, self.comm, ((self.n, None), (self.n, None)))
 
     # ---------------------------------------------------------------- conditions
     def _conditions(self) -> Sparse:
         """This rank's conditions (r, N) on y: supports, then prescribed motions, which are on rank 0."""
-        rows, total = self.prescribed.conditions.tocoo(), int(self.comm.allreduce(self.n))
-        A = self._matrix(rows.row, self.first + rows.col, rows.data, rows.shape[0])
-        on_y = A if self._T0 is None else A.matMult(self._T0)
-        conditions = local_csr(on_y)
-        destroy(A, on_y)
+        rows = self.prescribed.conditions
+        on_y = rows.data, self.first + rows.indices, rows.indptr  # unknowns that are displacements
+        conditions = scipy.sparse.csr_matrix(on_y, (rows.shape[0], self._total))
+        if self._T0 is not None:
+            A = create_aij(conditions, self.comm, ((rows.shape[0], None), (self.n, None)))
+            product = A.matMult(self._T0)
+            conditions = local_csr(product)
+            destroy(A, product)
         self._motions = [(mpc, k, value) for mpc in self.mpcs for k, value in mpc.motion.items() if self.comm.rank == 0]
         columns = [self.masters[mpc.key][k] for mpc, k, _ in self._motions]
         k = len(columns)
-        more = scipy.sparse.csr_matrix((np.ones(k), (np.arange(k), columns)), (k, total))
+        more = scipy.sparse.csr_matrix((np.ones(k), (np.arange(k), columns)), (k, self._total))
         conditions = scipy.sparse.vstack([conditions, more], format="csr")
         conditions.data[np.abs(conditions.data) < COEFFICIENT_TOLERANCE] = 0.0
         conditions.eliminate_zeros()
@@ -229,20 +221,23 @@ class Constraints:
         turned = [group for group in self._groups if group.turned]
         if not turned:
             return None
-        same = np.arange(self.n)
-        i, j, v = [same], [self.first + same], [np.ones(self.n)]
+        entries = [(np.arange(self.n), self.first + np.arange(self.n), np.ones(self.n))]
         for group in turned:
             owned, places = self._owned(group.columns)
             rows, columns = np.meshgrid(places, group.columns, indexing="ij")
-            i.append(rows.ravel())
-            j.append(columns.ravel())
-            v.append((group.frame - np.eye(len(group.columns)))[owned].ravel())  # added to the identity
-        return self._matrix(np.concatenate(i), np.concatenate(j), np.concatenate(v))
+            added = (group.frame - np.eye(len(group.columns)))[owned]  # to the identity
+            entries.append((rows.ravel(), columns.ravel(), added.ravel()))
+        return self._matrix(*entries)
 
     def _owned(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions of the global numbers that this rank owns, and their local numbers."""
         owned = np.flatnonzero((columns >= self.first) & (columns < self.first + self.n))
         return owned, columns[owned] - self.first
+
+    def _assign(self, y: Array, columns: np.ndarray, values: Array) -> None:
+        """Set those entries of y (n,) that have some global numbers."""
+        owned, places = self._owned(columns)
+        y[places] = values[owned]
 
     # ---------------------------------------------------------------- values
     def values(self, t: float) -> Array:
@@ -258,8 +253,7 @@ class Constraints:
         y = np.zeros(self.n)
         y[self._columns] = c[self._single] / self._coefficient
         for group, values in self._with_values(c):
-            owned, places = self._owned(group.columns[: group.rank])
-            y[places] = group.constrained_values(values)[owned]
+            self._assign(y, group.columns[: group.rank], group.inverse @ values)
         return y[self.bc_dofs]
 
     def _with_values(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
@@ -313,8 +307,7 @@ class Constraints:
         y = u.copy()
         y[self.slaves] = 0.0
         for mpc in self.mpcs:
-            owned, places = self._owned(self.masters[mpc.key])
-            y[places] = self.motion(mpc, u)[owned]
+            self._assign(y, self.masters[mpc.key], self.motion(mpc, u))
         return self._times(self.Q, y, transposed=True)
 
     def forces(self, f: Array) -> Array:
@@ -324,8 +317,7 @@ class Constraints:
     def _times(self, matrix: PETSc.Mat | None, values: Array, *, transposed: bool = False) -> Array:
         if matrix is None:
             return values
-        x, b = matrix.createVecs()
-        x, b = (b, x) if transposed else (x, b)
+        x, b = matrix.createVecs()[:: -1 if transposed else 1]
         x.array[:] = values
         (matrix.multTranspose if transposed else matrix.mult)(x, b)
         product = b.array_r.copy()
@@ -379,12 +371,10 @@ class Constraints:
         along = np.append(along, [shifts[tie.key][k] for tie, k, _ in self._motions])
         g = np.zeros(self.n)
         for tie in self.mpcs:  # motions that are not prescribed: the forces that balance their resultants
-            owned, places = self._owned(self.masters[tie.key])
-            g[places] = shifts[tie.key][owned]
+            self._assign(g, self.masters[tie.key], shifts[tie.key])
         g[self._columns] = along[self._single] / self._coefficient
         for group, values in self._with_values(along):
-            owned, places = self._owned(group.columns)
-            g[places] = (group.shares.T @ values)[owned]
+            self._assign(g, group.columns, group.shares.T @ values)
         return self._times(self.Q, g, transposed=True)
 
     # ---------------------------------------------------------------- motions
