@@ -77,7 +77,7 @@ class PointLoad:
         vertex = joint.nearest_point(self.place)
         same = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
         cells, corners = np.nonzero(same[joint.corners])
-        chosen = _in_one_body(joint, cells, joint.split_mesh.components(0)[cells, corners], self.body, self.what)
+        chosen = _in_one_body(joint, cells, joint.split_mesh.components(0)[cells, corners], self)
         X = np.asarray(basix.geometry(basix.CellType[joint.cell_type]))
         return LoadNodes(cells[chosen : chosen + 1], X[corners[chosen : chosen + 1], None])
 
@@ -106,38 +106,33 @@ class LineLoad:
         """Return where the load acts; raises InputError if there is no such place, or it has several nodes."""
         if joint.dim != 3:
             raise InputError(f"{self.what}: lines are edges of solids; in two dimensions give a PointLoad")
-        names = joint.facets
         for name in (self.first, self.second):
-            require_known("facet set", name, names, self.what)
+            require_known("facet set", name, joint.facets, self.what)
             refuse_periodic(joint, name, f"line load on {name!r}")
-        if len(np.intersect1d(joint.table.index(names[self.first]), joint.table.index(names[self.second]))):
+        table = joint.table
+        first, second = (table.index(joint.facets[name]) for name in (self.first, self.second))
+        if len(np.intersect1d(first, second)):
             raise InputError(f"{self.what}: both have the same facets; a line lies between two sides")
         kind, numbers = basix.CellType[joint.cell_type], joint.split_mesh.entities(1, joint.corners)
         _, edges, facets, _ = basix.topology(kind)
         inside = np.array([[k for k, edge in enumerate(edges) if {*edge} <= {*facet}] for facet in facets])
-        of_names = []
-        for name in (self.first, self.second):
-            rows = joint.table.index(names[name])
-            cells, local = joint.table.cells[rows, :1], joint.table.local[rows, 0]
-            of_names.append(numbers[cells, inside[local]])
-        shared = np.intersect1d(*of_names)
+        of_sides = (numbers[table.cells[rows, :1], inside[table.local[rows, 0]]] for rows in (first, second))
+        shared = np.intersect1d(*of_sides)
         if not len(shared):
             raise InputError(f"{self.what}: they have no edge in common")
-        components, chosen = joint.split_mesh.components(1), []
-        every, columns = np.nonzero(np.isin(numbers, shared))
-        for number in shared:
-            here = np.flatnonzero(numbers[every, columns] == number)
-            k = here[_in_one_body(joint, every[here], components[every[here], columns[here]], self.body, self.what)]
-            chosen.append((every[k], columns[k]))
-        cells, columns = np.array(chosen).T
+        every, places = np.nonzero(np.isin(numbers, shared))
+        components = joint.split_mesh.components(1)[every, places]
+        around = [np.flatnonzero(numbers[every, places] == number) for number in shared]
+        chosen = [rows[_in_one_body(joint, every[rows], components[rows], self)] for rows in around]
+        cells, columns = every[chosen], places[chosen]
         s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_GAUSS_POINTS - 1)
         X = np.asarray(basix.geometry(kind))[np.array(edges)[columns]][:, :, None]  # (n, 2, 1, d)
         return LoadNodes(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
 
 
-def _in_one_body(joint: Joint, cells: IntArray, components: Indices, body: str | None, what: str) -> int:
-    """Position of the first cell of one body around a place; raises InputError if the place has several nodes."""
-    regions = joint.region[cells]
+def _in_one_body(joint: Joint, cells: IntArray, components: Indices, load: ConcentratedLoad) -> int:
+    """Position of the first cell of one body around a load; raises InputError if this place has several nodes."""
+    regions, body, what = joint.region[cells], load.body, load.what
     kept: IntArray = np.arange(len(cells))
     if body is not None:
         require_known("body", body, joint.bodies, what)
