@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 BodyForce = Load | Mapping[str, Load]
 
-LAYER_FORCE_LABEL = "body force in the layer {!r}"  # label in messages, by the name of the seam
-
 
 @dataclass(frozen=True)
 class LoadRegion:
@@ -109,7 +107,7 @@ class Forces:
             place: region of the layer.
             at: coordinates in the layer, with the time of the other loads.
         """
-        what = LAYER_FORCE_LABEL.format(name)
+        what = f"body force in the layer {name!r}"
         self.user_loads[what] = load
         self.add_weighted(name, what, at.coefficient(load, what, (self.domain.joint.dim,)).expression, place)
 
@@ -149,9 +147,7 @@ class Forces:
             reason = "S ends there, and bodies='extended' gave a part of this face to the layer's side"
             remedy = f"give '{layer_side}', which has no facets, a traction, zero if that side is free"
             raise InputError(f"traction on {name!r}: {reason}; {remedy}")
-        if band is None or band.bodies == "kept" or part.region == LAYER:
-            return 0.0
-        if layer_side not in self.domain.facet_values:
+        if band is None or band.bodies == "kept" or part.region == LAYER or layer_side not in self.domain.facet_values:
             return 0.0
         joint, sheet = band.base, Sheet(band.base)
         ends = sheet.rim[sheet.rim.on(joint.facets[part.whole])]
@@ -196,10 +192,7 @@ class Forces:
 
     def _not_finite(self, t: float) -> list[str]:
         """Labels of the loads that are not finite at a time. Collective."""
-        names = []
-        for what, load, region, _ in self._loads:
-            with self.at.clock.at(t):
-                total = fem.assemble_scalar(compiled(ufl.inner(load, load) * region.measure))
-            if self.domain.comm.allreduce(int(not np.isfinite(total))):
-                names.append(what)
-        return names
+        with self.at.clock.at(t):
+            sums = [fem.assemble_scalar(compiled(ufl.inner(f, f) * region.measure)) for _, f, region, _ in self._loads]
+        infinite = self.domain.comm.allreduce(1 - np.isfinite(sums))
+        return [what for (what, *_), count in zip(self._loads, infinite, strict=True) if count]

@@ -56,8 +56,7 @@ def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> 
     require(isinstance(form, ufl.Form), what, form, "it must be a UFL form, such as f * model.dx")
     if time_constants(form):
         raise InputError(f"{what} depends on the time; only loads and supports may")
-    constants = [constant.value for constant in form.constants()]
-    real = all(np.isrealobj(value) and np.isfinite(value).all() for value in constants)
+    real = all(np.isrealobj(constant.value) and np.isfinite(constant.value).all() for constant in form.constants())
     if not (real and all(has_finite_numbers(part.integrand()) for part in form.integrals())):
         raise InputError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
     for integral in form.integrals():
@@ -67,11 +66,9 @@ def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> 
             raise InputError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
         data = form.subdomain_data()[integral.ufl_domain()][kind]
         present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(item, kind, model) for item in data)))
-        missing = [str(tag) for tag in asked if tag not in set[object]().union(*present)]
-        if missing:
-            where = f"{name}({', '.join(missing)})"
+        if missing := ", ".join(str(tag) for tag in asked if tag not in set[object]().union(*present)):
             tags = TAGS_OF_INTEGRAL.get(name, TAGS_OF_INTEGRAL["ds"])
-            raise InputError(f"{what} integrates over {where}, which is nothing here; tags: {tags}")
+            raise InputError(f"{what} integrates over {name}({missing}), which is nothing here; tags: {tags}")
     factor = model.kinematics.factor
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])
 

@@ -103,10 +103,9 @@ def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Fun
     places = places_in_cells(interpolant.function_space, x)
     places = (places + INWARD_SHARE * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
     values = _values(f, places)
-    missing = communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1])
-    if any(map(len, missing)):
-        first = place_text(np.concatenate(missing)[0])
-        raise InputError(f"{what}: a function is unknown at {first}; its mesh must cover all")
+    missing = np.concatenate(communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1]))
+    if len(missing):
+        raise InputError(f"{what}: a function is unknown at {place_text(missing[0])}; its mesh must cover all")
     interpolant.x.array.reshape(values.shape)[np.asarray(interpolant.function_space.dofmap.list).ravel()] = values
     return interpolant
 
@@ -256,8 +255,7 @@ def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fe
         return broken_space(comm, SharedDofs.of_entities(comm, mesh, element, of_entities))
     used = [any(map(len, of_dim)) for of_dim in element.basix_element.entity_dofs]
     none = np.empty((0, 0), np.int64)
-    of_cells = [(cut.components(k) if k else cut.of_vertices) if used[k] else None for k in range(dim)]
-    components = [none if numbers is None else domain.on_cells(numbers) for numbers in of_cells]
+    components = [domain.on_cells(cut.components(k) if k else cut.of_vertices) if used[k] else none for k in range(dim)]
     return broken_space(comm, SharedDofs.of_components(comm, mesh, element, components))
 
 

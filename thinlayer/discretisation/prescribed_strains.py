@@ -345,10 +345,5 @@ def _negative_tensor(rows: Rows, matter: EigenstrainContext) -> Expr:
     """Return minus a table as UFL. Numbers become Constants, so that forms are compiled once; zeros stay zeros."""
     numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
     constant = fem.Constant(matter.at.mesh, numbers)
-
-    def entry(i: int, j: int) -> Expr:
-        if isinstance(rows[i][j], float):
-            return constant[i, j] if numbers[i, j] else ufl.as_ufl(0.0)
-        return -rows[i][j]
-
-    return ufl.as_tensor([[entry(i, j) for j in range(3)] for i in range(3)])
+    entries = [[constant[i, j] if numbers[i, j] else -c for j, c in enumerate(row)] for i, row in enumerate(rows)]
+    return ufl.as_tensor(entries)

@@ -53,18 +53,13 @@ def motion_fields(x: Array, about: Array) -> Array:
 
 def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
     """Mask (k,): 1 for motions of `motion_fields` with a resultant, 0 if the resultant vanishes in axisymmetry."""
-    mask = np.zeros(motion_count(dim))
-    mask[[*kinematics.translations(dim)]] = 1.0
-    mask[dim:] = float(kinematics.rotations)
-    return mask
+    free = np.isin(np.arange(dim), kinematics.translations(dim))
+    return np.append(free, np.full(motion_count(dim) - dim, kinematics.rotations)).astype(float)
 
 
 def moment_centre(kinematics: Kinematics, x: Array) -> Array:
     """Return a place (d,), for bodies of revolution projected onto the axis."""
-    moved = np.zeros(len(x))
-    free = [*kinematics.translations(len(x))]
-    moved[free] = x[free]
-    return moved
+    return np.where(np.isin(np.arange(len(x)), kinematics.translations(len(x))), x, 0.0)
 
 
 def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
@@ -224,8 +219,7 @@ def default_moment_point(model: Model, place: Place, chosen: Sequence[Place]) ->
     domain = model.domain
     if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):
         return centroid(domain, place)
-    names = [name for name in chosen if isinstance(name, str) and domain.facet_values.get(name)]
-    if names:
+    if names := [name for name in chosen if isinstance(name, str) and domain.facet_values.get(name)]:
         return np.asarray(np.mean([centroid(domain, name) for name in names], axis=0))
     if isinstance(place, str):  # the side of a layer that is not meshed
         return centroid(domain, FacetName.parse(place).whole)

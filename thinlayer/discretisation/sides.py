@@ -51,15 +51,12 @@ def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArra
     d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]
     dyads = np.zeros((len(keys), d, d))
     dyads[nodes_on_axis(structure.kinematics, joint)[rim.vertices].all(axis=1)] = np.eye(d)
-    supports = structure.supports.items()
-    entries = [(place, tuple(value) if isinstance(value, Mapping) else axes) for place, value in supports]
+    entries = [(place, [*value] if isinstance(value, Mapping) else axes) for place, value in structure.supports.items()]
     plates = [part for part in structure.parts if isinstance(part, PartDefinition) and part.ties_nodes]
     for place, components in [*entries, *((part.place, part.components or axes) for part in plates)]:
         name = FacetName.parse(place).continued if isinstance(place, str) else S
-        if name in (S, *joint.seams) or name not in joint.facets:  # a vertex, or the side of one body
-            continue
-        if name != place and not of_layer:
-            continue
+        if name in (S, *joint.seams) or name not in joint.facets or (name != place and not of_layer):
+            continue  # a vertex, the side of one body, or that of the layer
         on = np.isin(keys, continued_ridges(joint, joint.facets[name]))
         for axis in components:
             direction = np.eye(d)[axes.index(axis)] if axis in axes else _normals(joint, rim, name)

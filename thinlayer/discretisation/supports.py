@@ -227,8 +227,8 @@ class Prescribed:
     def _find_conditions(self) -> None:
         """Set the conditions on this rank: source, the degree of freedom that has the value, and direction."""
         supports, V, d = self.supports, self.V, self.d
-        along_axes = [(k, component) for k, component in enumerate(self._sources) if component.axis != NORMAL_COMPONENT]
-        source_dofs = [(k, supports.dofs(V, component.place, component.axis)) for k, component in along_axes]
+        along_axes = ((k, c) for k, c in enumerate(self._sources) if c.axis != NORMAL_COMPONENT)
+        source_dofs = [(k, supports.dofs(V, c.place, c.axis)) for k, c in along_axes]
         conditions: list[tuple[np.ndarray, np.ndarray, Array]] = []
         for number, dofs in (*source_dofs, (-1, supports.anchors(V)), (-1, supports.axis(V))):
             owned = np.unique(dofs[dofs < self.size])

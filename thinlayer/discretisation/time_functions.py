@@ -29,7 +29,7 @@ from thinlayer.system.compat import ufl_replace
 # relative tolerance of equal times, such as a sum of steps and the end of a table, and of equal slopes
 TIME_TOLERANCE = 1e-12
 RATIONAL_OPERATORS = (Sum, Product, Division)
-SAMPLE_TIMES = (-2.5, 0.0, 1.0, 7.0)  # times at which a table's rational argument is tested for linearity
+SAMPLE_TIMES = np.array([-2.5, 0.0, 1.0, 7.0])  # times at which a table's rational argument is tested for linearity
 
 
 class Clock:
@@ -103,10 +103,9 @@ class TimeConstant(fem.Constant):
             return {*self._table.breaks}
         if not all(isinstance(node, (Terminal, *RATIONAL_OPERATORS)) for node in unique_pre_traversal(self._argument)):
             return set()
-        times = np.array(SAMPLE_TIMES)
         y = np.array([self._argument_at(t) for t in SAMPLE_TIMES])
         rate, start = float(y[2] - y[1]), float(y[1])
-        straight = np.abs(start + rate * times - y).max() <= TIME_TOLERANCE * np.abs(y).max()  # False for NaN
+        straight = np.abs(start + rate * SAMPLE_TIMES - y).max() <= TIME_TOLERANCE * np.abs(y).max()  # False for NaN
         return {(t - start) / rate for t in self._table.breaks} if straight and rate else set()
 
 
