@@ -31,6 +31,7 @@ from thinlayer.system.compat import interior_facet_entities, interpolate
 from thinlayer.system.ranks import communicator, errors_on_all
 
 Upper = int | set[int] | frozenset[int] | Sequence[float] | None
+TagRules = int | Iterable[int] | Mapping[int, Upper]
 MIN_COSINE = 0.02  # least cosine between a facet's normal and a direction that chooses its upper side
 
 
@@ -65,14 +66,7 @@ class BrokenMesh:
             side the rule does not determine; missing ghost cells. The message has numbers and places.
     """
 
-    def __init__(
-        self,
-        mesh: Mesh,
-        bodies: MeshTags,
-        facet_tags: MeshTags,
-        S: int | Iterable[int] | Mapping[int, Upper],
-        plane: str = "strain",
-    ) -> None:
+    def __init__(self, mesh: Mesh, bodies: MeshTags, facet_tags: MeshTags, S: TagRules, plane: str = "strain") -> None:
         self.kinematics = self._kinematics(mesh, plane)
         self.mesh, self.bodies, self.facet_tags, self.comm = mesh, bodies, facet_tags, communicator(mesh)
         self._dim = mesh.topology.dim
@@ -84,9 +78,11 @@ class BrokenMesh:
         self._sides: dict[int, Indices] = {}
         for tag, upper in rules.items():
             facets = self._owned(tag)
-            total, outer = self._sum(len(facets), np.isin(facets, self._outer).sum())
+            counts = len(facets), int(np.isin(facets, self._outer).sum())
+            total, outer = map(self.comm.allreduce, counts)
             if not total:
-                raise InputError(f"S: no facet has the tag {tag}; there are {self._tag_list()}")
+                tags = np.unique(np.concatenate(self.comm.allgather(np.unique(facet_tags.values))))
+                raise InputError(f"S: no facet has the tag {tag}; there are {', '.join(map(str, tags)) or 'none'}")
             if outer not in (0, total):
                 raise InputError(f"S: {outer} of {total} facets with tag {tag} lie on the boundary; all or none may")
             if not outer:
@@ -118,8 +114,8 @@ class BrokenMesh:
             element = basix.ufl.element(family, self.mesh.basix_cell(), degree, shape=shape[0] if shape else None)
         values = np.unique(np.concatenate([np.unique(self._body), *self.comm.allgather(np.unique(self._body))]))
         number = np.searchsorted(values, self._body)
-        counts = [cpp.mesh.cell_num_entities(self.mesh.topology.cell_type, dim) for dim in range(self._dim)]
-        components = [np.tile(number, (count, 1)).T for count in counts]
+        count = partial(cpp.mesh.cell_num_entities, self.mesh.topology.cell_type)
+        components = [np.tile(number, (count(dim), 1)).T for dim in range(self._dim)]
         return broken_space(self.comm, SharedDofs.of_components(self.comm, self.mesh, element, components))
 
     def interface(self, tag: int) -> Interface:
@@ -193,9 +189,8 @@ class BrokenMesh:
 
     def _require_no_locking(self, tag: int, law: BulkLaw) -> None:
         """Raise InputError if a law of order 1 would lock somewhere."""
-        _, _, x = self._at_vertices(tag)
         with errors_on_all(self.comm):
-            for local_law in law.at_places(x) if law.fields else [law]:
+            for local_law in law.at_places(self._at_vertices(tag)[2]) if law.fields else [law]:
                 if refused := InitialTangents(local_law, np.eye(self._dim)[-1]).locks():
                     raise refused.error()
 
@@ -217,25 +212,17 @@ class BrokenMesh:
         return law_with_expressions(law, self.mesh, on_s)
 
     # ---------------------------------------------------------------- the tags
-    def _sum(self, *counts: int) -> list[int]:
-        return [int(n) for n in self.comm.allreduce(np.array(counts, np.int64))]
-
     def _owned(self, tag: int) -> Indices:
         """Facets with a tag that this rank owns, sorted."""
         facets = self.facet_tags.find(tag)
         return np.sort(facets[facets < self.mesh.topology.index_map(self._dim - 1).size_local])
-
-    def _tag_list(self) -> str:
-        all_tags = {int(tag) for tags in self.comm.allgather(np.unique(self.facet_tags.values)) for tag in tags}
-        return ", ".join(map(str, sorted(all_tags))) or "none"
 
     def _bodies(self) -> Indices:
         """Body of each local cell, ghosts included."""
         imap = self.mesh.topology.index_map(self._dim)
         body, owned = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
         body.array[self.bodies.indices[owned]] = self.bodies.values[owned]
-        (lost,) = self._sum(imap.size_local - len(np.unique(self.bodies.indices[owned])))
-        if lost:
+        if lost := self.comm.allreduce(imap.size_local - len(np.unique(self.bodies.indices[owned]))):
             raise InputError(f"bodies: {lost} cells have no tag; each cell belongs to a body")
         body.scatter_forward()
         return np.asarray(body.array)
@@ -245,8 +232,7 @@ class BrokenMesh:
         topology = self.mesh.topology
         inner = np.setdiff1d(np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32), self._outer)
         cells_of = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
-        (lost,) = self._sum(np.count_nonzero(cells_of[inner] < 2))
-        if lost:
+        if lost := self.comm.allreduce(np.count_nonzero(cells_of[inner] < 2)):
             remedy = "create it, or a partitioner, with ghost_mode=dolfinx.mesh.GhostMode.shared_facet"
             raise InputError(f"the mesh has no ghost cells across {lost} facets between ranks; {remedy}")
         pairs, to_facets = interior_facet_entities(self.mesh, inner), topology.connectivity(self._dim, self._dim - 1)
@@ -257,8 +243,7 @@ class BrokenMesh:
         self._refuse(number[cut & ~border], "of S lie inside a body: give the bodies on its two sides different values")
 
     def _refuse(self, facets: Indices, what: str) -> None:
-        (count,) = self._sum(len(facets))
-        if count:
+        if count := self.comm.allreduce(len(facets)):
             places = dolfinx.mesh.compute_midpoints(self.mesh, self._dim - 1, facets[:1])[:, : self._dim]
             first = next(p[0] for p in self.comm.allgather(places) if len(p))
             raise InputError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in first)})")

@@ -66,10 +66,6 @@ class _ConditionGroup:
     frame: Array
     rank: int
 
-    @property
-    def turned(self) -> bool:
-        return self.rank < len(self.columns) and not np.array_equal(self.frame, np.eye(len(self.columns)))
-
     @cached_property
     def inverse(self) -> Array:
         """Matrix from right-hand sides c to the values (rank,) of the constrained unknowns."""
@@ -114,6 +110,7 @@ class Constraints:
         self.first, self._total = int(self.comm.scan(self.n) - self.n), int(self.comm.allreduce(self.n))
         self.slaves = self._all_slaves()
         self.masters = {mpc.key: self._slots_of(mpc) for mpc in self.mpcs}
+        self._slots = np.concatenate([np.empty(0, np.int64), *self.masters.values()])
         self._T0 = self._tie()
         self._rows = self._conditions()
         self._resolve()
@@ -205,7 +202,7 @@ class Constraints:
         foreign[self._owned(A.indices)[0]] = False
         columns, uses = np.unique(A.indices, return_counts=True)
         shared = np.concatenate([A.indices[foreign | (counts > 1).repeat(counts)], columns[uses > 1]])
-        everywhere = self.comm.allgather(np.unique(np.concatenate([shared, *self.masters.values()])))
+        everywhere = self.comm.allgather(np.unique(np.concatenate([shared, self._slots])))
         single = counts == 1
         single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], np.concatenate(everywhere))
         self._single, self._grouped = np.flatnonzero(single), np.flatnonzero(~single & (counts > 0))
@@ -213,12 +210,11 @@ class Constraints:
         self._columns, self._coefficient = A.indices[at] - self.first, A.data[at]
         self._groups = _connected_rows(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
         fixed = np.concatenate([self._columns, *(self._owned(g.columns[: g.rank])[1] for g in self._groups)])
-        slots = np.concatenate([*self.masters.values(), np.empty(0, np.int64)]) - self.first
-        self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, slots)).astype(np.int32)
+        self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, self._slots - self.first)).astype(np.int32)
 
     def _frames(self) -> PETSc.Mat | None:
         """Matrix Q of the groups' frames; None for the identity."""
-        turned = [group for group in self._groups if group.turned]
+        turned = [group for group in self._groups if not np.array_equal(group.frame, np.eye(len(group.columns)))]
         if not turned:
             return None
         entries = [(np.arange(self.n), self.first + np.arange(self.n), np.ones(self.n))]
@@ -282,11 +278,9 @@ class Constraints:
 
     def _contradiction(self, row: int, c: Array) -> str:
         """Message about a condition that contradicts others on the same unknowns."""
-        columns = self._rows.indices[self._rows.indptr[row] : self._rows.indptr[row + 1]]
-        of_entries = np.arange(len(c)).repeat(np.diff(self._rows.indptr))
-        touched = np.unique(of_entries[np.isin(self._rows.indices, columns)])
-        of_supports = touched[touched < len(self.prescribed.entry)]
-        where = self.prescribed.place_of(int(of_supports[0])) if len(of_supports) else None
+        of_entries, columns = self._rows.nonzero()
+        touched = np.unique(of_entries[np.isin(columns, self._rows[row].indices)])
+        where = self.prescribed.place_of(int(touched[0])) if touched[0] < len(self.prescribed.entry) else None
         place = f" at {at_place(where)}" if where is not None else ""
         texts = dict.fromkeys(self._condition_text(int(k), c[k]) for k in touched)
         return f"contradictory supports{place}: " + " and ".join(texts)
@@ -390,12 +384,10 @@ class Constraints:
         """
         c, m = motions.shape[1], sum(mpc.count for mpc in self.mpcs)
         first = dict(zip(self.masters, np.cumsum([0, *(mpc.count for mpc in self.mpcs)]).tolist(), strict=False))
-        wide, y = motions, _without_rows(motions, self.slaves)
-        if m:
-            owned, places = self._owned(np.concatenate([*self.masters.values()]))
-            of_ties = scipy.sparse.csr_matrix((np.ones(len(owned)), (places, owned)), (self.n, m))
-            y = scipy.sparse.hstack([y, of_ties], format="csr")
-            wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
+        owned, places = self._owned(self._slots)
+        of_ties = scipy.sparse.csr_matrix((np.ones(len(owned)), (places, owned)), (self.n, m))
+        y = scipy.sparse.hstack([_without_rows(motions, self.slaves), of_ties], format="csr")
+        wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
         diagonal = np.zeros(c + m)
         diagonal[[c + first[tie.key] + k for tie, k, _ in self._motions]] = 1.0
         gram = scipy.sparse.diags(diagonal, format="csr")

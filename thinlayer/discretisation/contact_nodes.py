@@ -271,9 +271,8 @@ def _corners(surface: ContactSurface) -> Array:
     for a, b in ((d, 0), (d - 1, 0), (0, d), *([(d, d - 1), (d, 1), (2, 1), (1, 0)] if simpson else [])):
         topology.create_connectivity(a, b)
     vertices = _entities(mesh, d - 1, 0)[facets]
-    places = vertices  # DOLFINx does not accept an empty list
-    if vertices.size:
-        places = np.asarray(entities_to_geometry(mesh, 0, vertices.ravel())).reshape(vertices.shape)
+    # DOLFINx does not accept an empty list
+    places = entities_to_geometry(mesh, 0, vertices.ravel()).reshape(vertices.shape) if vertices.size else vertices
     corners = mesh.geometry.x[places][..., :d]
     areas, normals = _vertex_areas(corners)
     nodes = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
@@ -321,10 +320,10 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
         along = corners[:, 1] - corners[:, 0]
         length = np.linalg.norm(along, axis=1)
         return np.repeat(length[:, None] / 2, 2, axis=1), np.column_stack([along[:, 1], -along[:, 0]]) / length[:, None]
-    neighbours = [(1, 2), (2, 0), (0, 1)] if corners.shape[1] == 3 else [(1, 2), (3, 0), (0, 3), (2, 1)]
+    triangle, quadrilateral = ([(1, 2), (2, 0), (0, 1)], 6), ([(1, 2), (3, 0), (0, 3), (2, 1)], 4)
+    neighbours, share = triangle if corners.shape[1] == 3 else quadrilateral
     edges = [(corners[:, a] - corners[:, k], corners[:, b] - corners[:, k]) for k, (a, b) in enumerate(neighbours)]
     spans = np.stack([np.cross(a, b) for a, b in edges], axis=1)
-    share = 6 if corners.shape[1] == 3 else 4
     mean = spans.mean(axis=1)
     return np.linalg.norm(spans, axis=2) / share, mean / np.linalg.norm(mean, axis=1)[:, None]
 

@@ -39,11 +39,7 @@ if TYPE_CHECKING:
 
 show_warnings()  # users' warnings too
 
-TAGS_OF_INTEGRAL = {
-    "dx": "model.domain.cell_values(name)",
-    "ds": "model.domain.values(name)",
-    "dS": "dS(k + 1) is the k-th of joint.seams",
-}
+TAGS_OF_INTEGRAL = {"dx": "model.domain.cell_values(name)", "dS": "dS(k + 1) is the k-th of joint.seams"}
 
 
 def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl.Form:
@@ -67,7 +63,7 @@ def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> 
         data = form.subdomain_data()[integral.ufl_domain()][kind]
         present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(item, kind, model) for item in data)))
         if missing := ", ".join(str(tag) for tag in asked if tag not in set[object]().union(*present)):
-            tags = TAGS_OF_INTEGRAL.get(name, TAGS_OF_INTEGRAL["ds"])
+            tags = TAGS_OF_INTEGRAL.get(name, "model.domain.values(name)")
             raise InputError(f"{what} integrates over {name}({missing}), which is nothing here; tags: {tags}")
     factor = model.kinematics.factor
     return ufl.Form([part.reconstruct(integrand=factor * part.integrand()) for part in form.integrals()])

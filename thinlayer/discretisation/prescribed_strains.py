@@ -84,8 +84,7 @@ class MeanStress(MeanStrain):
     def __init__(self, value: Strain, at: Coordinates, joint: Joint, bodies: Sequence[Term]) -> None:
         super().__init__(value, at, joint)
         assert joint.periods is not None  # as the base class requires
-        d = joint.dim
-        if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < d:
+        if np.linalg.matrix_rank(joint.periods.vectors(joint.points)) < (d := joint.dim):
             raise InputError(f"a mean stress needs a joint periodic in {d} directions; load free sides by tractions")
         for p in bodies:
             if not p.proportional:

@@ -26,13 +26,12 @@ import ufl
 from dolfinx import fem
 
 from forms.elastic import poisson_ratio
-from forms.ends.constants import FreeEnd, free_end
+from forms.ends.constants import free_end
 from forms.ends.weights import EndStrips
-from forms.kinematics import Kinematics
 from forms.tensors import Expr
 from forms.work import Interface
 from geometry.seam import FacetName
-from geometry.sheet import Rim, Sheet, StraightEnd, straight_ends
+from geometry.sheet import Rim, StraightEnd, straight_ends
 from geometry.topology import FloatArray, ridge_keys
 from thinlayer.discretisation.coefficient import Coordinates, Load, Pressure
 from thinlayer.discretisation.forces import Forces, LoadRegion
@@ -97,21 +96,20 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, s
     for end in straight_ends(load.rim, layer.sheet):
         shares = np.zeros((len(model.joint.cells), 1, 5))
         upper = model.joint.surface_cells[layer.sheet.facets, 1]
-        constants = free_end(poisson_ratio(law_with_numbers(layer.layer, layer.structure.kinematics)))
-        shares[upper, 0] = _shares(end, load.rim, layer.sheet, model.kinematics, layer.eps, constants)
+        shares[upper, 0] = _shares(end, load.rim, layer)
         facet_shares = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), shares))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
         place = at.moved(at.x + (offset - ufl.dot(m, at.x)) * m)
         yield place.traction(load.load, load.what, m), _transferred_load(facet_shares, m, sides, based)
 
 
-def _shares(
-    end: StraightEnd, rim: Rim, sheet: Sheet, kinematics: Kinematics, eps: float, constants: FreeEnd
-) -> FloatArray:
+def _shares(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
     """Densities (n, 5) on facets: of eps times the load along m, n and the end, and of its work in opening and shear.
 
     The first three integrate to the total force on the side, on any mesh.
     """
+    sheet, eps, kinematics = layer.sheet, layer.eps, layer.structure.kinematics
+    constants = free_end(poisson_ratio(law_with_numbers(layer.layer, kinematics)))
     strips, points, within = EndStrips.of(constants), sheet.joint.points, partial(shares_within, end, sheet)
     area = mean_on_facets(sheet, kinematics.factor_at(points[sheet.vertices].mean(axis=1)))
     factor = area * np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)

@@ -131,8 +131,6 @@ class FacetWeights:
         fields = sides.upper(cellwise_function(domain, ("DG", 0, (4 + joint.dim,)), values[:, None]))
         m = ufl.as_vector([fields[4 + k] for k in range(joint.dim)])
         distance = fields[3] - ufl.dot(m, sides.upper(ufl.SpatialCoordinate(mesh)))
-        f_N, f_T = (
-            ufl.max_value(0.0, ufl.min_value(1.0, distance / fem.Constant(mesh, eps * length))) if length else 1.0
-            for length in (strips.r_N, strips.r_T)
-        )
+        reaches = [fem.Constant(mesh, eps * length) if length else None for length in (strips.r_N, strips.r_T)]
+        f_N, f_T = (1.0 if r is None else ufl.max_value(0.0, ufl.min_value(1.0, distance / r)) for r in reaches)
         return EndWeights(m, fields[0], fields[1], f_N, f_T, fields[2])

@@ -137,12 +137,9 @@ class Supports:
 
     def require_balance(self, b: PETSc.Vec, t: float) -> None:
         """Raise InputError if nodal forces have a resultant along an anchored component. Collective."""
-        size = float(b.norm(PETSc.NormType.NORM_1)) if self.anchored else 0.0
-        if not size:
-            return
         total = self.domain.comm.allreduce(b.array_r.reshape(-1, len(self.axes)).sum(axis=0))
         for axis in self.anchored:
-            if abs(force := float(total[self.axes.index(axis)])) > LOAD_SUM_TOLERANCE * size:
+            if abs(force := float(total[self.axes.index(axis)])) > LOAD_SUM_TOLERANCE * b.norm(PETSc.NormType.NORM_1):
                 what = f"the loads of the periodic joint add up to {force:g} along {axis} at t = {t:g}"
                 raise InputError(f"{what}, and nothing balances them; add supports, or loads whose sum is zero")
 
@@ -243,9 +240,8 @@ class Prescribed:
         self.entry, self._source_of = entry[kept], source[kept]
         self._dof, self.directions = dof[kept], directions[kept]
         self.blocks = self._dof // d
-        column = (self.blocks[:, None] * d + np.arange(d)).ravel()
-        rows = self.directions.flatten(), column, np.arange(0, len(column) + 1, d)
-        self.conditions = scipy.sparse.csr_matrix(rows, (len(self.entry), self.size))
+        rows = self.directions[:, None], self.blocks, np.arange(len(self.entry) + 1)
+        self.conditions = scipy.sparse.bsr_matrix(rows, (len(self.entry), self.size)).tocsr()
         self.conditions.eliminate_zeros()
 
     def _normal_conditions(self) -> tuple[np.ndarray, np.ndarray, Array]:

@@ -99,8 +99,6 @@ class TimeConstant(fem.Constant):
         """Times at which the slope of the table's values changes, if its argument is linear in the time."""
         if self._table is None:
             return set()
-        if self._argument is self._time:
-            return {*self._table.breaks}
         if not all(isinstance(node, (Terminal, *RATIONAL_OPERATORS)) for node in unique_pre_traversal(self._argument)):
             return set()
         y = np.array([self._argument_at(t) for t in SAMPLE_TIMES])
