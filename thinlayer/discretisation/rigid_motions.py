@@ -172,13 +172,6 @@ class Resultant:
     def __neg__(self) -> Resultant:
         return Resultant(-self.force, -self.moment, self.about)
 
-    @classmethod
-    def of(cls, values: Array, about: Array) -> Resultant:
-        """Make a resultant from the work (k,) in the motions of `motion_fields` about a point."""
-        d = len(about)
-        moment = values[d:]
-        return cls(values[:d].copy(), moment[0] if d == 2 else moment.copy(), about)
-
     def __repr__(self) -> str:
         force = at_place(np.where(np.abs(self.force) > COMPONENT_TOLERANCE * np.abs(self.force).max(), self.force, 0.0))
         moment = f"{self.moment:.6g}" if np.ndim(self.moment) == 0 else at_place(self.moment)
@@ -211,7 +204,9 @@ def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[s
 
 def resultant(model: Model, values: Array) -> Resultant:
     """Make a resultant from the work (k,) in motions about the centre; zero where it vanishes in axisymmetry."""
-    return Resultant.of(np.asarray(values) * balanced_motions(model.kinematics, model.joint.dim), model.centre)
+    d = model.joint.dim
+    work = np.asarray(values) * balanced_motions(model.kinematics, d)
+    return Resultant(work[:d], work[d] if d == 2 else work[d:], model.centre)
 
 
 def default_moment_point(model: Model, place: Place, chosen: Sequence[Place]) -> Array:
