@@ -18,43 +18,35 @@ from thinlayer.discretisation.model import Model
 from thinlayer.parts.part import DISPLACEMENT_KEY, FieldPart, Part
 from thinlayer.parts.pressure_part import PressurePart
 from thinlayer.solving.part_sum import TangentMatrix, UnknownLayout
-from thinlayer.solving.petsc import PREFIX, OptionValue, convert_to_blocks, lean_products, options_set, set_residual
+from thinlayer.solving.petsc import PREFIX, OptionDict, convert_to_blocks, lean_products, options_set, set_residual
 from thinlayer.system.ranks import destroy
 
-DIRECT_OPTIONS: dict[str, OptionValue] = {
-    "ksp_type": "preonly",
-    "ksp_rtol": 1e-10,
-    "pc_factor_mat_solver_type": "mumps",
-    "mat_mumps_icntl_14": 100,  # spare memory in per cent: with the default of 20 MUMPS may fail on several ranks
-    "mat_mumps_icntl_35": 2,  # blocks of low rank, to rounding: less time and memory from 1e5 unknowns on
-    "mat_mumps_cntl_7": 1e-14,
-}
+# blocks of low rank, to rounding: less time and memory from 1e5 unknowns on
+LOW_RANK_OPTIONS = OptionDict(mat_mumps_icntl_35=2, mat_mumps_cntl_7=1e-14)
+# mat_mumps_icntl_14: spare memory in per cent; with the default of 20 MUMPS may fail on several ranks
+DIRECT_OPTIONS = OptionDict(
+    ksp_type="preonly", ksp_rtol=1e-10, pc_factor_mat_solver_type="mumps", mat_mumps_icntl_14=100, **LOW_RANK_OPTIONS
+)
 # dimension -> ordering of MUMPS: 2D: unknowns, not nodes, by least fill, for fewer entries on grids; 3D: nodes, by PORD
-ORDERING_OPTIONS: dict[int, dict[str, OptionValue]] = {
-    2: {"mat_mumps_icntl_7": 2, "mat_mumps_icntl_15": 0},
-    3: {"mat_mumps_icntl_7": 4},
-}
+ORDERING_OPTIONS = {2: OptionDict(mat_mumps_icntl_7=2, mat_mumps_icntl_15=0), 3: OptionDict(mat_mumps_icntl_7=4)}
 # for saddle points at which MUMPS delays many pivots: more memory and smaller pivots
-LENIENT_OPTIONS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 1000, "mat_mumps_cntl_1": 1e-4}
-HIERARCHY_OPTIONS: dict[str, OptionValue] = {  # algebraic multigrid as a preconditioner
-    "pc_type": "gamg",
-    "pc_gamg_threshold": 0.01,
-    "pc_gamg_aggressive_coarsening": 2,
-    "pc_gamg_aggressive_square_graph": False,
-    "mg_levels_ksp_type": "chebyshev",
-    "mg_levels_pc_type": "jacobi",
-}
-MULTIGRID_OPTIONS: dict[str, OptionValue] = {**DIRECT_OPTIONS, "ksp_max_it": 200, **HIERARCHY_OPTIONS}
+LENIENT_OPTIONS = OptionDict(mat_mumps_icntl_14=1000, mat_mumps_cntl_1=1e-4)
+COARSENING_OPTIONS = OptionDict(
+    pc_gamg_threshold=0.01, pc_gamg_aggressive_coarsening=2, pc_gamg_aggressive_square_graph=False
+)
+HIERARCHY_OPTIONS = OptionDict(  # algebraic multigrid as a preconditioner
+    COARSENING_OPTIONS, pc_type="gamg", mg_levels_ksp_type="chebyshev", mg_levels_pc_type="jacobi"
+)
+MULTIGRID_OPTIONS = OptionDict(DIRECT_OPTIONS, ksp_max_it=200, **HIERARCHY_OPTIONS)
 MULTIGRID_TYPES = ("gamg", "hypre", "ml")  # PETSc's kinds of algebraic multigrid, for the displacements
 # for saddle points: multigrid for the displacements after a factorisation for the pressures on S, see above. This
 # preconditioner is not symmetric. It takes half the iterations of a symmetric one for MINRES, at the same cost each.
-FIELD_SPLIT_OPTIONS: dict[str, OptionValue] = {
+FIELD_SPLIT_OPTIONS: OptionDict = {
     "ksp_type": "gmres",
     "ksp_pc_side": "right",  # then the convergence test uses the residual itself
     "ksp_gmres_restart": 100,
     "ksp_gmres_cgs_refinement_type": "refine_ifneeded",
-    "ksp_rtol": MULTIGRID_OPTIONS["ksp_rtol"],
-    "ksp_max_it": MULTIGRID_OPTIONS["ksp_max_it"],
+    **{name: MULTIGRID_OPTIONS[name] for name in ("ksp_rtol", "ksp_max_it")},
     "pc_type": "fieldsplit",
     "pc_fieldsplit_type": "schur",
     "pc_fieldsplit_schur_fact_type": "upper",
@@ -68,7 +60,7 @@ FIELD_SPLIT_OPTIONS: dict[str, OptionValue] = {
 MIN_MULTIGRID_UNKNOWNS = {2: 3_000_000, 3: 50_000}
 
 
-def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[dict[str, OptionValue]]:
+def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[OptionDict]:
     """PETSc options of the linear solvers for a model, in the order in which they are tried.
 
     The direct solver is MUMPS: Cholesky for symmetric tangents, else LU. Large models try conjugate gradients (GMRES if
@@ -101,7 +93,7 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
     return [iterative, direct] if large else [direct]
 
 
-def direct_solver(model: Model) -> dict[str, OptionValue]:
+def direct_solver(model: Model) -> OptionDict:
     """PETSc options of a factorisation: Cholesky (LDL^T unless the matrix is marked as definite), or LU."""
     return {**DIRECT_OPTIONS, **ORDERING_OPTIONS[model.joint.dim], "pc_type": "cholesky" if model.symmetric else "lu"}
 

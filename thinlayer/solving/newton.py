@@ -14,7 +14,7 @@ from thinlayer.errors import SolveError
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import least_pivot, mark_symmetry, needs_factor_only
 from thinlayer.solving.part_sum import SOLVER_TOLERANCE, STATE_TOLERANCE
-from thinlayer.solving.petsc import PREFIX, OptionValue, reason_name, solve_linear, solve_nonlinear
+from thinlayer.solving.petsc import PREFIX, OptionDict, reason_name, solve_linear, solve_nonlinear
 
 # Relative residuals; keys: True for direct solvers, False for Krylov methods.
 REFINED_RESIDUAL = {True: 1e-15, False: 1e-10}  # refinement ends at this residual
@@ -26,26 +26,18 @@ MIN_SAFE_PIVOT = 1e-6  # smallest over largest pivot above which rounding of the
 SINGULAR_REFINEMENT = 1e-3  # change by the first refinement above which the matrix is singular
 SPOILT_REFINEMENT = 1e-5  # change by the last refinement above which rounding has spoilt the solution
 OVERSHOOT_RESIDUAL = 10.0  # residual after the linear step, relative to the forces, above which it is shortened
-NEWTON_OPTIONS: dict[str, OptionValue] = {
-    "snes_type": "newtonls",
-    "snes_linesearch_type": "bt",
-    "snes_rtol": 0,  # the first residual is no reference: it may be arbitrarily large where a dashpot was at rest
-    "snes_stol": 0,
-    "snes_max_it": 100,
-}
-YIELDING_OPTIONS: dict[str, OptionValue] = {"snes_max_it": 50}
+# snes_rtol: the first residual is no reference, as it may be arbitrarily large where a dashpot was at rest
+NEWTON_OPTIONS = OptionDict(snes_type="newtonls", snes_linesearch_type="bt", snes_rtol=0, snes_stol=0, snes_max_it=100)
+YIELDING_OPTIONS = OptionDict(snes_max_it=50)
 # PETSc 3.24 has renamed this option
 MAX_STEP_OPTION = "snes_linesearch_maxlambda" if PETSc.Sys.getVersion() >= (3, 24) else "snes_linesearch_maxstep"
-# steps end where the forces do no work along them, though residuals may grow
-CRITICAL_OPTIONS: dict[str, OptionValue] = {
-    "snes_linesearch_type": "cp",
-    "snes_linesearch_max_it": 40,
-    "snes_linesearch_atol": 0,  # a work along the step: an absolute tolerance would depend on the units
-}
+# steps end where the forces do no work along them, though residuals may grow; an absolute tolerance (atol) of this work
+# would depend on the units
+CRITICAL_OPTIONS = OptionDict(snes_linesearch_type="cp", snes_linesearch_max_it=40, snes_linesearch_atol=0)
 # for singular tangents: the line search looks for the least energy
-SINGULAR_OPTIONS: dict[str, OptionValue] = {**CRITICAL_OPTIONS, "snes_max_it": 300}
+SINGULAR_OPTIONS = OptionDict(CRITICAL_OPTIONS, snes_max_it=300)
 # no line search, as residuals grow on good steps
-CONTACT_OPTIONS: dict[str, OptionValue] = {"snes_linesearch_type": "basic", "snes_max_it": 300}
+CONTACT_OPTIONS = OptionDict(snes_linesearch_type="basic", snes_max_it=300)
 CONTACT_HOMOTOPY_OPTIONS = CRITICAL_OPTIONS | {"snes_max_it": 40, "snes_linesearch_rtol": 0.01, MAX_STEP_OPTION: 1}
 STAGNATION_STEPS = 16  # number of steps in which the residual must fall by a tenth, for laws that yield
 DIVERGED_DISPLACEMENT = 1e6  # largest displacements, relative to the first step's, for laws that yield
@@ -147,7 +139,8 @@ class NewtonSolver(EquilibriumSolver):
         r.scale(-1.0)
         r.array[self.equations.bc_dofs] = 0.0
         self._prepare()
-        iterations = self._solve_linear(r, d)
+        solve_linear(self._factor.ksp, r, d)
+        iterations = int(self._factor.ksp.getIterationNumber())
         x.axpy(1.0, d)
         self.equations.scale.move(_largest(x))
         self.equations.residual(x, r)
@@ -160,7 +153,7 @@ class NewtonSolver(EquilibriumSolver):
         self._require_finite("stress", self._free_norm(r))
         r.scale(-1.0)
         self._prepare(move, r)
-        self._solve_linear(r, d)
+        solve_linear(self._factor.ksp, r, d)
         if self._yields and x.norm() > 0 and not d.norm() <= YIELDING_EVERYWHERE_STEP * x.norm():
             self._elastic_step(x, r, d, move)
         if not math.isfinite(d.norm()):
@@ -185,7 +178,7 @@ class NewtonSolver(EquilibriumSolver):
         finally:
             equations.set_homotopy(homotopy_parameter)
         self._prepare(move, r)
-        self._solve_linear(r, d)
+        solve_linear(self._factor.ksp, r, d)
 
     def _retreat(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
         """Shorten a linear step that is far too long, as for laws that stiffen with the rate; supports stay moved."""
@@ -222,10 +215,6 @@ class NewtonSolver(EquilibriumSolver):
             names = " or ".join(sorted({*self.equations.names_with_trait("unchecked")}))
             advice = "at rest the strain e is zero: write ufl.sqrt(ufl.inner(e, e) + small), or a ufl.conditional"
             raise SolveError(f"the {quantity} of {names} is not finite at the start of the step", advice=advice)
-
-    def _solve_linear(self, b: PETSc.Vec, x: PETSc.Vec) -> int:
-        solve_linear(self._factor.ksp, b, x)
-        return int(self._factor.ksp.getIterationNumber())
 
     def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> tuple[float, int]:
         """Refine the linear solution x iteratively; return its relative residual and the Krylov iterations.
@@ -340,8 +329,7 @@ class NewtonSolver(EquilibriumSolver):
         failed = not stalled if reason < 0 else self._own_test and not last < STATE_TOLERANCE
         if failed:
             what = f"{divergence or reason_name(Reason, reason)}, residual {last:.1e} of the forces"
-            if ksp_reason < 0:
-                what += f", linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)}"
+            what += f", linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)}" if ksp_reason < 0 else ""
             what += f"; {equations.failure()}" if equations.failed else ""
             advice = f"try {self._advice}, or -{PREFIX}snes_monitor to watch it"
             raise SolveError(f"Newton's method failed after {steps} steps: {what}", None, tuple(residuals), advice)

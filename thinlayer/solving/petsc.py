@@ -26,6 +26,7 @@ PREFIX = "thinlayer_"
 OPTION_ERROR_CODES = (56, 62, 63, 73, 83, 86, 92)
 OptionValue = str | int | float | bool | None
 Options = Mapping[str, OptionValue]  # names without the prefix -> values
+OptionDict = dict[str, OptionValue]  # the same, as a dictionary
 _DEFAULT_NAMES: set[str] = set()  # names, with their prefix, of the options that `default_options` has set
 C_POINTER = ctypes.c_void_p
 C_ARGUMENTS = {  # name of a function -> types of its arguments; all functions return PETSc's error code

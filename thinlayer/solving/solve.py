@@ -19,7 +19,7 @@ from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.state import Report, State, displacements_of
 from thinlayer.errors import LooseBody, SolveError
 from thinlayer.parts.part import TimeStep
-from thinlayer.solving.contact.methods import METHODS, SOLVER_OF_METHOD, check_method, default_method
+from thinlayer.solving.contact.methods import SOLVER_OF_METHOD, default_method, why_unsuited
 from thinlayer.solving.equations import Equations
 from thinlayer.solving.linear_solvers import linear_solvers
 from thinlayer.solving.newton import (
@@ -34,8 +34,8 @@ from thinlayer.solving.newton import (
 )
 from thinlayer.solving.petsc import (
     PREFIX,
+    OptionDict,
     Options,
-    OptionValue,
     chosen_options,
     faster_products,
     is_set,
@@ -52,7 +52,7 @@ from thinlayer.system.ranks import collect, errors_on_all, require_same
 SOFTENING_ADVICE = "the stress of {} falls as jumps grow, with several equilibria; follow them by march(model, times)"
 FIRST_DECREMENT, MIN_DECREMENT = 0.5, 1 / 64  # decrements of the continuation parameter
 MAX_HOMOTOPY_SOLVES = 30  # number of solves after which a homotopy is given up
-FAIL_FAST: dict[str, OptionValue] = {"snes_max_it": 30, "snes_max_linear_solve_fail": 1}  # if another method follows
+FAIL_FAST = OptionDict(snes_max_it=30, snes_max_linear_solve_fail=1)  # if another method follows
 HOMOTOPY_DIVERGENCE = 1e5  # displacements, relative to an elastic layer's, above which no equilibrium is expected
 
 
@@ -123,7 +123,7 @@ def _check_like(model: Model, like: State) -> None:
         raise InputError("like must be a state of an interface model with the same element and bonds as this model")
 
 
-SolveWay = tuple[str, dict[str, OptionValue]]  # a method, and PETSc options of its linear solver
+SolveWay = tuple[str, OptionDict]  # a method, and PETSc options of its linear solver
 
 
 @dataclass(frozen=True)
@@ -183,11 +183,11 @@ class Solver(AbstractContextManager["Solver"]):
 
     def _check(self) -> None:
         """Raise InputError unless the method suits the model."""
-        allowed = ("newton", *METHODS) if self.model.contact else ("linear", "newton")
-        if self.method in METHODS:
-            check_method(self.model, self.method)
-        else:
+        if self.method not in tuple(SOLVER_OF_METHOD):  # it may be anything, also not hashable
+            allowed = ("newton", *SOLVER_OF_METHOD) if self.model.contact else ("linear", "newton")
             require_known("method", self.method, allowed)
+        elif reason := why_unsuited(self.model, self.method):
+            raise InputError(f"method={self.method!r} {reason}")
         if self.method == "linear" and not self.model.linear:
             raise InputError("method='linear' cannot solve a non-linear law; use method='newton'")
 
@@ -198,7 +198,7 @@ class Solver(AbstractContextManager["Solver"]):
 
     def _ways_of(self, method: str) -> list[SolveWay]:
         """A method, combined with each of its linear solvers in the order in which they are tried."""
-        if method in METHODS:
+        if method in SOLVER_OF_METHOD:
             return [(method, {})]
         kinds = linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._user_options))
         user_chooses = is_set("ksp_type", self._user_options) or is_set("pc_type", self._user_options)
@@ -207,8 +207,8 @@ class Solver(AbstractContextManager["Solver"]):
     def _solver_of(self, method: str) -> EquilibriumSolver:
         """Solver of a method, created at its first use."""
         if method not in self._solvers:
-            made = SOLVER_OF_METHOD[method](self.equations, self._like) if method in METHODS else self._newton(method)
-            self._solvers[method] = made
+            contact = SOLVER_OF_METHOD.get(method)
+            self._solvers[method] = contact(self.equations, self._like) if contact else self._newton(method)
         return self._solvers[method]
 
     def _newton(self, method: str) -> NewtonSolver:

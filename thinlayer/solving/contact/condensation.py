@@ -13,8 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from forms.base import Array
 from geometry.topology import BoolArray, Indices, IntArray
 from thinlayer.errors import SolveError
-from thinlayer.solving.linear_solvers import DIRECT_OPTIONS
-from thinlayer.solving.petsc import PREFIX, OptionValue, default_options, keep_unknowns, schur_complement
+from thinlayer.solving.linear_solvers import LOW_RANK_OPTIONS
+from thinlayer.solving.petsc import PREFIX, OptionDict, default_options, keep_unknowns, schur_complement
 from thinlayer.system.compilation import own_library, pointers
 from thinlayer.system.ranks import destroy
 
@@ -25,14 +25,10 @@ FRONT_SLOPE = 1.2  # slope, relative to S, of the front along which nodes are nu
 BAND_LAYERS = 4.0  # thickness of the bands in which that front moves, in layers of cells
 SAMPLE_NODES = 64  # number of nodes whose edges show the diagonals of the cells
 SPARSE_SHARE = 0.05  # largest share of non-zeros of a right-hand side that is treated as sparse
-MUMPS_OPTIONS: dict[str, OptionValue] = {
-    "mat_mumps_icntl_7": 0,  # minimum degree: with a Schur complement MUMPS offers only this and METIS
-    "mat_mumps_icntl_8": 0,  # no scaling: it takes time and changes nothing here
-    **{name: DIRECT_OPTIONS[name] for name in ("mat_mumps_icntl_35", "mat_mumps_cntl_7")},
-}
-
+# minimum degree, as with a Schur complement MUMPS offers only this and METIS; no scaling, which changes nothing here
+MUMPS_OPTIONS = OptionDict(LOW_RANK_OPTIONS, mat_mumps_icntl_7=0, mat_mumps_icntl_8=0)
 SMALL_PIECE_NODES = 1000  # number of nodes of pieces below which MUMPS underestimates its workspace
-SMALL_PIECE_OPTIONS: dict[str, OptionValue] = {"mat_mumps_icntl_14": 200}  # additional workspace in per cent
+SMALL_PIECE_OPTIONS = OptionDict(mat_mumps_icntl_14=200)  # additional workspace in per cent
 
 
 class Condensation:

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from forms.base import InputError
 from thinlayer.discretisation.model import Model
 from thinlayer.solving.contact.condensed import CondensedContact
 from thinlayer.solving.contact.contact_solver import ContactSolver
 from thinlayer.solving.contact.multigrid import MultigridContact
 from thinlayer.solving.contact.paper_relaxation import ContactRelaxation
 
-SOLVER_OF_METHOD: dict[str, type[ContactSolver]] = {
-    "condensed": CondensedContact,
-    "multigrid": MultigridContact,
-    "relaxation": ContactRelaxation,
-}
-METHODS = tuple(SOLVER_OF_METHOD)
+SOLVER_OF_METHOD = dict[str, type[ContactSolver]](
+    condensed=CondensedContact, multigrid=MultigridContact, relaxation=ContactRelaxation
+)
 MAX_CONDENSED = {2: 4000, 3: 1200}  # dimension -> number of displacements at S up to which "condensed" is the default
 
 
@@ -30,7 +26,7 @@ def default_method(model: Model) -> str:
     both = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
     each = joint.dim * model.structure.degree ** (joint.dim - 1)
     narrow = (_most_vertices(model) if _is_network(model) else both) * each <= MAX_CONDENSED[joint.dim]
-    suited = (method for method in ("condensed", "multigrid") if not _why_unsuited(model, method))
+    suited = (method for method in ("condensed", "multigrid") if not why_unsuited(model, method))
     chosen = (method for method in suited if not model.layer_terms and (narrow or method != "condensed"))
     return next(chosen, "newton")
 
@@ -57,14 +53,8 @@ def _is_linear(model: Model) -> bool:
     return by_laws and all(part.has_work and part.is_linear(model) and part.is_symmetric(model) for part in model.parts)
 
 
-def check_method(model: Model, method: str) -> None:
-    """Raise InputError unless one of METHODS suits the model."""
-    if reason := _why_unsuited(model, method):
-        raise InputError(f"method={method!r} {reason}")
-
-
-def _why_unsuited(model: Model, method: str) -> str:
-    """Reason why one of METHODS does not suit the model; "" if it does."""
+def why_unsuited(model: Model, method: str) -> str:
+    """Reason why a method of SOLVER_OF_METHOD does not suit the model; "" if it does."""
     user_laws = [type(law).__name__ for law in model.contacts.values() if law.numbers is None]
     if model.contact is None:
         return "is for contact laws; the model has none"

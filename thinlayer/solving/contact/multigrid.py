@@ -21,7 +21,7 @@ from thinlayer.solving.linear_solvers import HIERARCHY_OPTIONS
 from thinlayer.solving.part_sum import MIN_DIVISOR, SOLVER_TOLERANCE
 from thinlayer.solving.petsc import (
     PREFIX,
-    OptionValue,
+    OptionDict,
     default_options,
     is_set,
     options_set,
@@ -46,16 +46,12 @@ LARGE_RESIDUAL = 3e-5
 MIN_REDUCTION = 0.05  # least factor by which a linear solve after sweeps reduces a residual below the forces
 LAST_SOLVE_TARGET = 0.7  # target of the last linear solve, relative to NEWTON_TOLERANCE
 
-NEWTON_OPTIONS: dict[str, OptionValue] = {
-    "snes_type": "newtonls",
-    "snes_linesearch_type": "basic",  # the residual grows on good steps, as springs of S are stiff
-    "snes_max_it": 50,
-    "snes_divergence_tolerance": -1,
-    "snes_max_linear_solve_fail": 4,
-    "ksp_type": "fgmres",  # GMRES with a right preconditioner needs one more cycle of multigrid for the solution
-    "ksp_gmres_restart": 40,
-    "ksp_max_it": 120,
-}
+# GMRES with a right preconditioner needs one more cycle of multigrid for the solution than FGMRES
+KRYLOV_OPTIONS = OptionDict(ksp_type="fgmres", ksp_gmres_restart=40, ksp_max_it=120, snes_max_linear_solve_fail=4)
+# no line search: the residual grows on good steps, as springs of S are stiff
+NEWTON_OPTIONS = OptionDict(
+    KRYLOV_OPTIONS, snes_type="newtonls", snes_linesearch_type="basic", snes_max_it=50, snes_divergence_tolerance=-1
+)
 
 
 class MultigridContact(ContactSolver):

@@ -29,12 +29,9 @@ STAGNATION_RATIO = 0.999  # stagnation: ratio of the least increments of the lat
 TOLERANCE_REDUCTION = 1.5  # divisor of the tolerance of increments if forces do not balance yet
 FIXED_DIAGONAL = 1e20  # diagonal entry of constrained components of contact nodes, relative to the mean stiffness
 AXIS_TOLERANCE = 1e-9  # largest difference of the axes of S from coordinate axes
-RELAXATION_OPTIONS: dict[str, tuple[float, float]] = {  # name -> default and upper bound
-    "omega": (1.7, 2),
-    "omega_contact": (1.0, 2),
-    "tolerance": (1e-12, 1e-3),
-    "max_sweeps": (200_000, np.inf),
-}
+RELAXATION_OPTIONS = dict[str, tuple[float, float]](  # name -> default and upper bound
+    omega=(1.7, 2), omega_contact=(1.0, 2), tolerance=(1e-12, 1e-3), max_sweeps=(200_000, np.inf)
+)
 
 
 @dataclass(frozen=True)
