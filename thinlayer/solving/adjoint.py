@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import cached_property
 
@@ -51,34 +51,29 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         assert isinstance(state.model, InterfaceModel)
         self.state, self.model = state, state.model
         self.equations = equations = Equations(self.model)
-        user_options = dict(options or {})
         self._x, self._r = equations.vector(), equations.vector()
         begun = equations.rest(state.t) if old is None else old
         self.interval = TimeStep(begun, state.t, state.t - begun.t, 1.0)
         equations.begin(self.interval)
         equations.put_state(state, self._x)
         equations.residual(self._x, self._r)
-        linear = linear_solvers(self.model, equations.parts, value_of("pc_type", user_options))
-        self._options = {**linear[0], **user_options}
+        linear = linear_solvers(self.model, equations.parts, value_of("pc_type", options or {}))
+        self._options = {**linear[0], **(options or {})}
         self._tangent: PETSc.Mat | None = None
         self.transposed = False
         self._same = self.model.linear and self.model.symmetric  # one factor serves all states, and the transpose
         if self._same and equations.factor.of == (0.0, 1.0):
             return
         with default_options(self._options):
-            if self._same and needs_factor_only():
-                with equations.with_supports(lend=True) as A:
-                    self._renew(A)
+            once = self._same and needs_factor_only()
+            with equations.with_supports(lend=True) if once else nullcontext(equations.tangent()) as A:
+                if not once:
+                    self._tangent = A.copy()
+                    equations.apply_bcs(A)
+                mark_symmetry(A, self.model, saddle=equations.traits.saddle)
+                equations.factor.renew(A, None, equations.set_preconditioner_data)
+                if once:
                     equations.factor.set_up()
-            else:
-                A = equations.tangent()
-                self._tangent = A.copy()
-                equations.apply_bcs(A)
-                self._renew(A)
-
-    def _renew(self, A: PETSc.Mat) -> None:
-        mark_symmetry(A, self.model, saddle=self.equations.traits.saddle)
-        self.equations.factor.renew(A, None, self.equations.set_preconditioner_data)
 
     def __exit__(self, *_: object) -> None:
         self.equations.destroy()
@@ -216,20 +211,18 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: TimeStep) -> Array:
         """Nodal forces (m,) of parts at displacements u in a time step, with the parts' own fields from a state."""
-        out = self.equations.u.x.petsc_vec.duplicate()
-        out.set(0.0)
+        out = fem.Function(self.model.V)
         if parts:
             layers = PartSum(parts)
             layers.begin_parts(interval)
             for part in layers.with_own:
                 set_owned_values(part.field, part.own_start(state))
-            layers.forces(u, u, out)
-        return np.asarray(out.array_r.copy())
+            layers.forces(u, u, out.x.petsc_vec)
+        return np.asarray(out.x.petsc_vec.array_r.copy())
 
     def work(self, parts: Sequence[Part], z: Configuration) -> Array:
         """Work (m,) of the parts' stresses of the last evaluation in displacements z, distributed over the nodes."""
-        out = self.equations.u.x.petsc_vec.duplicate()
-        out.set(0.0)
+        out = fem.Function(self.model.V)
         for part in parts:
-            part.add_work_in(z.u, out)
-        return np.asarray(out.array_r.copy())
+            part.add_work_in(z.u, out.x.petsc_vec)
+        return np.asarray(out.x.petsc_vec.array_r.copy())

@@ -24,7 +24,6 @@ from thinlayer.parts.compiled_part import SAMPLE_FRACTIONS
 from thinlayer.parts.part import DISPLACEMENT_KEY, Block, MeasuresError, TimeStep
 from thinlayer.solving.linear_solvers import MULTIGRID_TYPES, SharedMatrices, orthonormal, set_field_split
 from thinlayer.solving.part_sum import (
-    DIFFERENT_PATTERN,
     ForceScale,
     PartSum,
     PetscIndices,
@@ -128,11 +127,8 @@ class Equations(PartSum):
     @cached_property
     def K(self) -> PETSc.Mat:
         """Matrix of the forces that are linear in the displacements."""
-        first, *others = [part.K for part in self.parts if part.K is not None]
-        K = first.copy()
-        for other in others:
-            K.axpy(1.0, other, DIFFERENT_PATTERN)
-        return K
+        blocks = [Block(part.K, kept=True) for part in self.parts if part.K is not None]
+        return TangentMatrix(self.comm, {DISPLACEMENT_KEY: self.n_displacements}).fill(blocks)
 
     def apply_bcs(self, A: PETSc.Mat, x: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
         """Replace rows and columns of constrained unknowns in A by a mean stiffness times the identity.
@@ -199,8 +195,8 @@ class Equations(PartSum):
         if self.model.strain:  # it moves the sides of the periodic cell, as supports would
             across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
             largest_displacement = max(largest_displacement, across)
-        moved = float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))  # if loads end at zero, so may all forces
-        moved = max([moved, *(part.distance for part in self.parts)])
+        # if loads end at zero, so may all forces
+        moved = max([float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)), *(part.distance for part in self.parts)])
         if self.mean_stiffness:  # about the displacement of an elastic response
             moved = max(moved, float(self.loads.norm()) / (self.mean_stiffness * math.sqrt(self.loads.getSize())))
         self.scale.begin(self.norms(self.loads.array_r), largest_displacement, moved)

@@ -313,9 +313,7 @@ class _SubmatrixFactor:
     @property
     def negative_pivots(self) -> int:
         """Number of negative eigenvalues of the submatrix; 0 if it is not symmetric."""
-        if not (self._symmetric and self._rows.any()):
-            return 0
-        return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12))  # negative pivots
+        return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)) if self._symmetric and self._rows.any() else 0
 
     def solve(self, b: Array, out: Array) -> float:
         """Write the solution into `out`, at the selected rows; return its product with b."""

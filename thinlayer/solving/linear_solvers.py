@@ -31,11 +31,9 @@ DIRECT_OPTIONS = OptionDict(
 ORDERING_OPTIONS = {2: OptionDict(mat_mumps_icntl_7=2, mat_mumps_icntl_15=0), 3: OptionDict(mat_mumps_icntl_7=4)}
 # for saddle points at which MUMPS delays many pivots: more memory and smaller pivots
 LENIENT_OPTIONS = OptionDict(mat_mumps_icntl_14=1000, mat_mumps_cntl_1=1e-4)
-COARSENING_OPTIONS = OptionDict(
-    pc_gamg_threshold=0.01, pc_gamg_aggressive_coarsening=2, pc_gamg_aggressive_square_graph=False
-)
+GAMG_OPTIONS = OptionDict(pc_type="gamg", pc_gamg_aggressive_coarsening=2, pc_gamg_aggressive_square_graph=False)
 HIERARCHY_OPTIONS = OptionDict(  # algebraic multigrid as a preconditioner
-    COARSENING_OPTIONS, pc_type="gamg", mg_levels_ksp_type="chebyshev", mg_levels_pc_type="jacobi"
+    GAMG_OPTIONS, pc_gamg_threshold=0.01, mg_levels_ksp_type="chebyshev", mg_levels_pc_type="jacobi"
 )
 MULTIGRID_OPTIONS = OptionDict(DIRECT_OPTIONS, ksp_max_it=200, **HIERARCHY_OPTIONS)
 MULTIGRID_TYPES = ("gamg", "hypre", "ml")  # PETSc's kinds of algebraic multigrid, for the displacements

@@ -415,13 +415,13 @@ def augmented_in_place(
         value: the diagonal entry of these rows.
     """
     # as the pattern is symmetric, the columns of these rows are the rows with entries in constrained columns
-    submatrix = K.createSubMatrix(_block_indices(K, bc_rows))
+    submatrix = K.createSubMatrix(PETSc.IS().createGeneral(bc_rows, comm=K.comm))
     columns = np.unique(submatrix.getValuesCSR()[1])
     submatrix.destroy()
     rows = [bc_rows, send(comm, np.searchsorted(K.getOwnershipRanges(), columns, "right") - 1, columns)]
     rows += [K.getOwnershipRange()[0] + np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])) for block in others]
     changed = np.unique(np.concatenate(rows)).astype(PETSc.IntType)
-    before = K.createSubMatrix(_block_indices(K, changed))
+    before = K.createSubMatrix(PETSc.IS().createGeneral(changed, comm=K.comm))
     try:
         for block in others:
             pattern = SUBSET_PATTERN if _fits_pattern(comm, block.matrix, before, changed) else DIFFERENT_PATTERN
@@ -443,10 +443,6 @@ def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers
     pattern, allowed = local_csr(part)[numbers - part.getOwnershipRange()[0]], local_csr(rows)
     pattern.data[:], allowed.data[:] = 1.0, 1.0  # stored entries may be zero
     return bool(comm.allreduce(pattern.multiply(allowed).nnz == pattern.nnz, MPI.LAND))
-
-
-def _block_indices(A: PETSc.Mat, rows: PetscIndices) -> PETSc.IS:
-    return PETSc.IS().createGeneral(rows.astype(PETSc.IntType, copy=False), comm=A.comm)
 
 
 def block_matrix(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:

@@ -94,11 +94,9 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
     Warnings already issued for the same time are not repeated.
 
     Args:
-        states: states of one model.
+        states: states of one model, at least one.
         start: time since which the loads last; None if they are sudden at every state.
     """
-    if not states:
-        return
     model = states[0].model
     warn_of_strains(states)
     for applicability in model.applicability.values() if model.broken else ():

@@ -288,8 +288,7 @@ class Solver(AbstractContextManager["Solver"]):
         if self._like is None or self.method != "newton" or self.model.contact:
             return None
         equations, start = self.equations, self.equations.vector()
-        u = displacements_of(self._like, self.model)
-        equations.put_state(replace(old, u=u), start)
+        equations.put_state(replace(old, u=displacements_of(self._like, self.model)), start)
         start.array[equations.bc_dofs] = equations.prescribed
         try:
             return self._try(attempt, start), 0

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +21,7 @@ from thinlayer.system.progress import logger, report
 from thinlayer.time.journal import Journal
 
 
-@dataclass(frozen=True)
-class StepAttempt:
+class StepAttempt(NamedTuple):
     """Description of one attempt at a step.
 
     Attributes:
@@ -115,13 +115,15 @@ class Controller(ABC):
             begun: initial state, with the previous state before it if that is known; (): from rest.
         """
         with report("march") as tell:
+            end = self.targets[-1]
             if self.journal.read(resume):
-                self._compare_times()
+                if self.last.t > end + self.near:
+                    where = f"the march in {self.journal.out} is at t = {self.last.t:g}"
+                    raise InputError(f"{where}, and is to end before, at t = {end:g}")
             elif begun:
                 self.journal.begin(begun)
             else:
                 self._begin()
-            end = self.targets[-1]
             while not self.done:
                 self.journal.accept(self._next())
                 share = (self.last.t - self.start) / (end - self.start)  # falls where t turns back
@@ -137,12 +139,6 @@ class Controller(ABC):
             self.journal.accept([self.solver.sudden(self.start)])
         except SolveError as error:
             raise self.error(f"the first state, under the sudden load at t = {self.start:g}: {error}") from error
-
-    def _compare_times(self) -> None:
-        """Raise InputError if a resumed march has passed its end."""
-        if self.last.t > self.targets[-1] + self.near:
-            where = f"the march in {self.journal.out} is at t = {self.last.t:g}"
-            raise InputError(f"{where}, and is to end before, at t = {self.targets[-1]:g}")
 
     def _next(self) -> list[State]:
         """The states of the next step, which is shortened until an attempt succeeds."""

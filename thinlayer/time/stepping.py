@@ -300,10 +300,9 @@ class ErrorEstimate:
         """Differences (3,) of two states in the quantities, over the norms in the second or, if larger, `largest`."""
         ends = [self._quantities(end_state) for end_state in (other, state)]
         differences = self._norms([b - a for a, b in zip(*ends, strict=True)])
-        sizes = np.maximum(self._norms(ends[1]), largest)
         moved = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
         least = np.array([0.0, MIN_JUMP_SHARE * self._unit * moved, self._equations.scale.forces[0]])
-        sizes = np.maximum(sizes, least)
+        sizes = np.maximum(np.maximum(self._norms(ends[1]), largest), least)
         return np.asarray(np.divide(differences, sizes, out=np.zeros(3), where=sizes > 0))
 
     def sizes(self, state: State) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
@@ -157,10 +158,8 @@ class CondensedSystem:
         """Initial displacements for Newton's method: interpolated from the coarser system, or with bonded springs."""
         if self._coarser is not None:
             system, P = self._coarser
-            try:
+            with suppress(SolveError):
                 return np.asarray(P @ system.newton(system.start(P.T @ g), P.T @ g, _unscaled, COARSE_TOLERANCE)[0])
-            except SolveError:
-                pass
         springs, forces = self.pairs.bonded()
         return self._linear_solve(springs, g - forces)
 
@@ -210,7 +209,7 @@ class CondensedSystem:
                 raise SolveError(text, residuals=tuple(residuals), advice=advice)
             u = u.copy()
             pairs.sweep(self._blocks, g, u, min(MIN_SWEEPS * 2 ** max(len(residuals) - DOUBLING_STEPS, 0), MAX_SWEEPS))
-            step = self._linear_solve(pairs.tangent(pairs.separation(u)), -self._residual(u, g))
+            step = self._linear_solve(pairs.stiffness(pairs.tangents(pairs.separation(u))), -self._residual(u, g))
             long_steps = long_steps + 1 if 0 < far < np.abs(step).max() else 0
             u = u + (self._length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
 

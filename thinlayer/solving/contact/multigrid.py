@@ -202,7 +202,9 @@ class _NewtonRun:
         if step:
             jumps = self.nodes.separation(snes.getSolution())
             self._turned = turned_jumps(self.pairs, jumps, self._at)
-            self._swept = self._is_new(jumps, self._turned) or self._relative > EXPECTED_RESIDUAL_RATIO * self._target
+            changed = self._at is None or (self.pairs.status(jumps) != self._at[0]).any() or self._turned.any()
+            on_any_rank = self.solver.comm.allreduce(int(changed)) > 0
+            self._swept = on_any_rank or self._relative > EXPECTED_RESIDUAL_RATIO * self._target
             self._linear_ratio = snes.getKSP().getResidualNorm() / snes.getFunctionNorm()
 
     def _sweep(self, _: PETSc.SNES, u: PETSc.Vec, __: PETSc.Vec | None) -> None:
@@ -249,11 +251,6 @@ class _NewtonRun:
         jumps = self.nodes.separation(u)
         self._at = sliding_state(self.pairs, jumps)
         return self.pairs.tangents(jumps)
-
-    def _is_new(self, jumps: Array, turned: Array) -> bool:
-        """Whether the status of a node on any rank has changed since the last tangents."""
-        is_new = self._at is None or bool((self.pairs.status(jumps) != self._at[0]).any())
-        return bool(self.solver.comm.allreduce(int(is_new or bool(turned.any()))))
 
 
 # ---------------------------------------------------------------- nodes whose slip has reversed

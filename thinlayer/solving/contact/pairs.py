@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
+from scipy.sparse import bsr_matrix, csr_matrix
 
 from forms.base import Array
 from forms.contact import ContactHomotopy, ContactLaw
@@ -70,26 +70,18 @@ class ContactPairs:
         self.nodes = self.nodes[1:]
         self.ends, self.free = place[1:].reshape(-1, 2) - 1, free[self.nodes]
         self.dofs = (self.nodes[:, None] * self.d + np.arange(self.d)).ravel()
-        self.jumps = self._jump_matrix()
-        self._to_nodes = self.jumps.T.tocsr()
-        self._by_node = self._sorted_by_node()
-
-    def _jump_matrix(self) -> scipy.sparse.csr_matrix:
-        """(pairs d, n d) matrix from displacements to jumps in the pairs' frames."""
         pair, side = np.nonzero(self.ends >= 0)
-        blocks = self.frames[pair] * np.where(side, -1.0, 1.0)[:, None, None]
+        node, sign = self.ends[pair, side], np.where(side, -1, 1)
+        # (pairs d, n d) matrix from displacements to jumps in the pairs' frames
+        blocks, shape = self.frames[pair] * sign[:, None, None], (len(self.ends) * self.d, len(self.dofs))
         begins = np.searchsorted(pair, np.arange(len(self.ends) + 1))
-        shape = (len(self.ends) * self.d, len(self.dofs))
-        return scipy.sparse.bsr_matrix((blocks, self.ends[pair, side], begins), shape=shape).tocsr()
-
-    def _sorted_by_node(self) -> tuple[npt.NDArray[np.int32], ...]:
-        """Pairs of each node, node after node, in the format of the sweeps in C."""
-        pair, side = np.nonzero(self.ends >= 0)
-        node = self.ends[pair, side]
+        self.jumps = bsr_matrix((blocks, node, begins), shape=shape).tocsr()
+        self._to_nodes = self.jumps.T.tocsr()
+        # pairs of each node, node after node, in the format of the sweeps in C
         order = np.lexsort((pair, node))
         begins = np.searchsorted(node[order], np.arange(len(self.nodes) + 1))
-        columns = pair, self.ends[pair, 1 - side], np.where(side, -1, 1)
-        return begins.astype(np.int32), *(column[order].astype(np.int32) for column in columns)
+        columns = pair[order], self.ends[pair, 1 - side][order], sign[order]
+        self._by_node = [column.astype(np.int32) for column in (begins, *columns)]
 
     def _gathered(self, of_part: LawValues[Scalar], w: Array) -> npt.NDArray[Scalar]:
         """(pairs, ...) values of each part's law at the jumps (pairs, d)."""
@@ -111,10 +103,6 @@ class ContactPairs:
         """(n d,) nodal forces of tractions (pairs, d), zero at constrained components."""
         return np.where(self.free.ravel(), self._to_nodes @ (t * self.weights[:, None]).ravel(), 0.0)
 
-    def tangent(self, w: Array) -> scipy.sparse.csr_matrix:
-        """(n d, n d) derivative of `forces` by the displacements."""
-        return self.stiffness(self.tangents(w))
-
     def tractions(self, w: Array) -> Array:
         """(pairs, d) tractions of the laws at jumps (pairs, d)."""
         return self._gathered(lambda law, w, slip: law.traction(w, slip), w)
@@ -131,12 +119,12 @@ class ContactPairs:
         """(pairs,) `Status` at jumps (pairs, d)."""
         return self._gathered(lambda law, w, slip: law.status(w, slip), w)
 
-    def bonded(self) -> tuple[scipy.sparse.csr_matrix, Array]:
+    def bonded(self) -> tuple[csr_matrix, Array]:
         """Stiffness of springs that neither open nor slide, and their nodal forces at rest due to slip and gaps."""
         D = self.bonded_tangents()
         return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, self.offsets(self.gaps)))
 
-    def stiffness(self, D: Array) -> scipy.sparse.csr_matrix:
+    def stiffness(self, D: Array) -> csr_matrix:
         """(n d, n d) stiffness of springs D (pairs, d, d) between the free displacements."""
         d, frames = self.d, self.frames
         ends = self.ends[:, [0, 1, 0, 1]], self.ends[:, [0, 1, 1, 0]]
@@ -147,27 +135,21 @@ class ContactPairs:
         blocks = blocks * self.free[row][:, :, None] * self.free[column][:, None, :]
         rows = (row[:, None, None] * d + np.arange(d)[:, None]).repeat(d, axis=2)
         places = rows.ravel(), (column[:, None, None] * d + np.arange(d)).repeat(d, axis=1).ravel()
-        return scipy.sparse.csr_matrix((blocks.ravel(), places), shape=(len(self.dofs),) * 2)
+        return csr_matrix((blocks.ravel(), places), shape=(len(self.dofs),) * 2)
 
     def offsets(self, w: Array) -> Array:
         """Jumps (pairs, d) minus the slip."""
         return self._gathered(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
 
     def sweep(
-        self,
-        stiffness: scipy.sparse.bsr_matrix,
-        g: Array,
-        u: Array,
-        sweeps: int,
-        rest: Array | None = None,
-        moves: BoolArray | None = None,
+        self, K: bsr_matrix, g: Array, u: Array, sweeps: int, rest: Array | None = None, moves: BoolArray | None = None
     ) -> int:
         """Run Gauss-Seidel sweeps in place: each node moves to the balance of its forces while all others are fixed.
 
         Constrained components are fixed too.
 
         Args:
-            stiffness: (n, n) blocks of the bodies' stiffness.
+            K: (n, n) blocks of the bodies' stiffness.
             g: (n d,) forces.
             u: (n d,) displacements.
             sweeps: number of sweeps.
@@ -180,7 +162,7 @@ class ContactPairs:
         rest = self.gaps if rest is None else rest
         laws = self._gathered(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), rest)
         arrays = (
-            stiffness.indptr, stiffness.indices, stiffness.data, g, u, *self._by_node, self.frames, self.weights, laws,
+            K.indptr, K.indices, K.data, g, u, *self._by_node, self.frames, self.weights, laws,
             self.offsets(rest), self.free if moves is None else self.free & moves[:, None],
         )  # fmt: skip
         c = own_library(C_SOURCE)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -34,8 +34,7 @@ RELAXATION_OPTIONS = dict[str, tuple[float, float]](  # name -> default and uppe
 )
 
 
-@dataclass(frozen=True)
-class SeamSystem:
+class SeamSystem(NamedTuple):
     """A u + (contact forces) = b, where the dofs of contact nodes are jumps in the axes of S.
 
     Attributes:
@@ -55,8 +54,7 @@ class SeamSystem:
     slip: Array
 
 
-@dataclass(frozen=True)
-class Relaxation:
+class Relaxation(NamedTuple):
     """The result of `relax`.
 
     Attributes:
