@@ -57,8 +57,7 @@ class ArcLengthController(Controller):
             raise self.error(what, "give more steps, or a longer first one")
         if steps and before and not pace.weight:
             pace.weight, self._aimed = self._weight(before, last), None
-        ends = [self.start, *self.targets]
-        self._curve.middle = (ends[self._passed_times] + self.target) / 2
+        self._curve.middle = ([self.start, *self.targets][self._passed_times] + self.target) / 2
         try:
             if self._aimed is not last:
                 self._aim()

@@ -216,8 +216,7 @@ class EquilibriumPath:
         moved = [float(np.abs(vector[:-1]).max(initial=0.0)) for vector in (self._direction, point)]
         rounded = np.array([equations.scale.rounding(equations.comm.allreduce(most, max))[0] for most in moved])
         small = FORCE_CHANGE_TOLERANCE * equations.scale.forces[0] / length
-        local = [beyond @ beyond, across @ across, beyond @ across]
-        *squares, product = equations.comm.allreduce(np.array(local))
+        *squares, product = equations.comm.allreduce(np.array([beyond @ beyond, across @ across, beyond @ across]))
         # rounding of residuals; forces may be zero
         return 0.0 if (np.sqrt(squares) < np.maximum(small, rounded / [1.0, short])).any() else float(product)
 

@@ -199,8 +199,7 @@ class CondensedSystem:
         residuals, pairs, long_steps, far = list[float](), self.pairs, 0, LONG_STEP_RATIO * np.abs(u).max(initial=0.0)
         while True:
             forces = pairs.forces(pairs.separation(u))
-            r = self._stiffness @ u + forces - g
-            residuals.append(relative(r, forces, u))
+            residuals.append(relative(self._stiffness @ u + forces - g, forces, u))
             if residuals[-1] <= tolerance or self._stalls(residuals, u, forces):
                 return u, tuple(residuals)
             if len(residuals) > MAX_NEWTON_STEPS or long_steps > MAX_LONG_STEPS or not math.isfinite(residuals[-1]):
