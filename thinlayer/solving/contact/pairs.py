@@ -161,12 +161,10 @@ class ContactPairs:
         """
         rest = self.gaps if rest is None else rest
         laws = self._gathered(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), rest)
-        arrays = (
-            K.indptr, K.indices, K.data, g, u, *self._by_node, self.frames, self.weights, laws,
-            self.offsets(rest), self.free if moves is None else self.free & moves[:, None],
-        )  # fmt: skip
-        c = own_library(C_SOURCE)
-        return int(c.lib.sweep_pairs(len(self.nodes), self.d, *pointers(c, *arrays), sweeps))
+        pairs = *self._by_node, self.frames, self.weights, laws, self.offsets(rest)
+        free, c = self.free if moves is None else self.free & moves[:, None], own_library(C_SOURCE)
+        arrays = pointers(c, K.indptr, K.indices, K.data, g, u, *pairs, free)
+        return int(c.lib.sweep_pairs(len(self.nodes), self.d, *arrays, sweeps))
 
 
 def sweep_parameters(law: NodalLaw) -> tuple[float, ...]:
