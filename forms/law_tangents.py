@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import basix.ufl
 import numpy as np
@@ -53,8 +52,7 @@ from forms.tensors import mandel_vector as in_mandel
 _SYMBOL_MESH = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,)))  # symbols need a mesh
 
 
-@dataclass(frozen=True)
-class SymbolicLaw:
+class SymbolicLaw(NamedTuple):
     """A law whose parameters are symbols, and a step of symbols.
 
     Attributes:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import ufl
 
@@ -20,8 +20,7 @@ GAUSS_HEIGHTS = (-(12**-0.5), 12**-0.5)  # Gauss points of the interval from -1/
 LOCKING_RATIO = 12.0
 
 
-@dataclass(frozen=True)
-class Faces:
+class Faces(NamedTuple):
     """Displacements of the two faces of a layer at a place of S.
 
     Attributes:
@@ -78,7 +77,7 @@ class Faces:
         n = self.n
         jump = tangential * self.jump + (normal - tangential) * ufl.dot(n, self.jump) * n
         gradient = tangential * self.gradient + (normal - tangential) * ufl.outer(n, ufl.dot(n, self.gradient))
-        return replace(self, jump=jump, gradient=gradient)
+        return self._replace(jump=jump, gradient=gradient)
 
 
 @dataclass(frozen=True)

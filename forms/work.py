@@ -263,11 +263,8 @@ def surface(
 
 def with_added_strain(terms: Iterable[Term], strain: Expr) -> list[Term]:
     """Copies of the terms with a strain (3, 3) added to their prescribed strains."""
-
-    def total(prescribed: Expr | None) -> Expr:
-        return strain if prescribed is None else sum_strains(prescribed, strain)
-
-    return [replace(term, prescribed_strain=total(term.prescribed_strain)) for term in terms]
+    pairs = ((term, term.prescribed_strain) for term in terms)
+    return [replace(term, prescribed_strain=strain if e is None else sum_strains(e, strain)) for term, e in pairs]
 
 
 def sum_strains(*strains: Expr) -> Expr:

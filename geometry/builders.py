@@ -17,6 +17,7 @@ from geometry.shapes.sizing import CurvedArgs, GridArgs, MeshOptions, SizeArgs
 Size = float | None  # a length; None: the default
 Cell = str | None  # type of the cells; None: the default
 Pair = tuple[float, float]  # width and height, or a place (x, y)
+Paths = Mapping[str, Sequence[Pair]]  # name -> points of a line
 
 
 def block(
@@ -266,13 +267,7 @@ def grains(
 
 
 def faults(
-    width: float,
-    height: float,
-    faults: Mapping[str, Sequence[Pair]],
-    h: Size = None,
-    *,
-    comm: Comm = None,
-    **cells: Unpack[SizeArgs],
+    width: float, height: float, faults: Paths, h: Size = None, *, comm: Comm = None, **cells: Unpack[SizeArgs]
 ) -> Joint:
     """The block (0, width) x (0, height) with faults, which may cross, branch, and end inside or outside. Collective.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +21,7 @@ RESERVED_NAMES = (LAYER, LOWER_FACE, UPPER_FACE, BASE, JUNCTIONS)
 MIN_COSINE = 0.02  # least cosine of the angle between a facet's normal and a direction that determines its upper side
 
 
-@dataclass(frozen=True)
-class FacetName:
+class FacetName(NamedTuple):
     """Name of a facet set, as text "NAME" or "NAME/REGION". Tags, supports and loads have the texts.
 
     Attributes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -209,8 +210,7 @@ def volume_of(joint: Joint, inside: BoolArray) -> float:
     return volume
 
 
-@dataclass(frozen=True)
-class StraightEnd:
+class StraightEnd(NamedTuple):
     """A straight free end of a planar S, in one piece.
 
     Attributes:

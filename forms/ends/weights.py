@@ -32,8 +32,8 @@ flow factor is therefore the harmonic mean; with the part s of the facet in the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import ufl
 
@@ -48,8 +48,7 @@ OPENING_STRIP_LENGTH = 3.0  # largest length, over the thickness, of the strip t
 MIN_SPREAD = 10.0  # spreading length, over the thickness, from which a pressure grows linearly near an end
 
 
-@dataclass(frozen=True)
-class EndStrip:
+class EndStrip(NamedTuple):
     """A strip along a free end, in which a weight is c/length; lengths are over the thickness.
 
     Attributes:
@@ -61,8 +60,7 @@ class EndStrip:
     length: float = 1.0
 
 
-@dataclass(frozen=True)
-class EndStrips:
+class EndStrips(NamedTuple):
     """Strips along a free end of an isotropic layer, and transfer lengths; all lengths are over the thickness.
 
     Attributes:
@@ -101,15 +99,14 @@ class EndStrips:
         pressure grows linearly over many thicknesses. Narrow S or soft bodies can prevent this. Then the flow within
         5 thicknesses is closer to the flow in an infinite layer, and the strip of the resistance is left out.
         """
-        return self if self.resistance.c >= 0 or length >= MIN_SPREAD else replace(self, resistance=EndStrip())
+        return self if self.resistance.c >= 0 or length >= MIN_SPREAD else self._replace(resistance=EndStrip())
 
 
 def _of_shear(end: FreeEnd) -> EndStrip:
     return EndStrip(end.c_T, 2 * end.m_T / end.c_T)
 
 
-@dataclass(frozen=True)
-class EndWeights:
+class EndWeights(NamedTuple):
     """Weights of free ends at a place of S, see the module.
 
     Attributes:

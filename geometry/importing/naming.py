@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import combinations
-from typing import TypedDict
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -44,8 +44,7 @@ class SideArgs(TypedDict, total=False):
     direction: Sequence[float] | None
 
 
-@dataclass(frozen=True)
-class FileCells:
+class FileCells(NamedTuple):
     """Cells of one type.
 
     Attributes:
@@ -116,8 +115,7 @@ class FileCells:
         return replace(table, cells=np.where(table.cells < 0, -1, near[table.cells]))
 
 
-@dataclass(frozen=True)
-class SeamSides:
+class SeamSides(NamedTuple):
     """The caller's choice of S and its sides.
 
     Attributes:
@@ -128,7 +126,7 @@ class SeamSides:
 
     S: str | None
     single: Seam
-    seams: Mapping[str, Seam] = field(default_factory=dict)
+    seams: Mapping[str, Seam] = {}
 
     @classmethod
     def of(
@@ -171,8 +169,7 @@ def _names_of(regions: object, what: str) -> Names:
     return tuple(names)
 
 
-@dataclass(frozen=True)
-class NamedGroups:
+class NamedGroups(NamedTuple):
     """The named groups of a mesh.
 
     Attributes:
@@ -195,7 +192,7 @@ class NamedGroups:
         Raises:
             InputError: unusable cells or names, or an S that does not fit them.
         """
-        named = replace(self, regions=self._disjoint())
+        named = self._replace(regions=self._disjoint())
         self.cells.require_sound()
         for name in self.sides.seams or filter(None, [self.sides.S]):
             require_known("set of facets", name, self.facets, self.source)

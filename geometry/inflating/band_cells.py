@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import basix
 import numpy as np
@@ -18,8 +19,7 @@ from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, is_t
 HEIGHT_TOLERANCE = 1e-12  # difference of heights, relative to the thickness, that counts as zero
 
 
-@dataclass(frozen=True)
-class NodeCopies:
+class NodeCopies(NamedTuple):
     """Nodes of the bodies after parting on S: each body has its own copy of a node of S.
 
     One copy keeps the node's number, the copy on the upper side of the node's first facet. The other copies, and the
@@ -62,7 +62,7 @@ class NodeCopies:
 
     def renumbered(self, number: IntArray) -> NodeCopies:
         """The copies with other numbers; -1 for copies that are left out, which are on a rigid base."""
-        return replace(self, cells=number[self.cells], below=number[self.below], above=number[self.above])
+        return self._replace(cells=number[self.cells], below=number[self.below], above=number[self.above])
 
 
 @dataclass(frozen=True)
@@ -119,8 +119,7 @@ class NodeLines:
         return replace(self, ends=np.append(self.ends, ends, axis=0), nodes=np.append(self.nodes, nodes), kind=kinds)
 
 
-@dataclass(frozen=True)
-class FacetLines:
+class FacetLines(NamedTuple):
     """Node lines at the nodes of each facet of S.
 
     Attributes:

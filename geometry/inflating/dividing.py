@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import basix
 import numpy as np
@@ -15,8 +16,7 @@ NODE_TOLERANCE = 1e-10  # largest distance of nodes that count as one, over the 
 LENGTH_TOLERANCE = 1e-9  # relative tolerance of lengths, and tolerance of reference coordinates
 
 
-@dataclass(frozen=True)
-class RefinedLayers:
+class RefinedLayers(NamedTuple):
     """Layers whose cells are parts of coarser cells, so that functions on the coarse cells transfer exactly.
 
     Attributes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from math import floor, log10
 from typing import Any, ClassVar, NamedTuple, Self
@@ -33,8 +33,7 @@ SIZE_GROWTH = 0.3  # growth of the cell size per unit of distance from a refined
 UNIT_DECADES = 3  # powers of ten between units of length such as mm and m
 
 
-@dataclass(frozen=True)
-class Drawing:
+class Drawing(NamedTuple):
     """gmsh's entities by name, and the data of a grid on them.
 
     Attributes:
@@ -51,7 +50,7 @@ class Drawing:
     facets: dict[str, list[int]]
     floor: list[int]
     gradings: dict[int, Grading]
-    seams: Mapping[str, Seam] = field(default_factory=dict)
+    seams: Mapping[str, Seam] = {}
     circles: tuple[list[int], float] | None = None
 
 
@@ -143,7 +142,7 @@ class Shape(ABC):
             gmsh.model.add("joint")
             drawing = self.draw()
             *below, above = drawing.bodies
-            drawing = replace(drawing, seams=drawing.seams or {S: Seam(tuple(below), (above,))})
+            drawing = drawing._replace(seams=drawing.seams or {S: Seam(tuple(below), (above,))})
             if self.gridded:
                 self._set_grid(drawing)
             else:
@@ -262,7 +261,7 @@ class Prism(Shape):
         facets = {name: swept_surfaces(curves, plane.floor) for name, curves in plane.facets.items()}
         bodies = {name: [swept[tag][0] for tag in tags] for name, tags in plane.bodies.items()}
         ends = {"BACK": plane.floor, "FRONT": [front for _, front in swept.values()]}
-        return replace(plane, bodies=bodies, facets=facets | ends)
+        return plane._replace(bodies=bodies, facets=facets | ends)
 
 
 def _scaled(value: Any, factor: float) -> Any:

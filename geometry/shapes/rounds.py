@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
 from math import cos, isclose, pi, sin, tau
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 from forms.base import InputError, is_finite
 from geometry.seam import S
@@ -17,8 +17,7 @@ MAX_CELL_ANGLE = 0.3  # largest angle of a cell about the axis, in radians
 CORE_RADIUS_RATIO = 0.65  # half the diagonal of the square grid in the middle of a disc, over the radius
 
 
-@dataclass(frozen=True)
-class PolarLines:
+class PolarLines(NamedTuple):
     """Arcs about the origin and the spokes between them, from the innermost arc and the first spoke on.
 
     Attributes:

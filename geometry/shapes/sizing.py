@@ -57,11 +57,12 @@ def scaled_length(length: float, factor: float) -> float:
     return length if factor == 1 else float(f"{length * factor:.15g}")
 
 
-def require_width(what: str, length: float, largest: float) -> None:
+def require_width(what: str, size: float, largest: float) -> None:
     """Raise InputError for a part of a shape that is too thin for gmsh."""
-    if length < (least := MIN_LENGTH_RATIO * largest):
-        share = f"{MIN_LENGTH_RATIO:g} of the largest length"
-        raise InputError(f"{what} is {length:g}; allowed: at least {least:g} ({share})")
+    if size < (least := MIN_LENGTH_RATIO * largest):
+        raise InputError(
+            f"{what} is {size:g}; allowed: at least {least:g} ({MIN_LENGTH_RATIO:g} of the largest length)"
+        )
 
 
 @dataclass(frozen=True)

@@ -112,16 +112,13 @@ def estimate(
             failed = [error.with_traceback(None)]  # as in `Solver._try_in_turn`
     if failed:
         raise failed.pop()
-    total, errors = np.zeros(4), {}
-    for name in chosen:
-        squares = squared_norms(solution, last, model.layers[name], inside)
-        errors[name] = LayerError(meshed[name], *relative_errors(squares))
-        total += squares
+    squares = {name: squared_norms(solution, last, model.layers[name], inside) for name in chosen}
+    errors = {name: LayerError(meshed[name], *relative_errors(square)) for name, square in squares.items()}
     goal_errors = {}
     for name, goal in checked.items():
         at = bounds.get(name, GoalBounds(goal.value(last, model), math.nan, math.nan))
         goal_errors[name] = _goal_error(name, values[name], goal.scale(last, model), at, bounded)
-    traction, jump = relative_errors(total)
+    traction, jump = relative_errors(sum(squares.values(), np.zeros(4)))
     seconds, by = time.perf_counter() - start, (layers, first, old, weights, checked, options)
     return Estimate(solution, last, errors, goal_errors, traction, jump, seconds, inside, energy, *by)
 
@@ -217,10 +214,9 @@ def _checked_goals(goals: Sequence[Goal]) -> dict[str, Goal]:
     goal_list = list(goals) if isinstance(goals, Sequence) else [goals]
     for goal in goal_list:
         require(isinstance(goal, Goal), "estimate: a goal", goal, "give those of thinlayer.goals")
+        good, allowed = isinstance(goal.name, str) and goal.name not in ESTIMATED_FIELDS, ", ".join(ESTIMATED_FIELDS)
+        require(good, "estimate: the name of a goal", goal.name, f"allowed: words other than {allowed}")
     names = [goal.name for goal in goal_list]
-    for name in names:
-        good = isinstance(name, str) and name not in ESTIMATED_FIELDS
-        require(good, "estimate: the name of a goal", name, f"allowed: words other than {', '.join(ESTIMATED_FIELDS)}")
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"estimate: two goals have the name {twice[0]!r}")
     return dict(zip(names, goal_list, strict=True))

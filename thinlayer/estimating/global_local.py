@@ -25,7 +25,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from dolfinx import fem
@@ -56,8 +57,7 @@ ENERGY_TOLERANCE = 1e-6  # gain of a Newton step over the gain of all steps at w
 DEFAULT_WIDTH = 0.05  # default width of bounds over the change at which steps end
 
 
-@dataclass(frozen=True)
-class BodyEquilibrium:
+class BodyEquilibrium(NamedTuple):
     """An iterate whose bodies are in equilibrium except on S: displacements, or the weights z of a goal.
 
     Attributes:
@@ -74,7 +74,7 @@ class BodyEquilibrium:
     F: Array
     load: Array
     values: Array
-    directions: tuple[tuple[Array, Array, Array, Array], ...] = field(default=(), repr=False)
+    directions: tuple[tuple[Array, Array, Array, Array], ...] = ()
     gained: float = 0.0
 
     def is_near(self, other: BodyEquilibrium) -> bool:
@@ -255,12 +255,12 @@ class GlobalLocal:
         length = (r @ v) / size
         directions, gained = (*old.directions, (d, v, F, Kd)), old.gained + float(length * (r @ v))
         u, v, F = old.u + length * d, old.v + length * v, old.F + length * F
-        return replace(old, u=u, v=v, F=F, directions=directions, gained=gained)
+        return old._replace(u=u, v=v, F=F, directions=directions, gained=gained)
 
     def _linearised(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """The iterate, after the layers have been linearised there."""
         self.layers.equilibrate_dirichlet(iterate.v)
-        return replace(iterate, load=self.layers.load, directions=())
+        return iterate._replace(load=self.layers.load, directions=())
 
     def _equilibrate_bodies(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
         """The iterate with bodies that are not linear in equilibrium except on S, to first order."""
@@ -270,7 +270,7 @@ class GlobalLocal:
         missing[self.layers.of_faces(iterate.F)[0]] = 0.0
         d = self.adjoint.displacements(np.arange(self.n), missing)
         v, F = iterate.v + self.layers.at_faces(d), iterate.F - self._face_forces(self._resistance(d))
-        return replace(iterate, u=iterate.u + d, v=v, F=F, gained=iterate.gained + self._work(missing, d))
+        return iterate._replace(u=iterate.u + d, v=v, F=F, gained=iterate.gained + self._work(missing, d))
 
     def _work(self, forces: Array, d: Array) -> float:
         """Work of nodal forces (m,) in small displacements (m,); none of reactions, though rounding moves supports."""
@@ -295,7 +295,7 @@ class GlobalLocal:
             nonlocal new
             u = iterate.u + share * du
             lack = self._missing_forces(u)
-            new = self._linearised(replace(aim, u=u, v=iterate.v + share * dv, F=self._face_forces(lack)))
+            new = self._linearised(aim._replace(u=u, v=iterate.v + share * dv, F=self._face_forces(lack)))
             return self._work(lack, du) - float(self.layers.dirichlet_reactions(new.v, new.load, new.values) @ dv)
 
         if (start := aim.gained - iterate.gained) > GAIN_TOLERANCE * abs(iterate.F @ iterate.v):

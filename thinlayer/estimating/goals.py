@@ -333,12 +333,10 @@ class Displacement(DirectedGoal):
         located = cells_at(model, [self.x], self.side, self.seam)
         e, V = self.unit(model), model.V
         original = model.domain.original_cells[: model.domain.mesh.topology.index_map(d).size_local]
-        mine = np.flatnonzero(original == located.entity[0])
-        dofs, values = np.empty(0, np.int64), np.empty(0)
-        if len(mine):
-            dofs = (V.dofmap.list[mine[0]][:, None] * d + np.arange(d)).ravel().astype(np.int64)
-            values = (V.ufl_element().basix_element.tabulate(0, located.X[:1])[0, 0, :, 0][:, None] * e).ravel()
-        return adjoint.nodal_weights(dofs, values), adjoint.zero_vector()
+        mine = np.flatnonzero(original == located.entity[0])[:1]  # none on the other ranks
+        dofs = (V.dofmap.list[mine].ravel()[:, None] * d + np.arange(d)).ravel().astype(np.int64)
+        values = (V.ufl_element().basix_element.tabulate(0, located.X[:1])[0, 0, :, 0][:, None] * e).ravel()
+        return adjoint.nodal_weights(dofs, values[: len(dofs)]), adjoint.zero_vector()
 
 
 @dataclass(frozen=True)

@@ -209,9 +209,8 @@ def _search(
 
 def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
     """Raise InputError if errors are not allowed, and no longer fall with the thickness."""
-    if passed or len(errors) <= FALLING_STEPS:
-        return
-    if errors[-1] > STALLED_ERROR_RATIO * max(errors[-1 - FALLING_STEPS : -1]) or len(errors) > MAX_STEPS:
+    least = STALLED_ERROR_RATIO * max(errors[-1 - FALLING_STEPS : -1], default=math.inf)
+    if not passed and len(errors) > FALLING_STEPS and (errors[-1] > least or len(errors) > MAX_STEPS):
         what = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there, and hardly falls"
         advice = "is the layer much softer than the bodies, and are there loads at this time?"
         raise InputError(f"thin_enough: {what} with it; {advice}")
