@@ -74,7 +74,7 @@ def test_the_stations_have_the_energy_of_an_end(dim, nu):
     assert energy(law.stations_at_ends(none)) == pytest.approx(plain, rel=1e-12)
     # with a pressure: the part of shear, which has none, and the flow
     law = Rubber(3.0, 0.7)
-    stations, infinite = law.stations_at_ends(replace(weights, flow=ufl.as_ufl(0.6))), law.stations()
+    stations, infinite = law.stations_at_ends(weights._replace(flow=ufl.as_ufl(0.6))), law.stations()
     only_shear = written(LinearElastic(0.0, 0.7), eps, n, m, jump, gradient, 0, 0.22, 1, 0.8)
     neither = written(LinearElastic(0.0, 0.7), eps, n, m, jump, gradient, 0, 0, 1, 1)
     assert energy(stations) - energy(infinite) == pytest.approx(only_shear - neither, rel=1e-10)
