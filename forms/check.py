@@ -83,9 +83,8 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
         for key in expressions:
             tensor = values(key, sample)
             if tensor is not None and tensor.ndim == 2 and (skew := _relative_difference(tensor, tensor.T)):
-                raise InputError(
-                    f"{name}.{key} is not symmetric: by {skew:.1e} of its size; use ufl.sym, or a vector (3,)"
-                )
+                what = f"{name}.{key} is not symmetric: by {skew:.1e} of its size"
+                raise InputError(f"{what}; use ufl.sym, or a vector (3,)")
         turned = [np.concatenate([change, sample[6:]]) for change in (e, -e, 3 * e[::-1])]
         tangents = [C for inputs in turned if (C := values("tangent", inputs)) is not None]
         for C in tangents:

@@ -181,9 +181,8 @@ class ContactLaw(Law):
             others: the law's other parameters, by name.
         """
         names = [f.name for f in fields(cls) if f.name not in ("K_N", "K_T")]
-        for name in others:
-            if name not in names:
-                raise InputError(f"{cls.__name__}.of_layer has no {name!r}; known: lmbda, mu, {', '.join(names)}")
+        for name in (name for name in others if name not in names):
+            raise InputError(f"{cls.__name__}.of_layer has no {name!r}; known: lmbda, mu, {', '.join(names)}")
         LinearElastic(lmbda, mu)  # raises InputError for moduli out of range
         return cls(K_N=lmbda + 2 * mu, K_T=mu, **others)
 

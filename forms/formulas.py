@@ -122,8 +122,7 @@ def prandtl_pressure(k: float) -> float:
     return (2 + math.pi) * k
 
 
-@dataclass(frozen=True)
-class PlasticCylinder:
+class PlasticCylinder(NamedTuple):
     """A thick-walled cylinder in plane strain under internal pressure, incompressible and ideally plastic.
 
     Von Mises' and Tresca's conditions are the same here, with the yield stress in shear k, because s_zz is the mean of

@@ -53,12 +53,10 @@ class ParameterField:
             TypeError: the function does not return n real numbers.
         """
         arguments = [operand(x) if isinstance(operand, ParameterField) else operand for operand in self.operands]
-        array = np.asarray(self.function(*arguments or [x.copy()]))
-        if array.dtype.kind not in "iuf":
-            raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
+        array = real_values(self.function(*arguments or [x.copy()]))
         if array.shape not in ((), x.shape[1:]):
             raise TypeError(f"it gives the shape {array.shape} for x of shape {x.shape}; allowed: {x.shape[1:]}")
-        values = np.broadcast_to(array, x.shape[1:]).astype(float)
+        values = np.array(np.broadcast_to(array, x.shape[1:]))
         if len(bad := np.flatnonzero(~np.isfinite(values))):
             raise ParameterRangeError(f"{values[bad[0]]}; allowed: finite numbers", int(bad[0]))
         return values
@@ -89,6 +87,17 @@ ParameterValue: TypeAlias = float | Array | ParameterField | Expr
 def as_parameter_field(value: Parameter) -> float | ParameterField:
     """Wrap a function as a `ParameterField`; return other values unchanged."""
     return ParameterField(value) if callable(value) and not isinstance(value, ParameterField) else value
+
+
+def real_values(values: object) -> Array:
+    """Convert to float64; raise TypeError for complex and boolean values, which numpy would convert silently."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iuf":
+        raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
+    flat = np.array(values, object).flat if isinstance(values, (list, tuple)) else ()
+    if any(isinstance(v, (bool, np.bool_)) for v in flat):
+        raise TypeError("it gives True or False among its values, which are not numbers")
+    return array.astype(float)
 
 
 def parameter_numbers(value: ParameterValue) -> Array:

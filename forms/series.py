@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from typing import ClassVar
 
 import ufl
@@ -79,14 +80,11 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
     stiffness, mu = [lmbda + 2 * mu for lmbda, mu in moduli], [mu for _, mu in moduli]
     whole, sheared = 1 / mean(1 / modulus for modulus in stiffness), 1 / mean(1 / modulus for modulus in mu)
     r = [lmbda / modulus for (lmbda, _), modulus in zip(moduli, stiffness, strict=True)]
-    normal, tangential, squared = [], [], []  # means of Phi_N, Phi_T and Phi_T^2 over each sublayer
-    at_n = at_t = -0.5
-    for a, modulus, shear in zip(fractions, stiffness, mu, strict=True):
-        step_n, step_t = a * whole / modulus, a * sheared / shear
-        normal.append(at_n + step_n / 2)
-        tangential.append(at_t + step_t / 2)
-        squared.append(at_t * at_t + at_t * step_t + step_t * step_t / 3)
-        at_n, at_t = at_n + step_n, at_t + step_t
+    steps_n = [a * whole / modulus for a, modulus in zip(fractions, stiffness, strict=True)]
+    steps_t = [a * sheared / shear for a, shear in zip(fractions, mu, strict=True)]
+    # for each sublayer: means of Phi_N, Phi_T and Phi_T^2
+    normal, tangential = ([at + step / 2 for at, step in _from_below(steps)] for steps in (steps_n, steps_t))
+    squared = [at * at + at * step + step * step / 3 for at, step in _from_below(steps_t)]
 
     def times(first: list[float], second: list[float]) -> list[float]:
         return [a * b for a, b in zip(first, second, strict=True)]
@@ -97,12 +95,15 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
 
     means = map(mean, (r, times(r, normal), times(r, tangential), normal, tangential))
     across = EqualTractionSublayers(whole - 2 * sheared, sheared, *means)
-    return [
-        Station(across, 1, lambda law, faces: law.strain(faces)),
-        along(-0.5, [2 * p - q for p, q in zip(squared, tangential, strict=True)]),
-        along(0.0, [1 - 4 * p for p in squared]),
-        along(0.5, [2 * p + q for p, q in zip(squared, tangential, strict=True)]),
-    ]
+    pairs = list(zip(squared, tangential, strict=True))
+    low, middle = [2 * p - q for p, q in pairs], [1 - 4 * p for p in squared]
+    in_s = along(-0.5, low), along(0.0, middle), along(0.5, [2 * p + q for p, q in pairs])
+    return [Station(across, 1, EqualTractionSublayers.strain), *in_s]
+
+
+def _from_below(steps: list[float]) -> Iterator[tuple[float, float]]:
+    """Value at the lower side of each sublayer, from -1/2 on, and its growth over the sublayer."""
+    return zip(accumulate(steps[:-1], initial=-0.5), steps, strict=True)
 
 
 @dataclass(frozen=True)

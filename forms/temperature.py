@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from forms.base import Array, InputError, require
-from forms.parameter_fields import failure_text, place_text
+from forms.parameter_fields import failure_text, place_text, real_values
 
 TemperatureFunction = Callable[[Array], npt.ArrayLike]  # (n,) temperatures -> (n,) values, numpy
 TemperatureField = Callable[[Array, float], npt.ArrayLike]  # places (d, n), time -> (n,) temperatures, numpy
@@ -41,17 +41,6 @@ class Tabulated:
         for outside in T[~((rows[0, 0] <= T) & (rows[-1, 0] >= T))][:1]:
             raise InputError(f"T is {outside:g}; the table knows {rows[0, 0]:g} to {rows[-1, 0]:g}")
         return np.asarray(np.interp(T, rows[:, 0], rows[:, 1]))
-
-
-def real_values(values: object) -> Array:
-    """Convert to float64; raise TypeError for complex and boolean values, which numpy would convert silently."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "iuf":
-        raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
-    flat = np.array(values, object).flat if isinstance(values, (list, tuple)) else ()
-    if any(isinstance(v, (bool, np.bool_)) for v in flat):
-        raise TypeError("it gives True or False among its values, which are not numbers")
-    return array.astype(float)
 
 
 def finite_values(values: object, *shapes: tuple[int, ...]) -> Array | None:

@@ -154,9 +154,8 @@ def _require_used(law: Law) -> None:
 def _own(kind: type, name: str) -> bool:
     """Whether an attribute of a class differs from the default of all laws."""
     defining = next((base for base in kind.__mro__ if name in vars(base)), None)
-    if defining is None or defining.__module__ in DEFAULT_MODULES:
-        return False
-    return getattr(vars(defining)[name], "__module__", None) not in DEFAULT_MODULES  # as restored by `_reset`
+    written = getattr(vars(defining)[name], "__module__", None) if defining else None  # also where `_reset` restored it
+    return defining is not None and not {defining.__module__, written} & {*DEFAULT_MODULES}
 
 
 def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> bool:

@@ -246,17 +246,15 @@ def surface(
         return Faces(n, eps, unit, ufl.zero(d, d), ufl.zero(3, 3), lambda gradient, u: ufl.zero(3, 3), slope)
 
     def at(station: AnyStation) -> Term:
-        surface_law = sides.law_on_surface(station.law)
-        return term(
-            station.law,
-            lambda u: station.strain(surface_law, sides.faces(u, eps, slope)),
-            weight * station.share,
-            prescribed_strain=None if prescribed_strain is None else station.strain(surface_law, fixed_faces),
-            flow=eps**3 * station.flow(surface_law),
-            traction=lambda stress: ufl.as_vector(
-                [eps * station.share * ufl.inner(stress, station.strain(surface_law, opened(i))) for i in range(d)]
-            ),
-        )
+        surface_law, share = sides.law_on_surface(station.law), station.share
+        strain = partial(station.strain, surface_law)
+
+        def traction(stress: Expr) -> Expr:
+            return ufl.as_vector([eps * share * ufl.inner(stress, strain(opened(i))) for i in range(d)])
+
+        fixed = None if prescribed_strain is None else strain(fixed_faces)
+        at_station = partial(term, prescribed_strain=fixed, flow=eps**3 * station.flow(surface_law), traction=traction)
+        return at_station(station.law, lambda u: strain(sides.faces(u, eps, slope)), weight * share)
 
     return [at(station) for station in (law.stations() if ends is None else law.stations_at_ends(ends))]
 

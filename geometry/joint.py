@@ -11,7 +11,7 @@ from itertools import chain
 import numpy as np
 
 from forms.base import InputError, is_finite, require
-from forms.temperature import finite_values
+from forms.temperature import checked_values, finite_values
 from geometry.identified_sides import Periods
 from geometry.refusals import place_text, refuse, require_known
 from geometry.seam import JUNCTIONS, LAYER, RESERVED_NAMES, S, Seam
@@ -393,18 +393,11 @@ class Joint:
             return values
         rows = self.rows_of(name)
         vertices, what = np.unique(self.table.vertices[rows]), "the thickness profile"
-        try:
-            thickness = np.asarray(profile(self.points[vertices].T))
-            if thickness.dtype.kind not in "fiu":
-                raise TypeError(f"it returns {thickness.dtype}")
-        except Exception as error:
-            raise InputError(f"{what} is not a numpy function of coordinates x (d, n): {error}") from error
-        if thickness.shape not in ((), vertices.shape):
-            raise InputError(f"{what} returns shape {thickness.shape} for {len(vertices)} points of S")
+        x, wanted = self.points[vertices], "it must be a numpy function of coordinates (d, n) that gives n numbers > 0"
+        thickness = checked_values(what, profile, x.T, wanted=wanted, where=lambda k: f" at {place_text(x[k])}")
+        for k in np.flatnonzero(thickness <= 0)[:1]:
+            raise InputError(f"{what} is {thickness[k]:g} at {place_text(x[k])}; it must be > 0 on S")
         values[vertices] = thickness
-        for vertex in vertices[~(np.isfinite(values[vertices]) & (values[vertices] > 0))][:1]:
-            place = place_text(self.points[vertex])
-            raise InputError(f"{what} is {values[vertex]:g} at {place}; it must be > 0 on S")
         if self.degree == 2:
             facet_type = FACET_TYPES[self.cell_type]
             surface, k = self.surface[np.searchsorted(self.surface_rows, rows)], corner_count(facet_type)

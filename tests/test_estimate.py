@@ -290,7 +290,7 @@ def test_what_has_no_estimate():
         (lambda: estimate(3), "the state is 3"),
         (lambda: estimate(limit, LAYER), "no others: no seam"),
         (lambda: estimate(solve(structure().full(LAYER))), "has all its meshes"),
-        (lambda: estimate(solve(two), LAYER, seam="A"), "'A' has a layer, and bonds are"),
+        (lambda: estimate(solve(two), LAYER, seam="A"), "'A' has a layer, and bonds are at B"),
         (lambda: dropped(tied), "tie nodes on S"),
         (lambda: asked("traction"), "a goal is 'traction'"),
         (lambda: asked(goals.Compliance(), goals.Compliance()), "two goals"),

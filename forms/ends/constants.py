@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -16,8 +16,7 @@ TABLE_COLUMNS = ("nu", "c_N", "m_N", "rho_N", "c_T", "m_T")
 TABLE_FILE = Path(__file__).parent / "table.csv"
 
 
-@dataclass(frozen=True)
-class FreeEnd:
+class FreeEnd(NamedTuple):
     """Constants of a free end, at a right angle to the faces, of an isotropic layer between much stiffer bodies.
 
     Plane strain, or plane stress with the ratio nu/(1 + nu). Lengths are over the thickness, stresses over mu, and

@@ -82,12 +82,11 @@ class _Part(NamedTuple):
         return cls(kind, points, whole[:owned], region, tagged, vertices, tags)
 
 
-def _tags(mesh: dolfinx.mesh.Mesh, tags: object, dim: int, what: str) -> tuple[Indices, IntArray]:
+def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int, what: str) -> tuple[Indices, IntArray]:
     """Local entities with a tag, and their tags; both empty without tags."""
     if tags is None:
         return np.empty(0, np.int32), np.empty(0, np.int64)
-    if not isinstance(tags, dolfinx.mesh.MeshTags):
-        raise InputError(f"{what} is {tags!r:.200}; give dolfinx.mesh.MeshTags")
+    require(isinstance(tags, dolfinx.mesh.MeshTags), what, tags, "give dolfinx.mesh.MeshTags")
     if tags.dim != dim:
         raise InputError(f"{what} are of entities of dimension {tags.dim}; those of this mesh have dimension {dim}")
     if tags.topology is not mesh.topology and tags.topology is not mesh.topology._cpp_object:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Self, TypeVar
+from typing import NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -49,8 +48,7 @@ def check_layering(n_cells: int, bodies: str) -> None:
     require(is_integer(n_cells, 1), "cells_through", n_cells, "the layer needs a whole number >= 1 of cells")
 
 
-@dataclass(frozen=True)
-class Layering:
+class Layering(NamedTuple):
     """Checked arguments of `inflate` for the layers of all seams.
 
     Attributes:

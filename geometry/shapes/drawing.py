@@ -266,10 +266,10 @@ class Prism(Shape):
 
 def _scaled(value: Any, factor: float) -> Any:
     """Scale numbers, arrays, items of tuples and mesh options; return other values unchanged."""
-    if isinstance(value, tuple):
-        return tuple(_scaled(part, factor) for part in value)
     if isinstance(value, MeshOptions):
         return value.scaled(factor)
+    if isinstance(value, tuple):
+        return tuple(_scaled(part, factor) for part in value)
     if isinstance(value, np.ndarray):
         return value * factor
     return scaled_length(value, factor) if is_number(value) else value

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Self, TypedDict, get_type_hints
+from typing import Any, NamedTuple, Self, TypedDict, get_type_hints
 
 import numpy as np
 
@@ -65,8 +64,7 @@ def require_width(what: str, size: float, largest: float) -> None:
         )
 
 
-@dataclass(frozen=True)
-class MeshOptions:
+class MeshOptions(NamedTuple):
     """Requested cells of a shape.
 
     Attributes:
@@ -111,11 +109,10 @@ class MeshOptions:
     def scaled(self, factor: float) -> MeshOptions:
         """The options with all sizes times a factor."""
         h, h_S, h_ends = (size and scaled_length(size, factor) for size in (self.h, self.h_S, self.h_ends))
-        return replace(self, h=h, h_S=h_S, h_ends=h_ends)
+        return self._replace(h=h, h_S=h_S, h_ends=h_ends)
 
 
-@dataclass(frozen=True)
-class Grading:
+class Grading(NamedTuple):
     """Cells along a line whose sizes grow by a constant factor.
 
     Attributes:

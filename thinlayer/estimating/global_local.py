@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -83,8 +83,7 @@ class BodyEquilibrium(NamedTuple):
         return all(np.abs(a - b).max(initial=0.0) <= ITERATE_TOLERANCE * np.abs(a).max(initial=0.0) for a, b in pairs)
 
 
-@dataclass(frozen=True)
-class GoalBounds:
+class GoalBounds(NamedTuple):
     """Estimate and bounds of a goal with the layer meshed.
 
     Attributes:
@@ -101,7 +100,7 @@ class GoalBounds:
     def within(self, other: GoalBounds) -> GoalBounds:
         """Intersection with earlier bounds; the estimate moves into it, as earlier bounds may be much better."""
         lower, upper = max(self.lower, other.lower), min(self.upper, other.upper)
-        return replace(self, estimate=min(max(self.estimate, lower), upper), lower=lower, upper=upper)
+        return self._replace(estimate=min(max(self.estimate, lower), upper), lower=lower, upper=upper)
 
     def is_narrow(self, value: float, share: float) -> bool:
         """Whether the width is at most a share of the change from `value`, or little more than rounding."""

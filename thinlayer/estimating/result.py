@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 from forms.base import Array
 from geometry.refusals import require_known
@@ -29,8 +30,7 @@ DENSITY_ERROR = 0.2  # relative error of the integral of a density above which t
 FIXED_GOAL_SHARE = 1e-10  # change of a goal, over its scale, that is only rounding: equilibrium determines the goal
 
 
-@dataclass(frozen=True)
-class GoalError:
+class GoalError(NamedTuple):
     """The estimated error of a goal.
 
     Attributes:
@@ -86,8 +86,7 @@ class GoalError:
         return abs(self.change) <= FIXED_GOAL_SHARE * self.scale
 
 
-@dataclass(frozen=True)
-class LayerError:
+class LayerError(NamedTuple):
     """The estimated errors of a layer.
 
     Attributes:

@@ -111,8 +111,7 @@ def thin_enough(
     def solved(model: Model) -> State | History:
         return solve(model, t, options=options) if times is None else march(model, times, options=options)
 
-    goals = (goal,) if isinstance(goal, Goal) else ()
-    quantity = goal if isinstance(goal, str) else goal.name
+    quantity, goals = (goal, []) if isinstance(goal, str) else (goal.name, [goal])
 
     begun = structure.interface(on_seams, bodies=bodies)
     made = begun.with_layer if bodies == "kept" else partial(structure.interface, bodies=bodies)
@@ -152,10 +151,9 @@ def _checked(
         thin, is_goal = on_seams.get(seam, layer), isinstance(goal, Goal) or goal in ESTIMATED_FIELDS
         if not isinstance(thin, ThinLayer):
             raise InputError(f"thin_enough: the layer is {thin!r:.200}; give a ThinLayer")
-        in_range = is_number(tolerance) and 0 < tolerance < 1
+        in_range, names = is_number(tolerance) and 0 < tolerance < 1, ", ".join(ESTIMATED_FIELDS)
         require(in_range, "thin_enough: the tolerance", tolerance, "allowed: between 0 and 1")
-        allowed = f"allowed: {', '.join(ESTIMATED_FIELDS)}, or one of thinlayer.goals"
-        require(is_goal, "thin_enough: the goal", goal, allowed)
+        require(is_goal, "thin_enough: the goal", goal, f"allowed: {names}, or one of thinlayer.goals")
         if bonded and goal == "jump":
             raise InputError("thin_enough: bonded bodies have no jump; take the traction, or a goal")
     return on_seams, thin
