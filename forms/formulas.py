@@ -296,18 +296,18 @@ class Bar:
 
         Equation (47) prints (k/(eps l)) K/K_eps, without delta, in the first case and likewise in the third.
         """
-        return self._response(delta, self.phase(delta)).sigma
+        return self.branch(delta, self.phase(delta)).sigma
 
     def U(self, delta: Array | float) -> Array:
         """Elongation of the layer: eps l sigma/k, then delta - sigma_m l (1 - eps)/K, then eps l (sigma + alpha)/k.
 
         The first and third cases before Eq. (47) print K delta/(K_eps (1 - eps)), which exceeds delta.
         """
-        return self._response(delta, self.phase(delta)).U
+        return self.branch(delta, self.phase(delta)).U
 
     def energy(self, delta: Array | float) -> Array:
         """Least energy of the bar per section, the right-hand side of Eq. (45) (a minimum over U)."""
-        return self._response(delta, self.phase(delta)).energy
+        return self.branch(delta, self.phase(delta)).energy
 
     def boundary(self, delta: Array | float) -> Array:
         """Length eps S of phase 0, from x = 0: eps l - (k/alpha)(delta - delta_0) while phases mix.
@@ -317,9 +317,16 @@ class Bar:
         return self.eps * self.l * (1 - np.abs(self.phase(delta)))
 
     # ------------------------------------------------------------ local minimisers
-    def branch(self, delta: Array | float, phase: int) -> BarResponse:
-        """Response with the whole layer in phase -1, 0 or 1, whether this is admissible or not."""
-        return self._response(delta, phase)
+    def branch(self, delta: Array | float, phase: Array | float) -> BarResponse:
+        """Response with signed fractions of the layer in phase 1 or -1, such as -1, 0 or 1, admissible or not."""
+        delta, phase = np.broadcast_arrays(np.asarray(delta, float), np.asarray(phase, float))
+        share = np.abs(phase)
+        sigma = np.asarray((delta - phase * self.free_elongation) / (self.l * self.R), float)
+        U = np.asarray(self.l * (sigma + self.alpha * phase) / self.kbar, float)
+        energy = self.l * self.R * sigma**2 / 2 + share * self.sigma_m * self.free_elongation
+        kept = (share == 1) | (np.abs(sigma) <= self.sigma_up)
+        changed = (share == 0) | (np.sign(phase) * sigma >= self.sigma_up - self.alpha)
+        return BarResponse(phase, sigma, U, energy, kept & changed)
 
     def layouts(self, delta: Array | float, n: int) -> BarResponse:
         """Responses of a layer of n equal elements with m = 0, ..., n of them in phase 1 (delta < 0: -1); last axis: m.
@@ -329,17 +336,7 @@ class Bar:
         like n^-2.
         """
         delta = np.asarray(delta, float)[..., None]
-        return self._response(delta, np.where(delta < 0, -1, 1) * (np.arange(n + 1) / n))
-
-    def _response(self, delta: Array | float, phase: Array | float) -> BarResponse:
-        delta, phase = np.broadcast_arrays(np.asarray(delta, float), np.asarray(phase, float))
-        share = np.abs(phase)
-        sigma = np.asarray((delta - phase * self.free_elongation) / (self.l * self.R), float)
-        U = np.asarray(self.l * (sigma + self.alpha * phase) / self.kbar, float)
-        energy = self.l * self.R * sigma**2 / 2 + share * self.sigma_m * self.free_elongation
-        kept = (share == 1) | (np.abs(sigma) <= self.sigma_up)
-        changed = (share == 0) | (np.sign(phase) * sigma >= self.sigma_up - self.alpha)
-        return BarResponse(phase, sigma, U, energy, kept & changed)
+        return self.branch(delta, np.where(delta < 0, -1, 1) * (np.arange(n + 1) / n))
 
     # ------------------------------------------------------------ a uniform layer that softens
     def layer(self, U: Array | float, mixing: float = 1.0) -> tuple[Array, Array, Array]:

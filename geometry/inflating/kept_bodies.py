@@ -61,10 +61,9 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
     due, mean = (wanted[at] * n).sum(axis=1), (np.bincount(at, eps) / np.bincount(at))[at]
     # layers of several thicknesses get the strict tolerance
     shallow = np.where(np.abs(eps - mean) > FLAT_GAP_TOLERANCE * mean, FLAT_GAP_TOLERANCE, CURVED_GAP_TOLERANCE)
-    for jump, least, allowed, reason in (
-        (wanted[at], eps, shallow, "S is not planar, as at {at}"),
-        (T[ends[:, 1]] - T[ends[:, 0]], due, FLAT_GAP_TOLERANCE, contradictory),
-    ):
+    separate = wanted[at], eps, shallow, "S is not planar, as at {at}"
+    together = T[ends[:, 1]] - T[ends[:, 0]], due, FLAT_GAP_TOLERANCE, contradictory
+    for jump, least, allowed, reason in (separate, together):
         gap = (jump * n).sum(axis=1)
         lean = np.linalg.norm(jump - gap[:, None] * n, axis=1)
         wrong = np.abs(gap - least) > allowed * eps + PLANAR_TOLERANCE * lean
