@@ -201,8 +201,7 @@ def _broadcast(values: Values, operand: Expr, axes: int, free: list[int]) -> Val
 def _scalar_function(part: Expr, values: tuple[float, ...]) -> float:
     """Evaluate a function of scalars, or a comparison, at numbers; NaN where it is undefined."""
     try:
-        function = part._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values)))
-        value = function.evaluate((0.0,), {}, (), {})
+        value = part._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values))).evaluate((0.0,), {}, (), {})
         return bool(value) if isinstance(value, (bool, np.bool_)) else _real(value)
     except (ValueError, ZeroDivisionError, OverflowError):
         return math.nan

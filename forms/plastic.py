@@ -24,8 +24,7 @@ MIN_ELASTIC_FRACTION = 1e-6  # smallest elastic fraction of the stiffness in con
 def require_hardening(law: Plastic | VonMises, *names: str) -> None:
     """Raise InputError unless these parameters and the saturation strain are >= 0, the latter > 0 if it is used."""
     require_nonnegative(law, *names, "saturation_strain")
-    in_range = law.saturation_strain > 0 or law.saturation == 0
-    law.require(in_range, "saturation_strain", "> 0 where saturation > 0")
+    law.require(law.saturation_strain > 0 or law.saturation == 0, "saturation_strain", "> 0 where saturation > 0")
 
 
 @dataclass(frozen=True)

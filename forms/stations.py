@@ -113,12 +113,11 @@ def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | 
             lmbda/mu > `LOCKING_RATIO`.
     """
     change = difference or (lambda law, faces: faces.change)
-    largest_ratio = math.inf if difference else LOCKING_RATIO
 
     def at(z: float) -> Callable[[LawType, Faces], Expr]:
         return lambda law, faces: faces.across() + faces.mean + z * change(law, faces)
 
-    return [Station(law, 1 / 2, at(z), largest_ratio=largest_ratio) for z in GAUSS_HEIGHTS]
+    return [Station(law, 1 / 2, at(z), largest_ratio=math.inf if difference else LOCKING_RATIO) for z in GAUSS_HEIGHTS]
 
 
 def pressure_stations(law: PressureLaw) -> list[AnyStation]:

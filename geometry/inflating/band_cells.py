@@ -194,13 +194,12 @@ def band_cells(
     cells, sublayer, director = [], [], []
     k, top = joint.corners.shape[1], len(heights) - 1
     for base in range(0, top, degree):
-        middle = (heights[base] + heights[base + degree]) / 2
         for picked, offsets in patterns:
             at = np.take_along_axis(footing.lines[rows], picked, axis=1)
             turned = np.take_along_axis(footing.turned[rows], picked, axis=1)
             cells.append(lines.number(at, np.where(turned, top - base - offsets, base + offsets)))
             director.append(np.take_along_axis(normals, picked[:, :k, None], axis=1))
-            sublayer.append(np.full(len(surface), np.searchsorted(edges, middle)))
+            sublayer.append(np.full(len(surface), np.searchsorted(edges, (heights[base] + heights[base + degree]) / 2)))
     return np.concatenate(cells), np.concatenate(sublayer), np.concatenate(director)
 
 

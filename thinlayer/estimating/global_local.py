@@ -210,8 +210,7 @@ class GlobalLocal:
         """Nodal weights q (m,) of a goal at the displacements of this rank, and its adjoint solution z."""
         q, g = goal.dual(self.adjoint)
         if self.model.linear and goal.is_linear(self.model):
-            in_layers = bool(goal.in_layers(self.layers)[0].any())
-            self.adjoint.require_dual(goal.name, goal.value, q, g, layers=in_layers)
+            self.adjoint.require_dual(goal.name, goal.value, q, g, layers=bool(goal.in_layers(self.layers)[0].any()))
         b = q.array_r[: self.n].copy()
         z = self.adjoint.weights(q, g).u.x.array[: self.n].copy()
         with self._transposed():

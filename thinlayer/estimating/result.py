@@ -160,8 +160,7 @@ class Estimate:
             InputError: no such goal.
         """
         require_known("goal", goal, self._goals, "estimate")
-        of_laws = self._first if self.state.model.bonds else self.state
-        with Adjoint(of_laws, self._old, self._options) as adjoint:
+        with Adjoint(self._first if self.state.model.bonds else self.state, self._old, self._options) as adjoint:
             iteration = GlobalLocal(adjoint, self._layers)
             density = change_density(iteration, self.state, self.better, self._weights[goal])
             linear = iteration.model.linear and self._goals[goal].is_linear(iteration.model)
