@@ -21,7 +21,7 @@ from geometry.refusals import place_text
 from geometry.sheet import Rim, straight_ends
 from geometry.topology import BoolArray, FloatArray
 from thinlayer.discretisation.boundary import lies_across_axis
-from thinlayer.discretisation.layer import SeamLayer, SurfaceLaw, ThinLayer, law_with_numbers
+from thinlayer.discretisation.layer import SeamLayer, ThinLayer, law_with_numbers
 from thinlayer.discretisation.prescribed_strains import SINGULARITY_TOLERANCE
 from thinlayer.discretisation.sides import FLAT_DIRECTION_SHARE, FacetWeights, constrained_directions, side_kinds
 from thinlayer.errors import Violation
@@ -187,23 +187,19 @@ def softest_body(seam_layer: SeamLayer) -> float:
 # ---------------------------------------------------------------- conditions, in the order in which they are checked
 def _law_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for a law of order 0 and for a meshed layer."""
-    seam_layer, layer, structure = r.layer, r.layer.layer, r.layer.structure
-    if not isinstance(layer, ThinLayer | SurfaceLaw):
-        yield Violation("no layer", f"the layer is {layer!r}", "give ThinLayer(law, eps), or a law of jumps or contact")
+    seam_layer, structure, element = r.layer, r.layer.structure, r.layer.structure.element
     seam_layer.law.check_dimension(structure.joint.dim)
     if seam_layer.contact:
-        reason = f"a contact law acts at nodes, and in {structure.element}"
-        if structure.element == "S2":
+        reason = f"a contact law acts at nodes, and in {element}"
+        if element == "S2":
             yield Violation("element", f"{reason} unknowns have no places", "use element='Q2'")
-        if structure.element == "P2" and structure.joint.dim == 3:
+        if element == "P2" and structure.joint.dim == 3:
             remedy = "use element='P1', or hexahedra with element='Q2'"
             yield Violation("element", f"{reason} vertices bear no uniform pressure", remedy)
         seam_layer.contact.check_threshold()
         return
-    if seam_layer.law.traits.constrained and structure.element not in ("P2", "Q2"):
-        yield Violation(
-            "element", f"an incompressible layer needs elements P2 or Q2, not {structure.element}", "give them"
-        )
+    if seam_layer.law.traits.constrained and element not in ("P2", "Q2"):
+        yield Violation("element", f"an incompressible layer needs elements P2 or Q2, not {element}", "give them")
     if seam_layer.thin_layer:  # a user's function may fail on one rank only
         structure.joint.relative_thickness(seam_layer.thin_layer.profile, seam_layer.name)
     for sample in seam_layer.samples:

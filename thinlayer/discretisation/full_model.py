@@ -29,7 +29,6 @@ from thinlayer.discretisation.mesh_functions import band_of, director
 from thinlayer.discretisation.model import Model
 from thinlayer.discretisation.supports import Place
 from thinlayer.errors import Violation
-from thinlayer.pointwise.quadrature import quadrature_degree
 
 if TYPE_CHECKING:
     from thinlayer.discretisation.structure import Structure
@@ -50,7 +49,8 @@ class FullModel(Model):
     def __init__(
         self, structure: Structure, layer: Layers, bodies: str, cells_through: int, junctions: str | None
     ) -> None:
-        self._bodies, self._cells_through, self._junctions = bodies, cells_through, junctions
+        self._bodies, self._cells_through = bodies, cells_through
+        self._junctions = () if junctions is None else (junctions,)
         chosen = {} if junctions is None else {"junctions": junctions}
         super().__init__(structure, layer, bodies=bodies, cells_through=cells_through, **chosen)
 
@@ -63,21 +63,18 @@ class FullModel(Model):
         if self._bodies == "kept":
             require_shifts(self.structure.kinematics, self.joint)
         self._check_layers()
-        gaps, first = self.gaps, () if self._junctions is None else (self._junctions,)
-        for name in first:
+        for name in self._junctions:
             require_known("seam", name, self.layers, "junctions")
         thin = {name: seam_layer.as_thin_layer for name, seam_layer in self.layers.items()}
-        eps = {name: layer.eps for name, layer in (thin | gaps).items()}
+        eps = {name: layer.eps for name, layer in (thin | self.gaps).items()}
         if (thickest := max(eps.values(), default=0.0)) > MAX_THICKNESS * self.joint.size:
             sizes = f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}"
             raise InputError(f"{sizes}: their shape is lost in rounding; is eps in the unit of the mesh?")
         profiles = {name: layer.profile for name, layer in thin.items()}
         fractions = {name: layer.fractions for name, layer in thin.items()}
-        inflating = partial(inflate, self.joint, eps, profile=profiles, fractions=fractions, bodies=self._bodies)
-        junctions, count = (*first, *thin), self._cells_through
-        inflated = on_root(
-            self.structure.comm, lambda: inflating(cells_through=count, junctions=junctions, gaps=[*gaps])
-        )
+        first_seams, count, gaps = (*self._junctions, *thin), self._cells_through, [*self.gaps]
+        inflating = partial(inflate, self.joint, eps, cells_through=count, bodies=self._bodies, junctions=first_seams)
+        inflated = on_root(self.structure.comm, partial(inflating, profile=profiles, fractions=fractions, gaps=gaps))
         self._check_junctions(band_of(inflated))
         require_revolution(self.structure.kinematics, inflated)
         self.inflated = inflated
@@ -116,15 +113,12 @@ class FullModel(Model):
         for name, seam_layer in self.layers.items():
             sublayers = law_with_numbers(seam_layer.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
-                rule = self._rule(self.dx)
                 if law.traits.softens:  # at points as dense along S as on S in an interface model
-                    law = law if law.traits.compiled else law.for_points()
-                    degree = quadrature_degree(self.V, ufl.dS) + self.kinematics.degree
-                    rule = {"metadata": {"quadrature_degree": degree}}
-                elif not rule and needs_director(law):  # UFL would take degree 100 for its square root
-                    rule = {"metadata": {"quadrature_degree": quadrature_degree(self.V, self.dx)}}
-                law = law if law.traits.compiled else law_with_constants(law, mesh)
+                    law, rule = law if law.traits.compiled else law.for_points(), self._rule(ufl.dS, always=True)
+                else:  # UFL would take degree 100 for the square root of the director
+                    rule = self._rule(self.dx, always=needs_director(law))
                 cells = self.dx(self.domain.cell_values(region, *self._shared(name)), **rule)
+                law = law if law.traits.compiled else law_with_constants(law, mesh)
                 term = forms.band(law, cells, n, self.kinematics)
                 terms.append(replace(term, key=seam_layer.key, prescribed_strain=self.layer_strains[name]))
         return terms

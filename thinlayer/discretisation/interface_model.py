@@ -68,8 +68,8 @@ class InterfaceModel(Model):
         require_revolution(self.structure.kinematics, joint)
         return joint
 
-    def _forces(self, structure: Structure) -> Forces:
-        forces = super()._forces(structure)  # first, as it raises errors about bad data
+    def _forces(self) -> Forces:
+        forces = super()._forces()  # first, as it raises errors about bad data
         for layer in self.layers.values():
             if layer.thin_layer and layer.thin_layer.order == 1:
                 add_side_loads(forces, self, layer, self.sides_of(layer.name))
@@ -128,8 +128,7 @@ class InterfaceModel(Model):
         names = tuple(joint.seams) if name == S else (name,)
         based = [seam in joint.base_seams for seam in names]
         if all(based):
-            measure = self.ds(self.domain.values(name))
-            return Interface.on_rigid_base(measure, self.kinematics, to_s)
+            return Interface.on_rigid_base(self.ds(self.domain.values(name)), self.kinematics, to_s)
         if any(based):
             raise InputError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
         numbers = tuple(list(joint.seams).index(seam) + 1 for seam in names)
@@ -179,10 +178,8 @@ class InterfaceModel(Model):
     def terms_of(self, layer: SeamLayer) -> list[forms.Term]:
         """Return the terms on S of a layer without a contact law."""
         mesh, law, sides = self.domain.mesh, law_with_numbers(layer.layer, self.kinematics), self.sides_of(layer.name)
-        measure = sides.measure.reconstruct(**self._rule(sides.measure))
-        if self._middle:  # UFL would estimate a high degree for its slopes and lengths
-            degree = quadrature_degree(self.V, measure) + self.kinematics.degree
-            measure = measure(metadata={"quadrature_degree": degree})
+        # UFL would estimate a high degree for slopes and lengths of the middle
+        measure = sides.measure.reconstruct(**self._rule(sides.measure, always=self._middle))
         on_surface = partial(_law_on_surface, self.domain, self.joint, layer.name, sides.upper)
         sides = replace(sides, measure=measure, law_on_surface=on_surface)
         if layer.thin_layer is None:
@@ -192,7 +189,7 @@ class InterfaceModel(Model):
             slope = self._middle.slope(sides) if self._middle and layer.thin_layer.profile else None
             weights = self.applicability[layer.name].weights
             ends = weights.expressions(self.domain, sides) if weights else None
-            if ends is not None:
+            if weights:
                 finer = {"quadrature_degree": quadrature_degree(self.V, measure) + END_DEGREE_INCREASE}
                 sides = replace(sides, measure=measure.reconstruct(metadata=finer))
             terms = forms.surface(law, sides, eps, layer.thin_layer.order, self.layer_strains[layer.name], slope, ends)

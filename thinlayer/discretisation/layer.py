@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ from forms.law_tangents import declared_or_computed_tangent, is_checked_at_rest,
 from forms.tensors import Expr, average_lame
 from forms.traction import TractionLaw
 from geometry.domain import Domain, create_connectivity
-from geometry.joint import Joint, Profile
+from geometry.joint import Profile
 from geometry.seam import S
 from geometry.sheet import Sheet
 from geometry.topology import Indices, IntArray
@@ -31,7 +31,6 @@ from thinlayer.system.compat import exterior_facet_entities, interior_facet_enti
 from thinlayer.system.fingerprint import describe
 
 if TYPE_CHECKING:
-    from thinlayer.discretisation.forces import BodyForce
     from thinlayer.discretisation.model import Model
     from thinlayer.discretisation.structure import Structure
 
@@ -215,41 +214,39 @@ class SeamLayer:
         name: name of the seam.
         layer: the layer as the user wrote it.
         structure: the data of the bodies, a `Structure`.
+        law: the law as the user wrote it.
+        kind: name of the law's class.
+        thin_layer: the layer if it has a law of strains; else None.
+        contact: the law if it is a contact law; else None.
+        remembers: whether the law depends on its history, and may dissipate energy.
+        has_pressure_flow: whether the interface law is of order 1 and has a pressure, which causes a flow along S.
+        key: key of the law's memory and stored energy; it contains the seam's name if the joint has several seams.
+            Several terms of one layer have the keys "layer NAME/1", "layer NAME/2", ...; names of seams have no slash.
+
+    Raises:
+        InputError: `layer` is not a layer.
     """
 
     def __init__(self, name: str, layer: Layer, structure: Structure) -> None:
+        wanted = "give ThinLayer(law, eps), or a law of jumps or contact"
+        require(isinstance(layer, ThinLayer | SurfaceLaw), "the layer", layer, wanted)
         self.name, self.layer, self.structure = name, layer, structure
+        self.law: Law = layer.law if isinstance(layer, ThinLayer) else layer
+        self.thin_layer = layer if isinstance(layer, ThinLayer) else None
+        self.contact = layer if isinstance(layer, ContactLaw) else None
+        self.kind, traits = type(self.law).__name__, self.law.traits
+        self.remembers = traits.rate or traits.remembers
+        self.has_pressure_flow = isinstance(layer, ThinLayer) and layer.order == 1 and traits.constrained
+        self.key = str(
+            Key(CONTACT_KIND if self.contact else LAYER_KIND, name if len(structure.joint.seams) > 1 else "")
+        )
 
     def __str__(self) -> str:
         return f"the layer {self.name!r}" if len(self.structure.joint.seams) > 1 else "the layer"
 
-    @property
-    def key(self) -> str:
-        """Key of the law's memory and stored energy; it contains the seam's name if the joint has several seams.
-
-        Several terms of one layer have the keys "layer NAME/1", "layer NAME/2", ...; names of seams have no slash.
-        """
-        several = len(self.structure.joint.seams) > 1
-        return str(Key(CONTACT_KIND if self.contact else LAYER_KIND, self.name if several else ""))
-
-    @property
-    def pressure_key(self) -> str:
-        """Key of the layer's pressure, if its law has one."""
-        return str(Key.parse(self.key).pressure)
-
     def owns_key(self, key: str) -> bool:
         """Whether a key belongs to a term of this layer, or to its pressure."""
         return Key.parse(key).belongs_to(Key.parse(self.key))
-
-    @property
-    def has_pressure_flow(self) -> bool:
-        """Whether the interface law is of order 1 and has a pressure, which causes a flow along S."""
-        return self.thin_layer is not None and self.thin_layer.order == 1 and self.thin_layer.law.traits.constrained
-
-    @property
-    def thin_layer(self) -> ThinLayer | None:
-        """The layer if it has a law of strains; else None."""
-        return None if isinstance(self.layer, SurfaceLaw) else self.layer
 
     @property
     def as_thin_layer(self) -> ThinLayer:
@@ -261,26 +258,6 @@ class SeamLayer:
     def eps(self) -> float:
         """Thickness of a layer with a law of strains; if it varies, the thickness that its profile multiplies."""
         return float(self.as_thin_layer.eps)
-
-    @property
-    def contact(self) -> ContactLaw | None:
-        """The law if it is a contact law; else None."""
-        return self.layer if isinstance(self.layer, ContactLaw) else None
-
-    @property
-    def law(self) -> Law:
-        """The law as the user wrote it."""
-        return self.layer if isinstance(self.layer, SurfaceLaw) else self.layer.law
-
-    @property
-    def kind(self) -> str:
-        """Name of the law's class."""
-        return type(self.law).__name__
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the law depends on its history, and may dissipate energy."""
-        return self.law.traits.rate or self.law.traits.remembers
 
     @cached_property
     def sheet(self) -> Sheet:
@@ -325,30 +302,25 @@ class SeamLayer:
     def identity(self) -> dict[str, object]:
         """Description of the layer without its law, as JSON."""
         thin = self.thin_layer
-        return {
-            "eps": float(thin.eps) if thin else None,
-            "order": thin.order if thin else None,
-            "profile": self.profile,
-            **({"eigenstrain": describe(thin.eigenstrain)} if thin and thin.eigenstrain is not None else {}),
-        }
+        eps, order, strain = (float(thin.eps), thin.order, thin.eigenstrain) if thin else (None, None, None)
+        optional = {} if strain is None else {"eigenstrain": describe(strain)}
+        return {"eps": eps, "order": order, "profile": self.profile, **optional}
 
 
-def loads_of_layers(
-    force: BodyForce | None, joint: Joint, layers: Mapping[str, SeamLayer], bonds: Sequence[str]
-) -> dict[str, Load]:
-    """Map names of seams to forces per volume of their layers, from the user's body forces; bonds are left out.
+def loads_of_layers(model: Model) -> dict[str, Load]:
+    """Map names of a model's seams to forces per volume of their layers, from its body forces; bonds are left out.
 
     Raises:
         InputError: a load on a seam whose layer has no thickness, or that has no layer.
     """
+    force, layers = model.structure.body_force, model.layers
     named = force if isinstance(force, Mapping) else {}
-    loads = [(seam, named[name]) for name in named for seam in joint.seams if name in (S, seam) and seam not in bonds]
-    for seam, _ in loads:
-        if seam not in layers or not layers[seam].thin_layer:
-            raise InputError(
-                f"body force in the layer {seam!r}: it has no layer with a thickness, so no weight is known"
-            )
-    return dict(loads)
+    seams = [seam for seam in model.joint.seams if seam not in model.bonds]
+    loads = {seam: named[name] for name in named for seam in seams if name in (S, seam)}
+    for seam in (seam for seam in loads if seam not in layers or not layers[seam].thin_layer):
+        reason = "it has no layer with a thickness, so no weight is known"
+        raise InputError(f"body force in the layer {seam!r}: {reason}")
+    return loads
 
 
 def seam_entities(domain: Domain, name: str) -> Indices:

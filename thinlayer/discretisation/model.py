@@ -16,7 +16,6 @@ from dolfinx import fem
 
 from forms import work as forms
 from forms.base import InputError
-from forms.contact import ContactLaw
 from forms.law import BulkLaw
 from forms.tensors import Expr
 from geometry.domain import Domain
@@ -134,11 +133,15 @@ class Model(ABC):
         plane, element, body_laws: as in the structure.
         on_seams: name of a seam -> its content: a layer, a `Bond`, a `Gap` or None.
         layers: name of a seam -> its layer, in the joint's order.
+        bonds: names of the seams whose bodies are bonded.
+        gaps: name of a seam -> its `Gap`; open seams without a width are left out.
         contacts: name of a seam -> its contact law.
+        contact: a contact law, if a layer has one.
         applicability: name of a seam -> whether an interface law can replace its layer, or why not.
         domain: the distributed mesh.
         comm: the domain's communicator.
         V: displacement space; broken across S in the interface model.
+        unknowns: number of displacement dofs, those at supports included.
         dx, ds: measures of the mesh with its tags, for user-defined terms. With such a term the residual at u is
             `work(model.terms_at(t), u, v) - model.external_work(v, t) + term * model.dx`, without compiled or nodal
             laws. Compile it with `model.form`: DOLFINx 0.9 itself loses integrals over overlapping tags whose
@@ -179,6 +182,7 @@ class Model(ABC):
         self.centre = moment_centre(structure.kinematics, np.asarray(inflated.points.mean(axis=0), float))
         self.V = self.space(structure.degree, family="S" if self.element[0] == "S" else None)
         collect(self.comm, self.V)
+        self.unknowns = int(self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs)
         self.kinematics = structure.kinematics.on(self.domain.mesh)
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
@@ -193,10 +197,10 @@ class Model(ABC):
                 self.require("mean strain")
             strain, stress = structure.strain, structure.stress
             self.strain = None if strain is None else MeanStrain(strain, self.coordinates, self.joint)
-        self.bodies = self._strained([term for names in self._body_groups() for term in self._body_terms(names)])
+        self.bodies = self._strained(self._terms_of_bodies())
         self.layer_terms = self._terms_of_layers()
         with errors_on_all(self.comm):
-            self.forces = self._forces(structure)
+            self.forces = self._forces()
         with errors_on_all(self.comm):
             self.stress = None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids)
         self.parts = structure.parts
@@ -229,7 +233,10 @@ class Model(ABC):
             self.on_seams: dict[str, SeamContent] = value_by_seam(self.joint, data, "layer")
             layers = {name: value for name, value in self.on_seams.items() if not isinstance(value, Gap | Bond | None)}
             self.layers = {name: SeamLayer(name, content, structure) for name, content in layers.items()}
+            self.bonds = tuple(name for name, content in self.on_seams.items() if isinstance(content, Bond))
+            self.gaps = {name: content for name, content in self.on_seams.items() if isinstance(content, Gap)}
             self.contacts = {name: layer.contact for name, layer in self.layers.items() if layer.contact}
+            self.contact = next(iter(self.contacts.values()), None)
             self.applicability = {name: Applicability(layer, self._bodies) for name, layer in self.layers.items()}
             checked = check()
         same = require_same(structure.comm, model=self.name, layer=data, options=self._options)
@@ -246,24 +253,22 @@ class Model(ABC):
         """Return the strain to add to that of the displacements in a layer; None without an eigenstrain."""
         return layer.prescribed_strain(self.coordinates)
 
-    def _body_groups(self) -> list[list[str]]:
-        """Names of the bodies, grouped by law and eigenstrain."""
+    def _terms_of_bodies(self) -> list[forms.Term]:
+        """Terms of the bodies: one for each compiled law of a body, one for all others with one law and eigenstrain."""
         groups: dict[tuple[int, int], list[str]] = {}
         for name, law in self.body_laws.items():
             groups.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
-        return [*groups.values()]
-
-    def _body_terms(self, names: Sequence[str]) -> list[forms.Term]:
-        """Terms of bodies with one law and one eigenstrain: one term in UFL forms, one per body for compiled laws."""
-        law, strain = self.kinematics.law(self.body_laws[names[0]]), self.body_strains[names[0]]
-        if not law.traits.compiled:
-            law, some = law_with_constants(law, self.domain.mesh), {"": names}
-        else:
-            some = {str(Key(BODY_KIND, name)): (name,) for name in names}
-        cells = {key: self.dx(self.domain.cell_values(*here), **self._rule(self.dx)) for key, here in some.items()}
-        volume = self.volume_degree(law)
-        each = {key: forms.body(law, measure, self.kinematics, volume) for key, measure in cells.items()}
-        return [checked_term(replace(p, key=k, prescribed_strain=strain), self.V, self.origin) for k, p in each.items()]
+        terms = []
+        for names in groups.values():
+            law = self.kinematics.law(self.body_laws[names[0]])
+            law = law if law.traits.compiled else law_with_constants(law, self.domain.mesh)
+            regions = {str(Key(BODY_KIND, name)): [name] for name in names} if law.traits.compiled else {"": names}
+            for key, here in regions.items():
+                cells = self.dx(self.domain.cell_values(*here), **self._rule(self.dx))
+                term = forms.body(law, cells, self.kinematics, self.volume_degree(law))
+                term = replace(term, key=key, prescribed_strain=self.body_strains[names[0]])
+                terms.append(checked_term(term, self.V, self.origin))
+        return terms
 
     def _terms_of_layers(self) -> list[forms.Term]:
         terms = [checked_term(term, self.V, self.origin) for term in self._layer_terms()]
@@ -273,11 +278,11 @@ class Model(ABC):
         return Supports(self.domain, supports, self.coordinates.detached, self._clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
-    def _forces(self, structure: Structure) -> Forces:
+    def _forces(self) -> Forces:
         at = self.coordinates.detached
-        points = ConcentratedForms(self.domain, self.joint, structure.degree, at)
-        forces = Forces(self.domain, self.kinematics, points, structure)
-        for name, load in loads_of_layers(structure.body_force, self.joint, self.layers, self.bonds).items():
+        points = ConcentratedForms(self.domain, self.joint, self.structure.degree, at)
+        forces = Forces(self.domain, self.kinematics, points, self.structure)
+        for name, load in loads_of_layers(self).items():
             forces.add_layer(name, load, self._place_of(self.layers[name]), self._coordinates_on(at))
         return forces
 
@@ -303,16 +308,6 @@ class Model(ABC):
     def surface_identity(self) -> object:
         """Object that models share (`is`) if fields on S of one fit the facets of the other."""
         return self.joint.points  # which joints with other seams or periods take from the first one
-
-    @property
-    def bonds(self) -> tuple[str, ...]:
-        """Names of the seams whose bodies are bonded."""
-        return tuple(name for name, content in self.on_seams.items() if isinstance(content, Bond))
-
-    @property
-    def gaps(self) -> dict[str, Gap]:
-        """Name of a seam -> its `Gap`; open seams without a width are left out."""
-        return {name: content for name, content in self.on_seams.items() if isinstance(content, Gap)}
 
     @abstractmethod
     def _checked(self) -> Joint:
@@ -348,7 +343,7 @@ class Model(ABC):
             self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
         self.layer_terms = self._terms_of_layers()
         with errors_on_all(self.comm):
-            self.forces = self._forces(self.structure)
+            self.forces = self._forces()
             if self.strain or self.stress:
                 self.require("mean strain")
             if self.stress and not self.broken:
@@ -365,11 +360,8 @@ class Model(ABC):
     def _require_shapes(self, other: Self) -> None:
         """Raise InputError unless layers and gaps have the shapes for which another model's bodies have made room."""
         count = 2 if self.broken else 3  # sublayers have cells in meshed layers only
-        needed, made = (
-            {name: ("a gap", gap.eps) for name, gap in model.gaps.items()}
-            | {name: layer.shape[:count] for name, layer in model.layers.items()}
-            for model in (self, other)
-        )
+        shapes = ({name: layer.shape[:count] for name, layer in model.layers.items()} for model in (self, other))
+        needed, made = (model.gaps | shape for model, shape in zip((self, other), shapes, strict=True))
         for name in (name for name in needed if needed[name] != made.get(name)):
             room = f"{name!r} of (thickness, profile, fractions) {made.get(name)}, not {needed[name]}"
             raise InputError(f"bodies have made room for a layer {room}; make a model of its own")
@@ -406,7 +398,7 @@ class Model(ABC):
                 expected, other = ([(place, sorted(components)) for place, components in bcs.entries] for bcs in both)
                 if expected != other:
                     raise InputError(f"supports hold {other}, those of the model {expected}; build another structure")
-            new.forces = new._forces(structure)
+            new.forces = new._forces()
         if supports is not None:
             new.constraints = new._constrained()
         new.description = new._data()
@@ -428,7 +420,7 @@ class Model(ABC):
         terms = [replace(p, prescribed_strain=None) for p in self.layer_terms]
         new.layer_terms = terms if self.broken else new._strained(terms)
         new.structure = self.structure.with_loads(tractions={}, body_force={}, loads=())
-        new.forces = new._forces(new.structure)
+        new.forces = new._forces()
         return new
 
     def _relative(self) -> Self:
@@ -473,9 +465,12 @@ class Model(ABC):
         return vector_space(self.domain, cut, degree, family or "Lagrange")
 
     # ---------------------------------------------------------------- where laws act
-    def _rule(self, measure: ufl.Measure) -> dict[str, dict[str, int]]:
-        """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice."""
-        if not (is_tensor(self.joint.cell_type) or self.kinematics.degree):
+    def _rule(self, measure: ufl.Measure, *, always: object = False) -> dict[str, dict[str, int]]:
+        """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice.
+
+        With `always` it is `quadrature_degree` on all cells, for laws of which UFL would estimate a high degree.
+        """
+        if not (always or is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
@@ -524,11 +519,6 @@ class Model(ABC):
     def quadratures(self) -> dict[str, Quadrature]:
         """The quadrature points of compiled laws, by the keys of their memory. Collective."""
         return {key: Quadrature(self.V, p, self.origin) for key, p in compiled_terms(self.terms).items()}
-
-    @property
-    def contact(self) -> ContactLaw | None:
-        """A contact law, if a layer has one."""
-        return next(iter(self.contacts.values()), None)
 
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Sum values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
@@ -584,8 +574,7 @@ class Model(ABC):
 
     def applied(self, t: float) -> Resultant:
         """Resultant of all loads at a time, about `centre`. Collective."""
-        forces = self.forces
-        loads = resultants_of_loads(self, t, lambda v: {"": forces.work(v), **forces.work_on_bases(v)})
+        loads = resultants_of_loads(self, t, lambda v: {"": self.forces.work(v), **self.forces.work_on_bases(v)})
         return reduce(add, loads.values())
 
     @staticmethod
@@ -620,11 +609,6 @@ class Model(ABC):
             **({"stress": describe(self.structure.stress)} if self.stress else {}),
             **({"eigenstrains": describe(self.structure.eigenstrains)} if self.structure.eigenstrains else {}),
         }
-
-    @property
-    def unknowns(self) -> int:
-        """Number of displacement dofs, those at supports included."""
-        return int(self.V.dofmap.index_map.size_global * self.V.dofmap.index_map_bs)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.element}, {self.unknowns} unknowns)"

@@ -238,7 +238,7 @@ def _largest_tension(applicability: Applicability, state: State) -> float:
     It is 0 for a layer without pressure flow, and without tension.
     """
     layer = applicability.layer
-    p = state.fields.get(layer.pressure_key) if layer.has_pressure_flow else None
+    p = state.fields.get(str(Key.parse(layer.key).pressure)) if layer.has_pressure_flow else None
     if p is None:
         return 0.0
     n_owned = p.function_space.dofmap.index_map.size_local
