@@ -50,7 +50,6 @@ def elastic(ratio):
 TABLE = {
     "interface law": [
         (None, thin(), {}),
-        ("no layer", "glue", {}),
         ("element", CONTACT, {"element": "S2", "joint": sandwich(4.0, 1.0, 1.0, 1.0, cell="quadrilateral")}),
         (None, CONTACT, {"element": "P1"}),
         ("element", thin(Incompressible(40.0), 0), {"element": "P1"}),
@@ -138,7 +137,7 @@ def test_the_first_condition_that_does_not_hold(question, key, layer, setup):
 def test_models_ask():
     """What an interface law cannot do a meshed layer may."""
     wedge = Structure(PLATES, body=BODY, supports={"BOTTOM": 0.0})
-    assert refused(InputError, "", wedge.full, "glue").key
+    assert refused(InputError, "", wedge.full, "glue").key == "no layer"
     assert wedge.full(thin(elastic(13.0))).layers["S"].thin_layer.order == 1
     tapered = wedge.interface(thin(Rubber(74.0, 1.0), profile=varies), bodies="extended").applicability["S"]
     ends = PLATES.points[tapered.loose.vertices[:, 0], 0]

@@ -172,15 +172,14 @@ class Applicability:
 def softest_body(seam_layer: SeamLayer) -> float:
     """Return the least Young's modulus at rest of the bodies on a seam, with moduli averaged over all directions."""
     joint, n, moduli = seam_layer.structure.joint, seam_layer.sheet.mean_normal, [np.inf]
-    sides = joint.surface_cells[seam_layer.sheet.facets]
-    cells = np.unique(sides[sides >= 0])
+    cells = np.unique(joint.surface_cells[seam_layer.sheet.facets])
+    cells = cells[cells >= 0]
     for number in np.unique(joint.region[cells]):
         law = seam_layer.structure.body_laws[joint.regions[number]]
         centres = joint.points[joint.corners[cells[joint.region[cells] == number]]].mean(axis=1)
-        for sample in law.samples(centres.T) if law.fields else [law]:
-            if (C := declared_or_computed_tangent(sample, n)) is not None:
-                lmbda, mu = average_lame(C)
-                moduli.append(mu * (3 * lmbda + 2 * mu) / (lmbda + mu))
+        tangents = [declared_or_computed_tangent(sample, n) for sample in law.samples(centres.T)]
+        lame = [average_lame(C) for C in tangents if C is not None]
+        moduli += [mu * (3 * lmbda + 2 * mu) / (lmbda + mu) for lmbda, mu in lame]
     return float(min(moduli))
 
 
@@ -276,26 +275,21 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
         R = float(r.layer.structure.joint.points[r.free.vertices, 0].min()) / r.layer.eps
         if R < MIN_RADIUS_RATIO * (1 - MODULUS_RATIO_TOLERANCE):
             yield Violation("radius", f"free ends have a radius of {R:.3g} thicknesses; allowed: {MIN_RADIUS_RATIO:g}")
-    yield from _free_end_conditions(r)
-    assert r.strips is not None  # as the condition before requires
+    if r.strips is None:
+        allowed = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
+        yield Violation("no constants", f"free ends are not known of this {r.layer.kind}: they are of {allowed}")
+        return
+    yield from _straight_end_conditions(r, r.contrast)
+    if r.layer.has_pressure_flow and r.is_coarse.any():
+        at, fall = r.layer.sheet.joint.points[r.loose[r.is_coarse].vertices[0, 0]], r.pressure_lengths.min()
+        place = f"{fall:.3g}, as at {place_text(at)}"
+        reason = f"cells at free ends must not be longer than the fall of the pressure there, {place}"
+        yield Violation("coarse", reason, "make them shorter (h_ends=...)")
     if r.width < r.strips.longest:
         reason = f"its area over the length of free ends is {r.width:.3g} thicknesses"
         yield Violation("short", f"S is short: {reason}; allowed: {r.strips.longest:.3g}")
     if r.all_weights.overlap:
         yield Violation("overlap", f"strips of {r.strips.longest * thin.eps:.3g} along free ends lie on one another")
-
-
-def _free_end_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for the end constants, which are known for straight free ends between rigid faces."""
-    seam_layer, sheet = r.layer, r.layer.sheet
-    if r.strips is None:
-        allowed = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
-        yield Violation("no constants", f"free ends are not known of this {seam_layer.kind}: they are of {allowed}")
-    yield from _straight_end_conditions(r, r.contrast)
-    if seam_layer.has_pressure_flow and r.is_coarse.any():
-        at, fall = place_text(sheet.joint.points[r.loose[r.is_coarse].vertices[0, 0]]), r.pressure_lengths.min()
-        reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
-        yield Violation("coarse", reason, "make them shorter (h_ends=...)")
 
 
 def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Violation]:

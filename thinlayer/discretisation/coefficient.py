@@ -75,9 +75,8 @@ class Coordinates(FormerNames):
         mesh, band = domain.mesh, domain.joint.band
         x, points = ufl.SpatialCoordinate(mesh), (band.base if band else domain.joint).points
         chosen = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
-        places = points[sorted(chosen)]
         kept = band is not None and band.bodies != "extended"
-        return cls(mesh, x - inflation_shift(domain) if kept else x, Clock(mesh), places)
+        return cls(mesh, x - inflation_shift(domain) if kept else x, Clock(mesh), points[sorted(chosen)])
 
     @property
     def t(self) -> TimeConstant:
@@ -238,9 +237,8 @@ class Coefficient:
             except Exception:  # the function accepts symbols only, as with ufl.grad
                 continue
             a, b = (np.array([evaluate_component(c, t, place) for c in some.flat]) for some in (components, plain))
-            if a.shape != b.shape or not np.isfinite([a, b]).all():
-                continue
-            if np.abs(a - b).max() > FUNCTION_TOLERANCE * np.abs([a, b]).max():
+            known = a.shape == b.shape and np.isfinite([a, b]).all()
+            if known and np.abs(a - b).max() > FUNCTION_TOLERANCE * np.abs([a, b]).max():
                 both = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
                 raise self._no_function(f"at {at_place(place)}, t = {t:g} it gives {both}")
 

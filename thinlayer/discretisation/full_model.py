@@ -20,7 +20,6 @@ from geometry.inflating.layering import check_layering
 from geometry.joint import InflatedBand, Joint
 from geometry.parallel import on_root
 from geometry.refusals import require_known
-from geometry.seam import BASE
 from thinlayer.discretisation.boundary import require_revolution, require_shifts
 from thinlayer.discretisation.forces import LoadRegion
 from thinlayer.discretisation.interface_model import InterfaceModel
@@ -53,10 +52,6 @@ class FullModel(Model):
         self._junctions = () if junctions is None else (junctions,)
         chosen = {} if junctions is None else {"junctions": junctions}
         super().__init__(structure, layer, bodies=bodies, cells_through=cells_through, **chosen)
-
-    @property
-    def _clamped(self) -> tuple[str, ...]:
-        return (BASE,) if BASE in self.domain.joint.facets else ()
 
     def _checked(self) -> Joint:
         check_layering(self._cells_through, self._bodies)
@@ -92,23 +87,24 @@ class FullModel(Model):
     def _check_compatible(self, other: Self) -> None:
         self._check_layers()
         self._require_shapes(other)
-        self._check_junctions(self._band)
+        self._check_junctions(band_of(self.domain.joint))
 
     def _check_junctions(self, band: InflatedBand) -> None:
         """Raise InputError if the law of a junction needs columns or a normal of S, which its cells do not have."""
         for region, name in band.junctions.items():
-            law = self.applicability[name].law
+            law, why = (
+                self.applicability[name].law,
+                "depends on the normal of S, which is not defined where layers meet",
+            )
             if law.traits.switches:
                 why = "has one phase for each column of a layer, and cells where layers meet are in none"
-            elif region not in band.aligned and needs_director(law):
-                why = "depends on the normal of S, which is not defined where layers meet"
-            else:
+            elif region in band.aligned or not needs_director(law):
                 continue
             law_of = f"{type(law).__name__} of the seam {name!r}"
             raise InputError(f"{law_of} {why}; give junctions=... the name of a seam with another law")
 
     def _layer_terms(self) -> list[forms.Term]:
-        mesh, band, n = self.domain.mesh, self._band, director(self.domain)
+        mesh, band, n = self.domain.mesh, band_of(self.domain.joint), director(self.domain)
         terms = []
         for name, seam_layer in self.layers.items():
             sublayers = law_with_numbers(seam_layer.layer, self.kinematics).sublayers
@@ -124,16 +120,12 @@ class FullModel(Model):
         return terms
 
     def _place_of(self, layer: SeamLayer) -> LoadRegion:
-        cells = self.dx(self.domain.cell_values(*self._band.of_seam[layer.name], *self._shared(layer.name)))
-        return LoadRegion(cells, self.kinematics.factor)
-
-    @property
-    def _band(self) -> InflatedBand:
-        return band_of(self.domain.joint)
+        regions = [*band_of(self.domain.joint).of_seam[layer.name], *self._shared(layer.name)]
+        return LoadRegion(self.dx(self.domain.cell_values(*regions)), self.kinematics.factor)
 
     def _shared(self, name: str) -> list[str]:
         """Regions of junctions whose cells have the law of a seam."""
-        return [region for region, seam in self._band.junctions.items() if seam == name]
+        return [region for region, seam in band_of(self.domain.joint).junctions.items() if seam == name]
 
 
 class LayerModel(FullModel):

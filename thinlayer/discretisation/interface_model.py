@@ -75,10 +75,6 @@ class InterfaceModel(Model):
                 add_side_loads(forces, self, layer, self.sides_of(layer.name))
         return forces
 
-    @property
-    def _clamped(self) -> tuple[str, ...]:
-        return tuple(name for name in self.bonds if name in self.joint.base_seams)
-
     @cached_property
     def split_mesh(self) -> Splitting:
         """The joint's mesh, cut along the seams without a bond."""

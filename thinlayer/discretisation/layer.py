@@ -94,8 +94,7 @@ class ThinLayer:
         object.__setattr__(self, "order", int(self.order))
         if self.order == 1:
             self.law.stations()  # raises errors of laws without order 1
-        callable_ = self.profile is None or callable(self.profile)
-        require(callable_, "the profile", self.profile, "it must be a function of x")
+        require(self.profile is None or callable(self.profile), "the profile", self.profile, "give a function of x")
         require(self.edges in EDGE_CHOICES, "edges", self.edges, f"allowed: {', '.join(map(repr, EDGE_CHOICES))}")
 
     @property
@@ -198,9 +197,8 @@ class InitialTangents:
         for _, law, C in self.sublayers:
             lmbda, mu = (0.0, 1.0) if C is None else average_lame(C)
             if lmbda > largest * mu:
-                ratios = [f"{x:.4g} (nu = {x / (x + 1) / 2:.4f})" for x in (lmbda / mu, largest)]
-                kind = type(law).__name__
-                reason = f"order=1 of {kind} with lmbda/mu = {ratios[0]} at rest locks; allowed: {ratios[1]}"
+                ratio, most = (f"{x:.4g} (nu = {x / (x + 1) / 2:.4f})" for x in (lmbda / mu, largest))
+                reason = f"order=1 of {type(law).__name__} with lmbda/mu = {ratio} at rest locks; allowed: {most}"
                 elastic = not (law.traits.remembers or law.traits.rate)
                 rubber = ", or Rubber or LinearElastic if it is isotropic" if elastic else ""
                 return Violation("locks", reason, f"use order=0, or mesh the layer (structure.full){rubber}")
@@ -228,8 +226,9 @@ class SeamLayer:
     """
 
     def __init__(self, name: str, layer: Layer, structure: Structure) -> None:
-        wanted = "give ThinLayer(law, eps), or a law of jumps or contact"
-        require(isinstance(layer, ThinLayer | SurfaceLaw), "the layer", layer, wanted)
+        if not isinstance(layer, ThinLayer | SurfaceLaw):
+            remedy = "give ThinLayer(law, eps), or a law of jumps or contact"
+            raise Violation("no layer", f"the layer is {layer!r}", remedy).error()
         self.name, self.layer, self.structure = name, layer, structure
         self.law: Law = layer.law if isinstance(layer, ThinLayer) else layer
         self.thin_layer = layer if isinstance(layer, ThinLayer) else None

@@ -21,6 +21,7 @@ from forms.tensors import Expr
 from geometry.domain import Domain
 from geometry.inflating.layering import value_by_seam
 from geometry.joint import Joint
+from geometry.seam import BASE
 from geometry.sheet import volume_of
 from geometry.topology import FloatArray, Indices, Splitting, is_tensor
 from thinlayer.discretisation.applicability import Applicability
@@ -275,7 +276,9 @@ class Model(ABC):
         return terms if self.broken else self._strained(terms)
 
     def _supports(self, supports: ByPlace) -> Supports:
-        return Supports(self.domain, supports, self.coordinates.detached, self._clamped, self.kinematics)
+        clamped = [name for name in self.bonds if name in self.joint.base_seams]
+        clamped += [BASE] if BASE in self.domain.joint.facets and not self.broken else []
+        return Supports(self.domain, supports, self.coordinates.detached, clamped, self.kinematics)
 
     # ---------------------------------------------------------------- differences between kinds of models
     def _forces(self) -> Forces:
@@ -293,11 +296,6 @@ class Model(ABC):
     @abstractmethod
     def _place_of(self, layer: SeamLayer) -> LoadRegion:
         """Region of a layer's volume, for its loads."""
-
-    @property
-    def _clamped(self) -> tuple[str, ...]:
-        """Names of the facets that are fixed to a rigid base."""
-        return ()
 
     def require(self, question: str, what: str = "") -> None:
         """Raise InputError, with the prefix `what`, if a layer violates a condition of a question (`Applicability`)."""
@@ -398,9 +396,8 @@ class Model(ABC):
                 expected, other = ([(place, sorted(components)) for place, components in bcs.entries] for bcs in both)
                 if expected != other:
                     raise InputError(f"supports hold {other}, those of the model {expected}; build another structure")
+                new.constraints = new._constrained()
             new.forces = new._forces()
-        if supports is not None:
-            new.constraints = new._constrained()
         new.description = new._data()
         return new
 

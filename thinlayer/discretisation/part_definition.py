@@ -140,11 +140,9 @@ class PartDefinition(FormerNames):
 
         By default the work of the resultants of its multi-point constraint.
         """
-        work, constraints = 0.0, model.constraints
-        for tie in constraints.mpcs:
-            if tie.key == self.key:
-                work += float(tie.resultant(state.t) @ constraints.motion(tie, state.u.x.array[: constraints.n]))
-        return work
+        constraints, u = model.constraints, state.u.x.array[: model.constraints.n]
+        ties = [tie for tie in constraints.mpcs if tie.key == self.key]
+        return sum((float(tie.resultant(state.t) @ constraints.motion(tie, u)) for tie in ties), 0.0)
 
     def part(self, model: HostModel) -> Any:
         """Return the part, a `thinlayer.parts.part.Part` with this key; None if it has no forces. Collective."""

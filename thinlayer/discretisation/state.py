@@ -178,21 +178,15 @@ class State(Configuration):
         Energies are per unit thickness in 2D. For linear laws and supports that do not move, the stored energies are
         half the work of the loads (Clapeyron). NaN where a law declares no energy.
         """
-        model = self.model
+        model, layers = self.model, self.layers
         added = {part.key: self.stored.get(part.key, 0.0) for part in model.parts if not part.ties_nodes}
         of_bodies = {p.key: self.stored[p.key] for p in model.bodies if p.key in self.stored}
         of_layers = {key: energy for key, energy in self.stored.items() if key not in {*added, *of_bodies}}
-        layers = self.layers
         for key in {p.key: None for p in layers}:
-            in_forms = [p for p in layers if p.key == key and not p.law.traits.compiled]
-            of_layers[key] = of_layers.get(key, 0.0) + self._stored(in_forms)
-        return {
-            BODIES: self._stored([p for p in self.bodies if not p.law.traits.compiled]) + sum(of_bodies.values()),
-            LAYER_KIND: sum(of_layers.values()),
-            **{str(Key(LAYER_KIND, name)): energy for name, energy in model.by_seam(of_layers).items()},
-            **added,
-            "loads": self.load_work(),
-        }
+            of_layers[key] = of_layers.get(key, 0.0) + self._stored([p for p in layers if p.key == key])
+        bodies, layer = self._stored(self.bodies) + sum(of_bodies.values()), sum(of_layers.values())
+        seams = {str(Key(LAYER_KIND, name)): energy for name, energy in model.by_seam(of_layers).items()}
+        return {BODIES: bodies, LAYER_KIND: layer, **seams, **added, "loads": self.load_work()}
 
     def load_work(self) -> float:
         """Work of the loads in the displacements. Collective."""
@@ -223,9 +217,8 @@ class State(Configuration):
         if not chosen:
             holders = ", ".join(map(repr, every)) or "nothing"
             raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {holders}")
-        total = reduce(add, (every[name] for name in chosen))
         point = moment_centre(model.kinematics, default_moment_point(model, place, chosen)) if about is None else about
-        return total.at(point)
+        return reduce(add, (every[name] for name in chosen)).at(point)
 
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
         """Reactions of all places that support the structure, moments about one point (default: `Model.centre`)."""
@@ -307,8 +300,7 @@ class State(Configuration):
         For a compiled law it is known only at the quadrature points of the term: integrate it as `work` does. On S see
         `Surface.traction`.
         """
-        ((_, sigma, _),) = self._stressed([term])
-        return sigma
+        return next(self._stressed([term]))[1]
 
     def work(self, terms: Iterable[Term], v: Expr) -> Expr:
         """Virtual work of stresses of bodies' or meshed layers' terms in the strains of v, a UFL form. Collective."""
@@ -342,10 +334,12 @@ class State(Configuration):
             out[i, j] = out[j, i] = value / model.volume
         return out
 
-    def _stored(self, points: Sequence[Term]) -> float:
-        if not all(p.law.traits.has_energy for p in points):
+    def _stored(self, terms: Sequence[Term]) -> float:
+        """Stored energy of the terms whose laws are in UFL forms; NaN if one declares no energy. Collective."""
+        in_forms = [p for p in terms if not p.law.traits.compiled]
+        if not all(p.law.traits.has_energy for p in in_forms):
             return math.nan
-        return self._sum(energy(points, self.u)) if points else 0.0
+        return self._sum(energy(in_forms, self.u)) if in_forms else 0.0
 
 
 def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
@@ -355,12 +349,9 @@ def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
     """
     dofmap, n_owned = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
     nodes, values = dofmap.list[:n_owned], f.x.array.reshape(-1, dofmap.bs)
-
-    def at_cells(places: IntArray) -> Array:
-        return np.asarray(values[nodes[places]].reshape(len(places), nodes.shape[1] * dofmap.bs))
-
+    by_cell, owned = values[nodes].reshape(n_owned, nodes.shape[1] * dofmap.bs), model.domain.original_cells[:n_owned]
     wanted, at = np.unique(cells, return_inverse=True)
-    cell_data = carry_cell_values(model.comm, model.domain.original_cells[:n_owned], at_cells, wanted)
+    cell_data = carry_cell_values(model.comm, owned, lambda k: by_cell[k], wanted)
     return np.asarray(cell_data.reshape(-1, nodes.shape[1], dofmap.bs)[at.reshape(cells.shape)])
 
 

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from forms.base import Array, InputError, require
 from forms.kernel import KernelLaw
-from forms.kinematics import KINEMATICS_BY_NAME, Kinematics
+from forms.kinematics import KINEMATICS_BY_NAME
 from forms.law import BulkLaw, Law, explained_errors
 from forms.law_tangents import declared_or_computed_tangent, needs_director, require_stable
 from geometry.joint import Joint
@@ -81,6 +81,7 @@ class Structure:
         plane: "strain", "stress" or "axisymmetric".
         element: the finite element of displacements.
         degree: its polynomial degree.
+        kinematics: strains of displacements, without a mesh.
         body_laws: law of each body.
         supports, tractions, body_force, loads, parts, strain, stress: the arguments.
         eigenstrains: eigenstrain of each body that has one, as the user wrote it.
@@ -190,13 +191,11 @@ class Structure:
     ) -> Self:
         """Return the same structure with other loads, which are not checked; None: unchanged. Collective."""
         new = copied(self)
-        new.tractions = self.tractions if tractions is None else tractions
-        new.body_force = self.body_force if body_force is None else body_force
-        new.loads = self.loads if loads is None else tuple(loads)
-        new.supports = self.supports if supports is None else supports
-        data = {"tractions": tractions, "body_force": body_force, "loads": loads, "supports": _ordered(supports)}
+        data = {"tractions": tractions, "body_force": body_force, "loads": loads and tuple(loads), "supports": supports}
         changed = {name: value for name, value in data.items() if value is not None}
-        new.data_hash = digest([self.data_hash, require_same(self.comm, **changed)])
+        vars(new).update(changed)
+        ordered = {} if supports is None else {"supports": _ordered(supports)}
+        new.data_hash = digest([self.data_hash, require_same(self.comm, **changed | ordered)])
         return new
 
     def layers_alone(self, names: Collection[str]) -> Self:
@@ -211,11 +210,6 @@ class Structure:
     # ---------------------------------------------------------------- data
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.joint!r}, {self.element}, {self.plane}, supports {[*self.supports]})"
-
-    @cached_property
-    def kinematics(self) -> Kinematics:
-        """Strains of displacements, without a mesh."""
-        return KINEMATICS_BY_NAME[self.plane]
 
     @cached_property
     def sheet(self) -> Sheet:
@@ -240,6 +234,7 @@ class Structure:
     def _check_choices(self) -> None:
         joint, elements = self.joint, ELEMENT_NAMES[is_tensor(self.joint.cell_type)]
         require_known("plane", self.plane, KINEMATICS_BY_NAME)
+        self.kinematics = KINEMATICS_BY_NAME[self.plane]
         if joint.dim == 3 and self.plane != "strain":
             raise InputError(f"plane={self.plane!r} needs a two-dimensional joint")
         require_revolution(self.kinematics, joint)
