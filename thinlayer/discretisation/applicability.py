@@ -260,7 +260,7 @@ def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
     """Conditions for an interface law of order 1 that corrects its free ends, or has no free ends."""
-    thin = r.layer.as_thin_layer
+    thin, joint = r.layer.as_thin_layer, r.layer.structure.joint
     if thin.order == 0:
         yield Violation("order 0", "the interface law is of order 0", "use order=1")
     if not len(r.free.vertices):
@@ -272,7 +272,7 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
     if r.bodies != "kept":
         yield Violation("apart", "bodies are extended: ends of the layer may be oblique", "use bodies='kept'")
     if r.layer.structure.plane == "axisymmetric":
-        R = float(r.layer.structure.joint.points[r.free.vertices, 0].min()) / r.layer.eps
+        R = float(joint.points[r.free.vertices, 0].min()) / r.layer.eps
         if R < MIN_RADIUS_RATIO * (1 - MODULUS_RATIO_TOLERANCE):
             yield Violation("radius", f"free ends have a radius of {R:.3g} thicknesses; allowed: {MIN_RADIUS_RATIO:g}")
     if r.strips is None:
@@ -281,9 +281,8 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
         return
     yield from _straight_end_conditions(r, r.contrast)
     if r.layer.has_pressure_flow and r.is_coarse.any():
-        at, fall = r.layer.sheet.joint.points[r.loose[r.is_coarse].vertices[0, 0]], r.pressure_lengths.min()
-        place = f"{fall:.3g}, as at {place_text(at)}"
-        reason = f"cells at free ends must not be longer than the fall of the pressure there, {place}"
+        at, fall = place_text(joint.points[r.loose[r.is_coarse].vertices[0, 0]]), r.pressure_lengths.min()
+        reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
         yield Violation("coarse", reason, "make them shorter (h_ends=...)")
     if r.width < r.strips.longest:
         reason = f"its area over the length of free ends is {r.width:.3g} thicknesses"

@@ -92,10 +92,8 @@ class FullModel(Model):
     def _check_junctions(self, band: InflatedBand) -> None:
         """Raise InputError if the law of a junction needs columns or a normal of S, which its cells do not have."""
         for region, name in band.junctions.items():
-            law, why = (
-                self.applicability[name].law,
-                "depends on the normal of S, which is not defined where layers meet",
-            )
+            law = self.applicability[name].law
+            why = "depends on the normal of S, which is not defined where layers meet"
             if law.traits.switches:
                 why = "has one phase for each column of a layer, and cells where layers meet are in none"
             elif region in band.aligned or not needs_director(law):

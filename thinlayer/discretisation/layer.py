@@ -317,8 +317,7 @@ def loads_of_layers(model: Model) -> dict[str, Load]:
     seams = [seam for seam in model.joint.seams if seam not in model.bonds]
     loads = {seam: named[name] for name in named for seam in seams if name in (S, seam)}
     for seam in (seam for seam in loads if seam not in layers or not layers[seam].thin_layer):
-        reason = "it has no layer with a thickness, so no weight is known"
-        raise InputError(f"body force in the layer {seam!r}: {reason}")
+        raise InputError(f"body force in the layer {seam!r}: it has no layer with a thickness, so no weight is known")
     return loads
 
 

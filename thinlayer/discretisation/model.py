@@ -187,16 +187,15 @@ class Model(ABC):
         self.kinematics = structure.kinematics.on(self.domain.mesh)
         self.coordinates = Coordinates.of(self.domain)
         self.origin = origin_of(self.domain)
-        mesh = self.domain.mesh
+        mesh, strain, stress = self.domain.mesh, structure.strain, structure.stress
         self.dx = ufl.Measure("dx", domain=mesh, subdomain_data=self.domain.cell_tags)
         self.ds = ufl.Measure("ds", domain=mesh, subdomain_data=self.domain.facet_tags)
         with errors_on_all(self.comm):
             self.supports = self._supports(structure.supports)
             self.body_strains = {name: self._body_strain(name) for name in self.body_laws}
             self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
-            if not (structure.strain is None and structure.stress is None):
+            if not (strain is None and stress is None):
                 self.require("mean strain")
-            strain, stress = structure.strain, structure.stress
             self.strain = None if strain is None else MeanStrain(strain, self.coordinates, self.joint)
         self.bodies = self._strained(self._terms_of_bodies())
         self.layer_terms = self._terms_of_layers()

@@ -27,6 +27,7 @@ from thinlayer.system.compat import compiled
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
 Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Sequence[Sequence[Expr]]]
 VOIGT_PAIRS_OF_DIM = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
+VOIGT_POSITIONS_OF_DIM = {2: np.array([[0, 2], [2, 1]]), 3: np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])}  # of (i, j)
 Rows = list[list[Expr]]  # numbers, or UFL scalars of place and time
 Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Expr]
 SYMMETRY_TOLERANCE = 1e-12  # largest difference of a table from its transpose, over its largest entry
@@ -103,8 +104,8 @@ class MeanStress(MeanStrain):
 def voigt_strain(e: Expr) -> Expr:
     """Return the strain (d, d) of a UFL vector in Voigt's order, whose shears are twice the tensor's components."""
     d = {3: 2, 6: 3}[e.ufl_shape[0]]
-    place = {pair: k for k, pair in enumerate(VOIGT_PAIRS_OF_DIM[d])}
-    return ufl.as_tensor([[e[place[min(i, j), max(i, j)]] / (1 if i == j else 2) for j in range(d)] for i in range(d)])
+    positions = VOIGT_POSITIONS_OF_DIM[d].tolist()
+    return ufl.as_tensor([[e[positions[i][j]] / (1 if i == j else 2) for j in range(d)] for i in range(d)])
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,12 @@ from thinlayer.discretisation.form_compilation import compiled_scalars, per_unit
 from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, PRESSURE_KIND, Key
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
-from thinlayer.discretisation.prescribed_strains import MEAN_STRAIN, VOIGT_PAIRS_OF_DIM, voigt_strain
+from thinlayer.discretisation.prescribed_strains import (
+    MEAN_STRAIN,
+    VOIGT_PAIRS_OF_DIM,
+    VOIGT_POSITIONS_OF_DIM,
+    voigt_strain,
+)
 from thinlayer.discretisation.rigid_motions import (
     Resultant,
     default_moment_point,
@@ -248,13 +253,11 @@ class State(Configuration):
         model, d = self.model, self.model.joint.dim
         if model.strain:
             return model.strain.at(self.t)
-        out, E = np.zeros((d, d)), self.fields.get(MEAN_STRAIN)
-        if E is not None:
-            dofmap = E.function_space.dofmap
-            owned = E.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
-            for (i, j), value in zip(VOIGT_PAIRS_OF_DIM[d], np.concatenate(model.comm.allgather(owned)), strict=True):
-                out[i, j] = out[j, i] = value if i == j else value / 2
-        return out
+        if MEAN_STRAIN not in self.fields:
+            return np.zeros((d, d))
+        E, dofmap = self.fields[MEAN_STRAIN].x.array, self.fields[MEAN_STRAIN].function_space.dofmap
+        owned = E[: dofmap.index_map.size_local * dofmap.index_map_bs]
+        return np.concatenate(model.comm.allgather(owned))[VOIGT_POSITIONS_OF_DIM[d]] / (2 - np.eye(d))
 
     @cached_property
     def bodies(self) -> list[Term]:
@@ -329,10 +332,7 @@ class State(Configuration):
         terms = self.bodies if model.broken else [*self.bodies, *self.layers]
         unit = three_dimensional(voigt_strain(chosen))
         works = sum(ufl.inner(s, unit) * p.weight * measure for p, s, measure in self._stressed(terms))
-        out = np.zeros((d, d))
-        for (i, j), value in zip(VOIGT_PAIRS_OF_DIM[d], per_unit(model.comm, works, chosen), strict=True):
-            out[i, j] = out[j, i] = value / model.volume
-        return out
+        return per_unit(model.comm, works, chosen)[VOIGT_POSITIONS_OF_DIM[d]] / model.volume
 
     def _stored(self, terms: Sequence[Term]) -> float:
         """Stored energy of the terms whose laws are in UFL forms; NaN if one declares no energy. Collective."""
