@@ -193,8 +193,7 @@ def _law_conditions(r: Applicability) -> Iterator[Violation]:
         if element == "S2":
             yield Violation("element", f"{reason} unknowns have no places", "use element='Q2'")
         if element == "P2" and structure.joint.dim == 3:
-            remedy = "use element='P1', or hexahedra with element='Q2'"
-            yield Violation("element", f"{reason} vertices bear no uniform pressure", remedy)
+            yield Violation("element", f"{reason} vertices bear no uniform pressure", "use P1, or Q2 on hexahedra")
         seam_layer.contact.check_threshold()
         return
     if seam_layer.law.traits.constrained and element not in ("P2", "Q2"):

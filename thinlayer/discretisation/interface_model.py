@@ -61,8 +61,7 @@ class InterfaceModel(Model):
             raise InputError("bodies='extended': seams meet or branch, where S has no middle; use bodies='kept'")
         thin = {name: layer.thin_layer for name, layer in self.layers.items() if layer.thin_layer}
         for name in (name for name in self.joint.seams if name not in thin):
-            where = "so that no thickness tells where bodies are"
-            raise InputError(f"bodies='extended': the seam {name!r} has no ThinLayer, {where}; use bodies='kept'")
+            raise InputError(f"bodies='extended': seam {name!r} has no ThinLayer, so no thickness; use bodies='kept'")
         eps = {name: layer.eps for name, layer in thin.items()}
         joint = with_gaps(self.joint, eps, profile={name: layer.profile for name, layer in thin.items()})
         require_revolution(self.structure.kinematics, joint)

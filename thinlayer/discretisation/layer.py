@@ -346,8 +346,7 @@ def nodes_of_sides(model: Model, V: fem.FunctionSpace, name: str) -> tuple[IntAr
     based, layout = name in model.joint.base_seams, V.dofmap.dof_layout
     rows = exterior_facet_entities(mesh, np.sort(domain.facets(name))) if based else seam_entities(domain, name)
     entities = rows.astype(np.int64)
-    kinds = range(int(entities[:, 1::2].max(initial=0)) + 1)
-    closures = np.array([layout.entity_closure_dofs(d - 1, k) for k in kinds])
+    closures = np.array([layout.entity_closure_dofs(d - 1, k) for k in range(entities[:, 1::2].max(initial=0) + 1)])
     vertices, sides = mesh.topology.connectivity(d, 0).array.reshape(len(V.dofmap.list), -1), []
     for side in (entities[:, :2], entities[:, 2:].reshape(-1, 2)):
         cells, local = side[:, :1], closures[side[:, 1]]

@@ -175,7 +175,7 @@ class Model(ABC):
 
     def __init__(self, structure: Structure, layer: Layers, **options: object) -> None:
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
-        self.element, self.body_laws = structure.element, structure.body_laws
+        self.element, self.body_laws, self.parts = structure.element, structure.body_laws, structure.parts
         self._options, self.family, self.issued_warnings = options, ModelFamily(), set[tuple[Hashable, ...]]()
         inflated = self._lay(layer, self._checked)
         self.domain = Domain.of(inflated, structure.comm)
@@ -203,7 +203,6 @@ class Model(ABC):
             self.forces = self._forces()
         with errors_on_all(self.comm):
             self.stress = None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids)
-        self.parts = structure.parts
         with errors_on_all(self.comm):
             check_part_definitions(self.parts, self)
         self.constraints = self._constrained()
@@ -219,12 +218,11 @@ class Model(ABC):
     def require_supported(self) -> None:
         """Raise InputError if the structure can move as a rigid body; first anchor translations of periodic joints."""
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
-            resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
-            names = [*scaled_motions(self.domain.joint, self.kinematics)]
+            of_parts = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
             if self.joint.periods:
-                self.supports.anchored = free_axes(self.joint, self.kinematics, resistance_matrices(self, resistances))
+                self.supports.anchored = free_axes(self.joint, self.kinematics, resistance_matrices(self, of_parts))
                 self.constraints = self._constrained()
-            require_support(names, resistance_matrices(self, resistances))
+            require_support([*scaled_motions(self.domain.joint, self.kinematics)], resistance_matrices(self, of_parts))
 
     def _lay(self, data: Layers, check: Callable[[], T]) -> T:
         """Set the layers of the seams and return the result of a check of them. Collective."""
@@ -271,8 +269,7 @@ class Model(ABC):
         return terms
 
     def _terms_of_layers(self) -> list[forms.Term]:
-        terms = [checked_term(term, self.V, self.origin) for term in self._layer_terms()]
-        return terms if self.broken else self._strained(terms)
+        return self._strained([checked_term(term, self.V, self.origin) for term in self._layer_terms()])
 
     def _supports(self, supports: ByPlace) -> Supports:
         clamped = [name for name in self.bonds if name in self.joint.base_seams]
@@ -413,8 +410,7 @@ class Model(ABC):
         new.family, new.coordinates = ModelFamily(), Coordinates.of(self.domain)
         new.strain, new.stress = MeanStrain(strain, new.coordinates, self.joint), None
         new.bodies = new._strained([replace(p, prescribed_strain=None) for p in self.bodies])
-        terms = [replace(p, prescribed_strain=None) for p in self.layer_terms]
-        new.layer_terms = terms if self.broken else new._strained(terms)
+        new.layer_terms = new._strained([replace(p, prescribed_strain=None) for p in self.layer_terms])
         new.structure = self.structure.with_loads(tractions={}, body_force={}, loads=())
         new.forces = new._forces()
         return new
@@ -481,8 +477,9 @@ class Model(ABC):
         return self.structure.degree - 1 if law.traits.isochoric and not straight else None
 
     def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
-        """Return the terms with the prescribed mean strain of a periodic cell added."""
-        return forms.with_added_strain(terms, self.strain.expression) if self.strain else terms
+        """Return the terms with the prescribed mean strain of a periodic cell added, except on S."""
+        on_s = any(p.measure.integral_type() != "cell" for p in terms)
+        return forms.with_added_strain(terms, self.strain.expression) if self.strain and not on_s else terms
 
     @property
     def solids(self) -> list[forms.Term]:
