@@ -27,7 +27,7 @@ from thinlayer.system.compat import compiled
 MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in the fields of states
 Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Sequence[Sequence[Expr]]]
 VOIGT_PAIRS_OF_DIM = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
-VOIGT_POSITIONS_OF_DIM = {2: np.array([[0, 2], [2, 1]]), 3: np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])}  # of (i, j)
+VOIGT_POSITIONS_OF_DIM = {2: np.array([[0, 2], [2, 1]]), 3: np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])}  # of entries
 Rows = list[list[Expr]]  # numbers, or UFL scalars of place and time
 Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Expr]
 SYMMETRY_TOLERANCE = 1e-12  # largest difference of a table from its transpose, over its largest entry
