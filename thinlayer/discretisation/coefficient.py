@@ -237,8 +237,8 @@ class Coefficient:
             except Exception:  # the function accepts symbols only, as with ufl.grad
                 continue
             a, b = (np.array([evaluate_component(c, t, place) for c in some.flat]) for some in (components, plain))
-            known = a.shape == b.shape and np.isfinite([a, b]).all()
-            if known and np.abs(a - b).max() > FUNCTION_TOLERANCE * np.abs([a, b]).max():
+            comparable = a.shape == b.shape and np.isfinite([a, b]).all()
+            if comparable and np.abs(a - b).max() > FUNCTION_TOLERANCE * np.abs([a, b]).max():
                 both = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
                 raise self._no_function(f"at {at_place(place)}, t = {t:g} it gives {both}")
 
