@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import html
 import io
 import re
@@ -14,6 +15,9 @@ from pathlib import Path
 
 import pytest
 
+import forms
+import geometry
+import thinlayer
 from studies.rates import LAWS
 from tests.documents import CLONE, PAGES, Block, anchors, sections
 from thinlayer import RangeWarning, compare, solve
@@ -150,3 +154,19 @@ def test_built_pages_have_the_formulas_of_their_sources():
         drawn = [page.parent / src for src in scripts if "tex-svg" in src]
         assert drawn or not formulas, name
         assert all(path.stat().st_size > 1e6 for path in drawn), name
+
+
+PUBLIC = {name: getattr(package, name) for package in (forms, geometry, thinlayer) for name in dir(package)}
+PUBLIC |= {"fields.write": thinlayer.fields.write}
+DOCTESTS = [doctest.DocTestFinder().find(value, name, globs={}) for name, value in PUBLIC.items() if callable(value)]
+EXAMPLES = {test.name: test for tests in DOCTESTS for test in tests if test.examples}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_of_docstrings_print_what_they_say(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert doctest.DocTestRunner().run(EXAMPLES[name]).failed == 0, capsys.readouterr().out
+
+
+def test_names_that_users_call_most_have_an_example():
+    assert len(EXAMPLES) >= 40
