@@ -37,6 +37,8 @@ html_static_path = ["_static", str(MATHJAX)]
 html_css_files = ["thinlayer.css"]
 html_theme_options = {"show_toc_level": 2, "footer_start": ["copyright"], "footer_end": []}
 highlight_language = "text"  # of indented blocks
+copybutton_prompt_text = r">>> |\.\.\. "  # examples of docstrings are copied without their prompts
+copybutton_prompt_is_regexp = True
 
 
 def escaped(app: Any, what: str, name: str, obj: object, options: Any, lines: list[str]) -> None:
