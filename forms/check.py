@@ -42,6 +42,10 @@ def check(law: Law, d: int | None = 3) -> None:
     Args:
         law: the law.
         d: number of components of the director for laws whose stress is part of a form; None in a body.
+
+    Example:
+        >>> from forms import LinearElastic, check
+        >>> check(LinearElastic(lmbda=800.0, mu=400.0))
     """
     if isinstance(law, type):
         raise InputError(f"{law.__name__} is a class; give a law, with its numbers")

@@ -270,6 +270,19 @@ class IncrementalCoulomb(_Coulomb):
     Without cohesion slip equals w_T where S is open, so that a node that closes again starts without tangential
     traction. This is the law of sections 5.3 and 7.3 in unilateral form, for `march`. Attributes and errors as in
     `HolonomicCoulomb`.
+
+    Example:
+        >>> from forms import IncrementalCoulomb, LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, Surface, march, piecewise
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> stone, fault = LinearElastic.young(E=30e3, nu=0.2), IncrementalCoulomb(K_N=1e4, K_T=5e3, friction=0.3)
+        >>> pushed = {"TOP": piecewise({0: (0, -2), 1: (0.5, -2)})}
+        >>> blocks = Structure(joint, body=stone, supports={"BOTTOM": 0}, tractions=pushed)
+        >>> history = march(blocks.interface(fault), [0.5, 1.0])
+        >>> print(Surface(history.last.model).table(history.last))
+        seam  size  separated  sliding   stick  pinned  normal_force
+           S     4          0   0.6875  0.3125       0             8
     """
 
     memory: ClassVar[bool] = True

@@ -84,6 +84,13 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
     Raises:
         InputError: a modulus out of range.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> LinearElastic(lmbda=800.0, mu=400.0)
+        LinearElastic(lmbda=800.0, mu=400.0)
+        >>> LinearElastic.young(E=1000.0, nu=0.25)
+        LinearElastic(lmbda=400.0, mu=400.0)
     """
 
     def __new__(cls, *_: object, **named: object) -> Self:

@@ -116,6 +116,18 @@ class MohrCoulomb(KernelLaw, Plastic):
 
     Attributes:
         dilatancy_angle: psi in the formulas, in degrees, 0 <= psi <= Omega.
+
+    Example:
+        >>> from forms import MohrCoulomb
+        >>> from thinlayer import drive
+        >>> mortar = MohrCoulomb(lmbda=1200.0, mu=800.0, cohesion=0.3, friction_angle=30)
+        >>> sheared = [{"w_T": w, "t_N": -1.0} for w in (0, 0.002, 0.004, 0.006, 0.008)]
+        >>> print(drive(mortar, sheared).tractions.round(2))
+        [[ 0.   -1.  ]
+         [ 0.67 -1.  ]
+         [ 0.73 -1.  ]
+         [ 0.75 -1.  ]
+         [ 0.76 -1.  ]]
     """
 
     dilatancy_angle: float = 0.0
@@ -249,6 +261,14 @@ class VonMises(KernelLaw, IsotropicLaw):
 
     Raises:
         InputError: a parameter out of range.
+
+    Example:
+        >>> from forms import VonMises
+        >>> from thinlayer import drive
+        >>> solder = VonMises(lmbda=30e3, mu=18e3, strength=20.0)
+        >>> sheared = drive(solder, [{"w_T": w, "w_N": 0.0} for w in (0.0005, 0.01)])
+        >>> print(sheared.tractions[:, 0].round(3))
+        [ 9.    11.547]
     """
 
     strength: float

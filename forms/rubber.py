@@ -86,6 +86,13 @@ class Rubber(PressureLaw, IsotropicLaw):
 
     Raises:
         InputError: a modulus out of range.
+
+    Example:
+        >>> from forms import Rubber
+        >>> from thinlayer import ThinLayer
+        >>> bearing = ThinLayer(Rubber(lmbda=2000.0, mu=1.0), eps=0.2, order=1)
+        >>> bearing.order
+        1
     """
 
     @classmethod

@@ -123,6 +123,12 @@ class Stack(BulkLaw):
 
     Raises:
         InputError: fractions are out of range, or a law cannot be a sublayer.
+
+    Example:
+        >>> from forms import LinearElastic, Stack
+        >>> stiff, soft = LinearElastic(lmbda=8.0, mu=6.0), LinearElastic(lmbda=2.0, mu=1.0)
+        >>> [share for share, _ in Stack((0.7, stiff), (0.3, soft)).sublayers]
+        [0.7, 0.3]
     """
 
     fractions: tuple[float, ...]

@@ -24,6 +24,12 @@ class Tabulated:
 
     Raises:
         InputError: pairs out of order or not finite; in a call, a temperature outside the table.
+
+    Example:
+        >>> from forms import Tabulated
+        >>> alpha = Tabulated([(20, 0.1), (80, 0.4)])
+        >>> float(alpha(50))
+        0.25
     """
 
     values: tuple[tuple[float, float], ...]

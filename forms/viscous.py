@@ -141,6 +141,14 @@ class Maxwell(SeriesDashpot):
 
     Raises:
         InputError: a parameter out of range.
+
+    Example:
+        >>> from forms import Maxwell
+        >>> from thinlayer import drive
+        >>> resin = Maxwell(lmbda=800.0, mu=400.0, t1=2.0)
+        >>> relaxing = drive(resin, [{"w_T": 0.01, "w_N": 0.0}] * 3, dt=[0, 2, 2], theta=0.5)
+        >>> print(relaxing.tractions[:, 0].round(3))
+        [4.    2.667 0.889]
     """
 
     t1: float

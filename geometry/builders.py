@@ -43,6 +43,12 @@ def block(
 
     Raises:
         InputError: a size is not positive, a name is unknown, a cell is of the other dimension.
+
+    Example:
+        >>> from geometry import block
+        >>> joint = block(4, 1, h=0.25, cell="quadrilateral")
+        >>> [*joint.facets]
+        ['LEFT', 'RIGHT', 'TOP', 'S']
     """
     return on_root(comm, Boxes(MeshOptions.of(h, cells, GridArgs), depth, width, (("BODY", height),)).build)
 
@@ -70,6 +76,12 @@ def sandwich(
 
     Raises:
         InputError: a size is not positive, a name is unknown, a cell is of the other dimension.
+
+    Example:
+        >>> from geometry import sandwich
+        >>> joint = sandwich(width=4, lower=1, upper=2, h=0.5, h_S=0.25)
+        >>> [*joint.bodies], [*joint.facets]
+        (['LOWER', 'UPPER'], ['LEFT', 'RIGHT', 'TOP', 'S', 'BOTTOM'])
     """
     bodies = ("LOWER", lower), ("UPPER", upper)
     return on_root(comm, Boxes(MeshOptions.of(h, cells, GridArgs), depth, width, bodies).build)
@@ -142,6 +154,12 @@ def ring(
     Raises:
         InputError: a size is not positive, the radii do not grow, or the angle is out of range; a name is unknown, a
             cell is of the other dimension, or the degree is not 1 or 2.
+
+    Example:
+        >>> from geometry import ring
+        >>> joint = ring(inner=2, interface=3, outer=5, h=1)
+        >>> [*joint.facets], [*joint.bodies]
+        (['INSIDE', 'S', 'OUTSIDE'], ['INNER', 'OUTER'])
     """
     return on_root(comm, Rings(MeshOptions.of(h, cells, CurvedArgs), depth, inner, interface, outer, angle).build)
 
@@ -193,6 +211,12 @@ def wall(
 
     Raises:
         InputError: a size is not positive, a number is not whole, a cell is of the other dimension.
+
+    Example:
+        >>> from geometry import wall
+        >>> joint = wall(2, 3, brick=(4, 2), h=1)
+        >>> [*joint.seams]
+        ['BED', 'HEAD']
     """
     size = tuple(brick) if depth is None else (*brick, depth)
     return on_root(comm, lambda: running_bond(MeshOptions(h, cell=cell), size, bricks, courses))
@@ -261,6 +285,12 @@ def grains(
     Raises:
         InputError: a size or number is out of range; points lie outside, or two points coincide; a seam has the name of
             a side; a side of a grain is shorter than half a cell, with the place.
+
+    Example:
+        >>> from geometry import grains
+        >>> joint = grains(4, 2, 6, h=0.5, seed=1)
+        >>> [*joint.bodies]
+        ['GRAIN 1', 'GRAIN 2', 'GRAIN 3', 'GRAIN 4', 'GRAIN 5', 'GRAIN 6']
     """
     options = MeshOptions.of(h, cells, SizeArgs)
     return on_root(comm, lambda: grain_rectangle(options, width, height, grains, seed, seams).build())
@@ -290,5 +320,11 @@ def faults(
         InputError: a size is out of range; a fault is no path, turns back, lies outside, on another fault or on a side,
             or has the name of a side; a fault ends within half a cell of another fault or a side without touching it,
             with the place.
+
+    Example:
+        >>> from geometry import faults
+        >>> joint = faults(4, 2, {"A": [(0, 0.5), (4, 1.5)], "B": [(2, 2), (2, 1)]}, h=0.5)
+        >>> [*joint.seams]
+        ['A', 'B']
     """
     return on_root(comm, lambda: faulted_rectangle(MeshOptions.of(h, cells, SizeArgs), width, height, faults).build())

@@ -28,6 +28,12 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
     Raises:
         InputError: an unknown name; sides that do not match, with the place; less than three cells between two sides;
             a seam on a periodic side; a joint whose layer is meshed.
+
+    Example:
+        >>> from geometry import periodic, sandwich
+        >>> joint = periodic(sandwich(4, 1, 2, h=0.5, cell="quadrilateral"), ("LEFT", "RIGHT"))
+        >>> sorted(joint.facets)
+        ['BOTTOM', 'LEFT', 'RIGHT', 'S', 'TOP']
     """
     require(isinstance(joint, Joint), "joint", joint, "it must be a Joint")
     if joint.band is not None:

@@ -64,6 +64,21 @@ class BrokenMesh:
     Raises:
         InputError: cells without a body, bodies that meet outside S, or facets of S inside a body; facets whose upper
             side the rule does not determine; missing ghost cells. The message has numbers and places.
+
+    Example:
+        >>> import numpy as np
+        >>> from dolfinx import mesh
+        >>> from mpi4py import MPI
+        >>> from thinlayer import BrokenMesh
+        >>> square = mesh.create_unit_square(MPI.COMM_WORLD, 4, 4)
+        >>> upper = mesh.compute_midpoints(square, 2, np.arange(32, dtype=np.int32))[:, 1] > 0.5
+        >>> bodies = mesh.meshtags(square, 2, np.arange(32, dtype=np.int32), upper.astype(np.int32))
+        >>> middle = mesh.locate_entities(square, 1, lambda x: np.isclose(x[1], 0.5))
+        >>> facets = mesh.meshtags(square, 1, middle, np.full(len(middle), 7, np.int32))
+        >>> broken = BrokenMesh(square, bodies, facets, S=7)
+        >>> V = broken.space(("Lagrange", 1, (2,)))
+        >>> V.dofmap.index_map.size_global  # 25 vertices, and those of S twice
+        30
     """
 
     def __init__(self, mesh: Mesh, bodies: MeshTags, facet_tags: MeshTags, S: TagRules, plane: str = "strain") -> None:

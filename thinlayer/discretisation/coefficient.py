@@ -286,6 +286,21 @@ class Pressure:
 
     Attributes:
         p: pressure, a stress > 0 in compression; a number or a function (x, t).
+
+    Example:
+        >>> import ufl
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Pressure, Structure, solve
+        >>> plates = Structure(
+        ...     sandwich(4, 1, 2, h=0.5, cell="quadrilateral"),
+        ...     body=LinearElastic.young(E=210e3, nu=0.3),
+        ...     supports={"BOTTOM": 0},
+        ...     tractions={"TOP": Pressure(lambda x, t: 2 + ufl.sin(x[0])), "LEFT": Pressure(2)},
+        ... )
+        >>> state = solve(plates.bonded())
+        >>> print(state.reaction("BOTTOM").force.round(4))
+        [-6.      9.6536]
     """
 
     p: Value

@@ -70,6 +70,14 @@ class ThinLayer:
     Raises:
         InputError: a law of jumps or of nodes, which needs no `ThinLayer`; eps, at, order, profile or edges out of
             range; order 1 of a law that has no interface law of order 1.
+
+    Example:
+        >>> from forms import LinearElastic, Stack
+        >>> from thinlayer import ThinLayer
+        >>> glue, primer = LinearElastic.young(E=2e3, nu=0.4), LinearElastic.young(E=500.0, nu=0.3)
+        >>> ThinLayer(Stack((0.9, glue), (0.1, primer)), eps=0.05, order=1).fractions
+        (0.9, 0.1)
+        >>> swelling = ThinLayer(glue, eps=0.05, profile=lambda x: 1 + 0.1 * x[0], eigenstrain=1e-3)
     """
 
     law: BulkLaw
@@ -119,6 +127,17 @@ class Gap:
 
     Raises:
         InputError: eps out of range.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import faults
+        >>> from thinlayer import Gap, Structure, ThinLayer, solve
+        >>> joint = faults(4, 2, {"A": [(1, 1), (2, 1)], "B": [(2, 1), (3, 1)]}, h=0.5)
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> block = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (0, 10)})
+        >>> state = solve(block.interface({"A": ThinLayer(glue, eps=0.05), "B": Gap(0.05)}))
+        >>> sorted(state.energies())
+        ['bodies', 'layer', 'layer A', 'loads']
     """
 
     eps: float
@@ -132,6 +151,16 @@ class Bond:
     """A perfect bond in place of a layer: both sides of its seam move as one; on a rigid base the side is fixed.
 
     Only interface models accept it. For a meshed model leave the seam out of the joint.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Bond, Structure, ThinLayer, solve
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> f"{solve(plates.interface(Bond())).energies()['bodies']:.3g}"
+        '0.00381'
     """
 
 

@@ -61,6 +61,17 @@ class PointLoad:
         force: (d,) force, in 2D per unit thickness, constant or a function (x, t). In axisymmetry it is the sum over
             the ring of the vertex: y is the total force along the axis, x the total of the radial forces.
         body: region whose node is loaded; needed where S separates bodies, because each has a node there.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import PointLoad, Structure, ThinLayer, solve
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, loads=[PointLoad((4, 2), (5, -30))])
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> print(state.reaction("BOTTOM").force.round(6))
+        [-5. 30.]
     """
 
     place: Sequence[float]

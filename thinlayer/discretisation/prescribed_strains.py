@@ -192,6 +192,18 @@ class ThermalExpansion(Eigenstrain):
     Raises:
         InputError: alpha of another shape, not finite or not symmetric; T or factor that is not a number or a
             function.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, Surface, ThermalExpansion, ThinLayer, solve
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> heated = ThermalExpansion(12e-6, T=50)
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, eigenstrain={"UPPER": heated})
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> f"{Surface(state.model).jump(state)[0, -1, -1]:.2g}"  # along S, near its right end
+        '0.0011'
     """
 
     alpha: float | Sequence[float] | Sequence[Sequence[float]] | Array
@@ -226,6 +238,18 @@ class Prestress(Eigenstrain):
             two dimensions also (2, 2): sigma_33 follows from plane strain, as lmbda/(2 (lmbda + mu)) (s_11 + s_22) for
             isotropic laws. In plane stress it is zero, and only this is allowed. Bodies of revolution need (3, 3), with
             the hoop stress.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Prestress, Probe, Structure, ThinLayer, solve
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> stressed = Prestress(((20, 0), (0, 0)))
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, eigenstrain={"LOWER": stressed})
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> f"{Probe(state).stress((2, -0.5), side='lower')[0, 0]:.3g}"
+        '14.4'
     """
 
     sigma: Tensor

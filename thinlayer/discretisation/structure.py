@@ -91,6 +91,17 @@ class Structure:
     Raises:
         InputError: the message says what cannot be built, where, and what is allowed. Names of facets and loads are
             checked when a model is made.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, solve
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> print(state.reaction("BOTTOM").force.round(6))
+        [-12.  40.]
     """
 
     def __init__(
@@ -154,6 +165,17 @@ class Structure:
 
         Raises:
             InputError: the message says what cannot be built, where, and what is allowed.
+
+        Example:
+            >>> from forms import LinearElastic
+            >>> from geometry import sandwich
+            >>> from thinlayer import Structure, ThinLayer, solve
+            >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+            >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+            >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+            >>> model = plates.full(ThinLayer(glue, eps=0.05), cells_through=2)
+            >>> f"{solve(model).energies()['layer']:.3g}"
+            '0.00426'
         """
         return FullModel(self, layer, bodies=bodies, cells_through=cells_through, junctions=junctions)
 
@@ -169,6 +191,17 @@ class Structure:
 
         Raises:
             InputError: the message says what cannot be built, where, and what is allowed.
+
+        Example:
+            >>> from forms import LinearElastic
+            >>> from geometry import sandwich
+            >>> from thinlayer import Structure, ThinLayer, solve
+            >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+            >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+            >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+            >>> model = plates.interface(ThinLayer(glue, eps=0.05, order=1))
+            >>> f"{solve(model).energies()['layer']:.3g}"
+            '0.00428'
         """
         return InterfaceModel(self, layer, bodies=bodies)
 
@@ -177,6 +210,16 @@ class Structure:
 
         Raises:
             InputError: the message says what cannot be built, where, and what is allowed.
+
+        Example:
+            >>> from forms import LinearElastic
+            >>> from geometry import sandwich
+            >>> from thinlayer import Structure, ThinLayer, solve
+            >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+            >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+            >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+            >>> f"{solve(plates.bonded()).energies()['bodies']:.3g}"
+            '0.00381'
         """
         return self.interface(Bond())
 

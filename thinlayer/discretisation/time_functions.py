@@ -245,6 +245,12 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
 
     Raises:
         InputError: fewer than two times, values that are not numbers or of different lengths.
+
+    Example:
+        >>> from thinlayer import piecewise
+        >>> ramp = piecewise({0: 0, 1: 10, 3: 4})
+        >>> [ramp(None, t) for t in (0.5, 1.0, 2.0)]
+        [5.0, 10.0, 7.0]
     """
     try:
         times = real_values(sorted(values))

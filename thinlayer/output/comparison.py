@@ -53,6 +53,18 @@ def compare(
         InputError: the states do not belong to a full and an interface model of the same structure. Joint, bodies,
             supports, loads, plane, element and thickness must be the same. Also: states of different times; `where` is
             no function of the coordinates, or is true nowhere on S; an unknown seam.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, compare, solve
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> layer = ThinLayer(glue, eps=0.05)
+        >>> errors = compare(solve(plates.full(layer, cells_through=2)), solve(plates.interface(layer)))
+        >>> f"traction {errors['error_traction']:.2g}, jump {errors['error_jump']:.2g}"
+        'traction 0.017, jump 0.015'
     """
     for result in (full, interface):
         require(isinstance(result, (State, History)), "compare: a state", result, "give what solve or march returns")

@@ -66,6 +66,23 @@ def ensemble(
         InputError: cases or rows without numbers or texts, or with different names; ranks or part out of range; `out`
             belongs to another ensemble; several groups or parts draw from a random generator that several runs share.
         OSError: a file could not be written. Errors of runs.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, ensemble, solve
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> def make():
+        ...     def run(case):
+        ...         layer = ThinLayer(LinearElastic.young(E=case["E"], nu=0.4), eps=0.05)
+        ...         return {"energy": solve(plates.interface(layer)).energies()["layer"]}
+        ...     return run
+        ...
+        >>> table = ensemble(make, [{"E": 1e3}, {"E": 2e3}])
+        >>> print(table["energy"].round(4))
+        [0.0085 0.0042]
     """
     with errors_on_all(None):
         comm = default_comm()

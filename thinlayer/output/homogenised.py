@@ -36,6 +36,17 @@ def homogenised_stiffness(model: Model) -> Array:
         InputError: the joint is not periodic; a law is not linear or has stresses without strains; a layer is of order
             1; supports move.
         SolveError: no unique solution; the stiffness of symmetric laws is not symmetric.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import bond_cell
+        >>> from thinlayer import Structure, ThinLayer, homogenised_stiffness
+        >>> brick, mortar = LinearElastic.young(E=10e3, nu=0.2), LinearElastic.young(E=500.0, nu=0.2)
+        >>> cell = Structure(bond_cell((4, 2), h=1), body=brick, supports={}, strain=((0, 0), (0, 0)))
+        >>> print(homogenised_stiffness(cell.interface(ThinLayer(mortar, eps=0.1))).round(-1))
+        [[7540.  970.    0.]
+         [ 970. 5500.    0.]
+         [   0.    0. 1800.]]
     """
     with errors_on_all(model.comm if isinstance(model, Model) else default_comm()):
         _check(model)

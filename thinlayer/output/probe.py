@@ -56,6 +56,21 @@ class Probe:
 
     Raises:
         InputError: not a state.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Probe, Structure, ThinLayer, solve
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> probe = Probe(solve(plates.interface(ThinLayer(glue, eps=0.05))))
+        >>> print(probe.displacement((1, 0), side="upper").shape)
+        (2,)
+        >>> print(probe.stress((1, 1.5)).round(1))
+        [[-1.2  3.7  0. ]
+         [ 3.7 -9.6  0. ]
+         [ 0.   0.  -3.2]]
     """
 
     def __init__(self, state: State) -> None:

@@ -39,6 +39,21 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
         InputError: a thickness out of range or repeated; a row of another thickness, without the required columns, or
             with other columns than the first row; `out` is a folder, cannot be written, is written by another run, or
             is resumed and belongs to another sweep. OSError: a row could not be written. All ranks raise these errors.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, compare, solve, sweep
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> def run(eps):
+        ...     layer = ThinLayer(glue, eps, at=0.1)
+        ...     return compare(solve(plates.full(layer, cells_through=1)), solve(plates.interface(layer)))
+        ...
+        >>> table = sweep(run, [0.1, 0.05])
+        >>> print(table.columns)
+        ['eps', 'error_traction', 'error_jump', 'order_traction', 'order_jump', 'traction', 'jump', 'too_stiff']
     """
     with errors_on_all(default_comm()):
         require_csv(out, resume)

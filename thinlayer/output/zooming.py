@@ -85,6 +85,19 @@ class Zoom:
     Raises:
         InputError: not such a state or seam; a layer whose law has no energy, or remembers earlier steps.
         SolveError: the layer subproblem has no solution, or Newton's method does not converge.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, Zoom, solve
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> zoom = Zoom(solve(plates.interface(ThinLayer(glue, eps=0.05))))
+        >>> print(zoom.stress((2, 0)).round(1))
+        [[ -6.7   3.2   0. ]
+         [  3.2 -10.    0. ]
+         [  0.    0.   -6.7]]
     """
 
     def __init__(self, state: State, seam: str = S, *, cells_through: int = 8, at_ends: float | None = None) -> None:

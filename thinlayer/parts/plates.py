@@ -71,6 +71,19 @@ class RigidPlate(PartDefinition):
     Raises:
         InputError: when a model is made: an unknown or empty place, inner facets, values that are no numbers, a force
             along a prescribed motion, nodes that belong to another plate too.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import RigidPlate, Structure, ThinLayer, solve
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> plate = RigidPlate("TOP", force=(0, -40), moment=10)
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, parts=[plate])
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> motion = plate.motion_in(state)
+        >>> f"{motion.translation[1]:.3g}, {motion.rotation:.3g}"
+        '-0.000238, 4.55e-05'
     """
 
     place: str

@@ -80,6 +80,14 @@ def drive(
         InputError: a path that prescribes nothing or both values for a component; no dt where the law depends on it;
             other input out of range.
         SolveError: tractions beyond the strength of the law; its attribute `history` has the previous steps.
+
+    Example:
+        >>> from forms import MohrCoulomb
+        >>> from thinlayer import drive
+        >>> mortar = MohrCoulomb(lmbda=1200.0, mu=800.0, cohesion=0.3, friction_angle=30)
+        >>> history = drive(mortar, [{"w_T": 0.0, "t_N": -1.0}, {"w_T": 0.01, "t_N": -1.0}])
+        >>> print(history.tractions[-1].round(3))
+        [ 0.741 -1.   ]
     """
     if not isinstance(law, Law) or law.traits.nodal or law.traits.constrained:
         raise InputError(f"law is {law!r}; allowed: laws that give a stress for a strain, or a TractionLaw")

@@ -89,6 +89,17 @@ def solve(
         SolveError: no convergence, or no unique solution; LooseBody if the test finds a body without support.
         InputError: unknown method, or a linear solve of a non-linear law; a PETSc option that the solver does not read;
             a law without an instantaneous response; loads that are not finite; `like` of another joint.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, solve
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> print(state.reaction("BOTTOM").force.round(6))
+        [-12.  40.]
     """
     with Solver(model, options=options, method=method, like=like) as solver:
         with errors_on_all(model.comm):

@@ -35,6 +35,18 @@ class Table:
     Attributes:
         rows: the rows so far; None is an empty entry.
         path: csv file to which each row is written at once, or None.
+
+    Example:
+        >>> from thinlayer import Table
+        >>> table = Table([{"eps": 0.1, "error": 0.04}, {"eps": 0.05, "error": 0.01}])
+        >>> print(table["error"], table.columns)
+        [0.04 0.01] ['eps', 'error']
+        >>> [f"{order:.2f}" for order in table.orders("error")[1:]]
+        ['2.00']
+        >>> print(table)
+         eps  error
+         0.1   0.04
+        0.05   0.01
     """
 
     def __init__(self, rows: Iterable[ColumnValues] = (), path: str | Path | None = None) -> None:

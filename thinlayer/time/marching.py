@@ -103,6 +103,17 @@ def march(
         LimitLoad: the shortest step fails for a layer that yields, or for contact. Loads change in this step, and
             displacements grow without bound as weak springs at all nodes are softened. The error has the last loads
             with an equilibrium.
+
+    Example:
+        >>> from forms import LinearElastic, Maxwell
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, march
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> steel, resin = LinearElastic.young(E=210e3, nu=0.3), Maxwell(lmbda=800.0, mu=400.0, t1=20.0)
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> history = march(plates.interface(ThinLayer(resin, eps=0.05)), [0.5, 1.0, 2.0])
+        >>> f"{history.last.energies()['layer']:.3g}"
+        '0.0102'
     """
     with errors_on_all(comm_of(getattr(begin, "model", begin))):
         model, begun = _initial_states(begin)

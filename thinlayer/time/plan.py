@@ -127,6 +127,18 @@ class Adaptive(Plan):
 
     Raises:
         InputError: values out of range.
+
+    Example:
+        >>> from forms import LinearElastic, Maxwell
+        >>> from geometry import sandwich
+        >>> from thinlayer import Adaptive, Structure, ThinLayer, march
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> steel, resin = LinearElastic.young(E=210e3, nu=0.3), Maxwell(lmbda=800.0, mu=400.0, t1=20.0)
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> steps = Adaptive(end=4.0, first=0.1, tolerance=0.01)
+        >>> history = march(plates.interface(ThinLayer(resin, eps=0.05)), steps, start=0)
+        >>> history.last.t
+        4.0
     """
 
     end: float

@@ -56,6 +56,16 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     Raises:
         InputError: not a state or a history; a path that does not end in .pvd; a surface of another joint.
         OSError: the files could not be written; on all ranks.
+
+    Example:
+        >>> from forms import LinearElastic
+        >>> from geometry import sandwich
+        >>> from thinlayer import Structure, ThinLayer, fields, solve
+        >>> steel, glue = LinearElastic.young(E=210e3, nu=0.3), LinearElastic.young(E=2e3, nu=0.4)
+        >>> joint = sandwich(4, 1, 2, h=0.5, cell="quadrilateral")
+        >>> plates = Structure(joint, body=steel, supports={"BOTTOM": 0}, tractions={"TOP": (3, -10)})
+        >>> state = solve(plates.interface(ThinLayer(glue, eps=0.05)))
+        >>> fields.write(state, "glue.pvd")  # for ParaView
     """
     comm = solution.model.comm if isinstance(solution, (State, History)) else default_comm()
     with errors_on_all(comm):
