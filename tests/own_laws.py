@@ -243,9 +243,7 @@ class AgeingSpring(BulkLaw):
     growth: float
     along: float = 0.0
     powers: ClassVar = {"mu": 1}
-    linear: ClassVar = True
-    quadratic: ClassVar = True
-    varies: ClassVar = True
+    linear = quadratic = varies = True
 
     def at(self, x, t):
         return {"mu": _aged(self.mu, self.growth, x, t) * (1 + self.along * x[0])}
@@ -265,9 +263,7 @@ class AgeingFluid(BulkLaw):
     tau: float
     growth: float = 0.0
     powers: ClassVar = {"mu": 1}
-    linear: ClassVar = True
-    quadratic: ClassVar = True
-    varies: ClassVar = True
+    linear = quadratic = varies = True
     internal: ClassVar = {"flow": (3, 3)}
 
     def at(self, x, t):

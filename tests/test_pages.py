@@ -160,13 +160,10 @@ PUBLIC = {name: getattr(package, name) for package in (forms, geometry, thinlaye
 PUBLIC |= {"fields.write": thinlayer.fields.write}
 DOCTESTS = [doctest.DocTestFinder().find(value, name, globs={}) for name, value in PUBLIC.items() if callable(value)]
 EXAMPLES = {test.name: test for tests in DOCTESTS for test in tests if test.examples}
+assert len(EXAMPLES) >= 40  # of the names that users call most
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_of_docstrings_print_what_they_say(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert doctest.DocTestRunner().run(EXAMPLES[name]).failed == 0, capsys.readouterr().out
-
-
-def test_names_that_users_call_most_have_an_example():
-    assert len(EXAMPLES) >= 40

@@ -115,8 +115,9 @@ class Zoom:
         assert isinstance(model, InterfaceModel)
         layers = {}
         for name in [*model.layers] if model.joint.seams_meet else [self.seam]:
-            what, thin = f"zoom into {model.layers[name]}: ", model.layers[name].as_thin_layer
+            what = f"zoom into {model.layers[name]}: "
             model.applicability[name].require("alone", what)
+            thin = model.layers[name].as_thin_layer
             if thin.law.traits.remembers and not state.sudden:
                 raise InputError(f"{what}it remembers earlier steps; mesh it (structure.full)")
             layers[name] = replace(thin, order=0, edges=None)
