@@ -155,4 +155,4 @@ def test_profiles_are_checked():
         refused(InputError, message, plates.full, layer, bodies="extended")
     tapered = ThinLayer(GLUE, 0.01, profile=wedge)
     refused(InputError, r"thickness varies along S.*bodies='extended'", plates.full, tapered)
-    refused(InputError, "must be a function", lambda: ThinLayer(GLUE, 0.01, profile=2.0, at=1.0))
+    refused(InputError, "give a function of x", lambda: ThinLayer(GLUE, 0.01, profile=2.0, at=1.0))

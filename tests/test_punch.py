@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -34,7 +32,7 @@ def test_both_cylinders_follow_the_closed_form(record):
 
 def test_another_strength_fails(record, monkeypatch):
     """Tresca's strength in tension for von Mises' one: k = Y/2."""
-    monkeypatch.setattr(punch, "CYLINDER", replace(punch.CYLINDER, k=punch.STRENGTH / 2))
+    monkeypatch.setattr(punch, "CYLINDER", punch.CYLINDER._replace(k=punch.STRENGTH / 2))
     monkeypatch.setattr(punch, "PRESSURES", (0.7, 1.0))
     punch.inflated(record, 0.3)
     assert len(record.failed) == 3

@@ -125,7 +125,7 @@ class Constraints:
         """Local numbers of all slaves; raises InputError if two multi-point constraints have a common slave."""
         rows = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
         slaves, uses = np.unique(np.concatenate([np.empty(0, np.int64), *rows]), return_counts=True)
-        names = [mpc.key for mpc, own in zip(self.mpcs, rows, strict=True) if np.isin(own, slaves[uses > 1]).any()]
+        names = [mpc.key for mpc, mine in zip(self.mpcs, rows, strict=True) if np.isin(mine, slaves[uses > 1]).any()]
         if several := [keys for keys in self.comm.allgather(names) if keys]:
             raise InputError(f"{' and '.join(several[0])} share a node: their motions would not be independent")
         return slaves
