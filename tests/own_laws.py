@@ -30,9 +30,8 @@ class StandardSolid(BulkLaw):
     mu_1: float
     t_1: float
     powers: ClassVar = {"lmbda": 1, "mu": 1, "mu_1": 1}
-    linear: ClassVar = True
     internal: ClassVar = {"viscous": (3, 3)}
-    quadratic: ClassVar = True
+    linear = quadratic = True
 
     def advance(self, step):
         x, old = step.dt / self.t_1, step.q["viscous"]
