@@ -311,7 +311,8 @@ class Constraints:
     def _times(self, matrix: PETSc.Mat | None, values: Array, *, transposed: bool = False) -> Array:
         if matrix is None:
             return values
-        x, b = matrix.createVecs()[:: -1 if transposed else 1]
+        x, b = matrix.createVecs()
+        x, b = (b, x) if transposed else (x, b)
         x.array[:] = values
         (matrix.multTranspose if transposed else matrix.mult)(x, b)
         product = b.array_r.copy()

@@ -224,10 +224,20 @@ def _bonded(section: Section, key: str) -> bool:
 
 
 MESH_HINT = 'the name of a mesh file, mesh = "joint.msh"'
-ENTRY_READERS: dict[str, Reader] = {"mesh": _mesh, "units": _units, "body": read_materials}
-ENTRY_READERS |= {"layer": partial(read_materials, thin=True), "supports": _supports, "tractions": _tractions}
-ENTRY_READERS |= {"body_force": _body_force, "loads": _loads}
-ENTRY_READERS["plane"] = choice_reader("strain", "stress", "axisymmetric")
-ENTRY_READERS["element"] = choice_reader("P2", "Q2", "S2")  # of degree 2, as interface laws of order 1 need it
-ENTRY_READERS["bodies"] = choice_reader("kept", "extended")
-ENTRY_READERS |= {"times": _times, "goals": _goals, "tolerance": _tolerance, "bonded": _bonded}
+ENTRY_READERS: dict[str, Reader] = {
+    "mesh": _mesh,
+    "units": _units,
+    "body": read_materials,
+    "layer": partial(read_materials, thin=True),
+    "supports": _supports,
+    "tractions": _tractions,
+    "body_force": _body_force,
+    "loads": _loads,
+    "plane": choice_reader("strain", "stress", "axisymmetric"),
+    "element": choice_reader("P2", "Q2", "S2"),  # of degree 2, as interface laws of order 1 need it
+    "bodies": choice_reader("kept", "extended"),
+    "times": _times,
+    "goals": _goals,
+    "tolerance": _tolerance,
+    "bonded": _bonded,
+}

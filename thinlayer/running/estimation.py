@@ -32,8 +32,10 @@ from thinlayer.time.marching import march
 
 LAW, BOND = "law", "bond"  # replacements of the meshed layer
 END_DISTANCES = (4, 8)  # distances from the ends of S, in thicknesses, for which shares of the change are printed
-QUESTION_TEXTS = {LAW: "May you drop the layer's mesh, with its interface law instead?"}
-QUESTION_TEXTS[BOND] = "May you ignore the layer altogether, with its bodies bonded?"
+QUESTION_TEXTS = {
+    LAW: "May you drop the layer's mesh, with its interface law instead?",
+    BOND: "May you ignore the layer altogether, with its bodies bonded?",
+}
 
 
 def run(record: Record, description: Description, file: Path) -> None:
