@@ -238,8 +238,14 @@ def published_cases() -> list[DroppedCase]:
     hardening, plastic = of(Hardening(60.0, 40.0, 3e5)), of(YIELDING)
     bearing, viscous, in_box = of(BEARING, None), of(VISCOUS), partial(DroppedCase, structure=box, solid=True)
 
-    on_rollers = {"nu = 0.3": soft(40.0, 0.3), "nu = 0.45": of(R(4.0, 0.45)), "nu = 0.499": soft(40.0, 0.499)}
-    on_rollers |= {"nu = 0.4999": soft(0.4, 0.4999), "cubic hardening": hardening, "plastic": plastic}
+    on_rollers = {
+        "nu = 0.3": soft(40.0, 0.3),
+        "nu = 0.45": of(R(4.0, 0.45)),
+        "nu = 0.499": soft(40.0, 0.499),
+        "nu = 0.4999": soft(0.4, 0.4999),
+        "cubic hardening": hardening,
+        "plastic": plastic,
+    }
     return [
         *(rolled(f"between rollers: {words}", layers=layers) for words, layers in on_rollers.items()),
         ended("free ends: nu = 0.3", layers=soft(40.0, 0.3)),

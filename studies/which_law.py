@@ -28,8 +28,13 @@ NUS = (0.0, 0.2, 0.3, 0.4, 0.45, 0.48, 0.49, 0.499, 0.4999, 0.5)
 QUICK_NUS = (0.3, 0.45, 0.49, 0.499, 0.5)
 E_BODY = 100.0
 CONTRASTS = (10, 200, 200_000)  # Young's modulus of the bodies over the shear modulus of the layer
-LAWS = {"order_0": "order 0", "order_1": "LinearElastic, order 1", "edges": "order 1, free ends"}
-LAWS |= {"rubber": "Rubber, order 1", "rubber_edges": "Rubber, free ends"}
+LAWS = {
+    "order_0": "order 0",
+    "order_1": "LinearElastic, order 1",
+    "edges": "order 1, free ends",
+    "rubber": "Rubber, order 1",
+    "rubber_edges": "Rubber, free ends",
+}
 LETTERS = {"order_0": "0", "order_1": "1", "rubber": "R"}
 CORRECTED = {"edges": "order_1", "rubber_edges": "rubber"}  # law corrected at free ends -> law without correction
 QUANTITIES = ("traction", "jump", "compliance")
