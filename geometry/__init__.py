@@ -1,4 +1,4 @@
-"""Joints, meshes with named parts: builders, import of files, inflating S into layers, distribution over MPI ranks."""
+"""Joints (meshes with named regions and facet sets): builders, import, meshing of layers, distribution over ranks."""
 
 # ruff: noqa: F401
 from geometry.builders import block, bond_cell, disc, faults, fibre, grains, ring, sandwich, wall

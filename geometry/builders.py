@@ -29,20 +29,23 @@ def block(
         width, height: size, lengths > 0.
         h: largest cell size, a length (default: a tenth of the smallest side in 2D, a fifth in 3D).
         depth: size along z, a length > 0, which makes the body three-dimensional (default: 2D).
-        h_S: cell size at S (default: h).
-        h_ends: cell size at the ends of S, in 3D at the edges of S (default: h_S).
-        cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals
-            and hexahedra are always structured.
-        structured: whether triangles or tetrahedra split the cells of a grid; a grid is graded along each axis alone.
-        arrangement: which diagonals halve the grid's rectangles in the x-y plane, "Left", "Right", "AlternateLeft" or
-            "AlternateRight".
+        h_S: cell size at S, a length (default: h).
+        h_ends: cell size, a length, at the ends of S, in 3D at the edges of S (default: h_S).
+        cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals and
+            hexahedra are always structured.
+        structured: whether triangles or tetrahedra come from a grid, whose cells they divide (default: no). The sizes
+            of a grid's cells vary along each axis independently.
+        arrangement: which diagonals halve the grid's rectangles in the x-y plane: "Right" (default, from lower left to
+            upper right), "Left" (from upper left to lower right), or both in turn. Then "AlternateLeft" begins with
+            "Right" in the lower left corner, "AlternateRight" with "Left".
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
         Region "BODY"; facets "S", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" (z = depth) too.
 
     Raises:
-        InputError: a size is not positive, a name is unknown, a cell is of the other dimension.
+        InputError: a size is not positive, a keyword, cell type or arrangement is unknown, a cell type is not one of
+            this dimension.
 
     Example:
         >>> from geometry import block
@@ -63,19 +66,30 @@ def sandwich(
     comm: Comm = None,
     **cells: Unpack[GridArgs],
 ) -> Joint:
-    """Two bodies, stacked: (0, width) x (-lower, 0) and (0, width) x (0, upper), in 3D x (0, depth). Collective.
+    """Two stacked bodies (0, width) x (-lower, 0) and (0, width) x (0, upper), in 3D x (0, depth). Collective.
 
-    S is where they meet, at height 0.
+    S is where they meet, at y = 0.
 
     Args:
         width, lower, upper: width and heights of the two bodies, lengths > 0.
-        h, depth, h_S, h_ends, cell, structured, arrangement, comm: as in `block`.
+        h: largest cell size, a length (default: a tenth of the smallest side in 2D, a fifth in 3D).
+        depth: size along z, a length > 0, which makes the bodies three-dimensional (default: 2D).
+        h_S: cell size at S, a length (default: h).
+        h_ends: cell size, a length, at the ends of S, in 3D at the edges of S (default: h_S).
+        cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals and
+            hexahedra are always structured.
+        structured: whether triangles or tetrahedra come from a grid, whose cells they divide (default: no).
+        arrangement: which diagonals halve the grid's rectangles in the x-y plane: "Right" (default, from lower left to
+            upper right), "Left" (from upper left to lower right), or both in turn. Then "AlternateLeft" begins with
+            "Right" in the lower left corner, "AlternateRight" with "Left".
+        comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
         Regions "LOWER", "UPPER"; facets "S", "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" and "FRONT" too.
 
     Raises:
-        InputError: a size is not positive, a name is unknown, a cell is of the other dimension.
+        InputError: a size is not positive, a keyword, cell type or arrangement is unknown, a cell type is not one of
+            this dimension.
 
     Example:
         >>> from geometry import sandwich
@@ -97,16 +111,19 @@ def disc(
     comm: Comm = None,
     **cells: Unpack[CurvedArgs],
 ) -> Joint:
-    """Two coaxial cylinders, stacked along their axis, the y axis; S is the disc at y = 0 where they meet. Collective.
+    """Two cylinders, stacked along their axis, the y axis; S is the disc at y = 0 where they meet. Collective.
 
     Args:
-        radius, lower, upper: radius and heights of the two bodies, lengths > 0.
-        h: largest cell size, a length (default: a fifth of the smallest of the heights and the radius or width).
+        radius, lower, upper: radius of both bodies, height of the lower and of the upper one, lengths > 0.
+        h: largest cell size, a length (default: a fifth of the smallest of the two heights and the radius, with a hole
+            the width of the ring).
         hole: radius of a hole along the axis, a length less than the radius (default: none).
-        h_S: cell size at S (default: h).
-        h_ends: cell size at the circles that bound S (default: h_S).
-        cell: "tetrahedron" or "hexahedron"; hexahedra form a polar grid, around a square grid if there is no hole.
-        degree: degree of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
+        h_S: cell size at S, a length (default: h).
+        h_ends: cell size, a length, at the circles that bound S (default: h_S).
+        cell: "tetrahedron" (default) or "hexahedron"; hexahedra form a polar grid, around a square grid if there is no
+            hole.
+        degree: polynomial degree of the cells' geometry, 1 (straight, default) or 2 (curved; the error of circles falls
+            as h^4).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
@@ -114,7 +131,8 @@ def disc(
         cells or more go round a circle.
 
     Raises:
-        InputError: a size is not positive, the hole does not fit, a name is unknown, the degree is not 1 or 2.
+        InputError: a size is not positive, the hole does not fit, a keyword or cell type is unknown, the degree is not
+            1 or 2.
     """
     return on_root(comm, Discs(MeshOptions.of(h, cells, CurvedArgs), radius, lower, upper, hole).build)
 
@@ -139,21 +157,24 @@ def ring(
         angle: angle of the sector that starts at the x axis, in radians, > 0 and at most 2 pi (default: the full
             circle).
         depth: size along z, a length > 0, which makes the rings three-dimensional (default: 2D).
-        h_S: cell size at S (default: h).
-        h_ends: cell size at the ends of S, in 3D at the curves that bound it (default: h_S); a full circle has none.
-        cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals
-            and hexahedra are a polar grid, graded along each of its directions alone.
-        degree: degree of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
+        h_S: cell size at S, a length (default: h).
+        h_ends: cell size, a length, at the ends of S, in 3D at the curves that bound it (default: h_S); a full circle
+            has none.
+        cell: "triangle" (default) or "quadrilateral", in 3D "tetrahedron" (default) or "hexahedron"; quadrilaterals and
+            hexahedra form a polar grid, whose cell sizes vary along the radius, along the circles and along z
+            independently.
+        degree: polynomial degree of the cells' geometry, 1 (straight, default) or 2 (curved; the error of circles falls
+            as h^4).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
-        Regions "INNER" (the lower body), "OUTER" (the upper body); facets "S", "INSIDE" (r = inner), "OUTSIDE"
-        (r = outer). A sector also has "START" (on the x axis) and "END"; in 3D there are "BACK" (z = 0) and "FRONT"
-        (z = depth) too. Whatever h is, about 20 cells or more go round a circle.
+        Regions "INNER" (the lower body), "OUTER" (the upper body); facets "S", "INSIDE" (r = inner), "OUTSIDE" (r =
+        outer). A sector also has "START" (on the x axis) and "END"; in 3D there are "BACK" (z = 0) and "FRONT" (z =
+        depth) too. Whatever h is, about 20 cells or more go round a circle.
 
     Raises:
-        InputError: a size is not positive, the radii do not grow, or the angle is out of range; a name is unknown, a
-            cell is of the other dimension, or the degree is not 1 or 2.
+        InputError: a size is not positive, the radii do not grow, or the angle is out of range; a keyword or cell type
+            is unknown or not one of this dimension, or the degree is not 1 or 2.
 
     Example:
         >>> from geometry import ring
@@ -170,22 +191,25 @@ def fibre(
     """A fibre, the disc r < radius about the origin, in its matrix; S is the circle between them. Collective.
 
     Args:
-        radius: of the fibre, a length > 0.
+        radius: radius of the fibre, a length > 0.
         around: radius of the matrix's outer circle, or (width, height) of the rectangle about the origin that it fills;
             lengths that leave room for the fibre.
-        h: largest cell size, a length (default: a tenth of the smaller of the radius and the matrix's least width).
-        h_S: cell size at S (default: h).
-        cell: "triangle" or, in a round matrix, "quadrilateral", which form a polar grid around a square grid.
-        degree: degree of the cells' geometry, 1 (straight) or 2 (curved: circles to fourth order of the cell size).
+        h: largest cell size, a length (default: a tenth of the smaller of the radius and the least width of the matrix
+            around the fibre).
+        h_S: cell size at S, a length (default: h).
+        cell: "triangle" (default) or, in a round matrix, "quadrilateral"; quadrilaterals form a polar grid around a
+            square grid.
+        degree: polynomial degree of the cells' geometry, 1 (straight, default) or 2 (curved; the error of circles falls
+            as h^4).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
-        Regions "FIBRE" (the lower body), "MATRIX" (the upper body); facets "S", and "OUTSIDE" or "BOTTOM", "TOP",
-        "LEFT", "RIGHT". Whatever h is, about 20 cells or more go round S.
+        Regions "FIBRE" (the lower body), "MATRIX" (the upper body); facets "S", and "OUTSIDE" (round matrix) or
+        "BOTTOM", "TOP", "LEFT", "RIGHT" (rectangle). Whatever h is, about 20 cells or more go round S.
 
     Raises:
-        InputError: a size is not positive, the fibre has no room, a name is unknown, quadrilaterals in a rectangle, the
-            degree is not 1 or 2.
+        InputError: a size is not positive, the fibre has no room, a keyword or cell type is unknown; quadrilaterals are
+            asked for in a rectangle, the degree is not 1 or 2.
     """
     lengths = around if isinstance(around, tuple) else (around,)
     return on_root(comm, lambda: Fibre(MeshOptions.of(h, cells, CurvedArgs), radius, lengths).build())
@@ -194,7 +218,7 @@ def fibre(
 def wall(
     bricks: int, courses: int, brick: Pair, h: Size = None, *, depth: Size = None, cell: Cell = None, comm: Comm = None
 ) -> Joint:
-    """A wall in running bond with its left lower corner at the origin: a network of bed and head joints. Collective.
+    """A wall in running bond, its left lower corner at the origin; S is its bed and head joints. Collective.
 
     Args:
         bricks: number of bricks along a course; every second course begins and ends with half a brick.
@@ -202,15 +226,17 @@ def wall(
         brick: width and height of a brick with its mortar, lengths > 0.
         h: largest cell size, a length (default: a quarter of the smallest side of a brick).
         depth: size of a brick along z, a length > 0, which makes the wall three-dimensional (default: 2D).
-        cell: "quadrilateral" (default) or "triangle", in 3D "hexahedron" (default) or "tetrahedron"; a grid.
+        cell: "quadrilateral" (default) or "triangle", in 3D "hexahedron" (default) or "tetrahedron"; they form, or
+            divide, the cells of a grid.
         comm: communicator whose rank 0 meshes (default: the world).
 
     Returns:
-        Seams "BED" (the upper side above) and "HEAD" (the upper side on the right); regions "COURSE 1", "COURSE 2", ...
-        from below; facets "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
+        Seams "BED" (joints between courses, upper side above) and "HEAD" (joints between bricks of a course, upper side
+        on the right), if there are any; regions "COURSE 1", "COURSE 2", ... from below; facets "BOTTOM", "TOP", "LEFT",
+        "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
 
     Raises:
-        InputError: a size is not positive, a number is not whole, a cell is of the other dimension.
+        InputError: a size is not positive, a number is not whole, a cell type is not one of this dimension.
 
     Example:
         >>> from geometry import wall
@@ -225,27 +251,31 @@ def wall(
 def bond_cell(
     brick: Pair, h: Size = None, *, depth: Size = None, cut: Pair = (0.25, 0.5), cell: Cell = None, comm: Comm = None
 ) -> Joint:
-    """The periodic cell of a running bond: one brick wide, two courses high, its left lower corner at the origin.
+    """The periodic cell of a running bond, one brick wide, two courses high, its left lower corner at the origin.
 
-    Collective. It is cut through bricks. Left and right sides are identified, and so are bottom and top.
+    S is its bed and head joints. The cell is cut through bricks. Left and right sides are identified with each other,
+    and so are bottom and top. Collective.
 
     Args:
         brick: width and height of a brick with its mortar, lengths > 0.
         h: largest cell size, a length (default: a quarter of the smallest side of a brick); at least two cells are in
             half a brick, and in its height.
-        depth: size of a brick along z, a length > 0, which makes the cell three-dimensional (default: 2D); the sides
-            BACK and FRONT are free.
-        cut: place of the cell's left lower corner in a brick, as shares of its width and height, which are rounded to
-            cells. The behaviour of the periodic cell as a whole does not depend on it.
-        cell: as in `wall`.
+        depth: size of a brick along z, a length > 0, which makes the cell three-dimensional (default: 2D); "BACK" and
+            "FRONT" are then not periodic.
+        cut: place of the cell's left lower corner in a brick, as fractions of the brick's width and height. It is
+            rounded to whole cells. The behaviour of the periodic cell as a whole does not depend on it.
+        cell: "quadrilateral" (default) or "triangle", in 3D "hexahedron" (default) or "tetrahedron"; they form, or
+            divide, the cells of a grid.
         comm: communicator whose rank 0 meshes (default: the world).
 
     Returns:
-        Seams "BED" (the upper side above) and "HEAD" (the upper side on the right); regions "COURSE 1" (which is also
-        on top) and "COURSE 2"; facets "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
+        Seams "BED" (joints between courses, upper side above) and "HEAD" (joints between bricks of a course, upper side
+        on the right); regions "COURSE 1" (at the bottom, and its other part at the top) and "COURSE 2"; facets
+        "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" too.
 
     Raises:
-        InputError: a size is not positive, a cell is of the other dimension, the cut is along a joint.
+        InputError: a size is not positive, a cell type is not one of this dimension, the cut is along a joint of
+            mortar.
     """
     size = tuple(brick) if depth is None else (*brick, depth)
     joint = on_root(comm, lambda: repeated_bond(MeshOptions(h, cell=cell), size, cut))
@@ -263,28 +293,30 @@ def grains(
     comm: Comm = None,
     **cells: Unpack[SizeArgs],
 ) -> Joint:
-    """The rectangle (0, width) x (0, height), filled with Voronoi grains; S is all boundaries between them. Collective.
+    """The rectangle (0, width) x (0, height), filled with Voronoi grains; S is all boundaries of grains. Collective.
 
     Args:
         width, height: size, lengths > 0.
         grains: points (x, y) in the rectangle; a grain consists of all places nearest to its point. Or the number of
-            grains, at least 2, for random points. These are moved to the centres of their grains three times.
-            Then they are moved until no side of a grain is shorter than 0.12 times the root of the mean area.
-        h: largest cell size, a length (default: a tenth of the root of the mean area). Grains do not depend on it.
-        seed: of random points, a whole number >= 0: the same seed gives the same grains.
-        seams: function of the numbers of two grains that touch, the smaller one first, that returns the name of the
-            seam between them (default: all are "S").
-        h_S: cell size at S (default: h).
-        h_ends: cell size where boundaries of grains meet and end (default: h_S).
+            grains, at least 2, for random points. These are moved to the centres of their grains three times. In at
+            most 100 further steps they are moved until no side of a grain is shorter than 0.12 times the root of the
+            mean area.
+        h: largest cell size, a length (default: a tenth of the root of the mean area of a grain). Grains do not depend
+            on it.
+        seed: whole number >= 0 for the random points; the same seed gives the same grains.
+        seams: function of the numbers, from 1, of two grains that touch, the smaller number first; it returns the name
+            of the seam between them (default: all are "S").
+        h_S: cell size at S, a length (default: h).
+        h_ends: cell size, a length, where boundaries of grains meet and end (default: h_S).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
-        Triangles; regions "GRAIN 1", "GRAIN 2", ... in the order of the points; the grain with the larger number is the
-        upper side; facets "BOTTOM", "TOP", "LEFT", "RIGHT".
+        Triangles; regions "GRAIN 1", "GRAIN 2", ... in the order of the points; the grain with the larger number is on
+        the upper side; facets "BOTTOM", "TOP", "LEFT", "RIGHT".
 
     Raises:
         InputError: a size or number is out of range; points lie outside, or two points coincide; a seam has the name of
-            a side; a side of a grain is shorter than half a cell, with the place.
+            a side; a side of a grain is shorter than half a cell (the message names the place).
 
     Example:
         >>> from geometry import grains
@@ -304,22 +336,22 @@ def faults(
     Args:
         width, height: size, lengths > 0.
         faults: name -> points (x, y) of a fault, from one end to the other, joined by straight lines. Parts outside the
-            block are cut off. A fault ends on another fault, and branches from it, where its last point lies on it, to
-            1e-6 of the block.
+            block are cut off. A fault ends on another fault, and branches from it, where its first or last point lies
+            on it, to 1e-6 of the block's size.
         h: largest cell size, a length (default: a tenth of the smallest side).
-        h_S: cell size at S (default: h).
-        h_ends: cell size where faults meet and end (default: h_S).
+        h_S: cell size at S, a length (default: h).
+        h_ends: cell size, a length, where faults meet and end (default: h_S).
         comm: communicator whose rank 0 runs gmsh (default: the world).
 
     Returns:
         Triangles; a seam for each fault, its upper side on the left, seen from its first to its last point; regions
-        "BLOCK 1", "BLOCK 2", ..., the parts between faults by their centres from left to right; facets "BOTTOM", "TOP",
-        "LEFT", "RIGHT".
+        "BLOCK 1", "BLOCK 2", ..., the parts between faults, numbered by their centres from left to right; facets
+        "BOTTOM", "TOP", "LEFT", "RIGHT".
 
     Raises:
-        InputError: a size is out of range; a fault is no path, turns back, lies outside, on another fault or on a side,
-            or has the name of a side; a fault ends within half a cell of another fault or a side without touching it,
-            with the place.
+        InputError: a size is out of range; a fault has fewer than two points, turns back, lies outside, on another
+            fault or on a side, or has the name of a side; a fault ends within half a cell of another fault or a side
+            without touching it (the message names the place).
 
     Example:
         >>> from geometry import faults

@@ -1,6 +1,6 @@
-"""Meshes of DOLFINx, for all releases from 0.9 to 0.11, and Domain: a joint distributed over ranks, with its names.
+"""Domain: a joint distributed over MPI ranks, with its names; and meshes of DOLFINx 0.9 to 0.11.
 
-Every rank can read the whole joint, which is stored once per machine, but has only a part of the mesh. Only `Domain`
+Every rank can read the whole joint, which is stored once per machine, but has only its part of the mesh. Only `Domain`
 relates the two: `original_cells`, `original_points`, `numbers` and `on_cells` transfer data of the joint to the cells,
 points and facets of a rank.
 """
@@ -34,7 +34,10 @@ NAMES_PER_CODE = 30  # number of names after which combinations are renumbered, 
 
 
 def first_accepted(*calls: Callable[[], ResultType]) -> ResultType:
-    """Result of the first call whose signature exists (a wrong signature raises TypeError before any work is done)."""
+    """Return the result of the first call that does not raise TypeError; errors of the last call are raised.
+
+    So the releases of DOLFINx are served: a call with arguments that do not exist there fails before it does any work.
+    """
     for call in calls[:-1]:
         with suppress(TypeError):
             return call()
@@ -44,7 +47,15 @@ def first_accepted(*calls: Callable[[], ResultType]) -> ResultType:
 def create_mesh(
     comm: MPI.Intracomm, points: FloatArray, cells: IntArray, cell_type: str, partitioner: Partitioner | None = None
 ) -> dolfinx.mesh.Mesh:
-    """Create a mesh from points and cells; each rank passes some. Several ranks need a partitioner. Collective."""
+    """Create a distributed DOLFINx mesh. Collective.
+
+    Args:
+        comm: communicator of the mesh.
+        points: (n, d) coordinates in d dimensions of the points that this rank passes.
+        cells: (m, k) global numbers of the k nodes of each cell that this rank passes, in DOLFINx's order.
+        cell_type: type of the cells.
+        partitioner: chooses the ranks of the cells; None is for a single rank only.
+    """
     dim, degree = points.shape[1], geometry_degree(cell_type, cells.shape[1])
     element, x = basix.ufl.element("Lagrange", cell_type, degree, shape=(dim,)), np.ascontiguousarray(points)
     arguments = dict(comm=comm, cells=cells, x=x, partitioner=partitioner)
@@ -58,20 +69,21 @@ def create_mesh(
 
 
 def cell_nodes(mesh: dolfinx.mesh.Mesh) -> Indices:
-    """Geometry nodes (cells, nodes) of each cell of this rank."""
+    """Return (n, k) local numbers of the k geometry nodes of each cell of this rank, ghosts included."""
     maps = getattr(mesh.geometry, "dofmaps", None)
     return np.asarray(mesh.geometry.dofmap if maps is None or callable(maps) else maps[0])
 
 
 def with_cell_points(mesh: dolfinx.mesh.Mesh, x: FloatArray) -> dolfinx.mesh.Mesh:
-    """The same mesh topology with new places (cells, k, d) for the nodes of each cell. Collective.
+    """Return the mesh with the same topology and new coordinates for the nodes of each cell. Collective.
 
     Each cell has its own nodes, so that neighbours may be apart. They still share one facet, which has a place on
     either side. Without a side ("+", "-") DOLFINx computes the geometry of this facet from one of the two cells.
 
     Args:
         mesh: the mesh.
-        x: (cells, k, d) places of the nodes of this rank's cells, ghosts included, in the order of `cell_nodes`.
+        x: (n, k, d) coordinates in d dimensions of the k nodes of each of this rank's n cells. Ghosts are included, and
+            nodes have the order of `cell_nodes`.
     """
     cells, k = mesh.topology.index_map(mesh.topology.dim), x.shape[1]
     ghosts = np.asarray(cells.ghosts, np.int64)[:, None] * k + np.arange(k)
@@ -86,20 +98,27 @@ def with_cell_points(mesh: dolfinx.mesh.Mesh, x: FloatArray) -> dolfinx.mesh.Mes
 
 
 def index_map(comm: MPI.Intracomm, n: int, ghosts: IntArray, owners: Indices) -> dolfinx.cpp.common.IndexMap:
-    """Index map of n owned indices, and of ghosts with their global numbers and owners. Collective."""
+    """Return DOLFINx's index map of n owned indices and of ghosts (global numbers and owner ranks). Collective."""
     arguments = (comm, n, np.asarray(ghosts, np.int64), np.asarray(owners, np.int32))
     create = dolfinx.cpp.common.IndexMap
     return first_accepted(lambda: create(*arguments), lambda: create(*arguments, 1801))
 
 
 def create_connectivity(mesh: dolfinx.mesh.Mesh, dim: int) -> None:
-    """Compute the connectivity from local cells to their entities of a dimension, and back."""
+    """Compute the connectivity from this rank's cells to their entities of dimension `dim`, and back."""
     mesh.topology.create_connectivity(dim, mesh.topology.dim)
     mesh.topology.create_connectivity(mesh.topology.dim, dim)
 
 
 def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Indices) -> tuple[Indices, IntArray]:
-    """A local cell of each local facet (inside the mesh one of its two cells), and the facet's number in this cell."""
+    """Return for each local facet one local cell that it belongs to, and the facet's number within this cell.
+
+    Inside the mesh this is the first of two cells.
+
+    Args:
+        mesh: the mesh.
+        facets: (n,) numbers of local facets.
+    """
     topology, dim = mesh.topology, mesh.topology.dim
     create_connectivity(mesh, dim - 1)
     to_cells = topology.connectivity(dim - 1, dim)
@@ -108,20 +127,20 @@ def cells_of_facets(mesh: dolfinx.mesh.Mesh, facets: Indices) -> tuple[Indices, 
 
 
 def _facets_of_cells(mesh: dolfinx.mesh.Mesh) -> Indices:
-    """(cells, facets of a cell) local facets of each local cell; a rank may have no cells."""
+    """Return (n, m) numbers of the m local facets of each of this rank's n cells; n may be 0."""
     topology, dim = mesh.topology, mesh.topology.dim
     count = dolfinx.cpp.mesh.cell_num_entities(topology.cell_type, dim - 1)
     return np.asarray(topology.connectivity(dim, dim - 1).array.reshape(-1, count))
 
 
 def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices, corners: IntArray) -> IntArray:
-    """(n, k) vertices of local facets, numbered as in `corners`.
+    """Return (n, k) numbers of the k vertices of each of n local facets, in the numbering of `corners`.
 
     Args:
         mesh: the mesh.
         cell_type: type of its cells.
-        facets: (n,) local facets.
-        corners: (n_cells, m) vertices of the local cells.
+        facets: (n,) numbers of local facets.
+        corners: (n_cells, m) numbers of the m vertices of each local cell, for example those in the joint.
     """
     cells, which = cells_of_facets(mesh, facets)
     return np.take_along_axis(corners[cells], local_facets(cell_type)[which], axis=1)
@@ -129,17 +148,18 @@ def vertices_of_facets(mesh: dolfinx.mesh.Mesh, cell_type: str, facets: Indices,
 
 @dataclass(frozen=True)
 class Domain:
-    """A distributed mesh and the names of its parts.
+    """A distributed mesh with the names of its regions and facet sets.
 
-    For a named set NAME of outer facets, "NAME/REGION" is its part on one region. "NAME/LAYER" are the side faces of
-    the layer that continue it (no facets while S is a surface). "S" is all seams together.
+    Facet sets have further names. For a set NAME of outer facets, "NAME/REGION" is its facets on the cells of one
+    region. "NAME/LAYER" is the outer facets of the meshed layer that continue it. This set is empty while S is a
+    surface. "S" is the facets of all seams.
 
     Attributes:
         joint: the joint that was distributed.
-        mesh: the DOLFINx mesh (ghosts across shared facets).
-        cell_tags: region numbers, counted from 1 in the order of `joint.regions`.
-        facet_tags: one value per combination of names.
-        facet_values: name -> its values in `facet_tags`.
+        mesh: the DOLFINx mesh; ghosts are the neighbours across facets.
+        cell_tags: number of each cell's region, counted from 1 in the order of `joint.regions`.
+        facet_tags: tags of the facets that have names. Facets with the same names have the same value.
+        facet_values: name of a facet set -> all values in `facet_tags` that belong to this set.
         original_cells: for each local cell (ghosts included) its number in `joint.cells`.
         comm: communicator for all communication of these packages, other than the mesh's. If Python's garbage collector
             frees a mesh during a pickled collective, mpi4py 4.0 deadlocks if the mesh's communicator was ever used for
@@ -156,7 +176,7 @@ class Domain:
 
     @classmethod
     def of(cls, joint: Joint, comm: Comm = None) -> Domain:
-        """Distribute a joint. Collective."""
+        """Distribute a joint over the ranks of a communicator (None: the default one). Collective."""
         comm = comm or default_comm()
         if comm.size > 1 or not next(_MESH_COUNT) % MESHES_PER_COLLECTION:
             gc.collect()  # DOLFINx compiles with pickled collectives on meshes' communicators: free old meshes now
@@ -175,32 +195,38 @@ class Domain:
 
     @property
     def original_points(self) -> IntArray:
-        """(n,) number in `joint.points` of each local node of the mesh's geometry."""
+        """(n,) number in `joint.points` of each of the n local nodes of the mesh's geometry."""
         return np.asarray(self.mesh.geometry.input_global_indices, np.int64)
 
     def numbers(self, dim: int, entities: Indices) -> IntArray:
-        """(n,) numbers in the joint of local cells (dim = joint.dim), else rows of `joint.table` of local facets."""
+        """Return (n,) numbers in the joint of n local cells or facets: cell numbers, or row numbers in `joint.table`.
+
+        Args:
+            dim: dimension of the entities, `joint.dim` for cells, else facets.
+            entities: (n,) local numbers of the cells or facets.
+        """
         joint = self.joint
         if dim == joint.dim:
             return self.original_cells[entities]
         return joint.table.index(vertices_of_facets(self.mesh, joint.cell_type, entities, self.on_cells(joint.corners)))
 
     def on_cells(self, values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
-        """Values of the joint's cells, (n_cells, ...), at the local cells (ghosts included)."""
+        """Pick, from values for all cells of the joint (first axis), those of this rank's cells, ghosts included."""
         return values[self.original_cells]
 
     def cell_values(self, *regions: str) -> tuple[int, ...]:
-        """Values of `cell_tags` of regions."""
+        """Return the values in `cell_tags` of the regions with these names, in the same order."""
         for name in regions:
             require_known("region", name, self.joint.regions)
         return tuple(self.joint.regions.index(name) + 1 for name in regions)
 
     def values(self, name: str, *, layer_sides: bool = False) -> tuple[int, ...]:
-        """Values of `facet_tags` for a name.
+        """Return the values in `facet_tags` that belong to a facet set.
 
         Args:
-            name: NAME, "NAME/REGION" or "NAME/LAYER".
-            layer_sides: whether NAME includes the side faces of the layer that continue it.
+            name: NAME of a facet set, "NAME/REGION" for its facets on one region, or "NAME/LAYER" for the outer facets
+                of the meshed layer that continue it.
+            layer_sides: whether to add the values of "NAME/LAYER".
 
         Raises:
             InputError: unknown name.
@@ -210,19 +236,35 @@ class Domain:
         return values + self.facet_values.get(str(FacetName(name, LAYER)), ()) if layer_sides else values
 
     def is_outer(self, name: str) -> bool:
-        """Whether all facets of a name lie on the outer boundary."""
+        """Return whether all facets of the set `name` are on the outer boundary.
+
+        For "NAME/REGION" and "NAME/LAYER" the set NAME decides. Names that the joint does not have count as outer.
+        """
         joint = self.joint
         matches = [candidate for candidate in (name, FacetName.parse(name).whole) if candidate in joint.facets]
         return not matches or bool((joint.table.cells[joint.table.index(joint.facets[matches[0]]), 1] < 0).all())
 
     def facets(self, name: str, *, layer_sides: bool = False) -> Indices:
-        """Local facets (ghosts included) of a name; arguments and errors as in `values`."""
+        """Return the local facets (ghosts included) of a facet set.
+
+        Args:
+            name: NAME of a facet set, "NAME/REGION" for its facets on one region, or "NAME/LAYER" for the outer facets
+                of the meshed layer that continue it.
+            layer_sides: whether to add the facets of "NAME/LAYER".
+
+        Raises:
+            InputError: unknown name.
+        """
         return self.facet_tags.indices[np.isin(self.facet_tags.values, self.values(name, layer_sides=layer_sides))]
 
     def vertices(self, original: int) -> Indices:
-        """Local vertices made from a vertex of the joint before inflating: one, or all copies of a vertex on S.
+        """Return the local vertices at the place of one vertex in the joint as drawn, before S was opened to layers.
 
-        Vertices that periodic sides identify with it are included.
+        These are one vertex, or on S the copies on each body and the layer's vertices above each other. Vertices that
+        periodicity identifies with it are included.
+
+        Args:
+            original: number of a point in `joint.points`.
         """
         joint, topology = self.joint, self.mesh.topology
         copies = np.flatnonzero(np.all(joint.reference == joint.reference[original], axis=1))
@@ -237,9 +279,18 @@ class Domain:
 def _local_facets(
     joint: Joint, mesh: dolfinx.mesh.Mesh, original: IntArray, rows: IntArray
 ) -> tuple[Indices, IntArray]:
-    """Local facets (ghosts included), ascending, of some rows of joint.table, and the position of each in `rows`.
+    """Return this rank's facets, ghosts included, among some facets of the joint, and which of these each one is.
 
     A cell of the mesh has its vertices, and so its facets, in the order of the joint's cell.
+
+    Args:
+        joint: the joint.
+        mesh: its mesh.
+        original: number in the joint of each local cell.
+        rows: row numbers in `joint.table` of the facets that are sought.
+
+    Returns:
+        Local facet numbers, ascending, and the position of each in `rows`.
     """
     create_connectivity(mesh, joint.dim - 1)
     cells, which = positions(original, len(joint.cells))[joint.table.cells[rows]], joint.table.local[rows]
@@ -252,7 +303,7 @@ def _local_facets(
 
 
 def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
-    """(name, rows of joint.table) of the facet sets, of their parts by region and of their parts on the layer."""
+    """Yield name and row numbers in `joint.table` of each facet set, also "NAME/REGION", "NAME/LAYER" and "S"."""
     seams = () if joint.band else joint.seams
     on_s = np.unique(joint.table.vertices[joint.surface_rows]) if seams else np.empty(0, np.int64)
     if seams and S not in seams:
@@ -271,7 +322,12 @@ def _named_sets(joint: Joint) -> Iterator[tuple[str, IntArray]]:
 
 
 def _name_combinations(joint: Joint) -> tuple[IntArray, Indices, dict[str, tuple[int, ...]]]:
-    """Rows of joint.table of named facets; number of the combination of names of each; name -> combinations."""
+    """Number the combinations of names that facets have, so that one integer tag per facet stands for all its names.
+
+    Returns:
+        Row numbers in `joint.table` of all facets with names; the number, from 1, of the combination of each; and name
+        -> numbers of the combinations that contain it.
+    """
     sets = dict(_named_sets(joint))
     tagged = np.unique(np.concatenate([*sets.values()]))
     places = {name: np.searchsorted(tagged, rows) for name, rows in sets.items()}

@@ -1,4 +1,4 @@
-"""Periods: pairs of identified sides of a periodic cell."""
+"""Periods: pairs of sides of a periodic cell that are identified with each other."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ CUT_ADVICE = "the cells on its two sides are no neighbours in the mesh; cut the 
 
 @dataclass(frozen=True)
 class Periods:
-    """Pairs of identified sides of a periodic cell; a translation maps one side onto the other. See `periodic`.
+    """Pairs of sides of a periodic cell that are identified: a translation maps one side onto the other.
 
     Attributes:
-        sides: names of the two sets of facets of each pair.
-        pairs: for each pair (n, 2) nodes on the first side and the matching nodes on the second side.
+        sides: names of the first and of the second facet set of each pair.
+        pairs: one array (n, 2) for each pair of sides: nodes on the first side, and the node on the second side that
+            matches each.
     """
 
     sides: tuple[tuple[str, str], ...]
@@ -28,15 +29,19 @@ class Periods:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all sides."""
+        """Names of the facet sets of all sides."""
         return tuple(name for pair in self.sides for name in pair)
 
     def vectors(self, points: FloatArray) -> FloatArray:
-        """(m, d) translations from the first side of each pair to the second."""
+        """Return (m, d) for each of the m pairs, in d dimensions, the translation of the first side onto the second.
+
+        Args:
+            points: (n, d) coordinates of the nodes of the mesh, lengths.
+        """
         return np.array([points[pair[0, 1]] - points[pair[0, 0]] for pair in self.pairs])
 
     def masters(self, n: int) -> IntArray:
-        """(n,) master of each node of a mesh: the first node identified with it; without periods the node itself."""
+        """Return (n,) for each of the n nodes of a mesh the lowest number among the nodes identified with it."""
         first, second = np.concatenate(self.pairs).T
         label = connected(first, second, n)
         master = np.full(n, n)
@@ -44,13 +49,13 @@ class Periods:
         return master[label]
 
     def check(self, points: FloatArray, corners: IntArray, cell_type: str, seams: IntArray) -> None:
-        """Raise InputError unless the sides match, no seam lies on them, and the cell is at least three cells wide.
+        """Raise InputError unless sides match, no seam lies on them, and at least three cells lie between two sides.
 
         Args:
-            points: (n, d) nodes of the mesh.
-            corners: (n_cells, k) vertices of its cells.
+            points: (n_points, d) coordinates of the nodes in d dimensions.
+            corners: (n_cells, k) numbers of the k vertices of each cell.
             cell_type: type of the cells.
-            seams: (m, k) vertices of the outer facets that are in seams.
+            seams: (n, m) numbers of the m vertices of each outer facet that is in a seam.
         """
         for (first, second), pair, vector in zip(self.sides, self.pairs, self.vectors(points), strict=True):
             mismatch = np.abs(points[pair[:, 1]] - points[pair[:, 0]] - vector).max(axis=1)
@@ -66,12 +71,12 @@ class Periods:
 
 
 def _folded_edges(points: FloatArray, nodes: IntArray, master: IntArray) -> BoolArray:
-    """(n,) whether an edge has the same ends as a different edge, or two equal ends, in the periodic mesh.
+    """Return (n,) whether an edge becomes a loop, or the same as another edge, once periodic sides are identified.
 
     Args:
-        points: (n_points, d) nodes.
-        nodes: (n, 2) ends of the edges.
-        master: (n_points,) master of each node.
+        points: (n_points, d) coordinates of the nodes in d dimensions.
+        nodes: (n, 2) numbers of the two ends of each edge.
+        master: (n_points,) lowest number among the nodes identified with each node.
     """
     ends = master[nodes]
     along = (points[nodes[:, 1]] - points[nodes[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]

@@ -1,4 +1,4 @@
-"""Joint: bodies that meet on S, or stand on a rigid base there, as plain arrays with names."""
+"""Joint: mesh of bodies that meet on a surface S, or stand on a rigid base there, as NumPy arrays with names."""
 
 from __future__ import annotations
 
@@ -38,27 +38,35 @@ PLANAR_TOLERANCE = 1e-5
 
 
 def _digest(*arrays: IntArray) -> str:
-    """Hash of arrays of integers, twelve digits."""
+    """Return the first twelve hexadecimal digits of the SHA-256 hash of arrays of integers."""
     content = b"".join(np.ascontiguousarray(array, np.int64).tobytes() for array in arrays)
     return hashlib.sha256(content).hexdigest()[:12]
 
 
 @dataclass(frozen=True)
 class InflatedBand:
-    """Result of inflating: the layers' thickness, their regions, and how the bodies made room for them.
+    """Description of the meshed layers of a joint: thickness, regions, and how the bodies made room for them.
+
+    To inflate a joint is to open its surface S to the thickness of the layers. `base` is the joint as drawn, before
+    this.
 
     Attributes:
-        eps: name of a seam -> thickness of its layer or gap, a length; where it varies, multiplied by the profile.
-        bodies: "kept" or "extended", see `inflate`.
-        regions: names of all cell regions of the layers, regions of junctions last.
-        of_seam: name of a seam -> regions of its sublayers, from the lower to the upper face; without gaps.
-        junctions: region of junctions -> the seam that its cells belong to.
-        aligned: regions of junctions whose layers have one common normal, as where a bed joint passes open head joints.
+        eps: name of a seam -> thickness of its layer or gap, a length. If a profile is given, the thickness is eps
+            times the profile.
+        bodies: how the bodies made room: "kept" (they moved apart and kept their shape) or "extended" (the layers were
+            cut out of them).
+        regions: names of all cell regions of the layers; regions of junctions come last.
+        of_seam: name of a seam -> regions of its sublayers, from the lower to the upper face. Seams without cells
+            (gaps) are left out.
+        junctions: name of a region of junctions -> name of the seam that its cells belong to.
+        aligned: names of the regions of junctions where all layers that meet at a junction have one normal. An example
+            is a bed joint that passes open head joints.
         faces: names of the facet sets between bodies and layers.
-        base: the joint before inflating.
-        reference: (n_points, d) place of each point before inflating (points of the layer: their place on S).
-        director: (n_band_cells, n_corners, d) unit normal of S below or above each corner of the layers' cells, from
-            the lower to the upper body; a fixed unit vector in junctions of layers with different normals.
+        base: the joint as drawn.
+        reference: (n_points, d) place of each point in `base`, in d dimensions. For points of the layers it is the
+            place on S below or above them.
+        director: (n_band_cells, n_corners, d) unit normal of S at each corner of the layers' cells, from the lower to
+            the upper body. In junctions of layers with different normals it is the unit vector along y.
     """
 
     eps: Mapping[str, float]
@@ -75,31 +83,33 @@ class InflatedBand:
 
 @dataclass(frozen=True, repr=False)
 class Joint:
-    """Bodies that meet on S. Every MPI rank has the same joint until it is distributed.
+    """Mesh of bodies that meet on a surface S, with named regions and facet sets.
 
-    S consists of one or several seams, named sets of facets with a layer each. Bodies can part at every facet of S
-    between them: S may end inside a body, branch, cross itself, or separate any number of bodies. A seam on the outer
-    boundary stands on a rigid base.
+    S consists of one or several seams: named sets of facets of the mesh, each of which stands for a layer. S may end
+    inside a body, branch, cross itself, or separate any number of bodies. A seam on the outer boundary stands on a
+    rigid base, which takes the place of the lower body. Every MPI rank has the whole joint; `Domain` is its distributed
+    mesh.
 
     Attributes:
-        points: (n_points, d) coordinates, lengths.
-        cells: (n_cells, k) nodes of each cell, in DOLFINx's order: vertices, and for curved cells (degree 2) the nodes
-            on edges, faces and inside.
+        points: (n_points, d) coordinates of the nodes in d dimensions, lengths.
+        cells: (n_cells, k) numbers of the k nodes of each cell, in DOLFINx's order. These are the vertices, and for
+            curved cells (degree 2) the nodes on edges, on faces and inside.
         cell_type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
         region: (n_cells,) for each cell the position of its region in `regions`.
         regions: names of the cell regions.
-        facets: named sets of facets, each (n, k) vertices in any order; the seams are among them, and their facets are
-            removed from the other sets.
-        seams: name of a seam -> choice of its upper side. A single seam is named "S"; with several seams none is.
-        band: how the layer was meshed; None while S is a surface.
-        periods: pairs of identified sides, if the joint is a periodic cell; None: it is not.
-        parted: (n_cells, k, d) places of the nodes of each cell if bodies have made room for layers without cells, see
-            `inflating.inflation.with_gaps`; None: the nodes are at `points`.
+        facets: name -> (n, m) numbers of the m vertices, in any order, of each of the n facets in the set. The seams
+            are among these sets. The facets of seams are removed from the other sets.
+        seams: name of a seam -> choice of its upper side. None of several seams may be named "S", which stands for all
+            of them.
+        band: description of the meshed layers; None while S is a surface without thickness.
+        periods: pairs of sides that are identified with each other, if the joint is a periodic cell; None: it is not.
+        parted: (n_cells, k, d) coordinates of the nodes of each cell if the bodies have moved apart but the layers have
+            no cells, see `inflating.inflation.with_gaps`. None: the nodes are at `points`.
 
     Raises:
-        InputError: a seam is missing, empty or not oriented, or shares a facet with another seam; a set of facets is
-            empty or not part of the mesh; a region has no cells; a periodic cell is less than three cells wide; a seam
-            lies on the boundary of a periodic cell.
+        InputError: a seam is missing, empty or shares a facet with another seam, or its upper side is not determined; a
+            set of facets is empty or not part of the mesh; a region has no cells; a name is reserved; a periodic cell
+            is less than three cells wide; a seam lies on the boundary of a periodic cell.
     """
 
     points: FloatArray
@@ -132,7 +142,7 @@ class Joint:
             self.periods.check(self.points, self.corners, self.cell_type, self.table.vertices[outer])
 
     def __getstate__(self) -> dict[str, object]:
-        """State for pickling, with the pieces of the mesh computed, so that other ranks need not compute them again."""
+        """Return the attributes for pickling, with `split_mesh.pieces`, so that other ranks need not compute it."""
         if self.band is None:
             _ = self.split_mesh.pieces
         return self.__dict__
@@ -161,7 +171,7 @@ class Joint:
 
     @cached_property
     def masters(self) -> IntArray:
-        """(n_points,) master of each node: the first node that periods identify with it; else the node itself."""
+        """(n_points,) for each node the lowest number among the nodes that periodicity identifies with it."""
         return self.periods.masters(len(self.points)) if self.periods else np.arange(len(self.points))
 
     @property
@@ -171,7 +181,7 @@ class Joint:
 
     @cached_property
     def size(self) -> float:
-        """Largest extent along an axis."""
+        """Largest extent of the mesh along a coordinate axis, a length."""
         return float(np.ptp(self.points, axis=0).max())
 
     @property
@@ -181,34 +191,34 @@ class Joint:
 
     @property
     def corners(self) -> IntArray:
-        """(n_cells, k) vertices of each cell."""
+        """(n_cells, k) numbers of the k vertices of each cell."""
         return self.cells[:, : corner_count(self.cell_type)]
 
     @property
     def cell_points(self) -> FloatArray:
-        """(n_cells, k, d) places of the nodes of each cell."""
+        """(n_cells, k, d) coordinates of the k nodes of each cell in d dimensions, after bodies have parted."""
         return self.points[self.cells] if self.parted is None else self.parted
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Names of the bodies' regions, regions below seams first."""
+        """Names of the regions of bodies, without layers: those below seams first, then those above, then others."""
         sides = [seam.lower for seam in self.seams.values()] + [seam.upper for seam in self.seams.values()]
         layer = self.band.regions if self.band else ()
         return tuple(name for name in dict.fromkeys(chain(*sides, self.regions)) if name not in layer)
 
     @property
     def reference(self) -> FloatArray:
-        """(n_points, d) place of each point before inflating."""
+        """(n_points, d) place of each point in d dimensions in the joint as drawn, before S was opened to layers."""
         return self.band.reference if self.band else self.points
 
     @cached_property
     def table(self) -> FacetTable:
-        """All facets of the mesh with the cells that meet there."""
+        """All facets of the mesh, each with its vertices and the one or two cells that it belongs to."""
         return FacetTable.of(self.corners, self.cell_type)
 
     # ---------------------------------------------------------------- S
     def rows_of(self, name: str) -> IntArray:
-        """Rows of `table` of the facets of a seam, or of all seams ("S"), each once, in ascending order."""
+        """Return the ascending row numbers in `table` of the facets of the seam `name`; of all seams if it is "S"."""
         if name != S:
             require_known("seam", name, self.seams)
         names = self.seams if name == S else (name,)
@@ -216,12 +226,12 @@ class Joint:
 
     @cached_property
     def surface_rows(self) -> IntArray:
-        """Rows of `table` of the facets of S, each once, in lexicographic order of their vertices."""
+        """(n_S,) row numbers in `table` of the n_S facets of S, ascending, so in lexicographic order of vertices."""
         return self.rows_of(S)
 
     @cached_property
     def seam_numbers(self) -> IntArray:
-        """(n_S,) position of the seam of each facet of S in `seams`."""
+        """(n_S,) for each of the n_S facets of S the position of its seam in `seams`."""
         out = np.empty(len(self.surface_rows), np.int64)
         for number, name in enumerate(self.seams):
             out[np.searchsorted(self.surface_rows, self.rows_of(name))] = number
@@ -229,7 +239,7 @@ class Joint:
 
     @cached_property
     def surface_cells(self) -> IntArray:
-        """(n_S, 2) the cell below and the cell above each facet of S; -1 for a rigid base.
+        """(n_S, 2) numbers of the cell below and the cell above each of the n_S facets of S; -1 below for a rigid base.
 
         Raises:
             InputError: a seam lies partly on the outer boundary, or does not determine its upper side.
@@ -255,24 +265,29 @@ class Joint:
 
     @property
     def rigid_base(self) -> bool:
-        """Whether all of S stands, or stood before inflating, on a rigid base instead of lower bodies."""
+        """Whether all seams stand on a rigid base, without lower bodies; with meshed layers, in the joint as drawn."""
         return len(self.base_seams) == len(self.seams)
 
     @property
     def base_seams(self) -> tuple[str, ...]:
-        """Names of the seams that stand, or stood before inflating, on a rigid base."""
+        """Names of the seams on a rigid base, without a lower body; with meshed layers, in the joint as drawn."""
         joint = self.band.base if self.band else self
         on_base = joint.surface_cells[:, 0] < 0
         return tuple(name for k, name in enumerate(joint.seams) if on_base[joint.seam_numbers == k].all())
 
     @cached_property
     def outer_rows(self) -> IntArray:
-        """Rows of `table` of the facets on the outer boundary that are not in S, in ascending order."""
+        """Ascending row numbers in `table` of the facets on the outer boundary that are not in S."""
         return np.setdiff1d(np.flatnonzero(self.table.cells[:, 1] < 0), self.surface_rows)
 
     @cached_property
     def outer_beside_s(self) -> tuple[IntArray, IntArray]:
-        """Those `outer_rows` (n,) that touch S in a ridge, and keys (n, m) of their ridges; -1 for ridges not in S."""
+        """Outer facets that share a ridge (a vertex in 2D, an edge in 3D) with S, and the ridges that they share.
+
+        Returns:
+            (n,) those `outer_rows`; and (n, m) for each of their m ridges a number that identifies it, see
+            `ridge_keys`, or -1 if the ridge is not in S.
+        """
         keys = keys_of_ridges(self.table.vertices[self.outer_rows], self.dim - 1)
         keys[~np.isin(keys, ridge_keys(ridges(self.surface, self.cell_type)[0]))] = -1
         adjacent = (keys >= 0).any(axis=1)
@@ -280,16 +295,19 @@ class Joint:
 
     @cached_property
     def split_mesh(self) -> Splitting:
-        """The mesh, cut along S."""
+        """Connectivity of the mesh after it is cut along S."""
         return self.split_along(self.surface_rows)
 
     def components_at(self, cells: IntArray, nodes: IntArray, cut: Splitting | None = None) -> IntArray:
-        """(n, k) component of each cell (n,) around each of its nodes (n, k); -1 for cells < 0.
+        """Return (n, k) for n cells and k nodes of each the component at the node with this cell; -1 for cells < 0.
+
+        At a node on a cut, the cells around it form components: groups of cells that are connected by uncut facets
+        there.
 
         Args:
-            cells: (n,) cells.
-            nodes: (n, k) nodes of each cell.
-            cut: where the mesh is cut; None: along all seams.
+            cells: (n,) numbers of cells; a number < 0 stands for no cell.
+            nodes: (n, k) numbers of k nodes of each cell.
+            cut: the mesh with its cuts; None: cut along all seams.
         """
         position = (self.cells[cells][:, None, :] == nodes[:, :, None]).argmax(axis=2)
         of_nodes = (cut or self.split_mesh).of_nodes[cells]
@@ -297,7 +315,11 @@ class Joint:
 
     @cached_property
     def pairs(self) -> IntArray:
-        """(n_S, k) number that identifies vertex, seam and both bodies (components) at each vertex of facets of S."""
+        """(n_S, k) key at each of the k vertices of each facet of S, unique for vertex, seam, lower and upper body.
+
+        The n_S facets are those of `surface_rows`. Periodic images count as one vertex. A body is here a component: the
+        cells around the vertex that are connected by facets not in S.
+        """
         vertices = self.table.vertices[self.surface_rows]
         below, above = (self.components_at(cells, vertices) for cells in self.surface_cells.T)
         count = int(max(below.max(), above.max())) + 2
@@ -305,7 +327,10 @@ class Joint:
         return np.asarray(self.masters[vertices] * (codes.max() + 1) + codes, np.int64)
 
     def split_along(self, rows: IntArray) -> Splitting:
-        """The mesh, cut along facets given by rows of `table`; cells across periodic sides are neighbours."""
+        """Return the connectivity of the mesh after a cut along facets, given by their row numbers in `table`.
+
+        Cells on identified sides of a periodic cell are neighbours.
+        """
         if self.periods is None:
             return Splitting(self.cells, self.cell_type, self.table, rows)
         table = FacetTable.of(self.masters[self.corners], self.cell_type)
@@ -314,14 +339,18 @@ class Joint:
 
     @cached_property
     def surface(self) -> IntArray:
-        """(n_S, k) nodes of the facets of S, in the order of the facet's own element."""
+        """(n_S, k) numbers of the k nodes of each of the n_S facets of S, in the order of the facets' own element."""
         return self.table.nodes(self.surface_rows, self.cells, self.cell_type)
 
     def faces(self, cell_points: FloatArray | None = None) -> FloatArray:
-        """(2, n_S, k, d) places of the nodes of `surface` in the cells below and above; a rigid base is at S.
+        """Return (2, n_S, k, d) coordinates of the nodes of S, first in the cells below S, then in the cells above.
+
+        S has n_S facets with k nodes each, in d dimensions. The two differ where bodies have parted. A rigid base stays
+        at S.
 
         Args:
-            cell_points: (n_cells, k, d), or more cells: places of the nodes of the cells; None: `Joint.cell_points`.
+            cell_points: (n, m, d) coordinates of the m nodes of each cell, for at least all cells of the joint; None:
+                `Joint.cell_points`.
         """
         places = self.cell_points if cell_points is None else cell_points
         below, above = self.surface_cells.T
@@ -329,12 +358,15 @@ class Joint:
         return np.stack([np.where((below >= 0)[:, None, None], lower, self.points[self.surface]), upper])
 
     def on_surface(self, cells: IntArray) -> IntArray:
-        """(n_S, k) positions of the nodes of `surface` among the nodes of cells (n_S,)."""
+        """Return (n_S, k) local numbers of the k nodes of each facet of S in one cell at each facet, `cells` (n_S,)."""
         return np.asarray((self.cells[cells][:, None, :] == self.surface[:, :, None]).argmax(axis=2))
 
     @cached_property
     def branch_vertices(self) -> IntArray:
-        """(n,) vertices (masters only) where seams meet, or where S branches: more than two facets meet in a ridge."""
+        """(n,) vertices where seams meet, or where more than two facets of S meet in a ridge (vertex or edge).
+
+        Of vertices that periodicity identifies, the lowest number stands for all.
+        """
         ridge_vertices, counts = ridges(self.masters[self.surface], self.cell_type)
         vertices = self.masters[self.table.vertices[self.surface_rows]]
         keys = np.unique(vertices * len(self.seams) + self.seam_numbers[:, None])
@@ -343,12 +375,12 @@ class Joint:
 
     @property
     def seams_meet(self) -> bool:
-        """Whether S branches, or two seams have a vertex in common."""
+        """Whether two seams have a vertex in common, or more than two facets of S meet in a vertex (2D), edge (3D)."""
         return len(self.branch_vertices) > 0
 
     @cached_property
     def tips(self) -> IntArray:
-        """(n, d - 1) vertices of the ridges where S ends inside the bodies."""
+        """(n, 1 or 2) numbers of the vertices of the points (2D) or edges (3D) where S ends inside the bodies."""
         ridge_vertices, counts = ridges(self.surface, self.cell_type)
         at_outer, _ = ridges(self.table.nodes(self.outer_rows, self.corners, self.cell_type), self.cell_type)
         ends = ridge_vertices[counts == 1]
@@ -356,12 +388,12 @@ class Joint:
 
     @property
     def tip(self) -> FloatArray | None:
-        """A place where S ends inside the bodies; None if there is no such place."""
+        """Coordinates of a place where S ends inside the bodies; None if there is no such place."""
         return self.points[self.tips[0]].mean(axis=0) if len(self.tips) else None
 
     @cached_property
     def node_normals(self) -> FloatArray:
-        """(n_S, k, d) unit normals at the nodes of `surface`, from the lower to the upper side."""
+        """(n_S, k, d) unit normals of S in d dimensions at the k nodes of each of its n_S facets, to the upper side."""
         above = self.surface_cells[:, 1]
         normals = facet_normals(self.points, self.surface, self.cell_type)
         towards = self.points[self.corners[above]].mean(axis=1) - self.points[self.surface].mean(axis=1)
@@ -369,7 +401,7 @@ class Joint:
 
     @cached_property
     def interface_normals(self) -> FloatArray:
-        """(n_S, d) mean unit normals of the facets of S, from the lower to the upper side."""
+        """(n_S, d) unit vector of the mean normal of each of the n_S facets of S in d dimensions, to the upper side."""
         mean = self.node_normals.mean(axis=1)
         return np.asarray(mean / np.linalg.norm(mean, axis=1, keepdims=True), float)
 
@@ -379,11 +411,12 @@ class Joint:
         return bool(np.ptp(self.node_normals.reshape(-1, self.dim), axis=0).max() <= PLANAR_TOLERANCE)
 
     def relative_thickness(self, profile: Profile | None, name: str = S) -> FloatArray:
-        """(n_points,) values of a profile at the vertices of a seam or of S, linear in between; 1 elsewhere.
+        """Return (n_points,) the thickness over eps: the profile at vertices of S, linear in between, and 1 outside S.
 
         Args:
-            profile: function of coordinates (d, n) that returns n positive numbers; None for a uniform thickness.
-            name: name of the seam, or "S".
+            profile: function of the coordinates (d, n) of n points in d dimensions that returns n numbers > 0; None: 1
+                everywhere.
+            name: name of the seam with this profile, or "S" for all seams; the result is 1 on other seams.
 
         Raises:
             InputError: the profile returns something else, or not a positive number.
@@ -413,17 +446,27 @@ class Joint:
         return replace(self, points=self.points @ turn.T, seams=seams)
 
     def moved(self, by: Sequence[float]) -> Joint:
-        """The joint translated by a vector (d,), for example to turn a rectangle into the wall of a tube."""
+        """Return the joint translated by a vector, for example to turn a rectangle into the wall of a tube.
+
+        Args:
+            by: translation, one length per dimension.
+
+        Raises:
+            InputError: the vector has a wrong number of components, or one that is not finite.
+        """
         if len(by) != self.dim or not all(map(is_finite, by)):
             raise InputError(f"a joint is moved by {by!r}; it must be {self.dim} numbers")
         return replace(self, points=self.points + np.asarray(by, float))
 
     def swapped(self) -> Joint:
-        """The joint with the two sides of every seam exchanged: n changes its sign, nothing moves."""
+        """Return the joint with lower and upper side of every seam exchanged: n changes its sign, no point moves."""
         return replace(self, seams={name: seam.reversed() for name, seam in self.seams.items()})
 
     def identity(self) -> dict[str, object]:
-        """Identity of the joint, as JSON: counts and hashes of its cells, places, regions and named facets."""
+        """Return data that identify the joint, ready for JSON: counts, names, sums of coordinates, hashes of cells.
+
+        Joints with equal data count as the same mesh, as when a stored result is read.
+        """
         x = self.points if self.parted is None else np.concatenate([self.points, np.concatenate(self.parted)])
         weights = np.cos(np.arange(x.size)).reshape(x.shape)
         return {
@@ -443,7 +486,11 @@ class Joint:
         return f"Joint({cells}; facets: {facets})"
 
     def nearest_point(self, x: Sequence[float]) -> int:
-        """Number of the mesh vertex at x; raise InputError that names the nearest vertex if there is none at x."""
+        """Return the number of the mesh vertex at the place x, given by its coordinates in the joint as drawn.
+
+        Raises:
+            InputError: no vertex is within 1e-6 of the mesh's size from x; the message names the nearest one.
+        """
         vertices = np.unique(self.corners)
         if finite_values(x, (self.dim,)) is None:
             raise InputError(f"point {x!r} is not a place; give {self.dim} coordinates")

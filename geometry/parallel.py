@@ -1,4 +1,4 @@
-"""Default communicator, and work that rank 0 does for all ranks."""
+"""The default MPI communicator, and work that rank 0 does for all ranks."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _DEFAULT_COMM: ContextVar[MPI.Intracomm] = ContextVar("_DEFAULT_COMM", default=M
 
 
 def default_comm() -> MPI.Intracomm:
-    """Communicator of calls without an explicit communicator: MPI.COMM_WORLD, or as set by `use_comm`."""
+    """Return the communicator for calls that get none: MPI.COMM_WORLD, or the one set by `use_comm`."""
     return _DEFAULT_COMM.get()
 
 
 @contextmanager
 def use_comm(comm: MPI.Intracomm) -> Iterator[None]:
-    """Set the default communicator within a `with` block, so that groups of ranks can work side by side."""
+    """Make `comm` the default communicator within a `with` block, so that groups of ranks can work side by side."""
     token = _DEFAULT_COMM.set(comm)
     try:
         yield
@@ -41,8 +41,12 @@ def use_comm(comm: MPI.Intracomm) -> Iterator[None]:
 def on_root(comm: Comm, build: Callable[[], ResultType]) -> ResultType:
     """Run a function on rank 0 only; return its result, or raise its exception, on every rank. Collective.
 
-    The ranks of one machine share the large arrays of the result, which are read-only. The exception has an attribute
-    `on_all_ranks`, which shows that no rank is left waiting.
+    The ranks of one machine share the large arrays of the result, which are read-only there. The exception has an
+    attribute `on_all_ranks`, which shows that no rank is left waiting.
+
+    Args:
+        comm: the ranks; None: the default communicator.
+        build: the function, without arguments; its result must be picklable if there are several ranks.
     """
     comm = default_comm() if comm is None else comm
     require(isinstance(comm, MPI.Comm), "comm", comm, "it must be an MPI communicator")
@@ -63,7 +67,7 @@ def on_root(comm: Comm, build: Callable[[], ResultType]) -> ResultType:
 
 
 def _broadcast(comm: MPI.Intracomm, result: ResultType) -> ResultType:
-    """Return the result of rank 0 on every rank. Collective."""
+    """Return the result of rank 0 on every rank; ranks of one machine share its large arrays. Collective."""
     large: list[memoryview] = []
 
     def is_small(buffer: pickle.PickleBuffer) -> bool:
@@ -79,12 +83,14 @@ def _broadcast(comm: MPI.Intracomm, result: ResultType) -> ResultType:
 
 
 def _shared_copies(comm: MPI.Intracomm, sources: list[memoryview], sizes: list[int]) -> list[memoryview]:
-    """Copy buffers of rank 0 to memory that the ranks of a machine share, until its last use ends. Collective.
+    """Copy buffers of rank 0 to memory that ranks of one machine share; return read-only views of it. Collective.
+
+    The memory is freed when its last view is gone.
 
     Args:
         comm: the ranks.
-        sources: the buffers, on rank 0.
-        sizes: their sizes, bytes.
+        sources: the buffers, on rank 0; other ranks do not use this argument.
+        sizes: sizes of the buffers in bytes, on every rank.
     """
     *starts, total = accumulate((size + -size % ALIGNMENT_BYTES for size in sizes), initial=0)
     node, file = comm.Split_type(MPI.COMM_TYPE_SHARED), os.memfd_create("thinlayer")
@@ -112,7 +118,7 @@ def _shared_copies(comm: MPI.Intracomm, sources: list[memoryview], sizes: list[i
 
 
 def _sendable(error: Exception) -> Exception:
-    """Return the error, or a RuntimeError with its message if it cannot be restored from a pickle by other ranks."""
+    """Return the error, or a RuntimeError with its message if pickle cannot restore it on other ranks."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:

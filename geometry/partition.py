@@ -1,4 +1,4 @@
-"""Distribution of a joint's cells over ranks: recursive coordinate bisection, and ghost cells across facets."""
+"""Distribution of a joint's cells over MPI ranks by recursive coordinate bisection, with ghost cells across facets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,12 @@ Partitioner = Callable[..., dolfinx.cpp.graph.AdjacencyList_int32]
 
 
 def bisected(x: FloatArray, parts: int) -> Indices:
-    """(n,) part, below `parts`, of each place (n, d): equal parts, by bisection across the longest direction."""
+    """Divide n places into equal groups by bisection across the longest extent, and return (n,) the group of each.
+
+    Args:
+        x: (n, d) coordinates, or multiples of them, in d dimensions.
+        parts: number of groups; they are numbered from 0.
+    """
     part = np.zeros(len(x), np.int32)
     waiting: list[tuple[IntArray, int, int]] = [(np.arange(len(x)), 0, parts)]
     while waiting:
@@ -33,10 +38,15 @@ def bisected(x: FloatArray, parts: int) -> Indices:
 
 
 def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
-    """Column of each cell of an inflated joint (-1 outside the layers), else of each facet; and centres of columns.
+    """Number the columns of a layer: the cells above each other through its thickness, over one facet of S.
+
+    In a joint without meshed layers, each facet of S is a column. Cells of a junction with the same place in the joint
+    as drawn also form a column.
 
     Returns:
-        Numbers (cells or facets,), and the centres (columns, d) of the facets of S in the joint before inflating.
+        Column number of each cell of a joint with meshed layers, -1 outside the layers; of a joint without, of each
+        facet in `Joint.table`, -1 outside S. And the centres of the columns on S in the joint as drawn, one row each,
+        one coordinate per dimension.
     """
     if joint.band is None:
         rows = joint.surface_rows
@@ -53,7 +63,15 @@ def column_numbers(joint: Joint) -> tuple[IntArray, FloatArray]:
 
 
 def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
-    """Ranks of the cells of a joint: (n + 1,) first entry of each cell; its owner, then ranks with it as a ghost."""
+    """Choose the ranks that get each cell of a joint: its owner and the ranks that have it as a ghost.
+
+    Args:
+        joint: the joint, with n cells.
+        parts: number of ranks.
+
+    Returns:
+        (n + 1,) position in the second array where the ranks of each cell begin; and these ranks, the owner first.
+    """
     owner = bisected(sum(joint.points[corner] for corner in joint.corners.T), parts)  # faster than means of short rows
     if joint.band is not None:  # columns of cells of layers stay whole, as laws may need their means
         layer = np.flatnonzero((column := column_numbers(joint)[0]) >= 0)
@@ -66,12 +84,15 @@ def destinations(joint: Joint, parts: int) -> tuple[IntArray, Indices]:
 
 
 def rows_of_rank(rows: npt.NDArray[Scalar], rank: int, ranks: int) -> npt.NDArray[Scalar]:
-    """The rows, of points or cells, that a rank sends to their owners."""
+    """Return the rows, of points or cells, that `rank` passes to DOLFINx: one of `ranks` nearly equal blocks."""
     return rows[len(rows) * rank // ranks : len(rows) * (rank + 1) // ranks]
 
 
 def partitioner(joint: Joint, comm: MPI.Intracomm) -> Partitioner | None:
-    """Partitioner for DOLFINx: ranks of the cells this rank sends, with ghosts across facets; None for one rank."""
+    """Return DOLFINx's partitioner, which sends each cell to its owner and as a ghost to others; None for one rank.
+
+    The cells that a rank sends are those of `rows_of_rank`. Ghosts are the neighbours across facets. Collective.
+    """
     if comm.size == 1:
         return None
     starts, ranks = on_root(comm, lambda: destinations(joint, comm.size))

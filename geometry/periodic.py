@@ -16,18 +16,18 @@ from geometry.topology import IntArray
 
 
 def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
-    """The joint as a periodic cell: displacements are equal on both sides of each pair.
+    """Return the joint as a periodic cell, where displacements are equal on both sides of each pair of sides.
 
     S may cross the sides, and continues at the opposite side; it must not lie in them.
 
     Args:
-        joint: the cell, cut through bodies.
+        joint: the cell; its outer boundary cuts through bodies, not along S.
         sides: pairs of names of outer facet sets, such as ("LEFT", "RIGHT"). A translation maps the facets of the first
-            set onto the facets of the second. Other sides stay free.
+            set onto the facets of the second. Sides that are not named stay ordinary outer boundary.
 
     Raises:
-        InputError: an unknown name; sides that do not match, with the place; less than three cells between two sides;
-            a seam on a periodic side; a joint whose layer is meshed.
+        InputError: an unknown name; sides that do not match, with the place; less than three cells between two sides; a
+            seam on a periodic side; a joint whose layer is meshed.
 
     Example:
         >>> from geometry import periodic, sandwich
@@ -47,13 +47,13 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
 
 
 def with_periods_of(inflated: Joint, periods: Periods) -> Joint:
-    """An inflated joint with the periods of its original; the periodic sides have not moved."""
+    """Return a joint with meshed layers with the periodic sides of the joint as drawn; these sides have not moved."""
     pairs = tuple(_matching_nodes(inflated, *names) for names in periods.sides)
     return replace(inflated, periods=Periods(periods.sides, pairs))
 
 
 def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
-    """(n, 2) nodes on the first side and the matching nodes on the second side."""
+    """Return (n, 2) each node on the side `first` and the node of `second` onto which the translation maps it."""
     rows = [_outer_rows(joint, name) for name in (first, second)]
     nodes = [np.unique(joint.table.nodes(row, joint.cells, joint.cell_type)) for row in rows]
     x = [joint.points[node] for node in nodes]
@@ -77,7 +77,7 @@ def _matching_nodes(joint: Joint, first: str, second: str) -> IntArray:
 
 
 def _outer_rows(joint: Joint, name: str) -> IntArray:
-    """Rows of the joint's table of the facets of a side."""
+    """Return the row numbers in the joint's table of the outer side `name`; raise InputError for other sets."""
     if name in joint.seams:
         raise InputError(f"the seam {name!r} cannot be a periodic side: {CUT_ADVICE}")
     require_known("side", name, joint.facets.keys() - joint.seams.keys())

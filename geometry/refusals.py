@@ -13,22 +13,29 @@ from geometry.topology import BoolArray, FloatArray
 
 
 def place_text(x: FloatArray) -> str:
-    """Short text of coordinates, for messages."""
+    """Return coordinates as a short text for messages, as "(1, 0.5)"."""
     return f"({', '.join(f'{c:.6g}' for c in x)})"
 
 
 def require_known(kind: str, name: object, allowed: Collection[str], what: str = "") -> None:
-    """Raise InputError unless a name is among the allowed names; `what` begins the message."""
+    """Raise InputError unless `name` is among the allowed names.
+
+    Args:
+        kind: noun for what is named, such as "region", for the message.
+        name: the name.
+        allowed: the allowed names; the message suggests similar ones.
+        what: beginning of the message, such as the name of an argument; "": none.
+    """
     if not (isinstance(name, Hashable) and name in allowed):
         raise InputError((f"{what}: " if what else "") + unknown_name_message(kind, name, allowed))
 
 
 def refuse(bad: BoolArray | np.bool_, x: FloatArray, message: str) -> None:
-    """Raise InputError if any of n items is bad.
+    """Raise InputError if any of n items, such as cells, is bad.
 
     Args:
         bad: (n,) whether each item is bad.
-        x: (n, d) places of the items, or (n, k, d) places of their nodes.
+        x: (n, d) coordinates of the items in d dimensions, or (n, k, d) coordinates of the k nodes of each.
         message: text of the error. {at} becomes the place of the first bad item, {bad} the number of bad items, {all}
             the number of items.
     """

@@ -1,4 +1,4 @@
-"""Seam: the choice of the upper side of a layer's surface; and the names that joints give to parts of layers."""
+"""Seam: choice of the upper side of a surface that stands for a layer; names of regions and facets of layers."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ MIN_COSINE = 0.02  # least cosine of the angle between a facet's normal and a di
 
 
 class FacetName(NamedTuple):
-    """Name of a facet set, as text "NAME" or "NAME/REGION". Tags, supports and loads have the texts.
+    """Name of a facet set, which as text is "NAME" or "NAME/REGION".
+
+    Tags, supports and loads refer to facet sets by these texts.
 
     Attributes:
-        whole: name of the set that users or builders named, or of a seam.
-        region: region whose part of the set it is, `LAYER` for the side faces of the layer that continue the set, or
-            the face of a seam's layer; "": all.
+        whole: name that users or builders gave to the set, or name of a seam.
+        region: cell region to which the set is restricted; "" for the whole set. `LAYER` stands for the outer facets of
+            the meshed layer that continue the set. For a seam it is "LOWER_FACE" or "UPPER_FACE".
     """
 
     whole: str
@@ -35,7 +37,7 @@ class FacetName(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> FacetName:
-        """Return the name with a text."""
+        """Return the facet name that is written as `text`."""
         return cls(*text.split("/", 1))
 
     def __str__(self) -> str:
@@ -43,23 +45,25 @@ class FacetName(NamedTuple):
 
     @property
     def continued(self) -> str:
-        """Text of the name of the set that these side faces of a layer continue; of other sets their own."""
+        """Text of `whole` for facets of the layer that continue a set ("NAME/LAYER"); else the text of this name."""
         return self.whole if self.region == LAYER else str(self)
 
 
 @dataclass(frozen=True)
 class Seam:
-    """Choice of the upper side of a layer's surface. The normal n points from the lower to the upper side.
+    """Choice of the upper side of a surface that stands for a layer.
 
-    The upper side of a facet between two cells is where `direction` points, unless this is None. Else it is in the
-    regions `upper`, or outside the regions `lower`. Without any of these it is in the later of the two cells' regions.
-    On the outer boundary the layer stands on a rigid base, and the cell is on the upper side.
+    The normal n points from the lower to the upper side. At a facet between two cells, `direction` points to the upper
+    side if it is given. Else the upper cell is the one in the regions `upper`, or not in the regions `lower`. Without
+    any of these, the upper cell is the one whose region comes later in `Joint.regions`. On the outer boundary the layer
+    stands on a rigid base, and the only cell is above it.
 
-    The choice is a convention: jumps, tractions and the order of sublayers refer to it, equilibria do not depend on it.
+    Jumps, tractions and the order of sublayers depend on this choice; equilibria do not.
 
     Attributes:
-        lower, upper: names of regions on either side; (): not specified.
-        direction: (d,) vector to the upper side; None: not specified.
+        lower, upper: names of the regions on the lower and on the upper side; (): not specified.
+        direction: vector that points to the upper side, one component per dimension, of any length; None: not
+            specified.
     """
 
     lower: tuple[str, ...] = ()
@@ -67,17 +71,27 @@ class Seam:
     direction: tuple[float, ...] | None = None
 
     def reversed(self) -> Seam:
-        """The seam with the opposite normal. Raise InputError if it specifies neither regions nor a direction."""
+        """Return the seam with lower and upper side exchanged.
+
+        Raises:
+            InputError: the seam has neither regions nor a direction; its sides then follow the order of the regions.
+        """
         if self == Seam():
             raise InputError("a seam whose sides follow the order of regions cannot be reversed; name its sides")
         return Seam(self.upper, self.lower, None if self.direction is None else tuple(-c for c in self.direction))
 
     def turned(self, turn: FloatArray) -> Seam:
-        """The seam after the joint is rotated by a matrix (d, d)."""
+        """Return the seam for a joint rotated by the orthogonal matrix `turn`, (2, 2) or (3, 3)."""
         return self if self.direction is None else replace(self, direction=tuple(map(float, turn @ self.direction)))
 
     def check(self, name: str, regions: Sequence[str], dim: int) -> None:
-        """Raise InputError unless the seam determines its upper side in a mesh with these regions."""
+        """Raise InputError if regions or direction are unknown, contradictory or of the wrong size.
+
+        Args:
+            name: name of the seam, for messages.
+            regions: names of all cell regions of the mesh.
+            dim: number of dimensions of the mesh, 2 or 3.
+        """
         for region in self.lower + self.upper:
             require_known("region", region, regions)
         shared = sorted(set(self.upper) & set(self.lower))
@@ -90,16 +104,16 @@ class Seam:
                 raise InputError(f"direction is {self.direction}; it needs {dim} components, not all zero")
 
     def along_direction(self, name: str, x: FloatArray, normals: FloatArray, to_second: FloatArray) -> BoolArray:
-        """(n,) whether the second of the two cells at each of n facets is on the upper side, by `direction`.
+        """Return (n,) whether `direction` puts the second of the two cells at each of n facets on the upper side.
 
         Args:
             name: name of the seam, for messages.
-            x: (n, d) middles of the facets.
-            normals: (n, d) normals of the facets, in either direction.
-            to_second: (n, d) vectors from the middles into the second cells.
+            x: (n, d) centres of the facets, in d dimensions.
+            normals: (n, d) normals of the facets, of either sign.
+            to_second: (n, d) vectors from the centres of the facets to the centres of their second cells.
 
         Raises:
-            InputError: the direction lies in a facet.
+            InputError: the direction is parallel to a facet, or nearly so.
         """
         way = np.asarray(self.direction, float)
         cosine = normals @ way / np.linalg.norm(normals, axis=1) / np.linalg.norm(way)
@@ -107,16 +121,16 @@ class Seam:
         return np.asarray((to_second * normals).sum(axis=1) * cosine > 0)
 
     def between_regions(self, name: str, x: FloatArray, region: IntArray, regions: Sequence[str]) -> BoolArray:
-        """(n,) whether the second of the two cells at each of n facets is on the upper side, by the cells' regions.
+        """Return (n,) whether the regions of the two cells at each of n facets put the second cell on the upper side.
 
         Args:
             name: name of the seam, for messages.
-            x: (n, d) middles of the facets.
-            region: (n, 2) positions of the regions of both cells in `regions`.
-            regions: names of all regions.
+            x: (n, d) centres of the facets, in d dimensions, for messages.
+            region: (n, 2) positions in `regions` of the regions of the first and of the second cell.
+            regions: names of all cell regions of the mesh.
 
         Raises:
-            InputError: both cells are on one side.
+            InputError: both cells at a facet are on one side.
         """
         if self.lower or self.upper:
             lower, upper = (np.isin(region, [regions.index(key) for key in side]) for side in (self.lower, self.upper))

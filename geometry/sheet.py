@@ -1,4 +1,4 @@
-"""S as a sheet: its area, gradients along it, its ends (straight or not), and the heights of the bodies."""
+"""S as a surface of segments (2D) or triangles (3D): area, gradients along S, ends of S, heights of the bodies."""
 
 from __future__ import annotations
 
@@ -29,7 +29,12 @@ CORNER_COSINE = 0.7
 
 
 def vectors_from_segments(x: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:
-    """(n, m, d) vectors to places x (n, d) from the nearest points of segments between `first` and `last` (m, d)."""
+    """Return (n, m, d) vectors to each of n places from the nearest point of each of m straight segments.
+
+    Args:
+        x: (n, d) places in d dimensions.
+        first, last: (m, d) ends of the segments.
+    """
     along, to = last - first, x[:, None] - first
     share = (to * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
     return np.asarray(to - np.clip(share, 0.0, 1.0)[..., None] * along)
@@ -37,14 +42,16 @@ def vectors_from_segments(x: FloatArray, first: FloatArray, last: FloatArray) ->
 
 @dataclass(frozen=True)
 class Rim:
-    """Ridges where S ends: vertices in 2D, edges in 3D.
+    """Ridges where S ends: n vertices in 2D, n edges in 3D.
+
+    A simplex is a segment (2D) or triangle (3D) into which the facets of S are divided.
 
     Attributes:
-        vertices: (n, d - 1) vertices of the ridges, as numbers in the joint.
-        simplex: (n,) simplex of the sheet at each ridge.
-        outward: (n, d) unit vectors along S, normal to the ridge.
-        depth: (n,) extent of the simplex along `outward`.
-        length: (n,) lengths of the ridges; 1 in 2D.
+        vertices: (n, 1 or 2) vertices of each ridge, as numbers in the joint.
+        simplex: (n,) number of the simplex of the sheet that ends at each ridge.
+        outward: (n, d) unit vector along S, normal to each ridge and out of S, in d dimensions.
+        depth: (n,) extent of the simplex along `outward`, a length.
+        length: (n,) length of each ridge; 1 in 2D.
     """
 
     vertices: IntArray
@@ -57,11 +64,16 @@ class Rim:
         return Rim(*(getattr(self, f.name)[which] for f in fields(self)))
 
     def on(self, facets: IntArray) -> BoolArray:
-        """(n,) whether each ridge belongs to one of these facets, given by their vertices."""
+        """Return (n,) whether each ridge is part of one of m facets, given by the numbers of their vertices (m, k)."""
         return np.asarray(np.isin(ridge_keys(self.vertices), keys_of_ridges(facets, self.vertices.shape[1])))
 
     def distance(self, points: FloatArray, x: FloatArray) -> FloatArray:
-        """(n,) distances of places x (n, d) from the ridges, whose vertices are in `points`; inf without ridges."""
+        """Return (n,) the distance of each of n places from the nearest ridge; inf if there are no ridges.
+
+        Args:
+            points: (n_points, d) coordinates of the joint's points in d dimensions.
+            x: (n, d) the places.
+        """
         distance = np.full(len(x), np.inf)
         for ends in points[self.vertices][:, [0, -1], None]:
             distance = np.minimum(distance, np.linalg.norm(vectors_from_segments(x, *ends)[:, 0], axis=1))
@@ -69,10 +81,15 @@ class Rim:
 
 
 def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
-    """Keys of the ridges of S where `facets` continue over the layer's side: they include all outer facets there.
+    """Return keys of those ridges of S where `facets` continue on the layer's side, between the layer's faces.
 
-    At such a ridge they lie on the bodies at both faces of the layer, or next to layers that meet in the ridge. On a
-    rigid base there is one body. Facets on only one of two bodies end where S begins.
+    A ridge is a vertex of S in 2D, an edge in 3D; `ridge_keys` gives its key. All outer facets at such a ridge must be
+    in `facets`. Between two bodies, facets on only one of them end where S begins. On a rigid base there is one body.
+    Where several layers end at one ridge, the outer facets are those next to all of them.
+
+    Args:
+        joint: the joint, in which S is a surface.
+        facets: (n, k) numbers of the k vertices of outer facets.
     """
     rows, keys = joint.outer_beside_s
     mine = np.isin(rows, joint.table.index(facets))
@@ -81,7 +98,9 @@ def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A seam as n straight simplices between its vertices; a quadrilateral is two triangles.
+    """A seam, or all of S, as n straight simplices: segments in 2D, triangles in 3D.
+
+    Vertices are those of the facets of S, even if these are curved. A quadrilateral is two triangles.
 
     Attributes:
         joint: the joint.
@@ -93,24 +112,24 @@ class Sheet:
 
     @cached_property
     def facets(self) -> IntArray:
-        """Positions of the seam's facets in `joint.surface`, the facets of S."""
+        """Positions of the seam's facets among the rows of `joint.surface`, the facets of S."""
         return np.searchsorted(self.joint.surface_rows, self.joint.rows_of(self.name))
 
     @cached_property
     def parts(self) -> tuple[IntArray, IntArray]:
-        """For each simplex its facet of S, (n,), and the corners of this facet, (n, d)."""
+        """(n,) row in `joint.surface` of each of the n simplices, and (n, 2 or 3) which vertices of this row it has."""
         corners = QUADRILATERAL_TRIANGLES if self.joint.cell_type == "hexahedron" else (tuple(range(self.joint.dim)),)
         return np.tile(self.facets, len(corners)), np.repeat(np.array(corners), len(self.facets), axis=0)
 
     @cached_property
     def vertices(self) -> IntArray:
-        """(n, d) vertices of the simplices, as numbers in the joint."""
+        """(n, 2 or 3) vertices of each of the n simplices, as numbers in the joint."""
         facet, corner = self.parts
         return np.asarray(self.joint.surface[facet[:, None], corner])
 
     @cached_property
     def mean_normal(self) -> FloatArray:
-        """(d,) unit vector of the mean normal; if S is closed, the normal of its first facet."""
+        """Unit vector of the mean normal of the seam's facets; if the seam is closed, the normal of its first facet."""
         normals = self.joint.interface_normals[self.facets]
         mean = normals.mean(axis=0)
         length = np.linalg.norm(mean)
@@ -118,7 +137,7 @@ class Sheet:
 
     @property
     def planar(self) -> bool:
-        """Whether the seam lies in one plane, or in parallel planes."""
+        """Whether all normals of the seam are equal to 1e-5: it lies in one plane, or in parallel planes."""
         normals = self.joint.node_normals[self.facets].reshape(-1, self.joint.dim)
         return bool(np.ptp(normals, axis=0).max() <= PLANAR_TOLERANCE)
 
@@ -129,19 +148,22 @@ class Sheet:
 
     @cached_property
     def gradients(self) -> FloatArray:
-        """(n, d, d) gradients along S of the linear shape functions of the vertices of each simplex."""
+        """(n, d, d) gradient along S of the linear shape function of each vertex (second axis) of each of n simplices.
+
+        The last axis has the components, in d dimensions. The unit is 1 / length.
+        """
         others = np.swapaxes(np.linalg.pinv(self._edges), 1, 2)
         return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
 
     @cached_property
     def areas(self) -> FloatArray:
-        """(n,) areas of the simplices."""
+        """(n,) areas of the n simplices; in 2D lengths."""
         gram = np.linalg.det(self._edges @ np.swapaxes(self._edges, 1, 2))
         return np.asarray(np.sqrt(gram) / math.factorial(self.joint.dim - 1))
 
     @cached_property
     def rim(self) -> Rim:
-        """Ridges where S ends at the outer boundary, without tips inside the bodies and without periodic sides."""
+        """Ridges where the seam ends at the outer boundary; not those inside bodies, nor on periodic sides."""
         joint, count = self.joint, len(self.vertices)
         ridges = np.concatenate([np.delete(self.vertices, k, axis=1) for k in range(joint.dim)])
         _, first, times = np.unique(ridge_keys(ridges), return_index=True, return_counts=True)
@@ -160,7 +182,7 @@ class Sheet:
 
     @cached_property
     def tip(self) -> FloatArray | None:
-        """A place where the seam ends inside the bodies and no other seam continues; None if there is no such place."""
+        """Coordinates of a place where the seam ends inside the bodies and no other seam continues it; else None."""
         joint = self.joint
         seam_ridges, _ = ridges(joint.surface[self.facets], joint.cell_type)
         here = joint.tips[np.isin(ridge_keys(joint.tips), ridge_keys(seam_ridges))]
@@ -168,7 +190,7 @@ class Sheet:
 
     @cached_property
     def junction(self) -> FloatArray | None:
-        """A place where the seam branches or meets another seam; None if there is no such place."""
+        """Coordinates of a place where the seam branches or meets another seam; None if there is no such place."""
         joint = self.joint
         surface = joint.masters[joint.surface]
         (s_ridges, counts), (subset, here) = (ridges(rows, joint.cell_type) for rows in (surface, surface[self.facets]))
@@ -178,10 +200,11 @@ class Sheet:
 
     @cached_property
     def heights(self) -> tuple[float, ...]:
-        """Heights of the lower side (left out on a rigid base) and of the upper side: volume over the area of S.
+        """Heights of the bodies below and above the seam: volume of the body over area of the seam, lengths.
 
-        If S is planar, a height is at most the largest distance from S, because bodies may extend beyond the ends of S.
-        If both sides are one body, there is one value.
+        On a rigid base there is no lower height. If both sides are one body, there is one height. If the seam is
+        planar, a height is at most the body's largest distance from it, because bodies may extend beyond the ends of
+        the seam.
         """
         joint = self.joint
         pieces, cells = joint.split_mesh.pieces, joint.surface_cells[self.facets]
@@ -196,7 +219,12 @@ class Sheet:
 
 
 def volume_of(joint: Joint, inside: BoolArray) -> float:
-    """Volume of whole pieces of bodies, the cells `inside` (n_cells,), from their faces by the divergence theorem."""
+    """Return the volume (area in 2D) of whole connected pieces of bodies, which is integrated over their faces.
+
+    Args:
+        joint: the joint, with straight-sided cells or taken as such.
+        inside: (n_cells,) whether each cell is part of these pieces.
+    """
     rows = np.concatenate([joint.outer_rows, joint.surface_rows, joint.surface_rows])
     cells = np.concatenate([joint.table.cells[joint.outer_rows, 0], *joint.surface_cells.T])
     kept = (cells >= 0) & inside[cells]
@@ -211,15 +239,18 @@ def volume_of(joint: Joint, inside: BoolArray) -> float:
 
 
 class StraightEnd(NamedTuple):
-    """A straight free end of a planar S, in one piece.
+    """A straight free end of a planar S, in one connected piece.
+
+    In 2D it is a point. In 3D it is a straight edge of S. Vectors have d components in d dimensions.
 
     Attributes:
-        n: unit normal of S, (d,).
-        level: least and largest n . x of places in its plane, which may be one of several parallel planes.
-        m: unit normal in S, outward, (d,).
-        offset: m . x of its points.
-        along: (d,) unit vector along it; zero in 2D.
-        reach: least and largest along . x of its points.
+        n: unit normal of S.
+        level: least and largest value of n . x for places x in the plane of the end, lengths. S may lie in several
+            parallel planes.
+        m: unit vector in S, normal to the end and out of S.
+        offset: value of m . x at the end, a length.
+        along: unit vector along the end; zero in 2D.
+        reach: least and largest value of along . x at points of the end, lengths.
         length: length of the end; 1 in 2D.
     """
 
@@ -233,33 +264,47 @@ class StraightEnd(NamedTuple):
 
     @property
     def axes(self) -> FloatArray:
-        """(2, 3) unit vectors: inward along S, and the normal of S."""
+        """(2, 3) unit vectors in three dimensions: along S away from the end into S, and the normal of S."""
         return np.stack([np.pad(vector, (0, 3 - len(vector))) for vector in (-self.m, self.n)])
 
     def distance(self, x: FloatArray) -> FloatArray:
-        """Distances (...) of places (..., d) of S from the line of the end, positive inwards."""
+        """Return the distance of places x of S (..., d) from the straight line through the end; positive inside S."""
         return np.asarray(self.offset - x @ self.m)
 
     def has(self, x: FloatArray) -> BoolArray:
-        """(n,) whether places (n, d) of S lie on the end."""
+        """Return (n,) whether each of n places x of S, (n, d) in d dimensions, lies on the end."""
         return np.asarray((np.abs(self.distance(x)) <= (self.level[1] - self.level[0]) / 2) & self._reaches(x))
 
     def adjoins(self, x: FloatArray) -> BoolArray:
-        """(n,) whether places (n, d) of S lie on the end, or inwards of it as in `faces`."""
+        """Return (n,) whether each of n places x of S lies on the end, or in the strip of S that begins at the end.
+
+        Args:
+            x: (n, d) the places, in d dimensions.
+        """
         return self.has(x) | self.faces(x)
 
     def faces(self, x: FloatArray) -> BoolArray:
-        """(n,) whether places (n, d) of S lie inwards of the end, between its first and its last point."""
+        """Return (n,) whether each of n places x of S lies in the strip of S that begins at the end, not on the end.
+
+        The strip has the width of the end and is normal to it. Only places in the plane of the end are in it.
+
+        Args:
+            x: (n, d) the places, in d dimensions.
+        """
         return np.asarray((self.distance(x) > 0) & self._reaches(x))
 
     def _reaches(self, x: FloatArray) -> BoolArray:
-        """(n,) whether places (n, d) lie in the plane of the end, between its first and its last point."""
+        """Return (n,) whether places x (n, d) are in the plane of the end and, along it, in the range `reach`."""
         at, (low, high), (bottom, top), level = x @ self.along, self.reach, self.level, x @ self.n
         return np.asarray((at >= low) & (at <= high) & (level >= bottom) & (level <= top))
 
 
 def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
-    """Straight free ends of S; each consists of the connected ridges on one line.
+    """Return the straight ends of S that the ridges of `rim` form: connected ridges on one straight line are one end.
+
+    Args:
+        rim: the ridges.
+        sheet: the planar sheet that ends there.
 
     Raises:
         InputError: an end is curved.
@@ -291,7 +336,12 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
 
 
 def share_within(d: FloatArray, length: float) -> FloatArray:
-    """Fraction (n,) of segments or triangles where the linear function with corner values d (n, 2 or 3) is < length."""
+    """Return (n,) the fraction of the area of each segment or triangle where a linear function is less than `length`.
+
+    Args:
+        d: (n, 2 or 3) values of the function, such as a distance, at the corners.
+        length: bound of the function.
+    """
     low, *middle, high = np.sort(d, axis=1).T
     if not middle:
         return np.asarray(np.clip((length - low) / (high - low), 0.0, 1.0)) if len(d) else low

@@ -1,7 +1,8 @@
-"""Cells and facets as plain arrays: facets of a mesh, components of a mesh with cuts, sorting orders of places.
+"""Cells and facets as plain arrays: facets of a mesh, meshes with cuts, sorting orders of places.
 
-Two cells around a vertex, an edge or a face are in one component there if uncut facets around this entity connect them.
-A vertex on a cut has two components. A vertex at the tip of a cut has one, a vertex where three cuts meet has three.
+A cut mesh falls into components around a vertex, an edge or a face: groups of cells that uncut facets connect there.
+Around a vertex on a cut there are two components. Around a vertex at the tip of a cut there is one, around a vertex
+where three cuts meet there are three.
 """
 
 from __future__ import annotations
@@ -33,23 +34,23 @@ FACET_TYPES = dict(zip(CELL_TYPES, ("interval", "interval", "triangle", "quadril
 
 @cache
 def lagrange(cell_type: str, degree: int) -> basix.finite_element.FiniteElement:
-    """The scalar Lagrange element whose nodes carry the geometry of cells, vertices first."""
+    """Return the scalar Lagrange element of Basix whose nodes are the geometry nodes of a cell, vertices first."""
     return basix.create_element(basix.ElementFamily.P, basix.CellType[cell_type], degree)
 
 
 @cache
 def sub_entities(cell_type: str) -> list[list[list[list[int]]]]:
-    """[dimension][entity][dimension below or equal] -> numbers of the vertices, edges, ... of an entity of a cell."""
+    """Return Basix's table [dimension of an entity][entity][lower dimension] -> its vertices, edges, ... in a cell."""
     return basix.cell.sub_entity_connectivity(basix.CellType[cell_type])
 
 
 def corner_count(cell_type: str) -> int:
-    """Number of vertices of a cell."""
+    """Return the number of vertices of a cell or facet of this type."""
     return int(lagrange(cell_type, 1).dim)
 
 
 def geometry_degree(cell_type: str, n_nodes: int) -> int:
-    """Degree, 1 or 2, of cells with `n_nodes` nodes; raise InputError for other numbers of nodes."""
+    """Return the polynomial degree, 1 or 2, of cells with `n_nodes` nodes; raise InputError for other numbers."""
     allowed = {int(lagrange(cell_type, degree).dim): degree for degree in (1, 2)}
     if n_nodes not in allowed:
         raise InputError(f"a {cell_type} has {n_nodes} nodes; allowed: {', '.join(map(str, allowed))} (degree 1 or 2)")
@@ -57,19 +58,30 @@ def geometry_degree(cell_type: str, n_nodes: int) -> int:
 
 
 def local_facets(cell_type: str, degree: int = 1) -> IntArray:
-    """Local nodes of each facet of a cell, in the order of the facet's own element: (n_facets, nodes per facet)."""
+    """Return (n_facets, m) numbers, in a cell, of the m nodes of each facet, in the order of the facet's element."""
     return np.array(lagrange(cell_type, degree).entity_closure_dofs[-2], np.int64)
 
 
 def sum_by_number(number: IntArray, values: FloatArray, n: int) -> FloatArray:
-    """(n, ...) sums of the values (..., ...) with equal numbers (...), which are from 0 to n - 1."""
+    """Return n sums, along the first axis, of the values that have the same number.
+
+    Args:
+        number: integers from 0 to n - 1, an array of any shape.
+        values: array whose first axes have the shape of `number`; further axes are kept.
+        n: number of sums.
+    """
     out = np.zeros((n, *values.shape[number.ndim :]))
     np.add.at(out, number, values)
     return out
 
 
 def positions(items: IntArray | Indices, n: int) -> IntArray:
-    """(n,) position of each number from 0 to n - 1 among items, which differ; -1 for numbers that are not there."""
+    """Return (n,) the position in `items` of each number from 0 to n - 1; -1 for numbers that are not in it.
+
+    Args:
+        items: distinct numbers from 0 to n - 1.
+        n: length of the result.
+    """
     out = np.full(n, -1, np.int64)
     out[items] = np.arange(len(items))
     return out
@@ -82,19 +94,19 @@ def is_tensor(cell_type: str) -> bool:
 
 @cache
 def weights_between(cell_type: str) -> FloatArray:
-    """(m, k) values of the k linear shape functions at the m further nodes of a cell of degree 2."""
+    """Return (m, k) values of the k linear shape functions of a cell at its m nodes of degree 2 other than vertices."""
     further = lagrange(cell_type, 2).points[corner_count(cell_type) :]
     return np.asarray(lagrange(cell_type, 1).tabulate(0, further)[0, :, :, 0])
 
 
 @dataclass(frozen=True)
 class FacetTable:
-    """All facets of a mesh.
+    """All facets of a mesh, each once, with the cells that they belong to.
 
     Attributes:
-        vertices: (n_facets, k) sorted vertex numbers, rows unique and in lexicographic order.
-        cells: (n_facets, 2) the cells that meet there; -1 in the second column on the outer boundary.
-        local: (n_facets, 2) which facet of each of these cells it is; -1 where there is no cell.
+        vertices: (n_facets, k) numbers of the k vertices of each facet, ascending. Rows are in lexicographic order.
+        cells: (n_facets, 2) numbers of the cells that meet there; -1 in the second column on the outer boundary.
+        local: (n_facets, 2) number of the facet within each of these cells; -1 where there is no cell.
     """
 
     vertices: IntArray
@@ -103,7 +115,15 @@ class FacetTable:
 
     @classmethod
     def of(cls, corners: IntArray, cell_type: str) -> FacetTable:
-        """Table of a mesh with these cell vertices; raise InputError if more than two cells share a facet."""
+        """Return the facets of a mesh.
+
+        Args:
+            corners: (n_cells, m) numbers of the m vertices of each cell.
+            cell_type: type of the cells.
+
+        Raises:
+            InputError: more than two cells share a facet.
+        """
         short = corners.T.astype(np.int32)  # half the memory, and faster
         facets = zip(*(short[f] for f in local_facets(cell_type)), strict=True)
         columns = sorted_columns([np.concatenate(column) for column in facets])
@@ -127,19 +147,29 @@ class FacetTable:
         return _keys(self.vertices)
 
     def index(self, facets: IntArray) -> IntArray:
-        """Rows of this table for facets given by vertices in any order; -1 where the mesh has no such facet."""
+        """Return (n,) row numbers in this table of n facets; -1 where the mesh has no such facet.
+
+        Args:
+            facets: (n, k) numbers of the k vertices of each facet, in any order.
+        """
         wanted = _keys(np.sort(facets, axis=1))
         at = np.searchsorted(self._keys, wanted).clip(max=len(self._keys) - 1)
         return np.where(self._keys[at] == wanted, at, -1)
 
     def nodes(self, rows: IntArray, cells: IntArray, cell_type: str) -> IntArray:
-        """Nodes of facets (n, nodes per facet) in the order of the facet's own element; `cells`: nodes of all cells."""
+        """Return (n, m) numbers of the m nodes of n facets, in the order of the facet's own element.
+
+        Args:
+            rows: (n,) row numbers of the facets in this table.
+            cells: (n_cells, k) numbers of the k nodes of all cells of the mesh.
+            cell_type: type of the cells.
+        """
         local = local_facets(cell_type, geometry_degree(cell_type, cells.shape[1]))[self.local[rows, 0]]
         return np.take_along_axis(cells[self.cells[rows, 0]], local, axis=1)
 
 
 def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
-    """Sort each row of a table given by its columns; faster than `np.sort` along short rows."""
+    """Sort each row of a table; the table is given and returned by its columns, which is faster than `np.sort`."""
     out = list(columns)
     for end in range(len(out) - 1, 0, -1):
         for k in range(end):
@@ -148,42 +178,62 @@ def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
 
 
 def _changes(columns: Sequence[IntArray], order: IntArray) -> BoolArray:
-    """(n,) whether each row (given by columns), in this order, differs from the row before it; True for the first."""
+    """Return (n,) whether a row differs from the row before it, where `order` lists the rows; True for the first.
+
+    Args:
+        columns: the columns of the table.
+        order: (n,) row numbers.
+    """
     changed = np.ones(len(order), bool)
     changed[1:] = reduce(np.logical_or, (np.diff(column[order]) != 0 for column in columns))
     return changed
 
 
 def _keys(rows: IntArray) -> npt.NDArray[np.void]:
-    """(n,) rows (n, k) of numbers from 0 to 2^31 as bytes that sort in the same order."""
+    """Return (n,) each row of integers from 0 to 2^31 - 1 as bytes that sort in the lexicographic order of the rows."""
     return np.ascontiguousarray(rows, ">i4").view(f"V{4 * rows.shape[1]}").ravel()
 
 
 def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
-    """Ridges of facets, vertices in 2D and edges in 3D: (n, k) their sorted vertices, and the number of facets at each.
+    """Return the ridges of facets (vertices in 2D, edges in 3D), each once, and the number of facets at each.
 
     Args:
-        facets: (n_facets, m) nodes in the order of the facet's own element.
+        facets: (n_facets, m) numbers of the m nodes of each facet, in the order of the facet's own element.
         cell_type: type of the cells.
+
+    Returns:
+        (n, 1 or 2) ascending numbers of the vertices of each ridge, and (n,) the numbers of facets.
     """
     rows = np.concatenate([facets[:, ridge] for ridge in local_facets(FACET_TYPES[cell_type])])
     return np.unique(np.sort(rows, axis=1), axis=0, return_counts=True)
 
 
 def ridge_keys(rows: IntArray) -> IntArray:
-    """(n,) unique number of each ridge, given by its one or two vertices (n, k)."""
+    """Return (n,) one integer for each of n ridges, unique for its vertices, given as (n, 1 or 2) in any order."""
     return np.asarray((rows.min(axis=1) << KEY_BITS) + rows.max(axis=1))
 
 
 def keys_of_ridges(facets: IntArray, k: int) -> IntArray:
-    """(n, m) keys of ridges (k vertices each) of facets, given by vertices in any order; with quads' diagonals."""
+    """Return (n, m) an integer for each set of k vertices of n facets, which identifies this ridge, see `ridge_keys`.
+
+    For quadrilaterals the diagonals are among these sets.
+
+    Args:
+        facets: (n, l) numbers of the l vertices of each facet, in any order.
+        k: number of vertices of a ridge, 1 in 2D, 2 in 3D.
+    """
     return np.stack([ridge_keys(facets[:, list(pair)]) for pair in combinations(range(facets.shape[1]), k)], axis=1)
 
 
 def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> FloatArray:
-    """Signed Jacobian determinants at the nodes of cells: one sign over a row means the cell is not folded.
+    """Return (n_cells, n_nodes) Jacobian determinants at the nodes of cells; both signs in one row mean a folded cell.
 
-    Shape (n_cells, n_nodes); (n_cells, 1) for straight-sided simplices, whose Jacobian is constant.
+    For straight-sided simplices, whose determinant is constant, the shape is (n_cells, 1).
+
+    Args:
+        points: (n_points, d) coordinates in d dimensions, lengths.
+        cells: (n_cells, n_nodes) numbers of the nodes of each cell.
+        cell_type: type of the cells.
     """
     element = lagrange(cell_type, geometry_degree(cell_type, cells.shape[1]))
     if element.degree == 1 and not is_tensor(cell_type):
@@ -196,7 +246,13 @@ def node_jacobians(points: FloatArray, cells: IntArray, cell_type: str) -> Float
 
 
 def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatArray:
-    """Unit normals (n_facets, n_nodes, d) at the nodes of facets, of either sign; nodes in the facet's own order."""
+    """Return (n_facets, n_nodes, d) unit normals, of either sign, at the nodes of facets in d dimensions.
+
+    Args:
+        points: (n_points, d) coordinates, lengths.
+        nodes: (n_facets, n_nodes) numbers of the nodes of each facet, in the order of the facet's own element.
+        cell_type: type of the cells.
+    """
     facet_type = FACET_TYPES[cell_type]
     element = lagrange(facet_type, geometry_degree(facet_type, nodes.shape[1]))
     gradients, plane = element.tabulate(1, element.points)[1:, :, :, 0], points.shape[1] == 2
@@ -207,13 +263,16 @@ def facet_normals(points: FloatArray, nodes: IntArray, cell_type: str) -> FloatA
 
 @dataclass(frozen=True)
 class Splitting:
-    """Components of a mesh that is cut along some facets. The cut does not depend on the numbering of cells.
+    """A mesh that is cut along some facets, and the components into which the cut divides the cells around each entity.
+
+    An entity is a vertex, edge, face or cell. A component is a group of cells around it that uncut facets there
+    connect. The cut does not depend on the numbering of cells.
 
     Attributes:
-        cells: (n_cells, k) nodes, vertices first.
+        cells: (n_cells, k) numbers of the k nodes of each cell, vertices first.
         cell_type: type of the cells.
         table: facets of the cells.
-        cut: (m,) rows of `table` of the cut facets.
+        cut: (m,) row numbers in `table` of the facets that are cut.
     """
 
     cells: IntArray
@@ -230,7 +289,12 @@ class Splitting:
         return self.cells[:, : len(self._topology[0])]
 
     def entities(self, dim: int, corners: IntArray) -> IntArray:
-        """(n, entities of a cell) number of each entity of a dimension of cells given by their vertices (n, k)."""
+        """Return (n, m) a number for each of the m entities of dimension `dim` of n cells; equal for shared entities.
+
+        Args:
+            dim: dimension of the entities, such as 1 for edges.
+            corners: (n, k) numbers of the k vertices of each cell.
+        """
         if dim == 0:
             return corners
         of_cells = self._topology[dim]
@@ -242,7 +306,7 @@ class Splitting:
 
     @cached_property
     def keys(self) -> list[IntArray]:
-        """For each dimension (n_cells, entities of a cell) numbers >= 0, one for each component of each mesh entity."""
+        """For each dimension (n_cells, m) a number for each of the m entities of a cell; each component has its own."""
         out, start = [], 0
         for dim in range(len(self._topology)):
             numbers, split = self.entities(dim, self._corners), self.components(dim)
@@ -252,9 +316,10 @@ class Splitting:
         return out
 
     def components(self, dim: int) -> Indices:
-        """(n_cells, entities of a cell) number of the cell's component around each of its entities of a dimension.
+        """Return (n_cells, m) for each of the m entities of dimension `dim` of a cell the component with this cell.
 
-        The component with the smallest cell has number 0; so have all cells around entities that are not split.
+        Components of each entity are numbered from 0, in the order of their cells with the lowest number. All cells
+        around an entity that is not divided have 0.
         """
         local = self._topology[dim]
         component = np.zeros((len(self.cells), len(local)), np.int32)
@@ -286,7 +351,7 @@ class Splitting:
 
     @cached_property
     def of_nodes(self) -> Indices:
-        """(n_cells, k) number of the cell's component around each of its nodes."""
+        """(n_cells, k) for each of the k nodes of a cell the number of the component at the node with this cell."""
         dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
         out = np.zeros(self.cells.shape, np.int32)
         for dim, of_dim in enumerate(dofs[:-1]):
@@ -298,12 +363,12 @@ class Splitting:
 
     @property
     def of_vertices(self) -> Indices:
-        """(n_cells, k) number of the cell's component around each of its vertices."""
+        """(n_cells, k) for each of the k vertices of a cell the number of the component there with this cell."""
         return self.of_nodes[:, : self._corners.shape[1]]
 
     @cached_property
     def pieces(self) -> IntArray:
-        """(n_cells,) number of the connected piece of each cell, in the order of their first cells."""
+        """(n_cells,) number of the connected piece of the cut mesh with each cell, in the order of first cells."""
         corners, split = self._corners.astype(np.int32), self.of_vertices
         where = np.nonzero(split)  # copies of vertices follow after the last one
         number = np.unique(np.column_stack([corners[where], split[where]]), axis=0, return_inverse=True)[1]
@@ -316,20 +381,25 @@ class Splitting:
 
     @cached_property
     def valence(self) -> IntArray:
-        """(n_points,) number of components of the cells around each vertex; 0 for nodes that are not vertices."""
+        """(n_points,) number of components of the cells around each vertex, 1 if none is cut off; 0 for other nodes."""
         out = np.zeros(int(self.cells.max(initial=-1)) + 1, np.int64)
         np.maximum.at(out, self._corners.ravel(), self.of_vertices.ravel() + 1)
         return out
 
 
 def unique_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Unique rows in lexicographic order, and for each row its number among them."""
+    """Return the distinct rows of an array in lexicographic order, and for each row its number among them."""
     unique, number = np.unique(rows, axis=0, return_inverse=True)
     return unique, number.ravel()
 
 
 def connected(first: IntArray | Indices, second: IntArray | Indices, n: int) -> IntArray:
-    """(n,) labels of the connected components of a graph with n nodes, given by its links."""
+    """Return (n,) number of the connected component that each of n nodes of a graph is in.
+
+    Args:
+        first, second: (m,) nodes at the two ends of each of the m links of the graph.
+        n: number of nodes.
+    """
     graph = scipy.sparse.coo_matrix((np.ones(len(first), np.int8), (first, second)), shape=(n, n))
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
@@ -338,16 +408,26 @@ DISTANCE_TOLERANCE = 1e-9  # distance, over the size of the whole, below which t
 
 
 def by_place(x: FloatArray, size: float) -> IntArray:
-    """Sorting order of places (n, d) by the first coordinate, then by the next; `size`: length of the whole."""
+    """Return the numbers of places in the order of their first coordinate; where it is equal, of the next.
+
+    Args:
+        x: (n, d) places in d dimensions.
+        size: extent of the whole; coordinates that differ by less than about 1e-9 of it count as equal.
+    """
     return np.lexsort(np.rint(x[:, ::-1] / (DISTANCE_TOLERANCE * size)).T)
 
 
 def along(x: FloatArray, pairs: IntArray, size: float) -> IntArray:
-    """Sorting order of places (n, 2) along the curves that pairs (m, 2) of neighbours form.
+    """Return the numbers of places in their order along curves, which links between neighbouring places form.
 
-    Curves follow one another, each from its lower end in the order of `by_place`. A closed curve starts at its lowest
-    place, towards the lower of its neighbours. If a curve ends where another begins, the other comes next: the parts of
-    a bed joint, brick by brick.
+    Curves follow one another, each from its lower end; low means first in the order of `by_place`. A closed curve
+    starts at its lowest place, towards the lower of its neighbours. If a curve ends where another begins, the other
+    comes next, as with the parts of a bed joint, brick by brick.
+
+    Args:
+        x: (n, 2) coordinates of the places.
+        pairs: (m, 2) numbers of the two places of each link.
+        size: extent of the whole; coordinates that differ by less than about 1e-9 of it count as equal.
     """
     order = by_place(x, size)
     rank = np.argsort(order)

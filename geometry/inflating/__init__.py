@@ -1,1 +1,1 @@
-"""Layers with a thickness: S opened into bands of cells, and the bodies moved apart."""
+"""Meshed layers: S is opened to bands of cells with the layers' thickness, and the bodies move apart."""

@@ -1,4 +1,4 @@
-"""Bands: copies of the nodes of S for each body, node lines between two copies, and cells between lines."""
+"""Bands: copies of the nodes of S for each body, lines of nodes between copies, and the layer's cells between lines."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ HEIGHT_TOLERANCE = 1e-12  # difference of heights, relative to the thickness, th
 
 
 class NodeCopies(NamedTuple):
-    """Nodes of the bodies after parting on S: each body has its own copy of a node of S.
+    """Nodes of the bodies after S has opened: each body has its own copy of a node of S.
 
-    One copy keeps the node's number, the copy on the upper side of the node's first facet. The other copies, and the
-    nodes of a rigid base, are numbered after the joint's points, in the order of their nodes.
+    One copy keeps the node's number: that on the upper side of the first facet at the node. The other copies, and the
+    nodes on a rigid base, are numbered after the joint's points, in the order of their nodes.
 
     Attributes:
-        cells: (n_cells, k) nodes of the bodies' cells.
-        below, above: (n_S, k) copies of the nodes of each facet of S, on its lower and on its upper side.
-        new: (n,) nodes of S whose copies follow after the joint's points.
-        base: (n,) whether these copies are on a rigid base.
+        cells: (n_cells, k) numbers of the k nodes of each of the bodies' cells, copies in place of nodes of S.
+        below, above: (n_S, k) copies of the k nodes of each facet of S, on its lower and on its upper side.
+        new: (n,) for each of the n copies with new numbers the node of S that it copies.
+        base: (n,) whether each of these copies is on a rigid base.
     """
 
     cells: IntArray
@@ -40,7 +40,7 @@ class NodeCopies(NamedTuple):
 
     @classmethod
     def of(cls, joint: Joint) -> NodeCopies:
-        """The copies of a joint's nodes."""
+        """Return the copies of the nodes of a joint in which S is a surface."""
         surface, split, n = joint.surface, joint.split_mesh.of_nodes, len(joint.points)
         on_base = int(split.max(initial=0)) + 1
         components = np.stack([joint.components_at(cells, surface) for cells in joint.surface_cells.T])
@@ -61,22 +61,27 @@ class NodeCopies(NamedTuple):
         return cls(body_cells, number(sides[0]), number(sides[1]), nodes, component == on_base)
 
     def renumbered(self, number: IntArray) -> NodeCopies:
-        """The copies with other numbers; -1 for copies that are left out, which are on a rigid base."""
+        """Return the copies with other numbers.
+
+        Args:
+            number: new number of each node and copy; -1 for copies that are left out, which are on a rigid base.
+        """
         return self._replace(cells=number[self.cells], below=number[self.below], above=number[self.above])
 
 
 @dataclass(frozen=True)
 class NodeLines:
-    """Lines of nodes, each from one copy of a node of S (level 0) to another copy (the last level).
+    """Lines of nodes through the thickness of layers, each from one copy of a node of S to another copy.
 
-    Cells of degree 2 have nodes at the levels of their faces and half-way between.
+    Levels are the positions along a line, from 0 at the first copy to the last level at the other. Cells of degree 2
+    have nodes at their two faces and half-way between.
 
     Attributes:
-        first_new: number of the first node between copies.
-        ends: (n, 2) the two copies of each line.
-        nodes: (n,) the node of S that they are copies of.
-        kind: (n,) number of the seam of a facet at the line; the line has the heights of this seam.
-        heights: for each seam the heights of the levels, in units of the thickness, from 0 to 1.
+        first_new: number of the first node inside the lines; all copies have smaller numbers.
+        ends: (n, 2) the first and the other copy of each line.
+        nodes: (n,) the node of S that both are copies of.
+        kind: (n,) position in `Joint.seams` of the seam of each line.
+        heights: for each seam the heights of all levels over the thickness, from 0 to 1.
     """
 
     first_new: int
@@ -87,26 +92,33 @@ class NodeLines:
 
     @cached_property
     def top(self) -> IntArray:
-        """(n,) the last level of each line."""
+        """(n,) number of the last level of each line."""
         return np.array([len(heights) - 1 for heights in self.heights])[self.kind]
 
     @cached_property
     def start(self) -> IntArray:
-        """(n,) number of the node at level 1 of each line; the next levels follow."""
+        """(n,) number of the node at level 1 of each line; nodes at the next levels have the next numbers."""
         return self.first_new + np.cumsum(self.top - 1) - (self.top - 1)
 
     @property
     def size(self) -> int:
-        """Number of nodes between copies."""
+        """Number of nodes inside the lines, without copies."""
         return int((self.top - 1).sum())
 
     def number(self, lines: IntArray, level: IntArray | int) -> IntArray:
-        """Nodes of the lines with these numbers at levels."""
+        """Return the numbers of the nodes on lines, given by the lines' numbers and levels; these may be broadcast."""
         second = np.where(level == self.top[lines], self.ends[lines, 1], self.start[lines] + np.asarray(level) - 1)
         return np.where(np.asarray(level) == 0, self.ends[lines, 0], second)
 
     def between(self, values: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Values at the nodes between copies, linear between values (n_nodes, d) at copies; and their nodes of S."""
+        """Interpolate values at copies linearly to the nodes inside the lines.
+
+        Args:
+            values: (n_nodes, d) values at nodes and copies, such as a motion in d dimensions.
+
+        Returns:
+            (m, d) values at the m nodes inside the lines, and (m,) the node of S below or above each.
+        """
         line = np.repeat(np.arange(len(self.top)), self.top - 1)
         first = np.cumsum([0, *map(len, self.heights)])[self.kind[line]]
         level = np.arange(self.first_new, self.first_new + self.size) - self.start[line] + 1
@@ -114,17 +126,23 @@ class NodeLines:
         return (1 - z) * values[self.ends[line, 0]] + z * values[self.ends[line, 1]], self.nodes[line]
 
     def joined(self, ends: IntArray, nodes: IntArray, kind: int) -> NodeLines:
-        """These lines and further lines."""
+        """Return these lines followed by further lines, all with the levels of one seam.
+
+        Args:
+            ends: (n, 2) the copies at both ends of each further line.
+            nodes: (n,) the node of S that both are copies of.
+            kind: position in `Joint.seams` of the seam.
+        """
         kinds = np.append(self.kind, np.full(len(nodes), kind))
         return replace(self, ends=np.append(self.ends, ends, axis=0), nodes=np.append(self.nodes, nodes), kind=kinds)
 
 
 class FacetLines(NamedTuple):
-    """Node lines at the nodes of each facet of S.
+    """Lines of nodes through the thickness at the nodes of each facet of S.
 
     Attributes:
-        lines: (n_S, k) the line at each node of each facet.
-        turned: (n_S, k) whether the line leads from the upper side of this facet to the lower side.
+        lines: (n_S, k) number of the line at each of the k nodes of each facet.
+        turned: (n_S, k) whether this line leads from the facet's upper side to its lower side.
     """
 
     lines: IntArray
@@ -132,12 +150,12 @@ class FacetLines(NamedTuple):
 
 
 def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) -> tuple[NodeLines, FacetLines]:
-    """Node lines at the nodes of S, one for each two copies with a facet between them.
+    """Return the lines of nodes through the layers: one for each two copies of a node of S with a facet between them.
 
     Args:
-        joint: the joint before inflating.
-        copies: copies of its nodes.
-        heights: heights of the levels, for each seam.
+        joint: the joint as drawn, before S is opened.
+        copies: copies of its nodes, one on each body.
+        heights: for each seam the heights of the levels of nodes over the thickness, from 0 to 1.
 
     Raises:
         InputError: one body is on both sides of S at a vertex; the levels of two seams differ where they continue one
@@ -167,12 +185,12 @@ def node_lines(joint: Joint, copies: NodeCopies, heights: Sequence[FloatArray]) 
 
 
 def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -> FloatArray:
-    """Heights of the levels of a layer, in units of its thickness, from 0 to 1.
+    """Return the heights of the levels of nodes of a layer over its thickness, from 0 to 1.
 
     Args:
-        degree: degree of the cells' geometry.
-        cells_through: number of cells through the thickness.
-        fractions: thickness fractions of the sublayers; () for a single layer.
+        degree: degree of the cells' geometry; with 2 there is a level in the middle of each cell.
+        cells_through: number of cells through the thickness; each sublayer gets its fraction of it, at least one.
+        fractions: thickness of each sublayer over the layer's, from the lower to the upper face; () for no sublayers.
     """
     shares = np.asarray(fractions if len(fractions) else [1.0])
     counts = degree * np.maximum(1, np.rint(cells_through * shares).astype(int))
@@ -184,7 +202,20 @@ def level_heights(degree: int, cells_through: int, fractions: Sequence[float]) -
 def band_cells(
     joint: Joint, lines: NodeLines, footing: FacetLines, rows: IntArray, heights: FloatArray, fractions: Sequence[float]
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Cells of the band over the facets `rows` of S, their sublayers, and the normals of S at their corners."""
+    """Return the cells of the band of one seam.
+
+    Args:
+        joint: the joint as drawn, before S is opened.
+        lines: all lines of nodes through the thickness.
+        footing: the lines at the nodes of each facet of S.
+        rows: numbers, among the facets of S, of those that the band covers.
+        heights: heights of the levels of nodes over the thickness, from 0 to 1.
+        fractions: thickness of each sublayer over the layer's, from the lower to the upper face; () for no sublayers.
+
+    Returns:
+        (n, k) numbers of the k nodes of each cell; (n,) number of its sublayer, from 0; and (n, m, d) unit normal of S
+        in d dimensions at each of its m vertices.
+    """
     surface, normals, degree = joint.surface[rows], joint.node_normals[rows], joint.degree
     if is_tensor(joint.cell_type):
         patterns = _tensor_pattern(joint.cell_type, degree, len(surface))
@@ -207,17 +238,22 @@ Pattern = tuple[IntArray, IntArray]  # (n_S, k) node of each facet of S; (k,) le
 
 
 def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[Pattern]:
-    """Quadrilaterals and hexahedra: the facet is the cell's face with last coordinate zero."""
+    """Quadrilaterals and hexahedra over n facets: each facet of S is the cell's face with last coordinate zero."""
     cell, facet = lagrange(cell_type, degree).points, lagrange(FACET_TYPES[cell_type], degree).points
     distance = np.linalg.norm(cell[:, None, :-1] - facet[None], axis=2)
     return [(np.tile(distance.argmin(axis=1), (n, 1)), np.rint(cell[:, -1] * degree).astype(np.int64))]
 
 
 def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
-    """Simplices: prisms are split along sorted vertex numbers, so that neighbours split their common side alike.
+    """Simplices: prisms over facets are split along sorted vertex numbers, so that neighbours split common sides alike.
 
     With the facet's vertices sorted, simplex k has the first k + 1 vertices below, and the vertices from k on above. A
     node half-way along an edge lies above the middle of the edge's projection onto S.
+
+    Args:
+        cell_type: type of the cells.
+        degree: degree of their geometry.
+        order: (n_S, k) for each facet the positions of its vertices in the order of their numbers.
     """
     n = order.shape[1]
     middle = np.diag(np.arange(n))

@@ -1,10 +1,10 @@
 """Junctions: vertices (2D) or edges (3D) of S where three or more bodies meet, and the space that opens there.
 
 When the bodies part, a polygon opens at each vertex of a junction. Its corners are the copies of the vertex, one on
-each body; its sides are the node lines at the ends of the layers. On the outer boundary one more side closes it. In 2D
-the polygon is the junction. In 3D the junction is a prism between the polygons at the two ends of an edge. Edges on one
-line have one polygon at their common vertex. Where other edges meet at a vertex a polyhedron would open, which is not
-meshed.
+each body. Its sides are lines of nodes through the thickness, at the ends of the layers. On the outer boundary one more
+side closes it. In 2D the polygon is the junction. In 3D the junction is a prism between the polygons at the two ends of
+an edge. Edges on one line have one polygon at their common vertex. Where other edges meet at a vertex a polyhedron
+would open, which is not meshed.
 """
 
 from __future__ import annotations
@@ -20,12 +20,14 @@ from geometry.topology import FACET_TYPES, BoolArray, FloatArray, IntArray, loca
 
 
 class JunctionCorners(NamedTuple):
-    """Corners of polygons; k of them, one at each vertex of a junction, belong together.
+    """Corners of the polygons that open at junctions: n rows, each with the corners of one body at the k vertices.
+
+    A junction has one vertex in 2D, k = 1, and the two vertices of an edge in 3D, k = 2.
 
     Attributes:
-        copies: (n, k) copy of a vertex of S at each corner; the k vertices of a junction are in ascending order.
-        sides: (n, k, 2) node lines from each corner to its two neighbours.
-        polygons: (n, k) number of the polygon.
+        copies: (n, k) the body's copy of each vertex; the vertices of a junction are in ascending order.
+        sides: (n, k, 2) numbers of the node lines from each corner to its two neighbours in the polygon.
+        polygons: (n, k) number of the polygon that each corner is in.
         of: (n,) number of the junction.
     """
 
@@ -36,12 +38,15 @@ class JunctionCorners(NamedTuple):
 
 
 def junction_corners(joint: Joint, lines: NodeLines, footing: FacetLines) -> tuple[NodeLines, JunctionCorners | None]:
-    """All node lines, with lines that close polygons on the outer boundary, and the corners of junctions (or None).
+    """Return all node lines, with those that close polygons on the outer boundary, and the corners of junctions.
+
+    Without junctions the corners are None.
 
     Args:
-        joint: the joint before inflating.
-        lines: all node lines at the nodes of S; at junctions they have one number of levels.
-        footing: node lines of the facets of S.
+        joint: the joint as drawn, before S is opened.
+        lines: all lines of nodes through the thickness, at the nodes of S; those at junctions have one number of
+            levels.
+        footing: the lines at the nodes of each facet of S.
 
     Raises:
         InputError: between layers that meet, bodies touch only at a vertex or along an edge; in 3D, edges where layers
@@ -82,9 +87,16 @@ def junction_corners(joint: Joint, lines: NodeLines, footing: FacetLines) -> tup
 
 
 def _junction_lines(joint: Joint, lines: NodeLines, footing: FacetLines) -> tuple[IntArray, IntArray]:
-    """(n, k) node lines at the k vertices of each junction, in ascending order, for each layer that ends there.
+    """Return for each layer that ends at a junction the node lines of its end, and its number of facets there.
 
-    Also (n,) the number of facets of S that join each of these layers to the junction.
+    Args:
+        joint: the joint as drawn, before S is opened.
+        lines: all lines of nodes through the thickness.
+        footing: the lines at the nodes of each facet of S.
+
+    Returns:
+        (n, k) numbers of the lines, in ascending order, at the k vertices of the junction; (n,) number of facets of S
+        that touch the junction with the same lines.
     """
     several = np.bincount(lines.nodes)[lines.nodes] > 1
     rows = np.concatenate([footing.lines[:, ridge] for ridge in local_facets(FACET_TYPES[joint.cell_type])])
@@ -95,11 +107,12 @@ def _junction_lines(joint: Joint, lines: NodeLines, footing: FacetLines) -> tupl
 
 
 def _polygons(sides: IntArray, of: IntArray) -> IntArray:
-    """(n, k) number of the polygon of each corner; polygons with the same sides have one number.
+    """Return (n, k) number of the polygon of each corner; polygons with the same sides have one number.
 
     Args:
-        sides: (n, k, 2) node lines at the corners.
-        of: (n,) junction of each corner.
+        sides: (n, k, 2) numbers of the node lines from each corner to its neighbours, for n bodies at the k vertices of
+            a junction.
+        of: (n,) number of the junction of each row.
     """
     k, count = sides.shape[1], np.bincount(of)
     out, first = np.empty(sides.shape[:2], np.int64), 0
@@ -113,13 +126,13 @@ def _polygons(sides: IntArray, of: IntArray) -> IntArray:
 
 
 def common_normals(joint: Joint, footing: FacetLines, corners: JunctionCorners, gap: BoolArray) -> FloatArray:
-    """(n, d) common unit normal of all layers that end at the junction of each corner; zero if normals differ.
+    """Return (n, d) the unit normal common to all layers at the junction of each of n corners; zero if they differ.
 
     Args:
-        joint: the joint before inflating.
-        footing: node lines of the facets of S.
-        corners: corners of junctions.
-        gap: (n_lines,) whether each line belongs to a gap, or closes a polygon on the outer boundary.
+        joint: the joint as drawn, before S is opened, in d dimensions.
+        footing: numbers of the node lines at the nodes of each facet of S.
+        corners: corners of the polygons at junctions.
+        gap: (n_lines,) whether each node line belongs to a gap, or closes a polygon on the outer boundary.
     """
     normals = sum_by_number(footing.lines, joint.node_normals, len(gap))
     normals[gap] = 0.0

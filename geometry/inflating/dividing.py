@@ -1,4 +1,4 @@
-"""Refinement of layers towards their ends, where stresses change over less than the thickness."""
+"""Refinement of the cells of layers towards the layers' ends, where stresses change over less than the thickness."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ class RefinedLayers(NamedTuple):
     """Layers whose cells are parts of coarser cells, so that functions on the coarse cells transfer exactly.
 
     Attributes:
-        joint: the refined layers.
-        parent: (n,) the coarse cell that each cell is a part of.
-        corners: (n, k, d) places of each cell's vertices in the reference cell of its parent.
+        joint: the layers with fine cells.
+        parent: (n,) number of the coarse cell that each of the n fine cells is a part of.
+        corners: (n, k, d) coordinates, in the reference cell of the coarse cell, of the k vertices of each fine cell in
+            d dimensions.
     """
 
     joint: Joint
@@ -30,17 +31,24 @@ class RefinedLayers(NamedTuple):
     corners: FloatArray
 
     def in_parents(self, X: FloatArray) -> FloatArray:
-        """(n, q, d) places in the reference cells of the parents of places X (q, d) in the reference cell."""
+        """Map q places in the reference cell, for all n fine cells, to the reference cells of their coarse cells.
+
+        Args:
+            X: (q, d) coordinates in the reference cell, in d dimensions.
+
+        Returns:
+            (n, q, d) coordinates in the coarse cells' reference cells.
+        """
         return np.asarray(_shapes(self.joint.cell_type, 1, X) @ self.corners)
 
 
 def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> RefinedLayers:
-    """Halve the cells at ends repeatedly, until they reach no farther from the ends than `size`.
+    """Return the layers with cells at their ends halved repeatedly, until these reach at most `size` from the ends.
 
     Args:
-        layers: inflated layers without bodies.
-        distance: (n_points,) distance along S from the nearest end; 0 at ends.
-        size: length > 0.
+        layers: meshed layers without bodies.
+        distance: (n_points,) distance along S of each point from the nearest end, a length; 0 at ends.
+        size: largest extent of cells at the ends, a length > 0.
     """
     kind = layers.cell_type
     local = np.array(basix.topology(basix.CellType[kind])[1])  # vertices of edges; parallel edges have one order
@@ -69,15 +77,16 @@ def refined_towards_ends(layers: Joint, distance: FloatArray, size: float) -> Re
 
 
 def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, wanted: BoolArray) -> BoolArray:
-    """(m,) which of the wanted edges to halve first: in each cell one edge, or all edges parallel to it.
+    """Return (m,) which of the wanted edges to halve first: in each cell one edge, or one edge and all parallel to it.
 
     If an edge of quadrilaterals or hexahedra is halved, so are the parallel edges of its cells, of their neighbours,
     and so on.
 
     Args:
         kind: type of the cells.
-        edges: (n, k) edges of each cell.
-        far: (m,) distance that each edge reaches; in simplices the farthest edges come first.
+        edges: (n, k) numbers of the k edges of each cell.
+        far: (m,) larger distance of the two ends of each edge from the layer's end; in simplices edges with large
+            distances come first.
         wanted: (m,) whether each edge is to be halved.
     """
     first, last = np.array(basix.topology(basix.CellType[kind])[1]).T
@@ -98,13 +107,19 @@ def _conforming_edges(kind: str, edges: IntArray, far: FloatArray, wanted: BoolA
 
 
 def _shapes(kind: str, degree: int, X: FloatArray) -> FloatArray:
-    """(..., k) values of the shape functions of degree 1 or 2 at places (..., d) in the reference cell."""
+    """Return (..., k) values of the k shape functions of degree 1 or 2 at places X (..., d) of the reference cell."""
     table = lagrange(kind, degree).tabulate(0, X.reshape(-1, X.shape[-1]))[0, :, :, 0]
     return np.asarray(table.reshape(*X.shape[:-1], -1))
 
 
 def _refined_joint(layers: Joint, parent: IntArray, corners: FloatArray) -> RefinedLayers:
-    """The layers with refined cells, given by parents and corners, and with all names."""
+    """Return the layers with fine cells, with names, normals and reference places taken from the coarse cells.
+
+    Args:
+        layers: the layers with coarse cells.
+        parent: (n,) number of the coarse cell of each fine cell.
+        corners: (n, k, d) coordinates, in the reference cell of the coarse cell, of the k vertices of each fine cell.
+    """
     band, kind = layers.band, layers.cell_type
     assert band is not None
     nodes = _shapes(kind, 1, lagrange(kind, layers.degree).points) @ corners

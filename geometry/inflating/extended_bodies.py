@@ -1,4 +1,4 @@
-"""Motion for bodies="extended": bodies give up the space of the layers, and their nodes follow by a harmonic motion."""
+"""Motion for bodies="extended": bodies give up the space of the layers; their nodes follow by a harmonic motion."""
 
 from __future__ import annotations
 
@@ -22,16 +22,19 @@ CG_TOLERANCE = 1e-12  # relative residual of the linear solve for the harmonic m
 
 
 def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, FloatArray]) -> tuple[IntArray, FloatArray]:
-    """Copies of the nodes of S on bodies, and the motion (n, d) of each copy into its body.
+    """Return the copies of nodes of S that are on bodies, and the motion of each into its body as the layers open.
 
-    The motion d is the smallest with n . d = g for each facet of S around the copy, where n points into the body. With
-    many facets it is a least-squares solution. At the end of S it is tangential to the outer faces of the body.
+    The motion d is the shortest with n . d = g for each facet of S around the copy. The normal n points into the body,
+    and g is the thickness that the body gives up there. With many facets it is the least-squares solution. At the end
+    of S it is tangential to the outer faces of the body.
 
     Args:
-        joint: the joint before inflating.
-        copies: copies of its nodes.
-        depths: g for the body below and for the body above, (n_S, k) at the nodes of each facet: the thickness that
-            the body gives up.
+        joint: the joint as drawn, before S is opened.
+        copies: copies of its nodes, one on each body.
+        depths: g of the body below and g of the body above, each (n_S, k) at the k nodes of each facet of S, lengths.
+
+    Returns:
+        (n,) numbers of the copies, and (n, d) their motion in d dimensions.
 
     Raises:
         InputError: S is folded; an outer face touches S nearly parallel to it; layers of different thickness meet
@@ -74,11 +77,14 @@ def face_motion(joint: Joint, copies: NodeCopies, depths: tuple[FloatArray, Floa
 
 
 def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]:
-    """For every node, the sum of m m^T over the unit normals m of outer faces there except S, and the number of faces.
+    """Return for every node the sum of m m^T over the unit normals m of the outer faces there, and their number.
+
+    Facets of S are no outer faces.
 
     Args:
-        joint: the joint before inflating.
-        cells: (n_cells, k) nodes of its cells; where bodies have parted, each copy counts the faces of its own body.
+        joint: the joint as drawn, before S is opened.
+        cells: (n_cells, k) numbers of the k nodes of its cells; where bodies have parted, each copy counts the faces of
+            its own body.
     """
     table, outer = joint.table, joint.outer_rows
     m = facet_normals(joint.points, table.nodes(outer, joint.cells, joint.cell_type), joint.cell_type)
@@ -89,15 +95,17 @@ def _outer_moments(joint: Joint, cells: IntArray) -> tuple[FloatArray, IntArray]
 def extended_motion(
     joint: Joint, body_cells: IntArray, n_nodes: int, face_nodes: IntArray, values: FloatArray, fixed: IntArray
 ) -> FloatArray:
-    """Motion (n_nodes, d) of the bodies' nodes: prescribed at the layers' faces, else harmonic, sliding on outer faces.
+    """Return the motion (n_nodes, d) of the bodies' nodes in d dimensions, given that of the nodes next to layers.
+
+    The other nodes follow by a discrete harmonic motion, and slide along flat outer faces.
 
     Args:
-        joint: the joint before inflating.
-        body_cells: (n_cells, k) nodes of its cells, numbered as in the inflated joint.
-        n_nodes: number of nodes of the inflated joint.
-        face_nodes: (n,) nodes of the layers' faces.
-        values: (n, d) motion of these nodes.
-        fixed: nodes of the joint that do not move, such as nodes of periodic sides.
+        joint: the joint as drawn, before S is opened.
+        body_cells: (n_cells, k) numbers of the k nodes of its cells, each body with its own copies of nodes of S.
+        n_nodes: number of nodes with copies.
+        face_nodes: (n,) numbers of the nodes between bodies and layers.
+        values: (n, d) prescribed motion of these nodes.
+        fixed: numbers of nodes that do not move, such as nodes of periodic sides.
     """
     d, k = joint.dim, joint.corners.shape[1]
     corners = body_cells[:, :k]
@@ -123,7 +131,14 @@ def extended_motion(
 
 
 def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scipy.sparse.csr_matrix:
-    """Stiffness matrix of -div grad on straight-sided cells x (n_cells, k, d), with quadrature at their vertices."""
+    """Return the stiffness matrix of -div grad for linear elements, with quadrature points at the cells' vertices.
+
+    Args:
+        x: (n_cells, k, d) coordinates of the k vertices of each straight-sided cell in d dimensions.
+        corners: (n_cells, k) numbers of these vertices.
+        cell_type: type of the cells.
+        n: number of rows of the matrix.
+    """
     element = lagrange(cell_type, 1)
     at = element.points if is_tensor(cell_type) else element.points[:1]
     reference = element.tabulate(1, at)[1:, :, :, 0]
@@ -136,7 +151,7 @@ def _laplacian(x: FloatArray, corners: IntArray, cell_type: str, n: int) -> scip
 
 
 def _solve(matrix: scipy.sparse.csr_matrix, b: FloatArray) -> FloatArray:
-    """Solve by conjugate gradients; no communication between ranks."""
+    """Solve a symmetric linear system by conjugate gradients on this rank; raise InputError without convergence."""
     scaled = scipy.sparse.diags(1 / matrix.diagonal())
     solution, failed = scipy.sparse.linalg.cg(matrix, b, rtol=CG_TOLERANCE, atol=0.0, maxiter=50_000, M=scaled)
     if failed:

@@ -1,4 +1,4 @@
-"""Blocks of cells that fill junctions, each divided into a grid.
+"""Cells that fill junctions: the polygon that opens there is divided into blocks, and each block into a grid.
 
 A polygon has a quadrilateral block at each corner: between the corner, the middles of its two sides, and the centre.
 Each node of the grid is identified by bilinear integer weights on these four key points. Blocks share a node if it has
@@ -21,10 +21,10 @@ class JunctionCells(NamedTuple):
     """Cells in junctions and the nodes that they add.
 
     Attributes:
-        cells: (n, k) nodes of the cells.
-        corners: (n,) row of each cell's corner in `JunctionCorners`.
-        values: (n_new, d) values at the new nodes.
-        nodes: (n_new,) the node of S below each new node.
+        cells: (n, k) numbers of the k nodes of each cell.
+        corners: (n,) number of the row of `JunctionCorners`, a polygon's corner, in whose block each cell lies.
+        values: (n_new, d) values at the new nodes, such as their motion in d dimensions.
+        nodes: (n_new,) the node of S at which the polygon of each new node opens.
     """
 
     cells: IntArray
@@ -36,14 +36,15 @@ class JunctionCells(NamedTuple):
 def junction_cells(
     joint: Joint, lines: NodeLines, corners: JunctionCorners, values: FloatArray, nodes: IntArray
 ) -> JunctionCells:
-    """Cells in junctions. Their new nodes are numbered after the nodes of the node lines.
+    """Return the cells in junctions; numbers of their new nodes follow those of the nodes inside node lines.
 
     Args:
-        joint: the joint before inflating.
-        lines: all node lines; at junctions they have one even number of cells.
+        joint: the joint as drawn, before S is opened.
+        lines: all lines of nodes through the layers; those at junctions have one even number of cells.
         corners: corners of the polygons at the vertices of each junction.
-        values: (n, d) values at the copies of nodes, interpolated bilinearly in the blocks.
-        nodes: (n,) the node of S below each copy.
+        values: (n, d) values at nodes and copies, such as their motion in d dimensions; new nodes get bilinear
+            interpolations.
+        nodes: (n,) the node of S of each copy, and of other nodes their own number.
     """
     half, k = int(lines.top[corners.sides.flat[0]]) // 2, corners.copies.shape[1]
     copies, sides, polygons = corners.copies.ravel(), corners.sides.reshape(-1, 2), corners.polygons.ravel()
@@ -81,13 +82,13 @@ def junction_cells(
 
 
 def _halved(quads: IntArray, back: BoolArray) -> IntArray:
-    """Triangles (n, k, 2 m, 3) from the quadrilaterals (n, k, m, 4) of blocks, halved from the corner to the centre.
+    """Return triangles (n, k, 2 m, 3) from the quadrilaterals (n, k, m, 4) of blocks, halved from corner to centre.
 
     This suits corners of all angles. Vertices are in the same order wherever triangles share an edge; along node lines
     this is the order of the levels.
 
     Args:
-        quads: quadrilaterals of the blocks.
+        quads: numbers of the vertices of m quadrilaterals in each of n blocks, at each of k vertices of a junction.
         back: (n, 2) whether the node lines at the block's two outer sides lead towards its corner.
     """
     half = round(quads.shape[2] ** 0.5)
@@ -100,7 +101,11 @@ def _halved(quads: IntArray, back: BoolArray) -> IntArray:
 
 
 def _extruded(triangles: IntArray) -> IntArray:
-    """Cells between the triangles (n, k, m, 3) at the k vertices of junctions; in 3D prisms, split as in bands."""
+    """Return cells over the triangles (n, k, m, 3) of n blocks at the k vertices of junctions, 1 in 2D, 2 in 3D.
+
+    In 2D these are the triangles. In 3D they are tetrahedra of prisms between triangles at two vertices, split as in
+    bands.
+    """
     if triangles.shape[1] == 1:
         return triangles[:, 0]
     low, high = triangles[:, 0], triangles[:, 1]

@@ -1,4 +1,4 @@
-"""Inflating S: layers become bands of cells between bodies, with junctions where they meet; or gaps without cells."""
+"""Opening of S: layers become bands of cells between bodies, with junctions where they meet, or gaps without cells."""
 
 from __future__ import annotations
 
@@ -33,45 +33,47 @@ def inflate(
     junctions: Sequence[str] = (),
     gaps: Sequence[str] = (),
 ) -> Joint:
-    """Open S into meshed layers.
+    """Return the joint with S opened to layers of the given thickness, meshed with cells.
 
     Arguments that differ between seams are written as {name of a seam: value}.
 
     Args:
-        joint: the joint.
+        joint: the joint as drawn, in which S is a surface.
         eps: thickness of the layers, a length > 0.
-        profile: function of coordinates (d, n) that returns n numbers > 0. The thickness is eps times these at the
-            vertices of S, and linear in between. None: uniform.
+        profile: function of the coordinates (d, n) of n points in d dimensions that returns n numbers > 0. The
+            thickness is eps times these numbers at the vertices of S, and linear in between. None: the thickness is eps
+            everywhere.
         cells_through: number of cells through the thickness, at least 1; each sublayer gets at least one. It must be
             even where layers meet.
-        fractions: thickness shares of the sublayers, from the lower to the upper face, with sum 1; () for a single
-            layer.
+        fractions: thickness of each sublayer over the layer's thickness, from the lower to the upper face, with sum 1;
+            () for a layer without sublayers.
         bodies: "kept": the bodies keep their shape and move apart by eps at each facet of S, with the least jumps along
-            S. On a rigid base the layer grows below the body. The thickness must be uniform, and S must allow this
-            motion, as planar seams of running bonds, crossings and stacks do. "extended": the outer shape is kept. Each
-            body gives up half of the thickness, on a rigid base all of it. Its nodes move by a harmonic motion that
-            slides along the outer faces.
-        junctions: names of seams in the order of priority for the cells of junctions; the others follow in the joint's
-            order. A junction's cells belong to the first seam that ends there and is no gap.
+            S. On a rigid base the body stays, and the layer lies below it. The thickness must be uniform, and S must
+            allow this motion, as planar seams of running bonds, crossings and stacks do. "extended": the outer shape of
+            the whole is kept. Each body gives up half of the thickness, on a rigid base all of it. Its other nodes
+            follow by a harmonic motion that slides along the outer faces.
+        junctions: names of seams in the order of priority for the cells of junctions, where layers meet; other seams
+            follow in the joint's order. A junction's cells belong to the first seam that ends there and is no gap.
         gaps: names of seams that get no cells: their thickness is left empty between the bodies. Layers that pass the
             end of a gap continue; the junction there is filled like others. A junction is empty where two neighbouring
             seams are gaps, because the body between them would touch its cells at a corner only.
 
     Returns:
-        A joint with the layer's cells in the regions "LAYER" (or "LAYER/1", "LAYER/2", ... upwards). Its faces are the
-        facet sets "LOWER_FACE" ("BASE" on a rigid base) and "UPPER_FACE". Its side faces are in "NAME/LAYER" for each
-        outer set NAME that they continue. With several seams, regions are "LAYER/SEAM", "LAYER/SEAM/1", ..., and faces
-        "SEAM/LOWER_FACE", "SEAM/UPPER_FACE". Cells where three or more bodies meet are the region "LAYER/JUNCTIONS"
+        A joint with the layer's cells in the region "LAYER", with sublayers in "LAYER/1", "LAYER/2", ... from the lower
+        to the upper face. The facets between layer and bodies are the sets "LOWER_FACE" ("BASE" on a rigid base) and
+        "UPPER_FACE". Outer facets of the layer that continue an outer facet set NAME of the bodies are the set
+        "NAME/LAYER". With several seams, regions are "LAYER/SEAM", "LAYER/SEAM/1", ..., and faces "SEAM/LOWER_FACE",
+        "SEAM/UPPER_FACE". Cells where three or more bodies meet are the region "LAYER/JUNCTIONS"
         ("LAYER/JUNCTIONS/SEAM" where they belong to different seams). Body cells keep their numbers and the order of
         their nodes; curved cells stay curved.
 
     Raises:
         InputError: a size, cells_through or fractions are out of range; S reaches a periodic side, ends inside the
-            bodies or is folded; all seams are gaps. "kept": the thickness varies, or bodies cannot move apart in one
-            piece. "extended": an outer face touches S nearly parallel to it, or layers of different thickness meet in
-            line. Cells turn inside out, or layers overlap the bodies. A junction has sublayers, a varying thickness,
-            curved cells or an odd number of cells; in 3D junctions meet at a vertex. Bodies touch only at a vertex or
-            along an edge.
+            bodies or is folded; all seams are gaps. With "kept": the thickness varies, or bodies cannot move apart in
+            one piece. With "extended": an outer face touches S nearly parallel to it, or layers of different thickness
+            meet nearly in line. Cells turn inside out, or layers overlap the bodies. A junction has sublayers, a
+            varying thickness, curved cells or an odd number of cells; in 3D junctions meet at a vertex. Bodies touch
+            only at a vertex or along an edge.
     """
     check_layering(cells_through, bodies)
     require(isinstance(joint, Joint), "joint", joint, "it must be a Joint")
@@ -126,9 +128,10 @@ def inflate(
 
 
 def without_bodies(inflated: Joint) -> Joint:
-    """The layers of an inflated joint as a joint without bodies.
+    """Return the layers of a joint with meshed layers as a joint of their own, without bodies.
 
-    Facets "NAME/LAYER", which continue an outer facet set NAME over the layers' sides, are also named NAME.
+    Outer facets of the layers in the set "NAME/LAYER", which continue an outer facet set NAME of the bodies, are also
+    in a set NAME.
     """
     band = inflated.band
     assert band is not None
@@ -152,9 +155,10 @@ class _BandCells(NamedTuple):
     """Cells of layers.
 
     Attributes:
-        cells: (n, k) nodes.
-        region: (n,) number of the region, or of a seam.
-        director: (n, corners, d) normal of S at each corner; zero in junctions of layers with different normals.
+        cells: (n, k) numbers of the k nodes of each cell.
+        region: (n,) number of each cell's region; in the result of `_junctions` number of a seam.
+        director: (n, m, d) unit normal of S in d dimensions at each of a cell's m vertices; zero in junctions of layers
+            with different normals.
     """
 
     cells: IntArray
@@ -165,14 +169,16 @@ class _BandCells(NamedTuple):
 def _junctions(
     joint: Joint, lines: NodeLines, footing: FacetLines, corners: JunctionCorners, claims: Names, filled: JunctionCells
 ) -> _BandCells:
-    """The cells of junctions; `region` is the number of the seam to which a junction belongs.
+    """Return the cells of junctions; `region` is here the number of the seam whose layer gets the junction's cells.
+
+    Junctions are left out where two gaps are neighbours.
 
     Args:
-        joint: the joint before inflating.
-        lines: all node lines.
-        footing: node lines of the facets of S.
-        corners: corners of junctions.
-        claims: names of the seams with cells, in order of priority.
+        joint: the joint as drawn, before S is opened.
+        lines: all lines of nodes through the thickness.
+        footing: the lines at the nodes of each facet of S.
+        corners: corners of the polygons that open at junctions.
+        claims: names of the seams with cells, in order of priority for the cells of junctions.
         filled: cells in all junctions.
     """
     seams, last = list(joint.seams), len(claims)
@@ -194,7 +200,14 @@ def _junctions(
 def _bands(
     joint: Joint, lines: NodeLines, footing: FacetLines, layers: Layering
 ) -> tuple[_BandCells, dict[str, tuple[str, ...]]]:
-    """Cells of the bands, and seam -> names of its regions from the lower to the upper face; gaps are left out."""
+    """Return the cells of all bands, and seam -> names of its regions from the lower to the upper face; without gaps.
+
+    Args:
+        joint: the joint as drawn, before S is opened.
+        lines: all lines of nodes through the thickness.
+        footing: the lines at the nodes of each facet of S.
+        layers: checked arguments for the layers.
+    """
     bands: list[_BandCells] = []
     names: dict[str, tuple[str, ...]] = {}
     first = len(joint.regions)
@@ -211,7 +224,15 @@ def _bands(
 
 
 def _motion(joint: Joint, copies: NodeCopies, thickness: FloatArray, bodies: str, fixed: IntArray) -> FloatArray:
-    """(n, d) motion of the nodes of parted bodies and of copies on a rigid base; extended bodies keep `fixed` nodes."""
+    """Return the motion of the bodies' nodes and of nodes on a rigid base when the layers open: (n, d) in d dimensions.
+
+    Args:
+        joint: the joint as drawn, before S is opened.
+        copies: copies of its nodes, one on each body.
+        thickness: (n_S, k) thickness at the k nodes of each facet of S.
+        bodies: "kept" or "extended".
+        fixed: numbers of nodes that must not move; "kept" disregards them.
+    """
     n_nodes = len(joint.points) + len(copies.new)
     if bodies == "extended":
         on_base = (joint.surface_cells[:, 0] < 0)[:, None]
@@ -242,23 +263,26 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
 
 
 def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
-    """The same joint with bodies parted by the thickness, as in `inflate(..., bodies="extended")`, without layer cells.
+    """Return the joint with bodies that gave up the layers' thickness, but without cells in the layers.
 
-    Cells, names and numbers stay, and so do `points`, in which S is one surface. The parted places of the cells' nodes
-    are in `Joint.parted`.
+    Bodies make room as with `inflate(..., bodies="extended")`. Cells, names and numbers stay, and so do `points`, in
+    which S is one surface. `Joint.parted` has the coordinates of the nodes of each cell after parting.
 
     Args:
-        joint, eps, profile: as in `inflate`.
+        joint: the joint as drawn, in which S is a surface.
+        eps: thickness of the layers, a length > 0, or {name of a seam: thickness}.
+        profile: function of the coordinates (d, n) of n points in d dimensions that returns n numbers > 0, by which eps
+            is multiplied; or {name of a seam: function}. None: the thickness is eps.
 
     Raises:
-        InputError: as `inflate` does.
+        InputError: for the same reasons as in `inflate`.
     """
     inflated = inflate(joint, eps, profile=profile, cells_through=2, bodies="extended")
     return replace(joint, parted=inflated.points[inflated.cells[: len(joint.cells)]])
 
 
 def points_on_middle(joint: Joint) -> FloatArray:
-    """(n_points, d) `points`, with points of S midway between parted bodies; seams must not meet."""
+    """Return (n_points, d) `points` in d dimensions, those on S midway between parted bodies; seams must not meet."""
     if joint.parted is None:
         return joint.points
     x = joint.points.copy()
@@ -267,7 +291,10 @@ def points_on_middle(joint: Joint) -> FloatArray:
 
 
 def offset_to_middle(joint: Joint) -> FloatArray:
-    """(n_cells, k, d) vectors from the nodes of each cell on S to the middle between parted bodies; zero elsewhere."""
+    """Return (n_cells, k, d) vectors from the nodes on S to the middle between parted bodies; zero for other nodes.
+
+    The vectors have d components in d dimensions; k is the number of nodes of each cell.
+    """
     out, both = np.zeros_like(joint.cell_points), joint.faces()
     for cells, face in zip(joint.surface_cells.T, both, strict=True):
         at = np.flatnonzero(cells >= 0)

@@ -1,4 +1,4 @@
-"""Motion for bodies="kept": the pieces of the bodies are translated apart when layers open, if there is room."""
+"""Motion for bodies="kept": pieces of the bodies are translated apart as layers open, if they have room to move."""
 
 from __future__ import annotations
 
@@ -25,15 +25,19 @@ RAY_OFFSETS = np.array([1.0, 1.3, 1.7, 2.3])
 
 
 def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
-    """Translations (n_pieces, d) of the bodies' pieces that open each facet of S by its thickness.
+    """Return the translations of the bodies' connected pieces that open each facet of S by its thickness.
 
-    Among these motions it has the least jumps along S. The middle of S does not move, and neither do bodies on a rigid
-    base. The base is the last piece, if there is one. On a shallow arc the thickness is right in the mean; a
-    RangeWarning gives its range.
+    Of all such motions, it is the one with the least tangential jumps on S. The middle of S does not move, and neither
+    do bodies on a rigid base: there the base moves. On a shallow arc the thickness is right in the mean; a RangeWarning
+    gives its range.
 
     Args:
-        joint: the joint before inflating.
-        eps: (n_S,) thickness at each facet of S.
+        joint: the joint as drawn, before S is opened.
+        eps: (n_S,) thickness at each facet of S, lengths.
+
+    Returns:
+        (n_pieces, d) translation of each piece in d dimensions, lengths. If there is a rigid base, it is the last
+        piece.
 
     Raises:
         InputError: no such motion exists.
@@ -81,16 +85,17 @@ def kept_motion(joint: Joint, eps: FloatArray) -> FloatArray:
 
 
 def _translations(pair: IntArray, part: IntArray, jump: FloatArray, across: FloatArray, area: FloatArray) -> FloatArray:
-    """Translations (count, d) with the least jumps along S for prescribed jumps across, up to a common translation.
+    """Return translations with the least tangential jumps for prescribed normal jumps: (count, d) in d dimensions.
 
-    The method is an augmented Lagrangian, whose multiplier also exists for redundant constraints.
+    A translation of all pieces together remains free. The method is an augmented Lagrangian, which also converges for
+    redundant constraints.
 
     Args:
-        pair: (n, 2) pieces below and above.
-        part: (count,) label of the connected part of the joint that each piece is in.
-        jump: (n, d) jump across the layers between two pieces.
-        across: (n, d, d) projector to the directions across these layers.
-        area: (n,) area of S between them.
+        pair: (n, 2) numbers of the pieces below and above each of n layers.
+        part: (count,) number of the connected part of the joint that each piece is in.
+        jump: (n, d) prescribed jump across each layer, in its normal directions.
+        across: (n, d, d) projector onto these normal directions. A bent layer has several.
+        area: (n,) area of S between the two pieces.
     """
     (n, d), count = jump.shape, len(part)
     low, up = (scipy.sparse.csr_matrix((np.ones(n), (np.arange(n), end)), shape=(n, count)) for end in pair.T)
@@ -112,11 +117,12 @@ def _translations(pair: IntArray, part: IntArray, jump: FloatArray, across: Floa
 
 
 def require_room(joint: Joint, translation: FloatArray) -> None:
-    """Raise InputError if translated bodies, or a rigid base and bodies, collide on their way.
+    """Raise InputError if translated bodies, or a rigid base and bodies, run into each other on their way.
 
     Args:
-        joint: the joint before inflating.
-        translation: translations of its pieces, and of the rigid base if there is one, see `kept_motion`.
+        joint: the joint as drawn, before S is opened.
+        translation: (n_pieces, d) translation of each of its connected pieces, and last of the rigid base if there is
+            one.
     """
     table, cells = joint.table, joint.surface_cells
     outer = np.union1d(np.flatnonzero(table.cells[:, 1] < 0), joint.surface_rows)
@@ -143,7 +149,15 @@ def require_room(joint: Joint, translation: FloatArray) -> None:
 
 
 def _first_hit(joint: Joint, x: FloatArray, rows: IntArray, way: FloatArray, eps: float) -> FloatArray | None:
-    """The first of the points (n, d) that hits one of the facets as it moves by eps along the unit vector `way`."""
+    """Return the first of some points that hits a facet on a straight way, or None if none does.
+
+    Args:
+        joint: the joint as drawn, before S is opened.
+        x: (n, d) coordinates of the points in d dimensions.
+        rows: row numbers in `joint.table` of the facets.
+        way: (d,) unit vector along which the points move.
+        eps: length of the way.
+    """
     nodes = joint.table.nodes(rows, joint.corners, joint.cell_type)
     if is_tensor(joint.cell_type) and joint.dim == 3:
         nodes = np.concatenate([nodes[:, [0, 1, 2]], nodes[:, [3, 1, 2]]])

@@ -1,4 +1,4 @@
-"""Checked arguments for the layers of `inflate`, and the facet sets of the inflated joint."""
+"""Checked arguments of `inflate` for each seam's layer, and the facet sets of the joint with meshed layers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,13 @@ Profiles = Profile | Mapping[str, Profile | None] | None
 def value_by_seam(
     joint: Joint, value: ValueType | Mapping[str, ValueType], what: str, *default: ValueType
 ) -> dict[str, ValueType]:
-    """Value of each seam, from one value for all or {name of a seam: value}; other seams get the default, if any.
+    """Return the value of each seam, as name -> value, from one value for all seams or {name of a seam: value}.
+
+    Args:
+        joint: the joint with the seams.
+        value: one value, or values by name.
+        what: name of the argument, for messages.
+        default: value for seams without a value; if it is not given, all need one.
 
     Raises:
         InputError: a value for an unknown seam, or none for a seam.
@@ -52,13 +58,14 @@ class Layering(NamedTuple):
     """Checked arguments of `inflate` for the layers of all seams.
 
     Attributes:
-        eps: name of a seam -> thickness.
-        fractions: name of a seam -> thickness fractions of its sublayers.
-        heights: for each seam, heights of the levels of nodes.
-        thickness: (n_S, k) thickness at the nodes of each facet of S.
+        eps: name of a seam -> thickness of its layer, a length.
+        fractions: name of a seam -> thickness of each sublayer over the layer's, from the lower to the upper face; ()
+            for no sublayers.
+        heights: for each seam the heights of the levels of nodes over the thickness, from 0 to 1.
+        thickness: (n_S, k) thickness at the k nodes of each facet of S, lengths.
         varying: names of the seams with a profile.
         claims: names of the seams with cells, in order of priority for the cells of junctions.
-        with_cells: (n_S,) which facets of S get cells.
+        with_cells: (n_S,) whether each facet of S gets cells, and no gap.
     """
 
     eps: dict[str, float]
@@ -73,7 +80,20 @@ class Layering(NamedTuple):
     def of(
         cls, joint: Joint, eps: Sizes, profile: Profiles, through: int, fractions: Shares, junctions: Names, gaps: Names
     ) -> Self:
-        """Check the arguments of `inflate`; raise InputError if they are out of range, or S ends inside the bodies."""
+        """Return the checked arguments of `inflate`.
+
+        Args:
+            joint: the joint as drawn, in which S is a surface.
+            eps: thickness of the layers, a length, or {name of a seam: thickness}.
+            profile: function of coordinates (d, n) that multiplies eps, or {name of a seam: function}; None: 1.
+            through: number of cells through the thickness.
+            fractions: thickness of each sublayer over the layer's, or {name of a seam: these}; () for no sublayers.
+            junctions: names of the first seams in the order of priority for the cells of junctions.
+            gaps: names of the seams that get no cells.
+
+        Raises:
+            InputError: an argument is out of range, all seams are gaps, or S ends inside the bodies.
+        """
         for what, names in (("junctions", junctions), ("gaps", gaps)):
             for name in names:
                 require_known("seam", name, joint.seams, what)
@@ -103,12 +123,14 @@ class Layering(NamedTuple):
 
 
 def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
-    """Raise InputError where layers meet that cannot be meshed there.
+    """Raise InputError if layers meet that cannot be meshed there.
+
+    This holds for layers with sublayers, a varying thickness, curved cells or an odd number of cells.
 
     Args:
-        joint: the joint before inflating.
-        lines: all node lines at the nodes of S.
-        layers: the layers.
+        joint: the joint as drawn, before S is opened.
+        lines: all lines of nodes through the thickness, at the nodes of S.
+        layers: checked arguments for the layers.
     """
     meeting = np.flatnonzero(np.bincount(lines.nodes)[lines.nodes] > 1)
     names, x = np.array([*joint.seams])[lines.kind[meeting]], joint.points[lines.nodes[meeting]]
@@ -125,15 +147,15 @@ def check_junctions(joint: Joint, lines: NodeLines, layers: Layering) -> None:
 def moved_facets(
     joint: Joint, copies: NodeCopies, layers: Layering, cells: IntArray, n_bands: int, foot: IntArray
 ) -> tuple[dict[str, IntArray], tuple[str, ...]]:
-    """Facet sets of the inflated joint, and the names of the sets between bodies and layers.
+    """Return the facet sets of the joint with meshed layers, and the names of the sets between bodies and layers.
 
     Args:
-        joint: the joint before inflating.
-        copies: copies of its nodes.
-        layers: the layers.
-        cells: vertices of the layers' cells, cells of bands first.
+        joint: the joint as drawn, before S is opened.
+        copies: copies of its nodes, one on each body.
+        layers: checked arguments for the layers.
+        cells: (n, m) numbers of the m vertices of each of the layers' cells, cells of bands before those of junctions.
         n_bands: number of cells of bands.
-        foot: node of S below or above each node.
+        foot: for each node of the new joint the node of the drawn joint that it is, or on S lies above or below.
     """
     filled, order = layers.with_cells, np.argsort(joint.surface[:, : joint.table.vertices.shape[1]], axis=1)
     above, below = (np.take_along_axis(side, order, axis=1) for side in (copies.above, copies.below))

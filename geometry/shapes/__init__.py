@@ -1,1 +1,1 @@
-"""Shapes that gmsh draws and meshes: boxes, rings and discs, graded towards S."""
+"""Shapes that are drawn and meshed with gmsh or on grids, with smaller cells towards S."""

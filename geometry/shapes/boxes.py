@@ -1,4 +1,4 @@
-"""Stacked boxes; walls of bricks in running bond, and their periodic cell, on grids."""
+"""Stacked boxes; walls of bricks in running bond, and the periodic cell of such a wall. Grids are made without gmsh."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ SIDE_PLANES = {"LEFT": (0, 0), "RIGHT": (0, -1), "BOTTOM": (1, 0), "TOP": (1, -1
 
 @dataclass(frozen=True)
 class Boxes(Prism):
-    """One or two rectangles on top of each other, in 3D boxes, S at height 0.
+    """One rectangle, or two on top of each other, in 3D boxes; S is at y = 0, below the upper one.
 
     Attributes:
-        width: width along x, a length > 0.
+        width: size along x, a length > 0.
         bodies: name and height, a length > 0, of each body, the lower body first.
     """
 
@@ -37,16 +37,16 @@ class Boxes(Prism):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """Width, heights and depth."""
+        """Width, heights and, in 3D, depth, by name for messages."""
         return {"width": self.width, **{f"height of {name}": height for name, height in self.bodies}, **super().lengths}
 
     @property
     def extent(self) -> SizeLengths:
-        """The smallest side, the longest side of S, and the distance from S."""
+        """Lengths for the cell sizes: the smallest side, the longest side of S, and the distance |y| from S."""
         return SizeLengths(min(self.lengths.values()), max(self.width, self.depth or 0.0), "abs(y)")
 
     def draw_plane(self) -> Drawing:
-        """Draw rectangles; a grid needs no drawing."""
+        """Draw the rectangles in the current gmsh model; grids do not use this drawing."""
         kernel = gmsh.model.geo
         heights = [*(-height for _, height in self.bodies[:-1]), 0.0, self.bodies[-1][1]]
         corners = [[kernel.addPoint(x, y, 0) for x in (0.0, self.width)] for y in heights]
@@ -62,7 +62,13 @@ class Boxes(Prism):
         return Drawing(bodies, curves, surfaces, {})
 
     def _build(self, unit: float) -> Joint:
-        """A grid with cells from h_S at S to h, and from h_ends at the ends of S to h_S; or else gmsh's mesh."""
+        """Return the joint on a grid, if one is asked for; else with gmsh's mesh.
+
+        Cells of a grid grow from h_S at S to h away from it. Along S they grow from h_ends at its ends to h_S.
+
+        Args:
+            unit: factor on the coordinates.
+        """
         if not self.gridded:
             return super()._build(unit)
         h, h_S, h_ends = self.sizes
@@ -81,12 +87,12 @@ class Boxes(Prism):
 
 @dataclass(frozen=True)
 class BoxGrid:
-    """A grid of boxes, or of the simplices that fill them.
+    """A grid of rectangles or boxes, or of the triangles or tetrahedra that divide them.
 
     Attributes:
-        axes: increasing coordinates along each axis, lengths.
+        axes: for each axis the increasing coordinates of the grid's points, lengths.
         kind: type of the cells.
-        arrangement: which diagonals halve the rectangles in the x-y plane, of `ARRANGEMENTS`.
+        arrangement: which diagonals halve the rectangles in the x-y plane, one of `ARRANGEMENTS`.
     """
 
     axes: Sequence[FloatArray]
@@ -95,28 +101,33 @@ class BoxGrid:
 
     @property
     def points(self) -> FloatArray:
-        """(n, d) points."""
+        """(n, d) coordinates of all points of the grid in d dimensions; those with equal x come one after the other."""
         return np.stack(np.meshgrid(*self.axes, indexing="ij"), axis=-1).reshape(-1, len(self.axes))
 
     @cached_property
     def _numbers(self) -> IntArray:
-        """Numbers of the points, by their index along each axis."""
+        """Number of each point in `points`, an array with one index for each axis."""
         return np.arange(len(self.points)).reshape([len(axis) for axis in self.axes])
 
     @cached_property
     def cells(self) -> IntArray:
-        """(m, k) points of the cells."""
+        """(m, k) numbers of the k points of each of the m cells."""
         plane = self._plane(self._numbers.reshape(*self._numbers.shape[:2], -1)[..., 0])
         return plane if len(self.axes) == 2 else self._swept(plane)
 
     @cached_property
     def places(self) -> IntArray:
-        """(m, d) index of each cell's box along each axis."""
+        """(m, d) position along each of the d axes, counted from 0, of the box that each of the m cells is in."""
         boxes = np.indices([len(axis) - 1 for axis in self.axes]).reshape(len(self.axes), -1).T
         return np.tile(boxes, (len(self.cells) // len(boxes), 1))
 
     def plane(self, axis: int, place: int) -> IntArray:
-        """Points of the facets on a plane of the grid, normal to an axis."""
+        """Return (n, k) numbers of the k points of the facets on the plane that is normal to an axis.
+
+        Args:
+            axis: number of the axis.
+            place: position in the coordinates of this axis, -1 for the last.
+        """
         if axis == 2:
             return self._plane(self._numbers[:, :, place])
         line = np.moveaxis(self._numbers, axis, 0)[place].reshape(self._numbers.shape[1 - axis], -1)[:, 0]
@@ -124,7 +135,7 @@ class BoxGrid:
         return rows if len(self.axes) == 2 else self._swept(rows)
 
     def sides(self) -> dict[str, IntArray]:
-        """Name of a side -> points of its facets."""
+        """Return for each outer side of the grid, by name, (n, k) numbers of the k points of its facets."""
         return {name: self.plane(axis, end) for name, (axis, end) in SIDE_PLANES.items() if axis < len(self.axes)}
 
     def _plane(self, numbers: IntArray) -> IntArray:
@@ -139,7 +150,11 @@ class BoxGrid:
         return np.concatenate([np.where(left, flipped, plain).T for plain, flipped in halves])
 
     def _swept(self, rows: IntArray) -> IntArray:
-        """Cells of all layers over `rows` of points at z = 0; the points above have consecutive numbers."""
+        """Return the cells above some facets at z = 0, in all layers of the grid.
+
+        Args:
+            rows: (n, k) numbers of the k points of each facet; points above each other have consecutive numbers.
+        """
         below = (rows[:, None] + np.arange(len(self.axes[2]) - 1)[:, None]).reshape(-1, rows.shape[1])
         if is_tensor(self.kind):
             return np.column_stack([below, below + 1])
@@ -147,11 +162,11 @@ class BoxGrid:
 
 
 def running_bond(cells: MeshOptions, size: Sequence[float], bricks: int, courses: int) -> Joint:
-    """A wall whose bricks are shifted by half in every other course, with half bricks at the ends.
+    """Return the joint of a wall of bricks: courses are shifted by half a brick in turn, with half bricks at the ends.
 
     Args:
-        cells: the requested cells.
-        size: lengths of a brick along each axis, > 0.
+        cells: requested cell size and type.
+        size: sizes of a brick along each axis, lengths > 0.
         bricks, courses: number of bricks in a course, and number of courses.
 
     Raises:
@@ -165,15 +180,17 @@ def running_bond(cells: MeshOptions, size: Sequence[float], bricks: int, courses
 
 
 def repeated_bond(cells: MeshOptions, size: Sequence[float], cut: tuple[float, float]) -> Joint:
-    """The repeating cell of a running bond, not yet periodic: one brick wide, two courses high, cut through bricks.
+    """Return the joint of one period of a running bond: one brick wide, two courses high, cut through bricks.
+
+    Its opposite sides are not yet identified with each other.
 
     Args:
-        cells: the requested cells.
-        size: lengths of a brick along each axis, > 0.
-        cut: place of the cell's left lower corner in a brick, as shares of its width and height, between 0 and 1.
+        cells: requested cell size and type.
+        size: sizes of a brick along each axis, lengths > 0.
+        cut: place of the lower left corner in a brick, as fractions of the brick's width and height, between 0 and 1.
 
     Raises:
-        InputError: sizes are out of range, or the cut is along a joint.
+        InputError: sizes are out of range, or the cut is along a joint of mortar.
     """
     half, height, *others = _counts(cells, size, 2)
     if np.shape(cut) != (2,) or not all(is_finite(c) and 0 < c < 1 for c in cut):
@@ -185,7 +202,13 @@ def repeated_bond(cells: MeshOptions, size: Sequence[float], cut: tuple[float, f
 
 
 def _counts(cells: MeshOptions, size: Sequence[float], least: int) -> list[int]:
-    """Numbers of cells in half a brick along x and in its height, `least` or more each, and in its depth."""
+    """Return the numbers of cells in half a brick along x, in its height and, in 3D, in its depth.
+
+    Args:
+        cells: requested cell size and type.
+        size: sizes of a brick along each axis, lengths.
+        least: least number of cells in half a brick and in its height.
+    """
     names = ("width", "height", "depth")
     cells.check({f"{name} of a brick": a for name, a in zip(names, size, strict=False)}, len(size))
     h = cells.h or min(size) / 4
@@ -194,13 +217,13 @@ def _counts(cells: MeshOptions, size: Sequence[float], least: int) -> list[int]:
 
 
 def _joint(cells: MeshOptions, lengths: Sequence[float], counts: list[int], brick: Pair, start: Pair = (0, 0)) -> Joint:
-    """The joint of a grid, with beds between courses, heads between the bricks of a course, and its sides.
+    """Return the joint of a brickwork grid, with the seams BED between courses and HEAD between bricks of a course.
 
     Args:
-        cells: the requested cells.
-        lengths, counts: size of the grid along each axis, and number of cells along each axis.
+        cells: requested cell type.
+        lengths, counts: size of the grid, a length, and number of cells along each axis.
         brick: numbers of cells in half a brick along x, and in its height.
-        start: place in a brick where the grid begins, in cells.
+        start: place in a brick of the grid's lower left corner, as numbers of cells along x and y.
     """
     d, (half, height) = len(lengths), brick
     kind = cells.cell or {2: "quadrilateral", 3: "hexahedron"}[d]

@@ -33,16 +33,17 @@ SeamNames = Callable[[int, int], str]  # numbers of two parts that touch -> name
 
 @dataclass(frozen=True)
 class CutRectangle(Shape):
-    """The rectangle (0, width) x (0, height), cut along lines.
+    """The rectangle (0, width) x (0, height), cut along straight lines into parts, which are its cell regions.
 
     Attributes:
         width, height: lengths > 0.
-        grain: the length that the default cell size divides.
-        cuts: (n, 2, 2) ends of straight lines, which may cross each other and the sides.
-        names: names of these lines.
-        seams: name of a line -> its upper side.
-        part: name of the parts of the rectangle, which are numbered.
-        centres: (n, 2) points of the parts, in the order of their numbers; None: from left to right, then upwards.
+        grain: the default cell size is a tenth of this length.
+        cuts: (n, 2, 2) coordinates of the two ends of each of n lines. Lines may cross each other and the sides.
+        names: (n,) name of the seam that each line belongs to.
+        seams: name of a seam -> choice of its upper side.
+        part: word in the names of the parts, such as "GRAIN" in "GRAIN 1".
+        centres: (n_parts, 2) a point in each part, in the order of the parts' numbers; None: parts are numbered from
+            left to right, then upwards.
     """
 
     width: float
@@ -56,17 +57,17 @@ class CutRectangle(Shape):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """The sides."""
+        """Width and height, by name."""
         return {"width": self.width, "height": self.height}
 
     @property
     def extent(self) -> SizeLengths:
-        """The size of grains, or the smaller side, and the longer side."""
+        """Lengths for the cell sizes: `grain`, and the longer side."""
         return SizeLengths(self.grain, max(self.width, self.height))
 
     @property
     def lines(self) -> FloatArray:
-        """(4 + n, 2, 2) ends of the sides and of the lines."""
+        """(4 + n, 2, 2) coordinates of the two ends of the four sides and of the n lines."""
         corners = np.array([[0.0, 0.0], [self.width, 0.0], [self.width, self.height], [0.0, self.height]])
         return np.concatenate([np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), self.cuts])
 
@@ -75,7 +76,7 @@ class CutRectangle(Shape):
         return np.asarray(((x > margin) & (x < np.array([self.width, self.height]) - margin)).all(axis=1))
 
     def draw(self) -> Drawing:
-        """Draw the rectangle in fragments, with the lines that end inside a fragment."""
+        """Draw the parts of the rectangle in the current gmsh model, with pieces of lines that end inside a part."""
         kernel, near = gmsh.model.occ, DISTANCE_TOLERANCE * self.extent.span
         gmsh.option.setNumber("Geometry.ToleranceBoolean", near)
         ends = [kernel.addPoint(x, y, 0.0) for x, y in np.round(self.lines, COORDINATE_DECIMALS).reshape(-1, 2)]
@@ -99,7 +100,14 @@ class CutRectangle(Shape):
         return Drawing(bodies, facets, [], {}, self.seams)
 
     def require_apart(self, what: str, remedy: str) -> Self:
-        """Return the shape; raise InputError if a line ends near another line or a side, but not on it."""
+        """Return this shape; raise InputError if a line ends close to another line or a side without touching it.
+
+        Close is nearer than half the cell size there.
+
+        Args:
+            what: noun for the lines, for the message.
+            remedy: advice for the message.
+        """
         size, lines, near = self.sizes[2], self.lines, DISTANCE_TOLERANCE * self.extent.span
         ends = lines.reshape(-1, 2)
         points = ends[self.inside(ends, -near)]
@@ -114,7 +122,13 @@ class CutRectangle(Shape):
 
 
 def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: Mapping[str, Places]) -> CutRectangle:
-    """A block with faults: name -> points, from one end to the other. Raises InputError, see `builders.faults`."""
+    """Return a block that is cut by faults; `builders.faults` lists the errors.
+
+    Args:
+        cells: requested cell sizes.
+        width, height: size of the block, lengths > 0.
+        faults: name of a fault -> points (x, y) from one of its ends to the other.
+    """
     cells.check({"width": width, "height": height}, 2)
     if not isinstance(faults, Mapping) or not faults:
         raise InputError(f"faults is {faults!r}; it must be {{name: points of the fault}}, one or more")
@@ -127,7 +141,7 @@ def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: M
 
 
 def _points(points: object, what: str) -> FloatArray:
-    """Points as an array (n, 2); raise InputError unless there are two or more finite points."""
+    """Return points as an array (n, 2); raise InputError, which begins with `what`, unless at least two are finite."""
     if (x := finite_values(points, (-1, 2))) is None or len(x) < 2:
         raise InputError(f"{what} is {points!r}; it must be two points (x, y) or more")
     return x
@@ -145,7 +159,15 @@ def _path(name: str, points: object) -> FloatArray:
 def grain_rectangle(
     cells: MeshOptions, width: float, height: float, grains: int | Places, seed: int, seams: SeamNames | None
 ) -> CutRectangle:
-    """A rectangle of Voronoi grains, of prescribed or random points. Raises InputError, see `builders.grains`."""
+    """Return a rectangle of Voronoi grains; `builders.grains` lists the errors.
+
+    Args:
+        cells: requested cell sizes.
+        width, height: size of the rectangle, lengths > 0.
+        grains: number of grains at random points, or the points (x, y) of the grains.
+        seed: whole number >= 0 for random points; the same seed gives the same grains.
+        seams: function of the numbers, from 1, of two grains that touch; it returns the name of their seam. None: "S".
+    """
     cells.check({"width": width, "height": height}, 2)
     size = max(width, height)
     box = np.array([width, height]) / size
@@ -164,7 +186,7 @@ def grain_rectangle(
 
 
 def _grain_points(points: object, width: float, height: float) -> FloatArray:
-    """Points of grains as an array (n, 2); raise InputError if one is outside or two coincide."""
+    """Return points of grains as an array (n, 2); raise InputError if one is outside or two coincide."""
     x = _points(points, "grains")
     box = f"the rectangle (0, {width:g}) x (0, {height:g})"
     refuse(~((x > 0) & (x < (width, height))).all(axis=1), x, f"the point {{at}} of a grain is not inside {box}")
@@ -174,7 +196,15 @@ def _grain_points(points: object, width: float, height: float) -> FloatArray:
 
 
 def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
-    """(m, 2, 2) sides between the Voronoi cells of points in the box (0, box), and (m, 2) the two cells of each."""
+    """Return the sides between the Voronoi cells of points in a rectangle.
+
+    Args:
+        points: (n, 2) coordinates of the points.
+        box: width and height of the rectangle, with a corner at the origin.
+
+    Returns:
+        (m, 2, 2) coordinates of the two ends of each side, and (m, 2) numbers of the cells on both sides of it.
+    """
     cells = _voronoi(points, box)
     pairs = np.sort(cells.ridge_points, axis=1)
     inner = pairs[:, 1] < len(points)
@@ -185,16 +215,22 @@ def _ridges(points: FloatArray, box: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 def _voronoi(points: FloatArray, box: FloatArray) -> Voronoi:
-    """Voronoi cells of points and of their mirror images beyond the four sides, so that the sides bound cells."""
+    """Return the Voronoi cells of points and of their mirror images at the four sides, so that the sides bound cells.
+
+    Args:
+        points: (n, 2) coordinates of points in a rectangle.
+        box: width and height of the rectangle, with a corner at the origin.
+    """
     mirrors = [(axis, side) for axis in (0, 1) for side in (0.0, box[axis])]
     images = [np.where(np.arange(2) == axis, 2 * side - points, points) for axis, side in mirrors]
     return Voronoi(np.concatenate([points, *images]))
 
 
 def _relaxed_points(points: FloatArray, box: FloatArray) -> FloatArray:
-    """Move points to the centres of their cells a few times, then towards each other across short sides of cells.
+    """Return points whose Voronoi cells are more regular, in a rectangle of size `box` with a corner at the origin.
 
-    The second makes a short side longer.
+    Points first move to the centres of their cells a few times. Then two points move towards each other if the side
+    between their cells is short, which makes this side longer.
     """
     n, size = len(points), float(np.sqrt(box.prod() / len(points)))
     for _ in range(LLOYD_STEPS):

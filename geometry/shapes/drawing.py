@@ -1,4 +1,4 @@
-"""One gmsh session: draw a shape with named parts, set cell sizes, mesh, and read the arrays."""
+"""Shapes that gmsh meshes: draw with names for bodies and facets, set cell sizes, mesh, and read the arrays."""
 
 from __future__ import annotations
 
@@ -34,16 +34,17 @@ UNIT_DECADES = 3  # powers of ten between units of length such as mm and m
 
 
 class Drawing(NamedTuple):
-    """gmsh's entities by name, and the data of a grid on them.
+    """The entities of a gmsh model by name, and what a grid on them needs.
 
     Attributes:
-        bodies: tags of the entities of the shape's dimension, the lower body first.
-        facets: tags of the entities of one dimension less.
-        floor: tags of the four-sided surfaces for a grid; in 3D the surfaces that were swept.
-        gradings: tag of each curve around these surfaces -> its grading.
-        seams: name of a seam -> its upper side; {}: "S" between the last body and the bodies below it.
-        circles: for a polar grid, the two axes in the circles' plane and the radius up to which it stays straight, a
-            length.
+        bodies: name of a cell region -> tags of its surfaces (2D) or volumes (3D); the lower body comes first.
+        facets: name of a facet set -> tags of its curves (2D) or surfaces (3D).
+        floor: tags of the surfaces on which a grid is made; in 3D these are the surfaces that were swept to volumes.
+        gradings: tag of each curve around these surfaces -> the sizes of cells along it.
+        seams: name of a seam -> choice of its upper side. {}: one seam "S", whose upper side is the last body and whose
+            lower side is all others.
+        circles: for a polar grid, the numbers of the two coordinates in the circles' plane, and the radius, a length,
+            up to which cells stay straight. None for other shapes.
     """
 
     bodies: dict[str, list[int]]
@@ -58,10 +59,10 @@ class SizeLengths(NamedTuple):
     """Lengths from which the cell sizes of a shape follow.
 
     Attributes:
-        thinnest: the length that the default cell size divides.
-        span: length of S in 2D, of the longest curve around it in 3D.
-        distance: distance from S of a shape in 3D, a formula in x, y and z.
-        limit: a further bound of the cell size, a formula in x, y and z; "": none.
+        thinnest: the default cell size is a fraction of this length, such as a tenth.
+        span: length of S in 2D, of the longest curve around S in 3D.
+        distance: distance from S in a shape in 3D, a formula in x, y and z for gmsh.
+        limit: further upper bound of the cell size, a formula in x, y and z for gmsh; "": none.
     """
 
     thinnest: float
@@ -72,7 +73,14 @@ class SizeLengths(NamedTuple):
 
 @dataclass(frozen=True)
 class Shape(ABC):
-    """A joint that gmsh can draw and mesh. All numbers among its fields are lengths, except `angles`."""
+    """A joint that gmsh can draw and mesh, described by its dimensions.
+
+    All numbers among the fields of subclasses are lengths, except those named in `angles`.
+
+    Attributes:
+        cells: requested cell sizes and types.
+        angles: names of the fields that are angles, in radians.
+    """
 
     cells: MeshOptions
     angles: ClassVar[tuple[str, ...]] = ()
@@ -88,30 +96,30 @@ class Shape(ABC):
     @property
     @abstractmethod
     def lengths(self) -> dict[str, float]:
-        """Name in messages -> length; each must be > 0, and no cell size may exceed the largest."""
+        """Name for messages -> length. Each must be > 0, and no cell size may exceed the largest of them."""
 
     @property
     @abstractmethod
     def extent(self) -> SizeLengths:
-        """Lengths on which the cell sizes depend."""
+        """Lengths from which the default cell size and the growth of cells away from S follow."""
 
     def scaled(self, factor: float) -> Self:
-        """The shape with all lengths, including cell sizes, times a factor."""
+        """Return the shape with all lengths, including cell sizes, multiplied by a factor."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.angles}
         return replace(self, **{name: _scaled(value, factor) for name, value in values.items()})
 
     @abstractmethod
     def draw(self) -> Drawing:
-        """Draw with gmsh's built-in kernel."""
+        """Draw the shape in the current gmsh model and return its entities by name."""
 
     @property
     def kind(self) -> str:
-        """Type of the cells."""
+        """Type of the cells, such as "triangle"; by default the simplex of the shape's dimension."""
         return self.cells.cell or CELL_TYPES_OF_DIM[self.dim][0]
 
     @property
     def gridded(self) -> bool:
-        """Whether the mesh is a grid, split or not."""
+        """Whether the mesh is a grid of quadrilaterals or hexahedra, or of simplices that divide these."""
         return self.cells.structured or is_tensor(self.kind)
 
     @property
@@ -122,10 +130,13 @@ class Shape(ABC):
         return h, h_S, float(self.cells.h_ends or h_S)
 
     def build(self) -> Joint:
-        """Mesh with gmsh and return the joint.
+        """Mesh the shape with gmsh and return the joint.
 
         gmsh's tolerances are absolute lengths. Lengths are therefore scaled by a power of 1000 so that the largest is
         between 1 and 1000. The mesh is then the same in nm, mm, m and km.
+
+        Raises:
+            InputError: the thinnest part or the default cell size is too small for gmsh.
         """
         size = max(self.lengths.values())
         require_width("the thinnest part", self.extent.thinnest, size)
@@ -135,7 +146,7 @@ class Shape(ABC):
         return self.scaled(10.0**-digits)._build(10.0**digits)
 
     def _build(self, unit: float) -> Joint:
-        """The joint, with gmsh's coordinates times a unit of length."""
+        """Draw and mesh the shape as it is; return the joint with gmsh's coordinates multiplied by `unit`."""
         gmsh.initialize(interruptible=False)
         try:
             gmsh.option.setNumber("General.Terminal", 0)
@@ -156,7 +167,16 @@ class Shape(ABC):
         return joint()  # now that gmsh's memory is free
 
     def sweep(self, surfaces: Sequence[int], way: tuple[float, float, float], grading: Grading) -> dict[int, list[int]]:
-        """Extrude surfaces (in graded layers for a grid); surface -> [volume, surface at the far end]."""
+        """Extrude surfaces to volumes; with a grid, in layers of cells.
+
+        Args:
+            surfaces: tags of the surfaces.
+            way: vector of the extrusion, lengths.
+            grading: sizes of the cells along this vector, for a grid.
+
+        Returns:
+            Tag of each surface -> [tag of its volume, tag of the surface at the far end].
+        """
         kernel, layers = gmsh.model.geo, grading.layers
         grid = dict(numElements=[1] * len(layers), heights=layers, recombine=is_tensor(self.kind))
         swept = kernel.extrude([(2, tag) for tag in surfaces], *way, **(grid if self.gridded else {}))
@@ -174,7 +194,11 @@ class Shape(ABC):
                 gmsh.model.mesh.setRecombine(2, surface)
 
     def _set_sizes(self, s: Sequence[int]) -> None:
-        """Set size fields: h_ends where S ends or branches, h_S on S, growing to h away from it."""
+        """Prescribe cell sizes: h_ends where S ends or branches, h_S on S, and growth to h away from S.
+
+        Args:
+            s: tags of the curves (2D) or surfaces (3D) of S.
+        """
         h, h_S, h_ends = self.sizes
         field = gmsh.model.mesh.field
         boundary = gmsh.model.getBoundary([(self.dim - 1, tag) for tag in s], combined=False, oriented=False)
@@ -201,7 +225,12 @@ class Shape(ABC):
             gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
 
     def _read(self, drawing: Drawing, unit: float) -> Callable[[], Joint]:
-        """Read gmsh's arrays; return a function that makes the joint from them without gmsh."""
+        """Read gmsh's arrays, and return a function that makes the joint from them without gmsh.
+
+        Args:
+            drawing: entities by name.
+            unit: factor on gmsh's coordinates.
+        """
         nodes, x, _ = gmsh.model.mesh.getNodes()
         bodies = [self._elements(self.kind, tags) for tags in drawing.bodies.values()]
         facet_type = FACET_TYPES[self.kind]
@@ -220,7 +249,12 @@ class Shape(ABC):
         return partial(Joint, points * unit, cells, self.kind, region, tuple(drawing.bodies), facets, drawing.seams)
 
     def _elements(self, kind: str, tags: Sequence[int]) -> IntArray:
-        """Nodes (n, k) of the elements of one type on the entities with these tags, in gmsh's order."""
+        """Return (n, k) gmsh's numbers of the k nodes, in gmsh's order, of the elements of one type on some entities.
+
+        Args:
+            kind: type of the elements, such as "triangle".
+            tags: tags of the entities.
+        """
         mesh = gmsh.model.mesh
         number = mesh.getElementType(GMSH_FAMILIES.get(kind, kind), self.cells.degree)
         rows = np.concatenate([mesh.getElementsByType(number, tag)[1] for tag in tags])
@@ -229,10 +263,10 @@ class Shape(ABC):
 
 @dataclass(frozen=True)
 class Prism(Shape):
-    """A plane shape, in 3D swept from z = 0 ("BACK") to its depth ("FRONT").
+    """A plane shape; in 3D it is swept along z from the side "BACK" (z = 0) to the side "FRONT" (z = depth).
 
     Attributes:
-        depth: a length > 0; None in 2D.
+        depth: size along z, a length > 0; None in 2D.
     """
 
     depth: float | None
@@ -244,15 +278,15 @@ class Prism(Shape):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """The depth, if there is one."""
+        """The depth under its name, or {} in 2D."""
         return {} if self.depth is None else {"depth": self.depth}
 
     @abstractmethod
     def draw_plane(self) -> Drawing:
-        """Draw at z = 0 with gmsh's built-in kernel."""
+        """Draw the plane shape at z = 0 in the current gmsh model and return its entities by name."""
 
     def draw(self) -> Drawing:
-        """The plane drawing, swept if there is a depth."""
+        """Draw the plane shape, and in 3D sweep it over the depth; return the entities by name."""
         plane = self.draw_plane()
         if self.depth is None:
             return plane
@@ -281,7 +315,11 @@ def swept_surfaces(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:
 
 
 def plane_surface(sides: Sequence[int]) -> int:
-    """A plane surface bounded by curves, negative where they run backwards, in gmsh's built-in kernel."""
+    """Add a plane surface to the gmsh model and return its tag.
+
+    Args:
+        sides: tags of the curves around it, one after the other; negative where a curve runs backwards.
+    """
     kernel = gmsh.model.geo
     return int(kernel.addPlaneSurface([kernel.addCurveLoop(sides)]))
 

@@ -18,11 +18,13 @@ CORE_RADIUS_RATIO = 0.65  # half the diagonal of the square grid in the middle o
 
 
 class PolarLines(NamedTuple):
-    """Arcs about the origin and the spokes between them, from the innermost arc and the first spoke on.
+    """Arcs about the origin, and the radial lines (spokes) and surfaces between them, as tags in the gmsh model.
+
+    All lists begin at the innermost arc, and within a ring at the first spoke, on the first axis.
 
     Attributes:
-        arcs: for each radius the curves from one spoke to the next.
-        spokes: for each ring between two radii its straight lines.
+        arcs: for each radius the curves from each spoke to the next.
+        spokes: for each ring between two radii the radial lines across it.
         patches: for each ring the surfaces between its spokes.
     """
 
@@ -32,13 +34,13 @@ class PolarLines(NamedTuple):
 
     @classmethod
     def drawn(cls, radii: Sequence[float], angle: float, plane: str, *, chords: bool = False) -> PolarLines:
-        """Draw arcs and spokes with gmsh.
+        """Draw arcs and spokes in the current gmsh model.
 
         Args:
-            radii: radii of the arcs, growing lengths > 0.
-            angle: angle of the sector from the x axis, in radians, > 0 and at most 2 pi.
-            plane: "xy" or "xz".
-            chords: whether the innermost arcs are straight lines instead.
+            radii: radii of the arcs, increasing lengths > 0.
+            angle: angle of the sector that starts at the x axis, in radians, > 0 and at most 2 pi.
+            plane: coordinate plane of the drawing, "xy" or "xz".
+            chords: whether the innermost arcs are replaced by straight lines.
         """
         kernel = gmsh.model.geo
         n = 2 if angle <= pi else 4  # gmsh's arcs are shorter than half a circle
@@ -64,11 +66,11 @@ class PolarLines(NamedTuple):
 
 @dataclass(frozen=True)
 class Rings(Prism):
-    """Two concentric rings or sectors of rings about the origin, in 3D tubes, S between them.
+    """Two concentric rings about the origin, or sectors of them, in 3D tubes; S is where they meet.
 
     Attributes:
-        inner, interface, outer: radii, growing lengths > 0.
-        angle: angle of the sector from the x axis, in radians, up to the full circle.
+        inner, interface, outer: radius of the hole, of S and of the outside, increasing lengths > 0.
+        angle: angle of the sector that starts at the x axis, in radians, up to the full circle.
     """
 
     inner: float
@@ -86,19 +88,19 @@ class Rings(Prism):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """The radii and the depth."""
+        """The radii and, in 3D, the depth, by name."""
         return {"inner": self.inner, "interface": self.interface, "outer": self.outer, **super().lengths}
 
     @property
     def extent(self) -> SizeLengths:
-        """Lengths for cell sizes that are small enough to follow a circle at any radius."""
+        """Lengths for the cell sizes, with a bound by which cells follow the circle at any radius."""
         thin = min(self.interface - self.inner, self.outer - self.interface, self.depth or self.outer)
         r = "sqrt(x*x + y*y)"
         to_s = f"abs({r} - {float(self.interface)!r})"
         return SizeLengths(thin, max(self.angle * self.interface, self.depth or 0.0), to_s, f"{MAX_CELL_ANGLE!r} * {r}")
 
     def draw_plane(self) -> Drawing:
-        """Draw rings between spokes; the spokes of INNER end at S, where the spokes of OUTER begin.
+        """Draw both rings, divided by radial lines that end at S, and set the cell sizes of a polar grid.
 
         Cells of a polar grid grow from h_S at S to h away from it. Along S they grow from h_ends at its ends to h_S.
         """
@@ -123,12 +125,12 @@ class Rings(Prism):
 
 @dataclass(frozen=True)
 class Discs(Shape):
-    """Two discs (annuli with a hole) of some height on top of each other about the y axis, S between them at height 0.
+    """Two discs on top of each other, with the y axis as common axis; S is where they meet, at y = 0.
 
     Attributes:
-        radius: a length > 0.
-        lower, upper: heights, lengths > 0.
-        hole: radius of the hole, a length less than the radius; 0 for none.
+        radius: radius of both discs, a length > 0.
+        lower, upper: heights of the two discs, lengths > 0.
+        hole: radius of a hole along the axis, a length less than the radius; 0: no hole.
     """
 
     radius: float
@@ -150,18 +152,18 @@ class Discs(Shape):
 
     @property
     def lengths(self) -> dict[str, float]:
-        """Radius and heights."""
+        """The radius and the heights, by name for messages."""
         return {"radius": self.radius, "height of LOWER": self.lower, "height of UPPER": self.upper}
 
     @property
     def extent(self) -> SizeLengths:
-        """Lengths for cell sizes that are small enough to follow a circle, at every radius if there is a hole."""
+        """Lengths for the cell sizes, with a bound by which cells follow the circle, with a hole at any radius."""
         radius = "sqrt(x*x + z*z)" if self.hole else repr(float(self.radius))
         thinnest = min(self.radius - self.hole, self.lower, self.upper)
         return SizeLengths(thinnest, tau * self.radius, "abs(y)", f"{MAX_CELL_ANGLE!r} * {radius}")
 
     def draw(self) -> Drawing:
-        """Draw a disc in the plane of S, swept to both sides.
+        """Draw the disc S in the plane y = 0, sweep it to both sides, and set the cell sizes of a grid.
 
         A grid is polar, around a square grid if there is no hole. Its cells grow from h_ends at the circles that bound
         S to h_S between them.
@@ -188,11 +190,11 @@ class Discs(Shape):
 
 @dataclass(frozen=True)
 class Fibre(Shape):
-    """A disc about the origin in a larger disc or a rectangle, S the circle between.
+    """A fibre, which is a disc about the origin, in a larger disc or a rectangle; S is the circle between them.
 
     Attributes:
         radius: radius of the fibre, a length > 0.
-        around: radius of the matrix's outer circle, or width and height of its rectangle.
+        around: (radius of the matrix's outer circle,), or (width, height) of its rectangle, lengths.
     """
 
     radius: float
@@ -215,18 +217,18 @@ class Fibre(Shape):
 
     @property
     def gap(self) -> float:
-        """The least width of the matrix."""
+        """Least width of the matrix between fibre and outside, a length."""
         return (self.around[0] if self.round else min(self.around) / 2) - self.radius
 
     @property
     def lengths(self) -> dict[str, float]:
-        """Radius, and radius or sides of the matrix."""
+        """Radius of the fibre, and radius or sides of the matrix, by name for messages."""
         names = ("radius of the matrix",) if self.round else ("width", "height")
         return {"radius": self.radius} | dict(zip(names, self.around, strict=True))
 
     @property
     def extent(self) -> SizeLengths:
-        """Lengths for cell sizes that are small enough to follow a circle at every radius outside S."""
+        """Lengths for the cell sizes, with a bound by which cells follow the circle at any radius outside S."""
         radius = repr(float(self.radius))
         limit = f"{MAX_CELL_ANGLE!r} * ({radius} + abs(sqrt(x*x + y*y) - {radius}))"
         return SizeLengths(min(self.radius, self.gap), tau * self.radius, limit=limit)
@@ -251,7 +253,7 @@ class Fibre(Shape):
         return Drawing(bodies, {S: circle} | sides, fibre + matrix, gradings, circles=circles)
 
     def _rectangle(self, hole: Sequence[int]) -> tuple[dict[str, list[int]], list[int]]:
-        """The sides of the matrix, and its surface around a hole."""
+        """Draw a rectangle; return its sides by name and the surface between it and the curves `hole`, as tags."""
         kernel = gmsh.model.geo
         x, y = (length / 2 for length in self.around)
         corners = [kernel.addPoint(*at, 0.0) for at in ((-x, -y), (x, -y), (x, y), (-x, y))]
@@ -261,5 +263,5 @@ class Fibre(Shape):
 
 
 def is_circle(angle: float) -> bool:
-    """Whether an angle, in radians, is the full circle."""
+    """Return whether an angle, in radians, is the full circle."""
     return isclose(angle, tau, rel_tol=1e-8)

@@ -1,4 +1,4 @@
-"""Mesh options of a shape, the grading of cells along a line, and the module gmsh, imported on first use."""
+"""Cell sizes and types of a shape, sizes of cells along a line, and the module gmsh, imported on first use."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ gmsh = _Gmsh()
 
 
 class SizeArgs(TypedDict, total=False):
-    """Cell sizes at S and at the ends of S, lengths; None for the default."""
+    """Keyword arguments: cell size h_S at S and h_ends at the ends of S, lengths; None for the default."""
 
     h_S: float | None
     h_ends: float | None
@@ -45,19 +45,25 @@ class GridArgs(SizeArgs, total=False):
 
 
 class CurvedArgs(SizeArgs, total=False):
-    """Cell sizes and options of round shapes, see `disc`."""
+    """Keyword arguments for the cells of round shapes: sizes at S, cell type, degree of the geometry; see `disc`."""
 
     cell: str | None
     degree: int
 
 
 def scaled_length(length: float, factor: float) -> float:
-    """A length times a power of ten, rounded to 15 digits."""
+    """Return a length times a factor, rounded to 15 digits, unless the factor is 1."""
     return length if factor == 1 else float(f"{length * factor:.15g}")
 
 
 def require_width(what: str, size: float, largest: float) -> None:
-    """Raise InputError for a part of a shape that is too thin for gmsh."""
+    """Raise InputError if a part of a shape is thinner than 1e-6 of the largest length: gmsh could merge its points.
+
+    Args:
+        what: name of the part, for the message.
+        size: its width, a length.
+        largest: largest length of the shape.
+    """
     if size < (least := MIN_LENGTH_RATIO * largest):
         raise InputError(
             f"{what} is {size:g}; allowed: at least {least:g} ({MIN_LENGTH_RATIO:g} of the largest length)"
@@ -68,11 +74,11 @@ class MeshOptions(NamedTuple):
     """Requested cells of a shape.
 
     Attributes:
-        h, h_S, h_ends: largest size, size at S and at the ends of S, lengths; None for the default.
-        cell: "triangle", "quadrilateral", "tetrahedron" or "hexahedron"; None for the dimension's simplex.
+        h, h_S, h_ends: largest cell size, cell size at S and at the ends of S, lengths; None for the default.
+        cell: "triangle", "quadrilateral", "tetrahedron" or "hexahedron"; None: the shape's default.
         degree: degree of the cells' geometry, 1 (straight) or 2 (curved).
-        structured: whether simplices split a grid.
-        arrangement: which diagonals halve a grid's rectangles.
+        structured: whether triangles or tetrahedra divide the cells of a grid.
+        arrangement: which diagonals halve a grid's rectangles in the x-y plane, one of `ARRANGEMENTS`.
     """
 
     h: float | None
@@ -85,13 +91,27 @@ class MeshOptions(NamedTuple):
 
     @classmethod
     def of(cls, h: float | None, options: SizeArgs, allowed: type[SizeArgs]) -> Self:
-        """Options from a builder's keywords; raise InputError for a keyword that is not in `allowed`."""
+        """Return the options from the keyword arguments of a builder such as `block`.
+
+        Args:
+            h: largest cell size, a length; None for the default.
+            options: the keyword arguments.
+            allowed: class with the names that the builder allows.
+
+        Raises:
+            InputError: a keyword is not among these names.
+        """
         for name in options.keys() - (keywords := get_type_hints(allowed)):
             raise InputError(unknown_name_message("keyword", name, keywords))
         return cls(h, **options)
 
     def check(self, lengths: Mapping[str, float], dim: int) -> None:
-        """Raise InputError if a length of the shape is not > 0 or the cells do not suit its size or dimension."""
+        """Raise InputError if a length of the shape is not > 0, or if the cells do not suit its size or dimension.
+
+        Args:
+            lengths: name for messages -> length of the shape.
+            dim: number of dimensions, 2 or 3.
+        """
         for what, value in lengths.items():
             require(is_finite(value) and value > 0, what, value, "it must be > 0")
         largest = max(lengths.values())
@@ -107,19 +127,20 @@ class MeshOptions(NamedTuple):
         require_known("arrangement", self.arrangement, ARRANGEMENTS)
 
     def scaled(self, factor: float) -> MeshOptions:
-        """The options with all sizes times a factor."""
+        """Return the options with all cell sizes multiplied by a factor."""
         h, h_S, h_ends = (size and scaled_length(size, factor) for size in (self.h, self.h_S, self.h_ends))
         return self._replace(h=h, h_S=h_S, h_ends=h_ends)
 
 
 class Grading(NamedTuple):
-    """Cells along a line whose sizes grow by a constant factor.
+    """Sizes of the cells along a line: a geometric series from one end to the other, or from both ends to the middle.
 
     Attributes:
         n: number of cells.
-        first, last: sizes of the first and of the last cell, lengths; if symmetric, at both ends and in the middle.
-        symmetric: whether the sizes grow from both ends to the middle.
-        backwards: whether the first cell is at the end of the line.
+        first, last: sizes of the first and of the last cell, lengths; if symmetric, of cells at the ends and in the
+            middle.
+        symmetric: whether sizes change from both ends to the middle.
+        backwards: whether the first cell lies at the end of the line, not at its beginning.
     """
 
     n: int
@@ -130,7 +151,15 @@ class Grading(NamedTuple):
 
     @classmethod
     def of(cls, length: float, first: float, last: float, *, symmetric: bool = False, backwards: bool = False) -> Self:
-        """The grading of a line of this length that comes closest to these cell sizes."""
+        """Return the geometric series of cells on a line that comes closest to two cell sizes.
+
+        Args:
+            length: length of the line.
+            first, last: sizes of the first and of the last cell, lengths; if symmetric, of cells at the ends and in the
+                middle.
+            symmetric: whether sizes change from both ends to the middle.
+            backwards: whether the first cell lies at the end of the line, not at its beginning.
+        """
         if first == last:
             return cls(max(1, round(round(length / first, COUNT_DECIMALS))), first, last, symmetric, backwards)
         graded = length / 2 if symmetric else length
@@ -142,23 +171,23 @@ class Grading(NamedTuple):
 
     @property
     def growth(self) -> float:
-        """Ratio of the sizes of neighbouring cells."""
+        """Ratio of the size of each cell to that of the cell before it, counted from the first cell."""
         steps = (self.n // 2 if self.symmetric else self.n) - 1
         return float((self.last / self.first) ** (1 / steps)) if self.first != self.last else 1.0
 
     @property
     def layers(self) -> list[float]:
-        """The ends of the cells, as increasing fractions of the line, up to 1."""
+        """End of each cell along the line, as increasing fractions of the line's length; the last is 1."""
         k = np.arange(self.n)
         sizes = self.growth ** (np.minimum(k, k[::-1]) if self.symmetric else k[::-1] if self.backwards else k)
         return [*(np.cumsum(sizes) / sizes.sum())[:-1].tolist(), 1.0]
 
     def along(self, length: float) -> FloatArray:
-        """(n + 1,) ends of the cells along a line of this length."""
+        """Return (n + 1,) positions of the ends of the n cells along a line of this length, from 0."""
         return length * np.array([0.0, *self.layers])
 
     def put(self, curve: int) -> None:
-        """Prescribe the cells of a curve of the gmsh model."""
+        """Prescribe these cells on the curve of the gmsh model with this tag."""
         law = ("Progression", 1 / self.growth if self.backwards else self.growth)
         if self.symmetric and self.first != self.last:
             law = ("Bump", self.first / self.last)
