@@ -1,1 +1,1 @@
-"""Joints from files and from meshes of DOLFINx."""
+"""Joints from mesh files and from DOLFINx meshes."""

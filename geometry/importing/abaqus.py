@@ -24,9 +24,9 @@ UNSUPPORTED_KEYWORDS = "SYSTEM", "INSTANCE", "NGEN", "NFILL", "NCOPY", "NMAP", "
 
 
 def load(path: Path) -> meshio.Mesh:
-    """Read the mesh of an .inp file and of files that it includes: one part, which its instance does not move.
+    """Return the mesh in an .inp file and in files that it includes: one part, which its instance does not move.
 
-    Blocks of one set are joined. Sets of nodes, surfaces and internal sets are left out.
+    Blocks of one element set are joined. Sets of nodes, surfaces and internal sets are left out.
 
     Raises:
         InputError: data are not supported or wrong; the message names keyword and line.
@@ -74,7 +74,7 @@ def load(path: Path) -> meshio.Mesh:
 
 
 def _blocks(path: Path) -> Iterator[tuple[str, dict[str, str], list[list[str]], str]]:
-    """Keyword, options, rows of data and place of each block of a file, and of the files that it includes."""
+    """Yield keyword, options, rows of data and place in the file of each block, also of those in included files."""
     text = re.sub(r"(?m)^[ \t]*\*\*.*", "", path.read_text("utf-8-sig", "replace"))
     start, *blocks = re.split(r"(?m)^[ \t]*\*", text)
     line = 1 + start.count("\n")

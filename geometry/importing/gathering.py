@@ -1,4 +1,4 @@
-"""Joints from meshes and tags of DOLFINx, gathered from all ranks."""
+"""Joints from DOLFINx meshes with tags, gathered from all MPI ranks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,15 @@ Tags = dict[str, list[int]]  # name -> tags
 
 
 def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm, sides: SideArgs) -> Joint:
-    """The joint of a mesh of DOLFINx with its tags, as `read` describes it. Collective."""
+    """Return the joint of a DOLFINx mesh with tags, on every rank. Collective.
+
+    Args:
+        mesh: the mesh; or (mesh, cell tags, facet tags) with None for missing tags.
+        names: name -> (dimension of the tagged entities, tag, ...); None: names are the tags as text.
+        scale: factor on the coordinates.
+        comm: communicator of the mesh; None: the default one.
+        sides: which facets are S, and which of its sides is the upper one, as keyword arguments of `read`.
+    """
     comm = comm or default_comm()
     mesh, cell_tags, facet_tags = (*(mesh if isinstance(mesh, (tuple, list)) else [mesh]), None, None)[:3]
     mine: _Part | Exception
@@ -37,15 +45,15 @@ def gather_joint(mesh: object, names: TagNames | None, scale: float, comm: Comm,
 
 
 class _Part(NamedTuple):
-    """The part of a mesh on one rank. Nodes have the mesh's global numbers.
+    """What one rank has of a mesh. Nodes have the mesh's global numbers.
 
     Attributes:
         type: type of the cells.
         points: (n, 2 or 3) coordinates of the nodes that the rank owns.
-        nodes: (n_cells, k) nodes of the cells that the rank owns.
+        nodes: (n_cells, k) numbers of the k nodes of each cell that the rank owns.
         region: (n_cells,) tags of these cells.
-        tagged: (n_cells,) whether these cells have a tag; without cell tags all have the tag 0.
-        facets: (n_facets, k) vertices of the rank's tagged facets.
+        tagged: (n_cells,) whether each of these cells has a tag; without cell tags all have the tag 0.
+        facets: (n_facets, m) numbers of the m vertices of each tagged facet on this rank.
         tags: (n_facets,) tags of these facets.
     """
 
@@ -59,7 +67,13 @@ class _Part(NamedTuple):
 
     @classmethod
     def of(cls, mesh: dolfinx.mesh.Mesh, cell_tags: object, facet_tags: object, comm: MPI.Intracomm) -> _Part:
-        """The part of this rank; raise InputError if it is unsuitable for a joint."""
+        """Return what this rank has of the mesh; raise InputError if mesh or tags are unsuitable for a joint.
+
+        Args:
+            mesh: the mesh.
+            cell_tags, facet_tags: DOLFINx's MeshTags of cells and of facets; None: no tags.
+            comm: communicator with the ranks of the mesh.
+        """
         require(isinstance(mesh, dolfinx.mesh.Mesh), "mesh", mesh, "give the name of a file, or a dolfinx.mesh.Mesh")
         if MPI.Comm.Compare(comm, mesh.comm) not in (MPI.IDENT, MPI.CONGRUENT):
             sizes = f"the mesh is distributed on {mesh.comm.size} ranks, comm has {comm.size}"
@@ -83,7 +97,14 @@ class _Part(NamedTuple):
 
 
 def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int, what: str) -> tuple[Indices, IntArray]:
-    """Local entities with a tag, and their tags; both empty without tags."""
+    """Return the local numbers of entities with a tag, and their tags; both are empty if `tags` is None.
+
+    Args:
+        mesh: the mesh.
+        tags: DOLFINx's MeshTags.
+        dim: dimension that the tagged entities must have.
+        what: name of the argument, for messages.
+    """
     if tags is None:
         return np.empty(0, np.int32), np.empty(0, np.int64)
     require(isinstance(tags, dolfinx.mesh.MeshTags), what, tags, "give dolfinx.mesh.MeshTags")
@@ -99,14 +120,14 @@ def _tags(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags | None, dim: int,
 def _joint_of(
     parts: list[_Part | Exception], names: TagNames | None, whole: Tags | None, scale: float, sides: SideArgs
 ) -> Joint:
-    """The joint of all ranks' parts; nodes are sorted by their places, cells by their nodes.
+    """Return the joint of what all ranks have of a mesh; its nodes are sorted by place, its cells by their nodes.
 
     Args:
-        parts: the part of each rank, or its error.
-        names: names of tags, as in `read`.
-        whole: names of tags of cells, if `names` has none; None: their numbers.
+        parts: what each rank has, or the error that was raised there.
+        names: name -> (dimension of the tagged entities, tag, ...); None: names are the tags as text.
+        whole: name -> cell tags, where `names` has none for cells; None: names are the cell tags as text.
         scale: factor on the coordinates.
-        sides: arguments for S and its sides.
+        sides: which facets are S, and which of its sides is the upper one, as keyword arguments of `read`.
     """
     for part in parts:
         if isinstance(part, Exception):
@@ -130,7 +151,7 @@ def _joint_of(
 
 
 def _by_dimension(names: TagNames) -> dict[int, Tags]:
-    """Tag names sorted by dimension: dimension -> name -> tags."""
+    """Sort names by the dimension of the tagged entities: return dimension -> name -> tags."""
     chosen: dict[int, Tags] = {}
     try:
         for name, (dim, first, *others) in names.items():
@@ -143,7 +164,14 @@ def _by_dimension(names: TagNames) -> dict[int, Tags]:
 
 
 def _groups(names: Tags | None, values: IntArray, tagged: BoolArray, what: str) -> Groups:
-    """Name -> which entities have one of its tags; without names each tag is named by its number."""
+    """Return name -> (n,) whether each of n entities has one of its tags.
+
+    Args:
+        names: name -> tags; None: each tag is named by its number, as text.
+        values: (n,) tags of the entities.
+        tagged: (n,) whether each entity has a tag.
+        what: noun for the entities, for messages.
+    """
     tags = [*map(int, np.unique(values[tagged]))]
     names = {str(tag): [tag] for tag in tags} if names is None else names
     for name, tag in ((name, tag) for name, of in names.items() for tag in of if tag not in tags):

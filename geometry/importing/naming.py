@@ -1,4 +1,4 @@
-"""Cells of an imported mesh, and the choice of regions, seams and their sides among its named groups."""
+"""Cells of an imported mesh, and the choice of regions, seams and upper sides among its named groups."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SeamNames = str | Sequence[str] | Mapping[str, object] | None  # names of seams,
 
 
 class SideArgs(TypedDict, total=False):
-    """Arguments for S and its sides, as `read` describes them."""
+    """Keyword arguments of `read`: which facets are S, and which of its sides is the upper one."""
 
     S: SeamNames
     upper: str | Sequence[str] | None
@@ -45,13 +45,13 @@ class SideArgs(TypedDict, total=False):
 
 
 class FileCells(NamedTuple):
-    """Cells of one type.
+    """Cells of one type with the points that they use.
 
     Attributes:
-        points: (n_points, d) coordinates of the cells' nodes.
-        nodes: (n_cells, k) nodes of each cell, in DOLFINx's order.
-        type: type as in `Joint.cell_type`.
-        used: (n_points,) numbers of these points in the mesh they come from.
+        points: (n_points, d) coordinates of the cells' nodes in d dimensions, lengths.
+        nodes: (n_cells, k) numbers, in `points`, of the k nodes of each cell, in DOLFINx's order.
+        type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
+        used: (n_points,) numbers of these points in the mesh that they come from.
     """
 
     points: FloatArray
@@ -61,13 +61,14 @@ class FileCells(NamedTuple):
 
     @classmethod
     def of(cls, points: FloatArray, nodes: IntArray, cell_type: str, what: str) -> FileCells:
-        """Take over cells and the points that they use.
+        """Return cells with only those points that they use.
 
         Args:
-            points: (n, d or 3) coordinates.
-            nodes: (n_cells, k) nodes of each cell, in DOLFINx's order.
-            cell_type: type as in `Joint.cell_type`.
-            what: text for the cells in messages.
+            points: (n, 2 or 3) coordinates of all points of the mesh; plane cells may have a third, constant
+                coordinate.
+            nodes: (n_cells, k) numbers of the k nodes of each cell, in DOLFINx's order.
+            cell_type: "triangle", "quadrilateral", "tetrahedron" or "hexahedron".
+            what: noun for the cells, for messages.
 
         Raises:
             InputError: nodes without coordinates, or a surface in 3D.
@@ -85,16 +86,21 @@ class FileCells(NamedTuple):
 
     @property
     def corners(self) -> IntArray:
-        """(n_cells, k) vertices of each cell."""
+        """(n_cells, k) numbers of the k vertices of each cell."""
         return self.nodes[:, : corner_count(self.type)]
 
     def refuse(self, bad: BoolArray, what: str) -> None:
-        """Raise InputError if there are bad cells, with their number and the place of the first."""
+        """Raise InputError if there are bad cells; it gives their number and the place of the first.
+
+        Args:
+            bad: (n_cells,) whether each cell is bad.
+            what: what is wrong with them, a verb phrase for the message.
+        """
         if bad.any():  # gathering the places of all nodes is expensive
             refuse(bad, self.points[self.nodes], f"{{bad}} of {{all}} cells {what}; the first is at {{at}}")
 
     def require_sound(self) -> None:
-        """Raise InputError for cells without volume, for folded cells, and for nodes at the same place."""
+        """Raise InputError for cells without volume, for folded cells, and for several nodes at one place."""
         size = np.ptp(self.points[self.nodes], axis=1).max(axis=1)
         jacobian = node_jacobians(self.points, self.nodes, self.type)
         largest = np.abs(jacobian).max(axis=1)
@@ -109,19 +115,22 @@ class FileCells(NamedTuple):
         refuse(np.ones(len(pairs), bool), self.points[np.sort(pairs[:, 0])], f"{pairs_text} {how}")
 
     def facets_among(self, vertices: IntArray) -> FacetTable:
-        """Facets of the cells that have a whole facet among `vertices`; cells are numbered as in `nodes`."""
+        """Return the facets of those cells that have enough vertices among `vertices` for a whole facet.
+
+        The table also has these cells' other facets. It numbers cells as `nodes` does.
+        """
         near = np.flatnonzero(np.isin(self.corners, vertices).sum(axis=1) >= corner_count(FACET_TYPES[self.type]))
         table = FacetTable.of(self.corners[near], self.type)
         return replace(table, cells=np.where(table.cells < 0, -1, near[table.cells]))
 
 
 class SeamSides(NamedTuple):
-    """The caller's choice of S and its sides.
+    """Choice of the facets of S and of its upper side.
 
     Attributes:
-        S: name of the set of facets of the only seam; None for all facets between the regions `lower` and `upper`.
-        single: sides of the only seam, as far as they are specified.
-        seams: name -> seam, in place of `S` and `single`, if there are several seams; else {}.
+        S: name of the facet set of a single seam; None: all facets between the regions `lower` and `upper`.
+        single: sides of the single seam, as far as they are specified.
+        seams: name -> choice of the upper side, if there are several seams, in place of `S` and `single`; else {}.
     """
 
     S: str | None
@@ -132,7 +141,17 @@ class SeamSides(NamedTuple):
     def of(
         cls, S: SeamNames = S, upper: object = None, lower: object = None, direction: Sequence[float] | None = None
     ) -> SeamSides:
-        """The choice from arguments as in `read`; raise InputError for wrong types."""
+        """Return the choice from the arguments of `read`.
+
+        Args:
+            S: name of one facet set; names of several, or {name: upper side}; None: all facets between `lower` and
+                `upper`.
+            upper, lower: name or names of the regions above and below a single seam; None: not specified.
+            direction: vector to the upper side of a single seam; None: not specified.
+
+        Raises:
+            InputError: an argument has a wrong type, or sides of a single seam are given with several seams.
+        """
         above, below = _names_of(upper, "upper"), _names_of(lower, "lower")
         way = None if direction is None else tuple(np.ravel(direction).tolist())  # checked by the seam
         if S is None or isinstance(S, str):
@@ -147,7 +166,7 @@ class SeamSides(NamedTuple):
 
 
 def _seam(name: str, rule: object) -> Seam:
-    """A seam from its rule in S: None, a direction, or the regions below and above."""
+    """Return the seam `name` from its upper side in S: None, a vector, a `Seam`, or (regions below, regions above)."""
     if rule is None:
         return Seam()
     if isinstance(rule, Seam):
@@ -162,7 +181,12 @@ def _seam(name: str, rule: object) -> Seam:
 
 
 def _names_of(regions: object, what: str) -> Names:
-    """Names of the regions of one side; () for None."""
+    """Return the names of regions as a tuple; () for None.
+
+    Args:
+        regions: one name, several names, or None.
+        what: name of the argument, for messages.
+    """
     names = (regions,) if isinstance(regions, str) else () if regions is None else regions
     if not (isinstance(names, Sequence) and all(isinstance(name, str) for name in names)):
         raise InputError(f"{what} is {regions!r}; give the name of a region, or several in a list")
@@ -170,14 +194,14 @@ def _names_of(regions: object, what: str) -> Names:
 
 
 class NamedGroups(NamedTuple):
-    """The named groups of a mesh.
+    """A mesh with named groups of cells and of facets, and the choice of S among them.
 
     Attributes:
         cells: cells of the mesh.
-        regions: name -> which of these cells are in the region.
-        facets: name -> (n, k) vertices of the facets.
-        source: origin of the names, for messages.
-        sides: the caller's choice among the names.
+        regions: name -> (n_cells,) whether each cell is in this group.
+        facets: name -> (n, k) numbers of the k vertices of each facet in this group.
+        source: where the names come from, for messages.
+        sides: choice of the facets of S and of its upper side.
     """
 
     cells: FileCells
@@ -187,7 +211,9 @@ class NamedGroups(NamedTuple):
     sides: SeamSides
 
     def joint(self) -> Joint:
-        """The joint of the groups; where groups of cells overlap, the groups named in `sides` are the regions.
+        """Return the joint whose regions and facet sets are the groups.
+
+        Where groups of cells overlap, only those named in `sides` become regions.
 
         Raises:
             InputError: unusable cells or names, or an S that does not fit them.
@@ -206,7 +232,7 @@ class NamedGroups(NamedTuple):
         return joint
 
     def _disjoint(self) -> Groups:
-        """The regions, with each cell in exactly one of them."""
+        """Return the groups of cells that are regions; raise InputError unless each cell is in exactly one of them."""
         regions, cells, single = self.regions, self.cells, self.sides.single
         chosen = single.upper + single.lower
         chosen += tuple(name for seam in self.sides.seams.values() for name in seam.lower + seam.upper)
@@ -225,7 +251,7 @@ class NamedGroups(NamedTuple):
         return regions
 
     def _single(self) -> tuple[IntArray, Seam]:
-        """Facets (n, k) of the only seam, and the seam."""
+        """Return the facets of the single seam, (n, k) numbers of k vertices each, and its choice of the upper side."""
         name, single, whole = self.sides.S, self.sides.single, tuple(self.regions)
         lower, upper, regions = single.lower, single.upper, f"regions: {', '.join(whole)}"
         if name != S and S in self.facets:
@@ -249,18 +275,21 @@ class NamedGroups(NamedTuple):
         return facets, Seam(lower or tuple(region for region in whole if region not in upper), upper)
 
     def adjacent_cells(self, name: str) -> IntArray:
-        """(n, 2) cells on either side of the facets of a set that belong to cells; -1 on the outer boundary."""
+        """Return (n, 2) numbers of the cells on both sides of the facets of a group; -1 on the outer boundary.
+
+        Facets that belong to no cell are left out.
+        """
         facets = self.facets[name]
         table = self.cells.facets_among(np.unique(facets))
         rows = table.index(facets)
         return table.cells[rows[rows >= 0]]
 
     def touched(self, cells: IntArray) -> list[str]:
-        """Names of the regions of cells; numbers < 0 are no cells."""
+        """Return the names of the regions that contain any of some cells; numbers < 0 stand for no cell."""
         return [region for region, member in self.regions.items() if member[cells[cells >= 0]].any()]
 
     def _boundary(self, upper: Names, lower: Names) -> IntArray:
-        """All facets between the regions `upper` and `lower`."""
+        """Return (n, k) numbers of the k vertices of all facets between the regions `upper` and `lower`."""
         above, below = (np.any([self.regions[name] for name in side], axis=0) for side in (upper, lower))
         table = self.cells.facets_among(np.intersect1d(self.cells.corners[above], self.cells.corners[below]))
         first, second = table.cells[table.cells[:, 1] >= 0].T
@@ -285,7 +314,12 @@ def _require_whole(joint: Joint) -> None:
 
 
 def _hanging_nodes(points: FloatArray, facets: IntArray) -> IntArray:
-    """Nodes that lie on a facet (n, k) of the outer boundary, given by its vertices, without being its vertex."""
+    """Return the nodes that lie on a facet of the outer boundary without being a vertex of it.
+
+    Args:
+        points: (n_points, d) coordinates of the nodes in d dimensions.
+        facets: (n, k) numbers of the k vertices of each facet of the outer boundary.
+    """
     vertices, x = np.unique(facets), points[facets]
     middles = x.mean(axis=1)
     near = cKDTree(points[vertices]).query_ball_point(middles, np.linalg.norm(x - middles[:, None], axis=2).max(axis=1))

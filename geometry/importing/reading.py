@@ -1,4 +1,4 @@
-"""Joints from mesh files, read by meshio or (Abaqus) by `geometry.importing.abaqus`, and from meshes of DOLFINx."""
+"""Joints from mesh files, read by meshio or (Abaqus) by `geometry.importing.abaqus`, and from DOLFINx meshes."""
 
 from __future__ import annotations
 
@@ -46,37 +46,39 @@ ELEMENT_REMEDIES = {
 def read(
     mesh: Source, *, names: TagNames | None = None, scale: float = 1.0, comm: Comm = None, **sides: Unpack[SideArgs]
 ) -> Joint:
-    """A joint from a mesh file, or from a mesh of DOLFINx with its tags. Collective.
+    """Return a joint from a mesh file, or from a DOLFINx mesh with tags. Collective.
 
-    Names in a file are gmsh's physical names, or its cell sets. Without these, names are the numbers, as text, in the
-    cell data "gmsh:physical" or in the only array of integers (negative: no name). Named groups of cells are the
-    regions; every cell must be in exactly one region. Groups of cells of one dimension less are sets of facets. Where
-    groups of cells overlap, the groups named in `upper` and `lower` are the regions.
+    Names in a file are gmsh's physical names, or the file's cell sets. Without these, names are numbers as text: those
+    in the cell data "gmsh:physical", or in the only array of integers (negative numbers: no name). Named groups of
+    cells are the regions; every cell must be in exactly one region. Named groups of facets are facet sets. Where groups
+    of cells overlap, the groups named in `upper` and `lower` are the regions.
 
-    A mesh of DOLFINx may be distributed in any way, with or without ghosts: the joint's nodes and cells are numbered by
-    their places.
+    A DOLFINx mesh may be distributed in any way, with or without ghosts. Nodes and cells of the joint are numbered by
+    their places, and so do not depend on this.
 
     Args:
-        mesh: a file; or a mesh of DOLFINx; or (mesh, cell tags, facet tags) with None for missing tags. Cells are
+        mesh: path of a file; or a DOLFINx mesh; or (mesh, cell tags, facet tags) with None for missing tags. Cells are
             triangles, quadrilaterals, tetrahedra or hexahedra, straight or of degree 2; in 2D they lie in a plane z =
             const.
-        names: names of tags of DOLFINx, in the form of gmsh's physical groups: name -> (dimension, number, ...) with
-            one or several numbers. In a dimension without any names, tags are named by their numbers, as text. Facets
-            with other numbers are left out. Without cell tags there is one region, "BODY". The value on rank 0 is used.
-        S: name of the group of facets that becomes "S"; None for all facets between the regions `lower` and `upper`.
-            For a network, the names of several groups, which keep their names, or {name: its upper side}. The upper
-            side is a vector that points there, (lower, upper) with names of regions, or None for the later region.
-        upper: name or names of the regions above S (default for S on the outer boundary or with `direction`: all).
-        lower: name or names of the regions below S (default: all others; for S on the outer boundary none, a rigid
-            base).
-        direction: (d,) vector to the upper side, for S inside one body.
+        names: for DOLFINx tags, name -> (dimension of the tagged entities, tag, ...) with one or several tags, as in
+            gmsh's physical groups. In a dimension without names, groups are named by their tags, as text. Facets with
+            other tags are left out. Without cell tags there is one region, "BODY". The value on rank 0 is used.
+        S: name of the group of facets that becomes the seam "S" (default: the group named "S"); None for all facets
+            between the regions `lower` and `upper`. For several seams, the names of their groups, which keep these
+            names, or {name: upper side}. The upper side is a vector that points there, or (lower, upper) with names of
+            regions. None: it is in the region that comes later in `Joint.regions`.
+        upper: name or names of the regions above a single S (default for S on the outer boundary: all; with
+            `direction`: the regions `lower`, else all).
+        lower: name or names of the regions below a single S. Default: all other regions; with `direction` the regions
+            `upper`, else all; for S on the outer boundary none, but a rigid base.
+        direction: vector that points to the upper side, one component per dimension, for a single S inside one body.
         scale: factor on the coordinates, > 0, e.g. 1e3 from metre to millimetre.
         comm: communicator whose rank 0 reads the file, or that the mesh is distributed on (default: the world).
 
     Raises:
-        InputError: the file cannot be read or lacks names; tags are of another mesh, no entity has a tag in `names`, or
-            the mesh is on other ranks than `comm`; a name is unknown or ambiguous; cells are of several types or of a
-            type that is not allowed; the mesh is a surface in 3D; nodes or cells are duplicate, cells are flat or
+        InputError: the file cannot be read or lacks names; tags are of another mesh, a tag in `names` does not occur,
+            or the mesh is on other ranks than `comm`; a name is unknown or ambiguous; cells are of several types or of
+            a type that is not allowed; the mesh is a surface in 3D; nodes or cells are duplicate, cells are flat or
             folded, nodes hang, or cells overlap their neighbours; S does not fit `Joint`.
     """
     require(is_finite(scale) and scale > 0, "scale", scale, "it must be a number > 0")
@@ -90,7 +92,17 @@ def read(
 def read_groups(
     path: Path, use: Callable[[NamedGroups], ResultType], sides: SeamSides | None = None, scale: float = 1.0
 ) -> ResultType:
-    """Apply a function to the named groups of a mesh file; input errors name the file. Not collective."""
+    """Apply a function to the named groups of a mesh file and return its result. Not collective.
+
+    Args:
+        path: the file.
+        use: the function.
+        sides: choice of the facets of S and of its upper side; None: the facet set "S".
+        scale: factor on the coordinates.
+
+    Raises:
+        InputError: the file or its groups are unsuitable; the message names the file, also for errors of `use`.
+    """
     try:
         mesh = _load(path, scale)
         cells, (source, array) = _cells_of(mesh), _source(mesh)
@@ -106,7 +118,7 @@ def read_groups(
 
 
 def _load(path: Path, scale: float) -> meshio.Mesh:
-    """Read the file with meshio, with coordinates times a factor; messages that meshio prints are suppressed.
+    """Return the mesh in a file, with coordinates multiplied by `scale`; messages that meshio prints are suppressed.
 
     Raises:
         InputError: the file is not readable, or two groups have the same physical name.
@@ -146,7 +158,7 @@ def _require_single_names(path: Path) -> None:
 
 
 def _cells_of(mesh: meshio.Mesh) -> FileCells:
-    """The cells of highest dimension; raise InputError unless all are of one known type, and for a surface in space."""
+    """Return the cells of highest dimension; raise InputError for several types, other types, or a surface in 3D."""
     dim = max((block.dim for block in mesh.cells if len(block)), default=0)
     blocks = [block for block in mesh.cells if len(block) and block.dim == dim]
     kinds = list(dict.fromkeys(block.type for block in blocks))
@@ -164,7 +176,7 @@ def _cells_of(mesh: meshio.Mesh) -> FileCells:
 
 
 def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
-    """Origin of the names, for messages, and the cell data that number the groups."""
+    """Return where names come from, for messages, and the cell data with the groups' numbers (None: cell sets)."""
     if GMSH_PHYSICAL in mesh.cell_data:
         return "physical names" if mesh.field_data else f"numbers in the cell data {GMSH_PHYSICAL!r}", GMSH_PHYSICAL
     if getattr(mesh, "cell_tags", None):
@@ -179,7 +191,13 @@ def _source(mesh: meshio.Mesh) -> tuple[str, str | None]:
 
 
 def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
-    """The non-empty named groups of cells of a dimension; cells are numbered block after block of the file."""
+    """Return name -> (n,) whether each of the n entities of dimension `dim` is in this group, without empty groups.
+
+    Args:
+        mesh: the mesh; its entities are numbered block after block of the file.
+        dim: dimension of the entities.
+        array: name of the cell data that number the groups; None: groups are cell sets.
+    """
     blocks = [k for k, block in enumerate(mesh.cells) if block.dim == dim]
     groups: Groups = {}
     if not blocks:
@@ -197,7 +215,14 @@ def _groups(mesh: meshio.Mesh, dim: int, array: str | None) -> Groups:
 
 
 def _names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str]:
-    """Names of the group with a number."""
+    """Return the names of the group with a number in the cell data `array`; () if it has none.
+
+    Args:
+        mesh: the mesh.
+        dim: dimension of the group's entities.
+        array: name of the cell data.
+        number: the number of the group.
+    """
     if families := getattr(mesh, "cell_tags", None):
         return tuple(families.get(number, ()))
     if array == GMSH_PHYSICAL:
@@ -208,7 +233,13 @@ def _names(mesh: meshio.Mesh, dim: int, array: str, number: int) -> Sequence[str
 
 
 def _vertices(mesh: meshio.Mesh, cells: FileCells, groups: Groups) -> dict[str, IntArray]:
-    """Sets of facets by their vertices (n, k), each facet once."""
+    """Return name -> (n, k) numbers of the k vertices of each facet in this group, each facet once.
+
+    Args:
+        mesh: the mesh in the file.
+        cells: its cells, whose numbers of points are used.
+        groups: name -> whether each facet of the file is in this group.
+    """
     if not groups:
         return {}
     kind = FACET_TYPES[cells.type]

@@ -139,7 +139,7 @@ class BoxGrid:
         return {name: self.plane(axis, end) for name, (axis, end) in SIDE_PLANES.items() if axis < len(self.axes)}
 
     def _plane(self, numbers: IntArray) -> IntArray:
-        """Rectangles of points (n_x, n_y), or the triangles that halve them, with increasing numbers."""
+        """Return the rectangles, or triangles that halve them, of an array (n_x, n_y) of increasing point numbers."""
         ends = slice(None, -1), slice(1, None)
         o, x, y, xy = (numbers[ends[i], ends[j]].ravel() for i, j in ((0, 0), (1, 0), (0, 1), (1, 1)))
         if is_tensor(self.kind):

@@ -72,7 +72,7 @@ class CutRectangle(Shape):
         return np.concatenate([np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), self.cuts])
 
     def inside(self, x: FloatArray, margin: float) -> BoolArray:
-        """(n,) whether places (n, 2) are inside, and farther from the sides than a margin."""
+        """Return (n,) whether places x (n, 2) lie inside the rectangle, farther than the length `margin` from sides."""
         return np.asarray(((x > margin) & (x < np.array([self.width, self.height]) - margin)).all(axis=1))
 
     def draw(self) -> Drawing:
@@ -148,7 +148,7 @@ def _points(points: object, what: str) -> FloatArray:
 
 
 def _path(name: str, points: object) -> FloatArray:
-    """Points of a fault as an array (n, 2); raise InputError if it turns back."""
+    """Return the points of a fault as an array (n, 2); raise InputError if a piece of it runs back to its start."""
     x = _points(points, f"the fault {name!r}")
     way, whole = np.diff(x, axis=0), x[-1] - x[0]
     back = way @ whole <= MIN_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
@@ -250,7 +250,7 @@ def _relaxed_points(points: FloatArray, box: FloatArray) -> FloatArray:
 
 
 def _centres(points: FloatArray, box: FloatArray) -> FloatArray:
-    """(n, 2) centres of the areas of the Voronoi cells of points."""
+    """Return (n, 2) centroids of the Voronoi cells of n points in a rectangle of size `box`, a corner at the origin."""
     cells, n = _voronoi(points, box), len(points)
     first, other = cells.ridge_points.T
     cell, ends = np.concatenate([first, other]), np.tile(cells.ridge_vertices, (2, 1))

@@ -124,7 +124,7 @@ class Shape(ABC):
 
     @property
     def sizes(self) -> tuple[float, float, float]:
-        """(h, h_S, h_ends) with their defaults."""
+        """Largest cell size h, size h_S at S and size h_ends at the ends of S, with defaults filled in; lengths."""
         h = float(self.cells.h or self.extent.thinnest / DEFAULT_CELLS_ACROSS[self.dim])
         h_S = float(self.cells.h_S or h)
         return h, h_S, float(self.cells.h_ends or h_S)
@@ -185,7 +185,7 @@ class Shape(ABC):
         return {tag: [swept[k][1], swept[k - 1][1]] for tag, k in zip(surfaces, volumes, strict=True)}
 
     def _set_grid(self, drawing: Drawing) -> None:
-        """Set a grid of quadrilaterals, or of their halves, on the surfaces; swept layers are part of the drawing."""
+        """Prescribe a grid of quadrilaterals, or of their halves, on the surfaces `floor`; `sweep` sets its layers."""
         for curve, grading in drawing.gradings.items():
             grading.put(curve)
         for surface in drawing.floor:
@@ -299,7 +299,7 @@ class Prism(Shape):
 
 
 def _scaled(value: Any, factor: float) -> Any:
-    """Scale numbers, arrays, items of tuples and mesh options; return other values unchanged."""
+    """Return a length, or each length in an array, tuple or mesh options, times a factor; other values as they are."""
     if isinstance(value, MeshOptions):
         return value.scaled(factor)
     if isinstance(value, tuple):
@@ -310,7 +310,7 @@ def _scaled(value: Any, factor: float) -> Any:
 
 
 def swept_surfaces(curves: Sequence[int], surfaces: Sequence[int]) -> list[int]:
-    """Surfaces that some boundary `curves` have swept when `surfaces` were swept."""
+    """Return the tags of the surfaces that some curves on the boundary swept when `surfaces` were swept to volumes."""
     return [int(tag) for curve in curves for tag in gmsh.model.getAdjacencies(1, curve)[0] if tag not in surfaces]
 
 
@@ -325,15 +325,15 @@ def plane_surface(sides: Sequence[int]) -> int:
 
 
 def curve_grid(points: FloatArray, cells: IntArray, kind: str, axes: list[int], core: float) -> FloatArray:
-    """Points of a polar grid of degree 2 with all circles curved, gradually less towards a straight core.
+    """Return the points of a polar grid of degree 2 with nodes moved onto circles, and less towards a straight core.
 
     gmsh itself curves only cells that touch a circle of the drawing, and would fold thin cells.
 
     Args:
-        points: (n_points, d) coordinates, lengths.
-        cells: (n_cells, n_nodes) nodes of degree 2, vertices first.
+        points: (n_points, d) coordinates in d dimensions, lengths.
+        cells: (n_cells, n_nodes) numbers of the nodes of each cell, vertices first.
         kind: "quadrilateral" or "hexahedron".
-        axes: the two coordinates in the circles' plane.
+        axes: numbers of the two coordinates in the circles' plane.
         core: radius up to which nodes do not move, a length; 0: all circles are fully curved.
     """
     corners = corner_count(kind)

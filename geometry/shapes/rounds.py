@@ -1,4 +1,4 @@
-"""Round shapes: concentric rings, stacked discs and a fibre in its matrix, drawn as arcs and spokes about an axis."""
+"""Round shapes, drawn as arcs about an axis and radial lines: concentric rings, stacked discs, fibre in its matrix."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ class Fibre(Shape):
         return SizeLengths(min(self.radius, self.gap), tau * self.radius, limit=limit)
 
     def draw(self) -> Drawing:
-        """Draw a disc in a ring or rectangle; a grid is polar around a square grid, with cells from h_S at S to h."""
+        """Draw the fibre and its matrix; set the cell sizes of a grid, polar around a square, from h_S at S to h."""
         h, h_S, _ = self.sizes
         core = CORE_RADIUS_RATIO * self.radius
         radii = (*([core] if self.gridded else []), self.radius, *(self.around if self.round else ()))

@@ -37,7 +37,7 @@ class SizeArgs(TypedDict, total=False):
 
 
 class GridArgs(SizeArgs, total=False):
-    """Cell sizes and options of boxes, see `block`."""
+    """Keyword arguments for the cells of boxes, as in `block`: sizes at S, cell type, whether a grid, its diagonals."""
 
     cell: str | None
     structured: bool
