@@ -38,7 +38,7 @@ def block(
         arrangement: which diagonals halve the grid's rectangles in the x-y plane: "Right" (default, from lower left to
             upper right), "Left" (from upper left to lower right), or both in turn. Then "AlternateLeft" begins with
             "Right" in the lower left corner, "AlternateRight" with "Left".
-        comm: communicator whose rank 0 runs gmsh (default: the world).
+        comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
         Region "BODY"; facets "S", "TOP", "LEFT", "RIGHT", in 3D "BACK" (z = 0) and "FRONT" (z = depth) too.
@@ -71,7 +71,7 @@ def sandwich(
     S is where they meet, at y = 0.
 
     Args:
-        width, lower, upper: width and heights of the two bodies, lengths > 0.
+        width, lower, upper: width of both bodies, height of the lower and of the upper one, lengths > 0.
         h: largest cell size, a length (default: a tenth of the smallest side in 2D, a fifth in 3D).
         depth: size along z, a length > 0, which makes the bodies three-dimensional (default: 2D).
         h_S: cell size at S, a length (default: h).
@@ -82,7 +82,7 @@ def sandwich(
         arrangement: which diagonals halve the grid's rectangles in the x-y plane: "Right" (default, from lower left to
             upper right), "Left" (from upper left to lower right), or both in turn. Then "AlternateLeft" begins with
             "Right" in the lower left corner, "AlternateRight" with "Left".
-        comm: communicator whose rank 0 runs gmsh (default: the world).
+        comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
         Regions "LOWER", "UPPER"; facets "S", "BOTTOM", "TOP", "LEFT", "RIGHT", in 3D "BACK" and "FRONT" too.
@@ -124,7 +124,7 @@ def disc(
             hole.
         degree: polynomial degree of the cells' geometry, 1 (straight, default) or 2 (curved; the error of circles falls
             as h^4).
-        comm: communicator whose rank 0 runs gmsh (default: the world).
+        comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
         Regions "LOWER", "UPPER"; facets "S", "BOTTOM", "TOP", "SIDE", with a hole "HOLE" too. Whatever h is, about 20
@@ -151,7 +151,7 @@ def ring(
     """Two concentric rings about the origin, or sectors of them, in 3D tubes; S is where they meet. Collective.
 
     Args:
-        inner, interface, outer: radii, growing lengths > 0; S is the circle or cylinder r = interface.
+        inner, interface, outer: radii, increasing lengths > 0; S is the circle or cylinder r = interface.
         h: largest cell size, a length (default: a tenth in 2D, a fifth in 3D, of the smallest of the two widths and the
             depth).
         angle: angle of the sector that starts at the x axis, in radians, > 0 and at most 2 pi (default: the full
@@ -165,7 +165,7 @@ def ring(
             independently.
         degree: polynomial degree of the cells' geometry, 1 (straight, default) or 2 (curved; the error of circles falls
             as h^4).
-        comm: communicator whose rank 0 runs gmsh (default: the world).
+        comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
         Regions "INNER" (the lower body), "OUTER" (the upper body); facets "S", "INSIDE" (r = inner), "OUTSIDE" (r =
@@ -192,8 +192,8 @@ def fibre(
 
     Args:
         radius: radius of the fibre, a length > 0.
-        around: radius of the matrix's outer circle, or (width, height) of the rectangle about the origin that it fills;
-            lengths that leave room for the fibre.
+        around: radius of the matrix's outer circle, or (width, height) of its rectangle about the origin, lengths that
+            leave room for the fibre.
         h: largest cell size, a length (default: a tenth of the smaller of the radius and the least width of the matrix
             around the fibre).
         h_S: cell size at S, a length (default: h).
@@ -201,7 +201,7 @@ def fibre(
             square grid.
         degree: polynomial degree of the cells' geometry, 1 (straight, default) or 2 (curved; the error of circles falls
             as h^4).
-        comm: communicator whose rank 0 runs gmsh (default: the world).
+        comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
         Regions "FIBRE" (the lower body), "MATRIX" (the upper body); facets "S", and "OUTSIDE" (round matrix) or
@@ -223,12 +223,12 @@ def wall(
     Args:
         bricks: number of bricks along a course; every second course begins and ends with half a brick.
         courses: number of courses.
-        brick: width and height of a brick with its mortar, lengths > 0.
+        brick: (width, height) of a brick with its mortar, lengths > 0.
         h: largest cell size, a length (default: a quarter of the smallest side of a brick).
         depth: size of a brick along z, a length > 0, which makes the wall three-dimensional (default: 2D).
         cell: "quadrilateral" (default) or "triangle", in 3D "hexahedron" (default) or "tetrahedron"; they form, or
             divide, the cells of a grid.
-        comm: communicator whose rank 0 meshes (default: the world).
+        comm: communicator whose rank 0 makes the mesh (default: MPI.COMM_WORLD).
 
     Returns:
         Seams "BED" (joints between courses, upper side above) and "HEAD" (joints between bricks of a course, upper side
@@ -257,7 +257,7 @@ def bond_cell(
     and so are bottom and top. Collective.
 
     Args:
-        brick: width and height of a brick with its mortar, lengths > 0.
+        brick: (width, height) of a brick with its mortar, lengths > 0.
         h: largest cell size, a length (default: a quarter of the smallest side of a brick); at least two cells are in
             half a brick, and in its height.
         depth: size of a brick along z, a length > 0, which makes the cell three-dimensional (default: 2D); "BACK" and
@@ -266,7 +266,7 @@ def bond_cell(
             rounded to whole cells. The behaviour of the periodic cell as a whole does not depend on it.
         cell: "quadrilateral" (default) or "triangle", in 3D "hexahedron" (default) or "tetrahedron"; they form, or
             divide, the cells of a grid.
-        comm: communicator whose rank 0 meshes (default: the world).
+        comm: communicator whose rank 0 makes the mesh (default: MPI.COMM_WORLD).
 
     Returns:
         Seams "BED" (joints between courses, upper side above) and "HEAD" (joints between bricks of a course, upper side
@@ -298,7 +298,7 @@ def grains(
     Args:
         width, height: size, lengths > 0.
         grains: points (x, y) in the rectangle; a grain consists of all places nearest to its point. Or the number of
-            grains, at least 2, for random points. These are moved to the centres of their grains three times. In at
+            grains, at least 2, for random points. These are moved to the centroids of their grains three times. In at
             most 100 further steps they are moved until no side of a grain is shorter than 0.12 times the root of the
             mean area.
         h: largest cell size, a length (default: a tenth of the root of the mean area of a grain). Grains do not depend
@@ -308,7 +308,7 @@ def grains(
             of the seam between them (default: all are "S").
         h_S: cell size at S, a length (default: h).
         h_ends: cell size, a length, where boundaries of grains meet and end (default: h_S).
-        comm: communicator whose rank 0 runs gmsh (default: the world).
+        comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
         Triangles; regions "GRAIN 1", "GRAIN 2", ... in the order of the points; the grain with the larger number is on
@@ -341,12 +341,12 @@ def faults(
         h: largest cell size, a length (default: a tenth of the smallest side).
         h_S: cell size at S, a length (default: h).
         h_ends: cell size, a length, where faults meet and end (default: h_S).
-        comm: communicator whose rank 0 runs gmsh (default: the world).
+        comm: communicator whose rank 0 runs gmsh (default: MPI.COMM_WORLD).
 
     Returns:
         Triangles; a seam for each fault, its upper side on the left, seen from its first to its last point; regions
-        "BLOCK 1", "BLOCK 2", ..., the parts between faults, numbered by their centres from left to right; facets
-        "BOTTOM", "TOP", "LEFT", "RIGHT".
+        "BLOCK 1", "BLOCK 2", ..., the parts between faults, numbered by their centroids from left to right, then
+        upwards; facets "BOTTOM", "TOP", "LEFT", "RIGHT".
 
     Raises:
         InputError: a size is out of range; a fault has fewer than two points, turns back, lies outside, on another

@@ -41,7 +41,7 @@ class Periods:
         return np.array([points[pair[0, 1]] - points[pair[0, 0]] for pair in self.pairs])
 
     def masters(self, n: int) -> IntArray:
-        """Return (n,) for each of the n nodes of a mesh the lowest number among the nodes identified with it."""
+        """Return (n,) lowest number of the nodes that are identified with each of n nodes, itself included."""
         first, second = np.concatenate(self.pairs).T
         label = connected(first, second, n)
         master = np.full(n, n)
@@ -76,7 +76,7 @@ def _folded_edges(points: FloatArray, nodes: IntArray, master: IntArray) -> Bool
     Args:
         points: (n_points, d) coordinates of the nodes in d dimensions.
         nodes: (n, 2) numbers of the two ends of each edge.
-        master: (n_points,) lowest number among the nodes identified with each node.
+        master: (n_points,) lowest number of the nodes identified with each node, itself included.
     """
     ends = master[nodes]
     along = (points[nodes[:, 1]] - points[nodes[:, 0]]) * np.where(ends[:, 0] > ends[:, 1], -1.0, 1.0)[:, None]

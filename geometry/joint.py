@@ -171,7 +171,7 @@ class Joint:
 
     @cached_property
     def masters(self) -> IntArray:
-        """(n_points,) for each node the lowest number among the nodes that periodicity identifies with it."""
+        """(n_points,) lowest number of the nodes that periodicity identifies with each node, itself included."""
         return self.periods.masters(len(self.points)) if self.periods else np.arange(len(self.points))
 
     @property
@@ -201,7 +201,7 @@ class Joint:
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Names of the regions of bodies, without layers: those below seams first, then those above, then others."""
+        """Names of the regions of bodies (not layers), those below seams first, then those above, then others."""
         sides = [seam.lower for seam in self.seams.values()] + [seam.upper for seam in self.seams.values()]
         layer = self.band.regions if self.band else ()
         return tuple(name for name in dict.fromkeys(chain(*sides, self.regions)) if name not in layer)
@@ -284,9 +284,8 @@ class Joint:
     def outer_beside_s(self) -> tuple[IntArray, IntArray]:
         """Outer facets that share a ridge (a vertex in 2D, an edge in 3D) with S, and the ridges that they share.
 
-        Returns:
-            (n,) those `outer_rows`; and (n, m) for each of their m ridges a number that identifies it, see
-            `ridge_keys`, or -1 if the ridge is not in S.
+        First (n,) their row numbers in `table`. Second (n, m) for each of their m ridges a number that identifies it,
+        see `ridge_keys`, or -1 if the ridge is not in S.
         """
         keys = keys_of_ridges(self.table.vertices[self.outer_rows], self.dim - 1)
         keys[~np.isin(keys, ridge_keys(ridges(self.surface, self.cell_type)[0]))] = -1
@@ -299,10 +298,10 @@ class Joint:
         return self.split_along(self.surface_rows)
 
     def components_at(self, cells: IntArray, nodes: IntArray, cut: Splitting | None = None) -> IntArray:
-        """Return (n, k) for n cells and k nodes of each the component at the node with this cell; -1 for cells < 0.
+        """Return (n, k) number of the component, around each of k nodes of n cells, that contains the cell.
 
         At a node on a cut, the cells around it form components: groups of cells that are connected by uncut facets
-        there.
+        there. The result is -1 for cells < 0.
 
         Args:
             cells: (n,) numbers of cells; a number < 0 stands for no cell.
@@ -411,7 +410,7 @@ class Joint:
         return bool(np.ptp(self.node_normals.reshape(-1, self.dim), axis=0).max() <= PLANAR_TOLERANCE)
 
     def relative_thickness(self, profile: Profile | None, name: str = S) -> FloatArray:
-        """Return (n_points,) the thickness over eps: the profile at vertices of S, linear in between, and 1 outside S.
+        """Return (n_points,) thickness divided by eps: the profile at vertices of S, linear in between, 1 outside S.
 
         Args:
             profile: function of the coordinates (d, n) of n points in d dimensions that returns n numbers > 0; None: 1
@@ -438,7 +437,7 @@ class Joint:
         return values
 
     def rotated(self, angle: float) -> Joint:
-        """The joint rotated by an angle (radian, counter-clockwise; in 3D about the third axis)."""
+        """Return the joint rotated by an angle in radians, counter-clockwise, in 3D about the third axis."""
         require(is_finite(angle), "angle", angle, "it must be a number, in radians")
         turn = np.eye(self.dim)
         turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]

@@ -26,8 +26,8 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
             set onto the facets of the second. Sides that are not named stay ordinary outer boundary.
 
     Raises:
-        InputError: an unknown name; sides that do not match, with the place; less than three cells between two sides; a
-            seam on a periodic side; a joint whose layer is meshed.
+        InputError: an unknown name; sides that do not match (the message names the place); less than three cells
+            between two sides; a seam on a periodic side; a joint whose layer is meshed.
 
     Example:
         >>> from geometry import periodic, sandwich
@@ -47,7 +47,7 @@ def periodic(joint: Joint, *sides: tuple[str, str]) -> Joint:
 
 
 def with_periods_of(inflated: Joint, periods: Periods) -> Joint:
-    """Return a joint with meshed layers with the periodic sides of the joint as drawn; these sides have not moved."""
+    """Return a joint with meshed layers, made periodic like the joint as drawn; its periodic sides have not moved."""
     pairs = tuple(_matching_nodes(inflated, *names) for names in periods.sides)
     return replace(inflated, periods=Periods(periods.sides, pairs))
 

@@ -81,11 +81,11 @@ class Rim:
 
 
 def continued_ridges(joint: Joint, facets: IntArray) -> IntArray:
-    """Return keys of those ridges of S where `facets` continue on the layer's side, between the layer's faces.
+    """Return keys of the ridges of S where outer facets continue on the outer boundary of the meshed layer.
 
     A ridge is a vertex of S in 2D, an edge in 3D; `ridge_keys` gives its key. All outer facets at such a ridge must be
-    in `facets`. Between two bodies, facets on only one of them end where S begins. On a rigid base there is one body.
-    Where several layers end at one ridge, the outer facets are those next to all of them.
+    in `facets`. Between two bodies these lie on both; facets on only one of them end where S begins. On a rigid base
+    there is one body. Where several layers end at one ridge, the outer facets next to all of them count.
 
     Args:
         joint: the joint, in which S is a surface.
@@ -117,7 +117,10 @@ class Sheet:
 
     @cached_property
     def parts(self) -> tuple[IntArray, IntArray]:
-        """(n,) row in `joint.surface` of each of the n simplices, and (n, 2 or 3) which vertices of this row it has."""
+        """The facet of S that each of the n simplices is, or is half of, and which of its vertices the simplex has.
+
+        These are (n,) row numbers in `joint.surface`, and (n, 2 or 3) positions in these rows.
+        """
         corners = QUADRILATERAL_TRIANGLES if self.joint.cell_type == "hexahedron" else (tuple(range(self.joint.dim)),)
         return np.tile(self.facets, len(corners)), np.repeat(np.array(corners), len(self.facets), axis=0)
 
@@ -336,10 +339,10 @@ def straight_ends(rim: Rim, sheet: Sheet) -> list[StraightEnd]:
 
 
 def share_within(d: FloatArray, length: float) -> FloatArray:
-    """Return (n,) the fraction of the area of each segment or triangle where a linear function is less than `length`.
+    """Return (n,) fraction of the length of each segment, or area of each triangle, where a function is < `length`.
 
     Args:
-        d: (n, 2 or 3) values of the function, such as a distance, at the corners.
+        d: (n, 2 or 3) values at the corners of this function, such as a distance, which is linear in between.
         length: bound of the function.
     """
     low, *middle, high = np.sort(d, axis=1).T

@@ -178,10 +178,10 @@ def sorted_columns(columns: Sequence[IntArray]) -> list[IntArray]:
 
 
 def _changes(columns: Sequence[IntArray], order: IntArray) -> BoolArray:
-    """Return (n,) whether a row differs from the row before it, where `order` lists the rows; True for the first.
+    """Return (n,) whether a row differs from the row before it, in the order `order` of rows; True for the first.
 
     Args:
-        columns: the columns of the table.
+        columns: the columns of the table of rows.
         order: (n,) row numbers.
     """
     changed = np.ones(len(order), bool)
@@ -209,14 +209,18 @@ def ridges(facets: IntArray, cell_type: str) -> tuple[IntArray, IntArray]:
 
 
 def ridge_keys(rows: IntArray) -> IntArray:
-    """Return (n,) one integer for each of n ridges, unique for its vertices, given as (n, 1 or 2) in any order."""
+    """Return (n,) integers that identify n ridges by their vertices.
+
+    Args:
+        rows: (n, 1 or 2) numbers of the vertices of each ridge, a point in 2D or an edge in 3D, in any order.
+    """
     return np.asarray((rows.min(axis=1) << KEY_BITS) + rows.max(axis=1))
 
 
 def keys_of_ridges(facets: IntArray, k: int) -> IntArray:
-    """Return (n, m) an integer for each set of k vertices of n facets, which identifies this ridge, see `ridge_keys`.
+    """Return (n, m) integers that identify the ridges of n facets by their vertices, as `ridge_keys` does.
 
-    For quadrilaterals the diagonals are among these sets.
+    There is one for each of the m sets of k vertices; for quadrilaterals the diagonals are among these.
 
     Args:
         facets: (n, l) numbers of the l vertices of each facet, in any order.
@@ -306,7 +310,7 @@ class Splitting:
 
     @cached_property
     def keys(self) -> list[IntArray]:
-        """For each dimension (n_cells, m) a number for each of the m entities of a cell; each component has its own."""
+        """For each dimension (n_cells, m) numbers of a cell's m entities in the cut mesh; entities on cuts double."""
         out, start = [], 0
         for dim in range(len(self._topology)):
             numbers, split = self.entities(dim, self._corners), self.components(dim)
@@ -316,10 +320,14 @@ class Splitting:
         return out
 
     def components(self, dim: int) -> Indices:
-        """Return (n_cells, m) for each of the m entities of dimension `dim` of a cell the component with this cell.
+        """Return (n_cells, m) number of the component, around each of a cell's m entities, that contains the cell.
 
-        Components of each entity are numbered from 0, in the order of their cells with the lowest number. All cells
-        around an entity that is not divided have 0.
+        A component is a group of cells around the entity that uncut facets there connect. Components of each entity are
+        numbered from 0, in the order of their cells with the lowest number. All cells around an entity that is not
+        divided have 0.
+
+        Args:
+            dim: dimension of the entities, such as 1 for edges.
         """
         local = self._topology[dim]
         component = np.zeros((len(self.cells), len(local)), np.int32)
@@ -351,7 +359,10 @@ class Splitting:
 
     @cached_property
     def of_nodes(self) -> Indices:
-        """(n_cells, k) for each of the k nodes of a cell the number of the component at the node with this cell."""
+        """(n_cells, k) number of the component, around each of a cell's k nodes, that contains the cell.
+
+        A component is a group of cells around the node that uncut facets there connect. The first has number 0.
+        """
         dofs = lagrange(self.cell_type, geometry_degree(self.cell_type, self.cells.shape[1])).entity_dofs
         out = np.zeros(self.cells.shape, np.int32)
         for dim, of_dim in enumerate(dofs[:-1]):
@@ -363,12 +374,18 @@ class Splitting:
 
     @property
     def of_vertices(self) -> Indices:
-        """(n_cells, k) for each of the k vertices of a cell the number of the component there with this cell."""
+        """(n_cells, k) number of the component, around each of a cell's k vertices, that contains the cell.
+
+        A component is a group of cells around the vertex that uncut facets there connect. The first has number 0.
+        """
         return self.of_nodes[:, : self._corners.shape[1]]
 
     @cached_property
     def pieces(self) -> IntArray:
-        """(n_cells,) number of the connected piece of the cut mesh with each cell, in the order of first cells."""
+        """(n_cells,) number of the connected piece of the cut mesh that contains each cell.
+
+        Pieces are numbered from 0, in the order of their cells with the lowest number.
+        """
         corners, split = self._corners.astype(np.int32), self.of_vertices
         where = np.nonzero(split)  # copies of vertices follow after the last one
         number = np.unique(np.column_stack([corners[where], split[where]]), axis=0, return_inverse=True)[1]
@@ -381,7 +398,7 @@ class Splitting:
 
     @cached_property
     def valence(self) -> IntArray:
-        """(n_points,) number of components of the cells around each vertex, 1 if none is cut off; 0 for other nodes."""
+        """(n_points,) number of groups into which cuts divide the cells around a vertex (1: none); 0 at other nodes."""
         out = np.zeros(int(self.cells.max(initial=-1)) + 1, np.int64)
         np.maximum.at(out, self._corners.ravel(), self.of_vertices.ravel() + 1)
         return out

@@ -300,7 +300,7 @@ class NamedGroups(NamedTuple):
 
 
 def _require_whole(joint: Joint) -> None:
-    """Raise InputError for a mesh that overlaps itself or has hanging nodes, with the first place."""
+    """Raise InputError for a mesh that overlaps itself or has hanging nodes; the message names the first place."""
     points, d, facets, cells = joint.points, joint.dim, joint.table.vertices, joint.table.cells
     inner = cells[:, 1] >= 0
     first, *others = points[facets[inner, :d]].swapaxes(0, 1)

@@ -73,13 +73,13 @@ def read(
             `upper`, else all; for S on the outer boundary none, but a rigid base.
         direction: vector that points to the upper side, one component per dimension, for a single S inside one body.
         scale: factor on the coordinates, > 0, e.g. 1e3 from metre to millimetre.
-        comm: communicator whose rank 0 reads the file, or that the mesh is distributed on (default: the world).
+        comm: communicator whose rank 0 reads the file, or that the mesh is distributed on (default: MPI.COMM_WORLD).
 
     Raises:
         InputError: the file cannot be read or lacks names; tags are of another mesh, a tag in `names` does not occur,
             or the mesh is on other ranks than `comm`; a name is unknown or ambiguous; cells are of several types or of
             a type that is not allowed; the mesh is a surface in 3D; nodes or cells are duplicate, cells are flat or
-            folded, nodes hang, or cells overlap their neighbours; S does not fit `Joint`.
+            folded, there are hanging nodes, or cells overlap their neighbours; S does not fit `Joint`.
     """
     require(is_finite(scale) and scale > 0, "scale", scale, "it must be a number > 0")
     if not isinstance(mesh, (str, Path)):

@@ -238,22 +238,28 @@ Pattern = tuple[IntArray, IntArray]  # (n_S, k) node of each facet of S; (k,) le
 
 
 def _tensor_pattern(cell_type: str, degree: int, n: int) -> list[Pattern]:
-    """Quadrilaterals and hexahedra over n facets: each facet of S is the cell's face with last coordinate zero."""
+    """Return where the nodes of the layer's quadrilateral or hexahedron over each of n facets of S are.
+
+    This is one pair: (n, k) the node of the facet below each of the cell's k nodes, and (k,) their levels above the
+    cell's first level. The facet is the cell's face with last coordinate zero.
+    """
     cell, facet = lagrange(cell_type, degree).points, lagrange(FACET_TYPES[cell_type], degree).points
     distance = np.linalg.norm(cell[:, None, :-1] - facet[None], axis=2)
     return [(np.tile(distance.argmin(axis=1), (n, 1)), np.rint(cell[:, -1] * degree).astype(np.int64))]
 
 
 def _simplex_pattern(cell_type: str, degree: int, order: IntArray) -> list[Pattern]:
-    """Simplices: prisms over facets are split along sorted vertex numbers, so that neighbours split common sides alike.
+    """Return where the nodes of the layer's simplices over each of n_S facets of S are, a pair for each simplex.
 
-    With the facet's vertices sorted, simplex k has the first k + 1 vertices below, and the vertices from k on above. A
-    node half-way along an edge lies above the middle of the edge's projection onto S.
+    A pair is: (n_S, k) the node of the facet below each of the simplex's k nodes, and (k,) their levels above the first
+    one. Prisms over facets are split along sorted vertex numbers, so that neighbours split common sides alike. With the
+    facet's vertices sorted, simplex j has the first j + 1 vertices below, and the vertices from j on above. A node
+    half-way along an edge lies above the middle of the edge's projection onto S.
 
     Args:
         cell_type: type of the cells.
         degree: degree of their geometry.
-        order: (n_S, k) for each facet the positions of its vertices in the order of their numbers.
+        order: for each facet the positions of its vertices in the order of their numbers, one row each.
     """
     n = order.shape[1]
     middle = np.diag(np.arange(n))

@@ -53,7 +53,8 @@ def inflate(
             the whole is kept. Each body gives up half of the thickness, on a rigid base all of it. Its other nodes
             follow by a harmonic motion that slides along the outer faces.
         junctions: names of seams in the order of priority for the cells of junctions, where layers meet; other seams
-            follow in the joint's order. A junction's cells belong to the first seam that ends there and is no gap.
+            follow in the joint's order. A junction's cells belong to the first seam in this order that ends there and
+            is no gap.
         gaps: names of seams that get no cells: their thickness is left empty between the bodies. Layers that pass the
             end of a gap continue; the junction there is filled like others. A junction is empty where two neighbouring
             seams are gaps, because the body between them would touch its cells at a corner only.

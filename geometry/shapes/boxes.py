@@ -42,7 +42,7 @@ class Boxes(Prism):
 
     @property
     def extent(self) -> SizeLengths:
-        """Lengths for the cell sizes: the smallest side, the longest side of S, and the distance |y| from S."""
+        """Lengths for the cell sizes: the smallest side, the longest side of S, and the distance from S."""
         return SizeLengths(min(self.lengths.values()), max(self.width, self.depth or 0.0), "abs(y)")
 
     def draw_plane(self) -> Drawing:

@@ -141,14 +141,14 @@ def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: M
 
 
 def _points(points: object, what: str) -> FloatArray:
-    """Return points as an array (n, 2); raise InputError, which begins with `what`, unless at least two are finite."""
+    """Return two or more finite points as an array (n, 2); raise InputError for others, which `what` names."""
     if (x := finite_values(points, (-1, 2))) is None or len(x) < 2:
         raise InputError(f"{what} is {points!r}; it must be two points (x, y) or more")
     return x
 
 
 def _path(name: str, points: object) -> FloatArray:
-    """Return the points of a fault as an array (n, 2); raise InputError if a piece of it runs back to its start."""
+    """Return the points of a fault as an array (n, 2); raise InputError if a piece leads away from the last point."""
     x = _points(points, f"the fault {name!r}")
     way, whole = np.diff(x, axis=0), x[-1] - x[0]
     back = way @ whole <= MIN_COSINE * np.linalg.norm(way, axis=1) * np.linalg.norm(whole)
