@@ -218,7 +218,7 @@ def fibre(
 def wall(
     bricks: int, courses: int, brick: Pair, h: Size = None, *, depth: Size = None, cell: Cell = None, comm: Comm = None
 ) -> Joint:
-    """A wall in running bond, its left lower corner at the origin; S is its bed and head joints. Collective.
+    """A wall in running bond, its left lower corner at the origin; S is its mortar joints. Collective.
 
     Args:
         bricks: number of bricks along a course; every second course begins and ends with half a brick.
@@ -253,8 +253,8 @@ def bond_cell(
 ) -> Joint:
     """The periodic cell of a running bond, one brick wide, two courses high, its left lower corner at the origin.
 
-    S is its bed and head joints. The cell is cut through bricks. Left and right sides are identified with each other,
-    and so are bottom and top. Collective.
+    S is its mortar joints. The cell is cut through bricks. Left and right sides are identified with each other, and so
+    are bottom and top. Collective.
 
     Args:
         brick: (width, height) of a brick with its mortar, lengths > 0.
@@ -299,8 +299,7 @@ def grains(
         width, height: size, lengths > 0.
         grains: points (x, y) in the rectangle; a grain consists of all places nearest to its point. Or the number of
             grains, at least 2, for random points. These are moved to the centroids of their grains three times. In at
-            most 100 further steps they are moved until no side of a grain is shorter than 0.12 times the root of the
-            mean area.
+            most 100 further steps, sides of grains are lengthened to 0.12 times the root of the mean area of a grain.
         h: largest cell size, a length (default: a tenth of the root of the mean area of a grain). Grains do not depend
             on it.
         seed: whole number >= 0 for the random points; the same seed gives the same grains.

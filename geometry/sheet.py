@@ -206,8 +206,7 @@ class Sheet:
         """Heights of the bodies below and above the seam: volume of the body over area of the seam, lengths.
 
         On a rigid base there is no lower height. If both sides are one body, there is one height. If the seam is
-        planar, a height is at most the body's largest distance from it, because bodies may extend beyond the ends of
-        the seam.
+        planar, a height is at most the body's largest distance from it: bodies may extend beyond the ends of the seam.
         """
         joint = self.joint
         pieces, cells = joint.split_mesh.pieces, joint.surface_cells[self.facets]

@@ -36,7 +36,13 @@ SeamNames = str | Sequence[str] | Mapping[str, object] | None  # names of seams,
 
 
 class SideArgs(TypedDict, total=False):
-    """Keyword arguments of `read`: which facets are S, and which of its sides is the upper one."""
+    """Keyword arguments of `read`: which facets are S, and which of its sides is the upper one.
+
+    Attributes:
+        S: name of a facet set; names of several, or {name: upper side}; None: all facets between `lower` and `upper`.
+        upper, lower: name or names of the regions above and below a single seam; None: not specified.
+        direction: vector to the upper side of a single seam; None: not specified.
+    """
 
     S: SeamNames
     upper: str | Sequence[str] | None

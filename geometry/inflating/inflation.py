@@ -266,8 +266,8 @@ def _check_cells(joint: Joint, points: FloatArray, cells: IntArray, n_bands: int
 def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
     """Return the joint with bodies that gave up the layers' thickness, but without cells in the layers.
 
-    Bodies make room as with `inflate(..., bodies="extended")`. Cells, names and numbers stay, and so do `points`, in
-    which S is one surface. `Joint.parted` has the coordinates of the nodes of each cell after parting.
+    Bodies make room by `inflate(..., bodies="extended")`. Cells, names and numbers stay, and so do `points`, in which S
+    is one surface. `Joint.parted` has the coordinates of the nodes of each cell after parting.
 
     Args:
         joint: the joint as drawn, in which S is a surface.
@@ -276,7 +276,8 @@ def with_gaps(joint: Joint, eps: Sizes, *, profile: Profiles = None) -> Joint:
             is multiplied; or {name of a seam: function}. None: the thickness is eps.
 
     Raises:
-        InputError: for the same reasons as in `inflate`.
+        InputError: eps or the profile is out of range; S reaches a periodic side, ends inside the bodies or is folded;
+            bodies cannot give way or would turn cells inside out.
     """
     inflated = inflate(joint, eps, profile=profile, cells_through=2, bodies="extended")
     return replace(joint, parted=inflated.points[inflated.cells[: len(joint.cells)]])

@@ -122,7 +122,7 @@ class CutRectangle(Shape):
 
 
 def faulted_rectangle(cells: MeshOptions, width: float, height: float, faults: Mapping[str, Places]) -> CutRectangle:
-    """Return a block that is cut by faults; `builders.faults` lists the errors.
+    """Return a block that is cut by faults; raise InputError for sizes, faults or names listed in `builders.faults`.
 
     Args:
         cells: requested cell sizes.
@@ -159,7 +159,7 @@ def _path(name: str, points: object) -> FloatArray:
 def grain_rectangle(
     cells: MeshOptions, width: float, height: float, grains: int | Places, seed: int, seams: SeamNames | None
 ) -> CutRectangle:
-    """Return a rectangle of Voronoi grains; `builders.grains` lists the errors.
+    """Return a rectangle of Voronoi grains; raise InputError for sizes, points or names listed in `builders.grains`.
 
     Args:
         cells: requested cell sizes.

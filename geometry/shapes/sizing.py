@@ -37,7 +37,13 @@ class SizeArgs(TypedDict, total=False):
 
 
 class GridArgs(SizeArgs, total=False):
-    """Keyword arguments for the cells of boxes, as in `block`: sizes at S, cell type, whether a grid, its diagonals."""
+    """Keyword arguments of builders for the cells of boxes, with those of `SizeArgs`.
+
+    Attributes:
+        cell: type of the cells; None for the default.
+        structured: whether triangles or tetrahedra divide the cells of a grid.
+        arrangement: which diagonals halve a grid's rectangles in the x-y plane, one of `ARRANGEMENTS`.
+    """
 
     cell: str | None
     structured: bool
@@ -45,7 +51,12 @@ class GridArgs(SizeArgs, total=False):
 
 
 class CurvedArgs(SizeArgs, total=False):
-    """Keyword arguments for the cells of round shapes: sizes at S, cell type, degree of the geometry; see `disc`."""
+    """Keyword arguments of builders for the cells of round shapes, with those of `SizeArgs`.
+
+    Attributes:
+        cell: type of the cells; None for the default.
+        degree: polynomial degree of the cells' geometry, 1 (straight) or 2 (curved).
+    """
 
     cell: str | None
     degree: int
