@@ -30,7 +30,7 @@ gmsh = _Gmsh()
 
 
 class SizeArgs(TypedDict, total=False):
-    """Keyword arguments: cell size h_S at S and h_ends at the ends of S, lengths; None for the default."""
+    """Keyword arguments of builders for cell sizes: h_S at S, h_ends at the ends of S, lengths; None: the default."""
 
     h_S: float | None
     h_ends: float | None
