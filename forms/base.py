@@ -1,4 +1,4 @@
-"""Shared by all packages: errors, messages for unknown names, tests for numbers, array type, package names."""
+"""Shared by all packages: errors, messages for unknown names, tests for numbers, array type, names of the packages."""
 
 from __future__ import annotations
 
@@ -34,13 +34,16 @@ class InputError(ThinlayerError, ValueError):
 
 
 def require(good: object, what: str, value: object, wanted: str) -> None:
-    """Raise InputError "{what} is {value}; {wanted}" unless `good` is true."""
+    """Raise InputError with the message "{what} is {value}; {wanted}" unless `good` is true."""
     if not good:
         raise InputError(f"{what} is {value!r:.200}; {wanted}")
 
 
 def import_optional(name: str) -> ModuleType:
-    """Import a module of `OPTIONAL_PACKAGES`, or a module of these packages that imports one of them.
+    """Import a module by its full name; if an optional dependency is missing, say how to install it.
+
+    Args:
+        name: a key of `OPTIONAL_PACKAGES`, or a module of these packages that imports one of them.
 
     Raises:
         InputError: the optional dependency is not installed. The message names the extra that installs it.
@@ -55,7 +58,15 @@ def import_optional(name: str) -> ModuleType:
 
 
 def unknown_name_message(kind: str, name: object, allowed: Iterable[str]) -> str:
-    """Error message for an unknown name, with the closest known name (or its only completion) and all known names."""
+    """Error message for an unknown name, with all known names and the one that was probably meant.
+
+    This is the most similar name, or the only name that starts with the unknown one.
+
+    Args:
+        kind: noun for what the name stands for, such as "seam".
+        name: the unknown name.
+        allowed: the known names.
+    """
     allowed, start = sorted(allowed), str(name).lower()
     lowered = {candidate.lower(): candidate for candidate in allowed}
     longer = [key for key in lowered if key.startswith(start)]

@@ -1,4 +1,4 @@
-"""Checks of user-defined laws: `check`, which `drive` and all models call for the laws they get."""
+"""Checks of user-defined laws: `check`, which models and `drive` call for each law that they get."""
 
 from __future__ import annotations
 
@@ -32,16 +32,18 @@ def check(law: Law, d: int | None = 3) -> None:
     package. A law in UFL must
 
     - return a stress (3, 3), and internal variables and energies of the declared shapes; tensors must be symmetric;
-    - return the same values when symbols replace its numbers for compilation; Python code must not compare them;
-    - have one tangent for all strains if it declares `linear`;
+    - return the same values whether its parameters are numbers or, for compilation, symbols, which Python code must not
+      compare;
+    - have the same tangent at all strains if it declares `linear`;
     - have a symmetric tangent unless it declares `symmetric = False`;
-    - return the derivative of its energy as stress, if it is symmetric and has neither memory nor rate.
+    - return the derivative of its energy as stress, if it is symmetric and has neither internal variables nor a rate.
 
     A user-defined `KernelLaw` is checked when it is compiled.
 
     Args:
         law: the law.
-        d: number of components of the director for laws whose stress is part of a form; None in a body.
+        d: number of components (2 or 3) of the layer's unit normal `step.n` that the law gets; None if it gets no
+            normal, as in a body. Laws with internal variables or a rate always get 3.
 
     Example:
         >>> from forms import LinearElastic, check
@@ -62,7 +64,7 @@ def check(law: Law, d: int | None = 3) -> None:
 
 
 def require_computed(law: BulkLaw, d: int | None = 3) -> None:
-    """Check a law as `check` does, even if it has passed before."""
+    """Check a law and its director of `d` components as `check` does, but also if the law has passed before."""
     if not law.traits.in_ufl:
         return
     numeric_law, name, method = law.mapped(_number), type(law).__name__, law.methods[0]
@@ -106,7 +108,7 @@ def require_computed(law: BulkLaw, d: int | None = 3) -> None:
 
 
 def _evaluate_methods(law: BulkLaw, step: Step) -> dict[str, Expr]:
-    """Stress, new internal variables and energies of a law in a step, as UFL expressions by name of the method.
+    """UFL expressions of a law's stress, new internal variables and energies in a step, by name of the method.
 
     Raises:
         InputError: a method fails, or returns a wrong shape or the wrong internal variables.
@@ -129,7 +131,11 @@ def _evaluate_methods(law: BulkLaw, step: Step) -> dict[str, Expr]:
 
 
 def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
-    """Random strain (6,) of a size, and inputs as in `SymbolicLaw.numbers` with this strain, dt = 0.1 and theta = 1."""
+    """Random strain (6,) of magnitude `size`, and a vector of random inputs of the law that starts with this strain.
+
+    Its components are those of `SymbolicLaw.numbers`: e, e_old, internal variables, director, dt = 0.1, theta = 1,
+    parameters. d is the number of components of the director that are not zero.
+    """
     random = np.random.default_rng(3)
     e, n = size * random.normal(size=6), np.pad(random.normal(size=d), (0, 3 - d))
     before = 0.1 * size * random.normal(size=6), size * random.random(law.memory)
@@ -137,7 +143,14 @@ def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
 
 
 def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Callable[..., Array | None]) -> None:
-    """Raise InputError if the values that a law computes with numbers differ from its traced values (`values`)."""
+    """Raise InputError if a law computes other values with numbers than with symbols for its parameters.
+
+    Args:
+        law: the law.
+        d: number of components of the director; None: no director.
+        sample: inputs of the law, as `_sample` returns them.
+        values: name of a method and inputs -> values of the law with symbols; None if they cannot be evaluated.
+    """
     place, stress = 12 + law.memory, values(law.methods[0], sample)
     work = 0.0 if stress is None else float(np.abs(stress).max() * np.abs(sample[:6]).max())
     least = {"energy": work, "dissipation": work}  # scale of rounding errors where an energy is zero
@@ -157,13 +170,13 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
 
 
 def _relative_difference(a: Array, b: Array, least: float = 0.0) -> float:
-    """Largest difference of two arrays, relative to their largest entry or to `least`; 0 if it is rounding error."""
+    """Largest difference of two arrays over the largest of their entries and `least`; 0 if it is only rounding."""
     difference, largest = np.abs(a - b).max(), max(np.abs(a).max(), np.abs(b).max(), least, MIN_NORMAL_NUMBER)
     return float(difference / largest) if difference > RELATIVE_TOLERANCE * largest else 0.0
 
 
 def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Array | None:
-    """Numerical values of an expression; None if it cannot be evaluated, or they are not finite."""
+    """Numbers of an expression with arrays for its symbols (`values`); None if there are none, or not finite ones."""
     try:
         with warnings.catch_warnings(action="ignore"):  # UFL warns of parts without a value
             numbers = evaluate(expand_derivatives(expression), values)
@@ -173,7 +186,7 @@ def _evaluated(expression: Expr, values: dict[Expr, Array] | None = None) -> Arr
 
 
 def _number(value: ParameterValue, _power: float = 0.0, of_place: float = 1.0) -> ParameterValue:
-    """Numeric value of a number or a Constant; `of_place` for a parameter that varies; other values unchanged."""
+    """Float or array of a number or a Constant; `of_place` for a function of the place; other values unchanged."""
     if isinstance(value, (ParameterField, Indexed)):  # a function of the place, or values at quadrature points
         return of_place
     try:

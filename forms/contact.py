@@ -1,4 +1,4 @@
-"""Contact laws at the nodes of S: normal compliance and Coulomb friction, holonomic or incremental; on S only."""
+"""Contact laws at the nodes of S: normal compliance with Coulomb or Tresca friction; not for meshed layers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from forms.temperature import checked_values
 
 
 class Status(IntEnum):
-    """Status of a node of S."""
+    """Contact status of a node of S: separated (no pressure), sticking or sliding."""
 
     SEPARATED = 0
     STICK = 1
@@ -29,9 +29,10 @@ class Status(IntEnum):
 class ContactLaw(Law):
     """A law between the jump and the traction at a node of S, without an underlying bulk law.
 
-    Jumps w (n, d) and tractions (n, d) have components in the frame of S: first d - 1 tangential components, then the
-    normal component. It is positive where S opens, and for tension. The normal jump includes the initial gap: it is
-    zero at first contact. Penetration is u_N = -w_N, pressure p = -t_N >= 0:
+    Jumps w (n, d) and tractions t (n, d) of n nodes in d dimensions have components in the frame of S. The first d - 1
+    components are tangential. The last is the normal component, which is positive where S opens, and for tension. The
+    normal jump includes the initial gap: it is zero at first contact. The penetration is u_N = -w_N, and the pressure p
+    = -t_N >= 0:
 
         p = K_N max(u_N, 0),   t_T = K_T (w_T - slip), shortened to the length threshold(p) where it is longer.
 
@@ -42,7 +43,7 @@ class ContactLaw(Law):
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         gap: by keyword, initial gap along n between the two sides, a length: a number, or a numpy function of places x
             (d, n) that returns n numbers; < 0 is an interference, which presses the undisplaced sides together.
-        memory: whether a node remembers its slip, (d - 1) components; otherwise slip = 0.
+        memory: whether the slip, d - 1 components at a node, is stored from step to step; otherwise it is always zero.
     """
 
     K_N: float
@@ -61,7 +62,11 @@ class ContactLaw(Law):
         return super().parameters() | ({"gap": np.nan} if callable(self.gap) else {})
 
     def gaps(self, x: Array) -> Array:
-        """Initial gaps (n,) at places x (d, n); raise InputError if they are not n finite numbers."""
+        """Initial gaps (n,), lengths, at places x (d, n).
+
+        Raises:
+            InputError: the function `gap` fails, or does not return n finite numbers.
+        """
         if not callable(self.gap):
             return np.full(x.shape[1], float(self.gap))
         what, wanted = f"{type(self).__name__}: gap(x)", "it must be a numpy function of places (d, n) with n lengths"
@@ -71,15 +76,18 @@ class ContactLaw(Law):
         return {"has_energy": self.memory, "remembers": self.memory, "of_jumps": True, "nodal": True}
 
     def threshold(self, p: Array) -> Array:
-        """Largest |t_T| (n,) at pressures p (n,)."""
+        """Largest magnitude (n,) of the tangential traction t_T at contact pressures p (n,)."""
         raise InputError(f"{type(self).__name__} has no threshold; a contact law needs a method threshold(p)")
 
     def threshold_rate(self, p: Array) -> Array:
-        """Derivative (n,) of the threshold by the pressure."""
+        """Derivative (n,) of the threshold by the pressure, at contact pressures p (n,)."""
         raise InputError(f"{type(self).__name__} has no method threshold_rate(p)")
 
     def check_threshold(self) -> None:
-        """Raise InputError unless `threshold` (>= 0) and `threshold_rate` return finite (n,) for pressures (n,)."""
+        """Raise InputError unless `threshold` and `threshold_rate` return finite arrays (n,) for pressures (n,).
+
+        The threshold must also be >= 0, and agree with the parameters in `numbers`.
+        """
         p = np.concatenate([[0.0], self.K_N * np.logspace(-9, 0, 10)])
         for name, least in {"threshold": 0.0, "threshold_rate": -np.inf}.items():
             where, pressures = f"{type(self).__name__}.{name}(p)", p.copy()
@@ -105,28 +113,33 @@ class ContactLaw(Law):
                 raise InputError(f"{type(self).__name__}: numbers and threshold(p) are two laws; give numbers = None")
 
     def pressure(self, w: Array) -> Array:
-        """Contact pressure p (n,) at jumps w (n, d)."""
+        """Contact pressures p >= 0, (n,), at jumps w (n, d)."""
         return self.K_N * np.maximum(-w[:, -1], 0.0)
 
     def _trial(self, w: Array, slip: Array | None) -> tuple[Array, Array, Array, Array]:
-        """Pressure, threshold, elastic trial value of the tangential traction, and its magnitude."""
+        """Pressure (n,), threshold (n,), tangential traction (n, d - 1) before further slip, its magnitude (n,)."""
         p = self.pressure(w)
         elastic = self.K_T * (w[:, :-1] if slip is None else w[:, :-1] - slip)
         return p, self.threshold(p), elastic, np.linalg.norm(elastic, axis=1)
 
     def traction(self, w: Array, slip: Array | None = None) -> Array:
-        """Traction (n, d) on the lower side of S; -traction acts on the upper side.
+        """Traction (n, d) that the upper side of S exerts on the lower one, in the frame of S.
 
         Args:
-            w: (n, d) jumps.
-            slip: (n, d - 1) slip at the beginning of the step; None: zero.
+            w: jumps (n, d) at the end of the step, tangential components first.
+            slip: slip (n, d - 1) at the beginning of the step; None: zero.
         """
         p, bound, elastic, size = self._trial(w, slip)
         shorter = np.where(size <= bound, 1.0, bound / np.where(size > 0, size, 1.0))
         return np.column_stack([elastic * shorter[:, None], -p])
 
     def tangent(self, w: Array, slip: Array | None = None) -> Array:
-        """Derivative (n, d, d) of the traction by the jump, see `traction`. Not symmetric where S slides."""
+        """Derivative (n, d, d) of the traction by the jump. It is not symmetric where S slides with friction.
+
+        Args:
+            w: jumps (n, d) at the end of the step, tangential components first.
+            slip: slip (n, d - 1) at the beginning of the step; None: zero.
+        """
         p, bound, elastic, size = self._trial(w, slip)
         n, d = w.shape
         out = np.zeros((n, d, d))
@@ -142,34 +155,48 @@ class ContactLaw(Law):
         return out
 
     def bonded(self, n: int, d: int) -> Array:
-        """Tangents (n, d, d) of n bonded nodes, which neither open nor slide."""
+        """Tangents (n, d, d) of n nodes that neither open nor slide: diag(K_T, ..., K_N) at each."""
         return np.tile(np.diag([self.K_T] * (d - 1) + [self.K_N]), (n, 1, 1))
 
     def status(self, w: Array, slip: Array | None = None) -> npt.NDArray[np.int8]:
-        """`Status` of each node, (n,): separated without pressure, else stick up to the threshold, else sliding.
+        """`Status` (n,) of each node: separated without pressure, else stick up to the threshold, else sliding.
 
-        A separated node may carry t_T up to the cohesion, or up to Tresca's bound.
+        A separated node may carry a tangential traction up to the cohesion, or up to Tresca's bound.
+
+        Args:
+            w: jumps (n, d) at the end of the step, tangential components first.
+            slip: slip (n, d - 1) at the beginning of the step; None: zero.
         """
         p, bound, _, size = self._trial(w, slip)
         return np.where(p <= 0, Status.SEPARATED, np.where(size <= bound, Status.STICK, Status.SLIDING)).astype(np.int8)
 
     def slip_after(self, w: Array, slip: Array) -> Array:
-        """Slip at the end of a step, (n, d - 1)."""
+        """Slip (n, d - 1) at the end of a step with the jumps w (n, d), from the slip (n, d - 1) at its beginning."""
         return w[:, :-1] - self.traction(w, slip)[:, :-1] / self.K_T if self.memory else slip
 
     def energies(self, w: Array, slip: Array) -> tuple[Array, Array]:
-        """Stored energy, and energy dissipated in a step from `slip` to the jumps w at its end; per area, (n,) each."""
+        """Energies (n,) per area of S: stored at the end of a step, and dissipated in it.
+
+        Args:
+            w: jumps (n, d) at the end of the step.
+            slip: slip (n, d - 1) at its beginning.
+        """
         t = self.traction(w, slip)
         stored = (t[:, -1] ** 2 / self.K_N + (t[:, :-1] ** 2).sum(axis=1) / self.K_T) / 2
         return stored, (t[:, :-1] * (self.slip_after(w, slip) - slip)).sum(axis=1)
 
     def homotopy(self, share: float) -> ContactHomotopy:
-        """Homotopy law for continuation: this law in parallel with springs that neither open nor slide."""
+        """Homotopy law for continuation: a weighted mean of this law and of springs that neither open nor slide.
+
+        Args:
+            share: weight of the springs, from 0 (this law) to 1 (bonded sides).
+        """
         return ContactHomotopy(self, share)
 
     @property
     def numbers(self) -> tuple[float, float, float, float] | None:
-        """K_N, K_T, friction and cohesion, for the compiled Gauss-Seidel sweeps; None: no sweeps for this law."""
+        """K_N, K_T, friction coefficient and cohesion, for compiled Gauss-Seidel sweeps; None: no sweeps for this law.
+        """
         return None
 
     @classmethod
@@ -177,7 +204,7 @@ class ContactLaw(Law):
         """The law with the stiffness of an isotropic layer in plane strain or 3D: K_N = lmbda + 2 mu, K_T = mu.
 
         Args:
-            lmbda, mu: Lame moduli of the layer over its thickness, stress per length.
+            lmbda, mu: Lame moduli of the layer divided by its thickness, stress per length.
             others: the law's other parameters, by name.
         """
         names = [f.name for f in fields(cls) if f.name not in ("K_N", "K_T")]
@@ -189,34 +216,36 @@ class ContactLaw(Law):
 
 @dataclass(frozen=True)
 class ContactHomotopy:
-    """Homotopy law t = (1 - share) t_law + share K (w - slip), K = diag(K_T, ..., K_N), with an easier equilibrium.
+    """Weighted mean of a contact law and of elastic springs: t = (1 - share) t_law + share K (w - slip).
 
-    Its springs resist every jump, so that an equilibrium exists under all loads.
+    K = diag(K_T, ..., K_N) has the stiffnesses of the law. The springs resist every jump, so that an equilibrium exists
+    under all loads.
 
     Attributes:
-        law: the law.
-        share: share of the springs; 0: the law itself, 1: bonded.
+        law: the contact law.
+        share: weight of the springs; 0: the law itself, 1: bonded sides.
     """
 
     law: ContactLaw
     share: float
 
     def bonded(self, n: int, d: int) -> Array:
-        """As in `ContactLaw`."""
+        """Tangents (n, d, d) of n nodes that neither open nor slide."""
         return self.law.bonded(n, d)
 
     def traction(self, w: Array, slip: Array | None = None) -> Array:
-        """As in `ContactLaw`."""
+        """Traction (n, d) at jumps w (n, d), with the slip (n, d - 1) at the beginning of the step (None: zero)."""
         along = w[:, :-1] if slip is None else w[:, :-1] - slip
         elastic = np.column_stack([self.law.K_T * along, self.law.K_N * w[:, -1]])
         return (1 - self.share) * self.law.traction(w, slip) + self.share * elastic
 
     def tangent(self, w: Array, slip: Array | None = None) -> Array:
-        """As in `ContactLaw`."""
+        """Derivative (n, d, d) of the traction by the jumps w (n, d); `slip` (n, d - 1) holds at the step's beginning.
+        """
         return (1 - self.share) * self.law.tangent(w, slip) + self.share * self.bonded(*w.shape)
 
     def status(self, w: Array, slip: Array | None = None) -> npt.NDArray[np.int8]:
-        """As in `ContactLaw`."""
+        """`Status` (n,) of each node under the contact law alone, at jumps w (n, d) and a slip (n, d - 1)."""
         return self.law.status(w, slip)
 
 
@@ -242,20 +271,20 @@ class _Coulomb(ContactLaw):
 
 @dataclass(frozen=True)
 class HolonomicCoulomb(_Coulomb):
-    """The unilateral law of section 8 of the paper: normal compliance, friction that depends on the current jump only.
+    """The unilateral law of section 8 of the paper: normal compliance, and friction without memory of the slip.
 
-    |t_T| = min(K_T |w_T|, friction p + cohesion), opposing w_T. Slip has no memory, so unloading returns along the
-    loading curve. Section 8 identifies this law with the law of sections 5.3 and 7.3, but that law is incremental and
-    does not open. The two agree where p only grows and slip does not reverse. This law is not the limit of a bulk law
-    of a layer.
+    |t_T| = min(K_T |w_T|, friction p + cohesion), opposing w_T, with the tangential jump w_T and the pressure p.
+    Unloading therefore returns along the loading curve. Section 8 identifies this law with the law of sections 5.3 and
+    7.3, but that law is incremental and does not open. The two agree where p only grows and slip does not reverse. This
+    law is not the limit of a bulk law of a layer.
 
     The cohesion is a strength in shear that does not depend on the opening: a separated node carries no pressure, but
     tangential traction up to the cohesion.
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
-        friction: coefficient f >= 0.
-        cohesion: C >= 0, stress.
+        friction: Coulomb's friction coefficient; >= 0.
+        cohesion: largest |t_T| without pressure, stress; >= 0.
 
     Raises:
         InputError: a parameter out of range.
@@ -266,10 +295,18 @@ class HolonomicCoulomb(_Coulomb):
 class IncrementalCoulomb(_Coulomb):
     """Normal compliance and Coulomb friction with slip memory: t_T = K_T (w_T - slip), |t_T| <= friction p + cohesion.
 
-    Slip grows along t_T where the threshold is reached (backward Euler, as the return mapping of elastoplasticity).
-    Without cohesion slip equals w_T where S is open, so that a node that closes again starts without tangential
-    traction. This is the law of sections 5.3 and 7.3 in unilateral form, for `march`. Attributes and errors as in
-    `HolonomicCoulomb`.
+    w_T is the tangential jump, p the contact pressure. The slip grows along t_T where the threshold is reached
+    (backward Euler, like the return mapping of elastoplasticity). Without cohesion slip equals w_T where S is open, so
+    that a node that closes again starts without tangential traction. This is the law of sections 5.3 and 7.3 of the
+    paper, but S can open. It needs time steps (`march`).
+
+    Attributes:
+        K_N, K_T: normal and tangential stiffness, stress per length; > 0.
+        friction: Coulomb's friction coefficient; >= 0.
+        cohesion: largest |t_T| without pressure, stress; >= 0.
+
+    Raises:
+        InputError: a parameter out of range.
 
     Example:
         >>> from forms import IncrementalCoulomb, LinearElastic
@@ -290,13 +327,14 @@ class IncrementalCoulomb(_Coulomb):
 
 @dataclass(frozen=True)
 class Tresca(ContactLaw):
-    """Normal compliance and a prescribed friction threshold, which also applies at open nodes.
+    """Normal compliance and a prescribed bound of the tangential traction, which also applies at open nodes.
 
-    It is the subproblem of the fixed-point iteration of section 8, with a convex energy (the paper's psi, as printed).
+    It is the subproblem of the fixed-point iteration of section 8 of the paper. Its energy is convex (psi in the
+    paper).
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
-        bound: largest |t_T|, stress; >= 0.
+        bound: largest magnitude of the tangential traction, stress; >= 0.
 
     Raises:
         InputError: a parameter out of range.
