@@ -195,8 +195,7 @@ class ContactLaw(Law):
 
     @property
     def numbers(self) -> tuple[float, float, float, float] | None:
-        """K_N, K_T, friction coefficient and cohesion, for compiled Gauss-Seidel sweeps; None: no sweeps for this law.
-        """
+        """K_N, K_T, friction coefficient and cohesion, for compiled Gauss-Seidel sweeps; None: no such sweeps."""
         return None
 
     @classmethod
@@ -240,8 +239,7 @@ class ContactHomotopy:
         return (1 - self.share) * self.law.traction(w, slip) + self.share * elastic
 
     def tangent(self, w: Array, slip: Array | None = None) -> Array:
-        """Derivative (n, d, d) of the traction by the jumps w (n, d); `slip` (n, d - 1) holds at the step's beginning.
-        """
+        """Derivative (n, d, d) of the traction by the jumps w (n, d), with a slip (n, d - 1) at the beginning."""
         return (1 - self.share) * self.law.tangent(w, slip) + self.share * self.bonded(*w.shape)
 
     def status(self, w: Array, slip: Array | None = None) -> npt.NDArray[np.int8]:

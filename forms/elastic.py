@@ -40,7 +40,7 @@ def lame_stress(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
 
 @dataclass(frozen=True, eq=False)
 class IsotropicLaw(BulkLaw):
-    """A law that is isotropic at rest, with the Lame moduli lmbda and mu; mu > 0 and lmbda + 2 mu/3 > 0."""
+    """Base of laws whose elastic response is isotropic, with the Lame moduli lmbda > -2 mu/3 and mu > 0, stresses."""
 
     lmbda: float
     mu: float
@@ -62,7 +62,7 @@ def poisson_ratio(law: BulkLaw) -> float:
 
 
 class LinearLaw(BulkLaw):
-    """A law with a constant stiffness tensor."""
+    """Base of laws whose stiffness tensor does not depend on the strain."""
 
     linear = True
     quadratic = True
@@ -76,7 +76,8 @@ class LinearLaw(BulkLaw):
 class LinearElastic(LinearLaw, IsotropicLaw):
     """Isotropic elasticity, stress = lmbda tr(e) I + 2 mu e.
 
-    As a layer's law: t_T = mu/eps w_T, t_N = (lmbda + 2 mu)/eps w_N with the jump w, the elastic part of Eq. (16).
+    As a layer's law: t_T = mu/eps w_T, t_N = (lmbda + 2 mu)/eps w_N with the jump w, the elastic part of Eq. (16) of
+    the paper.
 
     Attributes:
         lmbda: first Lame modulus, stress; lmbda + 2 mu/3 > 0.
@@ -114,7 +115,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
     def shear(cls, mu: Parameter, nu: Parameter) -> LinearElastic:
         """The law with shear modulus mu > 0 (stress) and Poisson's ratio -1 < nu < 1/2.
 
-        Both may be functions, as in `young`.
+        Both may be numpy functions of places (d, n) in the joint that give n values.
         """
         for name, value in (("mu", mu), ("nu", nu)):
             require(callable(value) or is_finite(value), f"LinearElastic.shear: {name}", value, "it must be a number")
@@ -128,10 +129,10 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         return super().elastic_moduli() if self.traits.compiled else (self.lmbda, self.mu)  # compiled: its moduli vary
 
     def stations(self) -> list[AnyStation]:
-        """Two Gauss stations whose change of strain through the layer causes no traction: its stress times n is zero.
+        """Two Gauss stations through the thickness, for displacements that are parabolic from face to face.
 
-        The displacements are then parabolic through the thickness. Linear displacements would lock in a nearly
-        incompressible layer.
+        The change of the strain from face to face causes no traction: its stress times n is zero. Displacements linear
+        through the thickness would lock in a nearly incompressible layer.
         """
         return gauss_stations(self, self._change)
 
@@ -142,14 +143,15 @@ class LinearElastic(LinearLaw, IsotropicLaw):
 
     @property
     def _share(self) -> float:
-        """lmbda/(lmbda + 2 mu)."""
+        """The ratio lmbda/(lmbda + 2 mu): thinning of a layer with free faces per stretch along it."""
         return self.lmbda / (self.lmbda + 2 * self.mu)
 
     def end_strips(self) -> EndStrips | None:
-        """Strips for Poisson's ratios from 0 to `MAX_FREE_END_NU`; None for others and for parameters that vary.
+        """Strips along a free end in which the interface law of order 1 is made less stiff.
 
-        Beyond the maximum the pressure decays over more than the strip. In plane stress the law has the moduli of
-        `plane_stress`, and the ratio here is nu/(1 + nu) of the material.
+        None if Poisson's ratio is outside the range from 0 to `MAX_FREE_END_NU`, or if parameters vary along the layer.
+        Beyond this maximum the layer's pressure decays over more than the strip. In plane stress the law has the moduli
+        of `plane_stress`, and the ratio here is nu/(1 + nu) of the material.
         """
         if self.fields:
             return None
@@ -157,7 +159,13 @@ class LinearElastic(LinearLaw, IsotropicLaw):
         return EndStrips.of(free_end(nu)) if 0 <= nu <= MAX_FREE_END_NU * (1 + MODULUS_RATIO_TOLERANCE) else None
 
     def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
-        """Three stations: two for the energy of the mean strain (`forms.ends.weights`), the third for its change."""
+        """Three stations of the law near free ends: two for the mean strain, one for its change from face to face.
+
+        The energies at the first two add up to the energy of the mean strain in the module `forms.ends.weights`.
+
+        Args:
+            weights: reductions of the stiffness near free ends, UFL on S.
+        """
 
         def strain(k: int) -> Callable[[LinearElastic, Faces], Expr]:
             return lambda law, faces: weights.strains(faces, law._share)[k]
@@ -179,7 +187,12 @@ def _mu_of_young(E: float, nu: float) -> float:
 
 
 def _require_young(E: float, nu: float) -> None:
-    """Raise ParameterRangeError unless E > 0 and -1 < nu < 1/2 at all places; InputError unless they are numbers."""
+    """Check Young's modulus and Poisson's ratio, numbers or arrays of values at several places.
+
+    Raises:
+        ParameterRangeError: E <= 0, or nu outside -1 < nu < 1/2, at a place.
+        InputError: one of them is not a number.
+    """
     for name, values, least, most, allowed in (("E", E, 0.0, math.inf, "> 0"), ("nu", nu, -1.0, 0.5, "-1 < nu < 0.5")):
         require(np.asarray(values).dtype.kind in "iuf", f"LinearElastic: {name}", values, f"allowed: {allowed}")
         good = (np.asarray(values) > least) & (np.asarray(values) < most)
@@ -192,13 +205,14 @@ def _require_young(E: float, nu: float) -> None:
 class Anisotropic(LinearLaw):
     """General linear elasticity, stress = C : e.
 
-    As a layer's law: t_i = C_ijkl n_j n_l w_k/eps with the jump w: the acoustic tensor of the layer.
+    As a layer's law: t_i = C_ijkl n_j n_l w_k/eps with the jump w, the acoustic tensor n.C.n over the thickness.
 
     Attributes:
         C: (6, 6) symmetric stiffness in Voigt order 11, 22, 33, 23, 13, 12 (engineering shear strains), stress,
             positive semidefinite. A layer needs a positive definite acoustic tensor, and a body a positive definite C,
             unless supports constrain the motions that it does not resist.
-        frame: "global", or "layer": axis 2 is the director n, axes 1 and 3 lie in the layer (`layer_frame`).
+        frame: axes of C. "global": those of the coordinates; "layer": axis 2 is the normal n of the layer, axes 1 and 3
+            lie in the layer (`forms.tensors.layer_frame`).
 
     Raises:
         InputError: C of the wrong shape, not symmetric or indefinite; unknown frame.
@@ -220,9 +234,10 @@ class Anisotropic(LinearLaw):
 
     @classmethod
     def springs(cls, K_N: float, K_T: float) -> Anisotropic:
-        """A layer of springs with normal stiffness K_N > 0 and tangential stiffness K_T >= 0 (stress per length) only.
+        """A layer that only has springs: t_N = K_N w_N/eps, t_T = K_T w_T/eps with the jump w and the thickness eps.
 
-        K_T = 0 is a bearing without friction: supports must constrain bodies that may slide.
+        K_N > 0 and K_T >= 0 are moduli, stresses, or stiffnesses, stress per length, if the thickness is 1. K_T = 0 is
+        a bearing without friction: supports must constrain bodies that may slide.
         """
         require(is_finite(K_N) and K_N > 0, "Anisotropic.springs: K_N", K_N, "allowed: > 0")
         require(is_finite(K_T) and K_T >= 0, "Anisotropic.springs: K_T", K_T, "allowed: >= 0")

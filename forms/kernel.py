@@ -17,12 +17,13 @@ class KernelLaw(BulkLaw):
 
         int kernel(double *out, const void *, const double *in)
 
-    `in` contains, one after the other: the strain e (6,) at the end of the step and e_old (6,) at its beginning;
-    the internal variables (memory,), which start from zero; the director n (3,), dt, theta and the parameters.
+    `in` contains, one after the other: the strain e (6,) at the end of the step and e_old (6,) at its beginning; the
+    internal variables (memory,), which start from zero; the unit normal n (3,) of the layer; dt, theta and the
+    parameters. The step leads from t to t + dt, and theta dt is the time in it after which forces balance (`Step`).
 
-    `out` is zero before the call. It receives, one after the other: the stress (6,) at t + theta dt;
-    the new internal variables (memory,); the tangent d stress/d e (36, row by row); three energies per unit volume.
-    The energies are: stored at the end of the step; dissipated in the step; the remainder of stress : (e - e_old).
+    `out` is zero before the call. It receives, one after the other: the stress (6,) at t + theta dt; the new internal
+    variables (memory,); the tangent d stress/d e (36, row by row); three energies per unit volume. The energies are:
+    stored at the end of the step; dissipated in the step; the remainder of stress : (e - e_old).
 
     Strains, stress and tangent are in Mandel's order 11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23. If a point fails, the
     function sets stress[0] to NaN, and the solver takes a smaller step. The return value is ignored. Other functions of
@@ -31,8 +32,8 @@ class KernelLaw(BulkLaw):
     Attributes:
         memory: number of scalar internal variables.
         energetic: whether the kernel computes the three energies.
-        source: the C file.
-        isotropic: whether the kernel does not read the director n, so that the law can also be used in a body.
+        source: path of the C file.
+        isotropic: whether the kernel does not read the normal n, so that the law can also be used in a body.
         relaxes: whether stress or internal variables depend on dt although the law declares no `rate`.
     """
 

@@ -15,12 +15,13 @@ from forms.tensors import MANDEL_PAIRS, Expr, strain, three_dimensional
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Strains (3, 3) of displacements, the factor of measures, and the laws of these strains.
+    """Strains (3, 3) of displacements on a mesh, the factor of its measures, and the laws of these strains.
 
-    This class covers plane strain in 2D, and three dimensions; the other kinematics derive from it.
+    This class covers plane strain in 2D, and three dimensions; the other kinematics derive from it. d is the number of
+    dimensions of the mesh.
 
     Attributes:
-        x: coordinates on the mesh, (d,) UFL; None: there is no mesh yet, see `on`.
+        x: coordinates on the mesh, (d,) UFL; None as long as there is no mesh (`on` returns a copy with one).
         name: name in `Structure(plane=...)`.
         rotations: whether rotations are rigid motions.
         degree: polynomial degree of the factor of measures.
@@ -36,15 +37,15 @@ class Kinematics:
         return replace(self, x=ufl.SpatialCoordinate(mesh))
 
     def at(self, x: Expr) -> Self:
-        """The same kinematics at other places (d,) UFL, such as places on S away from the facets of the mesh."""
+        """A copy with other coordinates (d,) UFL, such as those of points on S away from the facets of the mesh."""
         return replace(self, x=x)
 
     def slots(self, d: int) -> tuple[int, ...]:
-        """Indices of the Mandel components that strains of displacements (d,) can have; the others are zero."""
+        """Indices of the Mandel components of strain that may be nonzero, for displacements with d components."""
         return tuple(k for k, (_, j) in enumerate(MANDEL_PAIRS) if j < d)
 
     def translations(self, d: int) -> tuple[int, ...]:
-        """Axes along which translations are rigid motions."""
+        """Indices of the coordinate axes along which translations are rigid motions, on a mesh of dimension d."""
         return tuple(range(d))
 
     def radius(self, x: Array) -> Array:
@@ -52,22 +53,29 @@ class Kinematics:
         return np.full(len(x), np.inf)
 
     def stress_slots(self, d: int) -> tuple[int, ...]:
-        """Indices of the Mandel components that stresses can have; the others are zero, whatever the law returns."""
+        """Indices of the Mandel components of stress that may be nonzero on a mesh of dimension d.
+
+        The others are set to zero, whatever the law returns.
+        """
         return tuple(range(len(MANDEL_PAIRS)))
 
     @property
     def factor(self) -> Expr:
-        """Factor of all measures dx, ds and dS of the mesh: 1, for integrals per unit thickness in 2D."""
+        """Factor of all measures dx, ds and dS of the mesh, UFL: 1, for integrals per unit thickness in 2D."""
         return 1
 
     def factor_at(self, x: Array) -> Array:
-        """(...) values of the factor of measures at places (..., d)."""
+        """Values (...) of the factor of measures at places (..., d)."""
         return np.ones(x.shape[:-1])
 
     def node_areas(self, corners: Array, lengths: Array) -> Array:
-        """Nodal areas (n, k) of S at the corners (n, k, d) of facets, from nodal areas `lengths` without the factor.
+        """Areas (n, k) of S that belong to the k corners of n facets, with the factor of measures.
 
-        They are the integrals of the shape functions of degree 1, with the factor of measures.
+        They are the integrals of the shape functions of degree 1 times this factor.
+
+        Args:
+            corners: coordinates (n, k, d) of the corners.
+            lengths: the same areas without the factor, (n, k); lengths in 2D.
         """
         factors = self.factor_at(corners)
         return np.asarray(lengths * ((factors + factors.sum(axis=1, keepdims=True)) / (factors.shape[1] + 1)))
@@ -77,15 +85,20 @@ class Kinematics:
         return strain(u)
 
     def along(self, gradient: Expr, u: Expr) -> Expr:
-        """Strain (3, 3) along S of displacements u (d,) with this gradient along S (d, d)."""
+        """Strain (3, 3) along S of displacements on S.
+
+        Args:
+            gradient: gradient (d, d) of the displacements along S.
+            u: the displacements (d,).
+        """
         return three_dimensional(ufl.sym(gradient))
 
     def restricted(self, a: Expr) -> Expr:
-        """Part of a stress or of a prescribed strain (3, 3) that these kinematics allow, as laws of `law` take it."""
+        """Part (3, 3) of a stress, or of a prescribed strain, that these kinematics allow: here all of it."""
         return a
 
     def law(self, law: BulkLaw) -> BulkLaw:
-        """Law for strains of these kinematics (`strain`, `along` and of jumps), from a three-dimensional law."""
+        """Law for strains of these kinematics, in the volume, along S and across it, from a three-dimensional law."""
         return law
 
 
@@ -101,7 +114,7 @@ class PlaneStress(Kinematics):
         return self.slots(d)
 
     def restricted(self, a: Expr) -> Expr:
-        """In-plane part: out-of-plane stresses are zero, and out-of-plane strains are free."""
+        """In-plane part (3, 3): out-of-plane stresses are zero, and out-of-plane strains are not prescribed."""
         return ufl.as_tensor([[a[0, 0], a[0, 1], 0], [a[1, 0], a[1, 1], 0], [0, 0, 0]])
 
     def law(self, law: BulkLaw) -> BulkLaw:
@@ -129,7 +142,7 @@ class Axisymmetric(Kinematics):
 
     @property
     def factor(self) -> Expr:
-        """2 pi r."""
+        """The circumference 2 pi r, UFL."""
         return 2 * ufl.pi * self._r
 
     def factor_at(self, x: Array) -> Array:
