@@ -382,9 +382,7 @@ class Bar:
         return self.branch(delta, self.phase(delta)).U
 
     def energy(self, delta: Array | float) -> Array:
-        """Least energy of the bar per area of its section at elongations delta, right-hand side of the paper's Eq.
-        (45).
-        """
+        """Least energy of the bar per area of its section at elongations delta, right side of Eq. (45) of the paper."""
         return self.branch(delta, self.phase(delta)).energy
 
     def boundary(self, delta: Array | float) -> Array:

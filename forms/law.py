@@ -1,4 +1,4 @@
-"""Base classes of constitutive laws, from strain to stress. Laws know neither eps nor a mesh nor a time loop."""
+"""Base classes of constitutive laws, which give stresses for strains. They know no thickness, mesh or time loop."""
 
 from __future__ import annotations
 
@@ -47,17 +47,20 @@ ChangeParameter = Callable[[ParameterValue, float], ParameterValue]  # of a para
 class Step(NamedTuple):
     """Input of a law at one point, over a time step from t to t + dt.
 
+    Forces balance at t + theta dt, and the law's stress is that at this time.
+
     Attributes:
         e: strain at the end of the step, (3, 3). For the stress of laws without rate and internal variables it is the
-            strain at t + theta dt; this applies in a body, in the layer, on S and in a `Stack`.
+            strain at t + theta dt. This applies in a body, in a meshed layer, on S and in a `Stack`.
         n: director of the layer: unit vector from the lower to the upper body; None inside a body. Compiled laws
-            (`Traits.compiled`) get (3,), in 2D with a zero; laws whose stress is part of a form get (d,).
-            `forms.tensors.three_dimensional(n)` is (3,) in both cases.
-        e_old: strain at the beginning; None in problems without time, and for laws without rate and internal variables.
+            (`Traits.compiled`) get (3,), in 2D with a zero; laws whose stress is part of a form get (d,) in d
+            dimensions. `forms.tensors.three_dimensional(n)` is (3,) in both cases.
+        e_old: strain at the beginning, (3, 3); None in problems without time, and for laws without rate and internal
+            variables.
         q: internal variables at the beginning, by name.
         dt: length of the step; 0 at a sudden load; None in problems without time.
-        theta: forces balance at t + theta dt; from 1 (backward Euler) down to 1/2 (midpoint).
-        rates: whether the law declares `rate`.
+        theta: fraction of the step after which forces balance; from 1 (backward Euler) down to 1/2 (midpoint).
+        rates: whether the law declares `rate`, so that it may use the strain rate.
     """
 
     e: Expr
@@ -70,12 +73,16 @@ class Step(NamedTuple):
 
     @property
     def mid(self) -> Expr:
-        """Strain at t + theta dt, the time of the stress."""
+        """Strain (3, 3) at t + theta dt, the time of the stress."""
         return self.e if self.e_old is None else self.theta * self.e + (1 - self.theta) * self.e_old
 
     @property
     def rate(self) -> Expr:
-        """Strain rate of the step."""
+        """Strain rate (3, 3) of the step, (e - e_old)/dt.
+
+        Raises:
+            InputError: the law does not declare `rate`, or the step has no length.
+        """
         if self.dt is None or not self.rates:
             raise InputError("a law that uses step.rate must declare rate = True")
         return (self.e - self.e_old) / self.dt
@@ -86,7 +93,13 @@ class Step(NamedTuple):
 
 
 def choice(default: ChoiceType) -> ChoiceType:
-    """Declare a field of a law that selects equations and is not a parameter. Each value is compiled separately."""
+    """Declare a field of a law that selects between equations and is not a parameter.
+
+    The law is compiled separately for each value of the field.
+
+    Args:
+        default: value of the field if none is given.
+    """
     return field(default=default, metadata={"choice": True})
 
 
@@ -98,11 +111,12 @@ class Law(LayerResults):
     traits (`Traits`) as attributes, such as `linear = True`.
 
     Attributes:
-        powers: parameter -> power of eps; only a `BulkLaw` has powers.
+        powers: name of a parameter -> power of the thickness eps to which it is proportional in a family of layers;
+            only a `BulkLaw` has powers.
         internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.
-        functions: names of parameters that may be functions. `parameters` gives NaN for a function, `at` gives its
-            values.
-        ignored: methods that are never called, because other methods replace them.
+        functions: names of parameters that may be functions for which the class itself computes values. `parameters`
+            gives NaN for such a function, `at` gives its values.
+        ignored: names of methods that are never called, because other methods replace them.
         takes_fields: whether scalar parameters may be numpy functions of places (d, n) in the joint that return (n,).
     """
 
@@ -151,32 +165,46 @@ class Law(LayerResults):
         """Raise InputError if a parameter is out of its range."""
 
     def require(self, condition: bool, name: str, allowed: str, value: object = MISSING_VALUE) -> None:
-        """Raise InputError "Law: name is value; allowed: ..." unless `condition`; default value: the parameter."""
+        """Raise InputError "Law: name is value; allowed: ..." unless a condition is true.
+
+        Args:
+            condition: the condition.
+            name: name of the parameter, or of what is wrong.
+            allowed: text of the allowed values.
+            value: value to report; default: the law's attribute `name`.
+        """
         if not condition:
             value = getattr(self, name) if value is MISSING_VALUE else value
             raise InputError(f"{type(self).__name__}: {name} is {value}; allowed: {allowed}")
 
     def check_dimension(self, d: int) -> None:
-        """Raise InputError if the law cannot be used in a model of dimension d."""
+        """Raise InputError if the law cannot be used in a model of d dimensions, 2 or 3."""
 
     @cached_property
     def traits(self) -> Traits:
-        """Traits of the law for its original numbers. Copies keep them when other numbers or symbols replace these."""
+        """Properties of the law by which models and solvers choose their methods.
+
+        They are computed from the original parameters. Copies in which other numbers or symbols replace these keep the
+        traits.
+        """
         traits = Traits.of(self, **self._traits_of_methods())
         return replace(traits, varies=True) if self.fields and traits.compiled else traits
 
     def for_points(self) -> Self:
-        """A copy that is compiled and evaluated at points, so that its parameters may be functions of the place."""
+        """A copy of the law that is compiled and evaluated at quadrature points.
+
+        Its parameters may then be functions of the place; otherwise the stress of a law may be part of a UFL form.
+        """
         law = self.with_parameters({})
         object.__setattr__(law, "traits", replace(self.traits, compiled=True, varies=bool(self.fields)))
         return law
 
     def _traits_of_methods(self) -> dict[str, bool]:
-        """Traits that follow from the methods and internal variables of a class."""
+        """Traits, by name, that follow from the methods and internal variables of the class."""
         return {"remembers": bool(self.internal)}
 
     def as_bulk_law(self) -> BulkLaw:
-        """The same law as a function of strains, as terms and compiled code need it.
+        """The same law as a function of strains, as terms of the weak form and compiled code need it.
 
         Raises:
             InputError: the law acts at nodes.
@@ -185,29 +213,37 @@ class Law(LayerResults):
 
     @property
     def own_times(self) -> tuple[float, ...]:
-        """Creep or relaxation times of a law with numeric parameters; () if there are none or they are unknown."""
+        """Creep or relaxation times of a law whose parameters are numbers; () if there are none or they are unknown."""
         return ()
 
     @property
     def sublayers(self) -> tuple[tuple[float, Any], ...]:
-        """(fraction of the thickness, law) of each sublayer from the lower to the upper face; one unless a Stack."""
+        """Fraction of the thickness and law of each sublayer, from the lower to the upper face.
+
+        A law other than a `Stack` has one sublayer, itself.
+        """
         return ((1.0, self),)
 
     def at(self, x: Array, t: float) -> dict[str, Array]:
-        """Values (n,) of the varying parameters at places x (d, n) in the joint before inflating, by name.
+        """Values (n,), by name, of the parameters that vary, at n places and one time.
 
-        For the stress of a step t is the time at which forces balance; for the stored energy it is the end of the step.
-        The parameters of `self` are scaled to the thickness of its layer: return multiples of them.
+        The parameters of `self` are already scaled to the thickness of its layer, so the values must be multiples of
+        them.
+
+        Args:
+            x: places (d, n) in the joint as drawn, before S is opened to the layer's thickness.
+            t: time. For the stress of a step it is the time at which forces balance, for the stored energy the end of
+                the step.
         """
         return {}
 
     @property
     def break_times(self) -> set[float]:
-        """Times at which a parameter made with `thinlayer.piecewise` changes its slope."""
+        """Times at which the slope of a parameter made with `thinlayer.piecewise` changes."""
         return set().union(*(getattr(getattr(self, name), "times", ()) for name in self.functions))
 
     def parameters(self) -> dict[str, ParameterValue]:
-        """Name -> value (number or array) of every parameter; a `choice` is not a parameter."""
+        """Values (numbers, arrays, functions or UFL) of all parameters, by name; a `choice` is not a parameter."""
         return {f.name: getattr(self, f.name) for f in fields(self) if "choice" not in f.metadata}
 
     def choices(self) -> tuple[tuple[str, object], ...]:
@@ -216,18 +252,22 @@ class Law(LayerResults):
         return tuple((f.name, getattr(self, f.name)) for f in fields(self) if f.name not in parameters)
 
     def parameter_values(self) -> Array:
-        """All parameter values, one after the other, (k,); NaN for functions."""
+        """All numbers of all parameters, one after the other, (k,); NaN for functions."""
         values = [np.ravel(parameter_numbers(value)) for value in self.parameters().values()]
         return np.concatenate([np.empty(0), *values])
 
     def with_parameters(self, values: Mapping[str, object]) -> Self:
-        """A copy with other values (numbers or UFL) of some parameters, unchecked."""
+        """A copy with other values of some parameters, numbers or UFL by name; their ranges are not checked."""
         law = copy.copy(self)
         vars(law).update({"traits": self.traits, **values})
         return law
 
     def mapped(self, change: ChangeParameter) -> Self:
-        """A copy with each parameter replaced by change(value, power), unchecked."""
+        """A copy in which each parameter is replaced by change(value, power); the new values are not checked.
+
+        Args:
+            change: function of a parameter's value and of its power of eps in `powers`, 0 if it has none.
+        """
         changed = {name: change(value, self.powers.get(name, 0)) for name, value in self.parameters().items()}
         return self.with_parameters(changed)
 
@@ -238,7 +278,10 @@ class Law(LayerResults):
         return {name: value for name, value in vars(self).items() if isinstance(value, ParameterField)}
 
     def fields_at(self, x: Array) -> dict[str, Array]:
-        """Values (n,) of the parameters in `fields` at places x (d, n) in the joint before inflating, by name.
+        """Values (n,), by name, of the parameters that are functions of the place.
+
+        Args:
+            x: places (d, n) in the joint as drawn, before S is opened to the layer's thickness.
 
         Raises:
             InputError: a function fails, does not return n finite real numbers, or is out of range at a place.
@@ -256,7 +299,7 @@ class Law(LayerResults):
             raise InputError(f"{failure_text(what, x, error)}; {wanted} in the joint that gives n numbers") from error
 
     def at_places(self, x: Array) -> Iterator[Self]:
-        """Yield the law with numeric parameters, unchecked, at each of the places x (d, n)."""
+        """Yield the law with the numbers that its parameters have at each of the places x (d, n), without checks."""
         values = self.fields_at(x)
         for k in range(x.shape[1]):
             yield self.with_parameters({name: float(value[k]) for name, value in values.items()})
@@ -264,8 +307,8 @@ class Law(LayerResults):
     def check_at(self, x: Array) -> None:
         """Raise InputError if a parameter is out of its range at one of the places x (d, n).
 
-        Of many places only some are checked: where a parameter, or a difference or ratio of two, is smallest or
-        largest, and one to two thousand others.
+        Of many places only some are checked. These are the places where a parameter, or a difference or ratio of two,
+        is smallest or largest, and one to two thousand others.
         """
         if not self.fields:
             return
@@ -278,7 +321,14 @@ class Law(LayerResults):
                 raise InputError(f"{error}, at {place_text(x, k)}") from None
 
     def samples(self, x: Array) -> list[Self]:
-        """Laws with numeric parameters, at the places among x (d, n) where a parameter or a ratio of two is extreme."""
+        """Laws with numbers for parameters, as they are at the extreme ones of the places x (d, n).
+
+        These are the places where a parameter, or the ratio of two, is smallest or largest. Without parameters that are
+        functions of the place the result is the law itself.
+
+        Raises:
+            InputError: a parameter is out of its range at one of these places.
+        """
         if not self.fields:
             return [self]
         extreme = x[:, extreme_places(list(self.fields_at(x).values()))]
@@ -289,17 +339,19 @@ class Law(LayerResults):
 class BulkLaw(Law):
     """A law of strains, for the material of a layer or of a body.
 
-    Its parameters are material parameters. In a family of layers for eps -> 0 (`ThinLayer.at`) a parameter is
-    value * (eps/at)**power, with the power declared here (0 by default).
+    Its parameters are material parameters. A `ThinLayer` may be one of a family of layers, whose parameters depend on
+    the thickness eps. Then a parameter is value * (eps/at)**power: `at` is the thickness for which the value is given
+    (`ThinLayer.at`), and the power is declared here (0 by default).
 
     A law must define `stress(step)`, and `advance(step)` if it has internal variables; all other methods are optional.
     Strains, stresses and tensors are (3, 3), UFL, in a body, in the meshed layer, on S and in a `Stack`.
 
     Attributes:
-        powers: parameter -> power of eps that keeps the interface law finite and not zero as eps -> 0.
+        powers: name of a parameter -> power of eps with which the interface law stays finite and not zero as eps -> 0.
         volume_compliance: tr e/p of a law with a pressure p (trait `constrained`); 0: incompressible.
         methods: names of the methods that compute the stress and the new internal variables, for messages.
-        switching_variables: internal variables that `excess` and `switched` take if the law switches, the phase first.
+        switching_variables: for laws that switch between phases, names of the internal variables that are the arguments
+            of `excess` and `switched`. The phase is the first.
     """
 
     takes_fields: ClassVar = True
@@ -326,7 +378,7 @@ class BulkLaw(Law):
         raise InputError(f"{type(self).__name__} has no stress; a law needs a method stress(step)")
 
     def advance(self, step: Step) -> dict[str, Expr]:
-        """Internal variables at the end of the step, by name, UFL."""
+        """Internal variables at the end of the step, UFL by name; {} if there are none."""
         return {}
 
     def energy(self, step: Step) -> Expr:
@@ -334,25 +386,35 @@ class BulkLaw(Law):
         raise InputError(f"{type(self).__name__} declares no energy; a law needs a method energy(step) for it")
 
     def dissipation(self, step: Step) -> Expr:
-        """Dissipated power per unit volume over the step, UFL."""
+        """Dissipated power per unit volume, UFL, whose product with dt is the energy dissipated in the step."""
         return ufl.as_ufl(0.0)
 
     def dissipated(self, step: Step) -> Expr:
-        """Dissipated energy per unit volume in the step, UFL; laws without rate define it in place of a power."""
+        """Dissipated energy per unit volume in the step, UFL; laws without rate define it in place of `dissipation`."""
         return step.dt * self.dissipation(step)
 
     def end_strips(self) -> EndStrips | None:
-        """Strips along a free end of a layer with this law, for the interface law of order 1; None if unknown."""
+        """Strips along a free end in which the interface law of order 1 is less stiff than elsewhere.
+
+        None: they are not known for this law.
+        """
         return None
 
     def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
-        """Stations as in `stations`, with the weights of the layer's free ends; only for laws with `end_strips`."""
+        """Stations of the interface law of order 1 near free ends of the layer; only for laws with `end_strips`.
+
+        Args:
+            weights: reductions of the stiffness near free ends, UFL on S.
+
+        Raises:
+            InputError: the law does not define them.
+        """
         raise InputError(f"{type(self).__name__} has no stations at free ends")
 
     def stations(self) -> list[AnyStation]:
-        """Stations of the interface law of order 1: points through the thickness with their strains.
+        """Stations of the interface law of order 1: heights through the layer, and the strains of the law there.
 
-        The default is two Gauss points, with displacements linear through the layer.
+        The default is two Gauss points through the thickness, with displacements linear from face to face.
 
         Raises:
             InputError: the law has no interface law of order 1.
@@ -375,14 +437,18 @@ class BulkLaw(Law):
         raise InputError(f"{what}: all must be isotropic elastic (LinearElastic); {ORDER_0_REMEDY}")
 
     def own_step(self, step: Step) -> Step:
-        """Step passed to the law's methods: for laws without rate and memory only n and the strain at t + theta dt."""
+        """Step that the law's methods get, from the step of a point.
+
+        Laws without rate and internal variables get only the strain at t + theta dt and n.
+        """
         return step if self.traits.rate or self.internal else Step(step.mid, step.n)
 
     def remainder(self, step: Step) -> Expr:
-        """Error of the time scheme in the energy balance of a step: stress : (e - e_old) - stored - dissipated, UFL.
+        """Error of the time scheme in the energy balance of a step, UFL, per volume.
 
-        For a quadratic energy E it is (2 theta - 1) E(increments), >= 0 and zero for the midpoint rule; for other
-        energies it is this difference. Where parameters vary, the model computes the difference without this method.
+        It is stress : (e - e_old) minus the increase of the stored energy, minus the dissipated energy. For a quadratic
+        energy E it is (2 theta - 1) E(increments), which is >= 0, and zero for the midpoint rule. Where parameters
+        vary, the model computes the difference without this method.
         """
         new = self.advance(step)
         if self.traits.quadratic:
@@ -398,22 +464,27 @@ class BulkLaw(Law):
         return sum(VARIABLE_SIZES[shape] for shape in self.internal.values())
 
     def stiffness(self, n: Array) -> Array | None:
-        """Tangent d stress/d strain (6, 6) at rest, in Mandel's order, for a director n (d,); None if not defined.
+        """Tangent d stress/d strain (6, 6) at rest, in Mandel's order, for a unit normal n (d,) of the layer.
 
-        Parameters are numbers. If the result is None, `forms.law_tangents` differentiates the stress.
+        The law's parameters are numbers. None: the class does not define it, and `forms.law_tangents` differentiates
+        the stress.
         """
         return None
 
     # ---------------------------------------------------------------- other laws of the same kind
     def homotopy(self, parameter: float) -> BulkLaw:
-        """Homotopy law for continuation, from this law (0) to one whose equilibrium is easy to compute (1)."""
+        """Homotopy law for continuation: this law, or one whose equilibrium is easier to compute.
+
+        Args:
+            parameter: 0: this law; up to 1: the law with the easiest equilibrium.
+        """
         return self
 
     def plane_stress(self) -> BulkLaw:
         """The law of in-plane strains with zero out-of-plane stresses; by default `PlaneStressLaw`.
 
         Raises:
-            InputError: the law has a pressure or switching phases, and does not override plane_stress.
+            InputError: the law has a pressure field or phases that switch, and does not override plane_stress.
         """
         if self.traits.constrained or self.traits.switches:
             what = "its pressure needs" if self.traits.constrained else "its phases need"
@@ -423,26 +494,29 @@ class BulkLaw(Law):
 
     @property
     def in_space(self) -> BulkLaw:
-        """The three-dimensional law from which this law derives: by default itself."""
+        """The three-dimensional law from which this law was made, as for plane stress; by default the law itself."""
         return self
 
     def condensed(self, C: Array) -> Array:
-        """Tangent (6, 6) of this law from the tangent C of `in_space`."""
+        """Tangent (6, 6) of this law from the tangent C (6, 6) of the three-dimensional law `in_space`."""
         return C
 
     def scaled(self, ratio: float) -> Self:
-        """The law that has the same interface law in a layer `ratio` times as thick: parameters times ratio**power."""
+        """The law that gives the same interface law in a layer `ratio` times as thick.
+
+        Each parameter is multiplied by ratio**power, with its power of eps in `powers`.
+        """
         return self.mapped(lambda value, power: (value if callable(value) else np.asarray(value, float)) * ratio**power)
 
 
 def _delegated(name: str) -> Any:
-    """Property of a `WrappedLaw` that forwards an attribute or a method of the wrapped law."""
+    """Property of a `WrappedLaw` that returns the attribute or method `name` of the wrapped law."""
     return property(attrgetter(f"law.{name}"))
 
 
 @dataclass(frozen=True, eq=False)
 class WrappedLaw(BulkLaw):
-    """A law that rewrites another law, with the parameters and internal variables of the wrapped law.
+    """Base of laws that rewrite another law, with the parameters and internal variables of the wrapped law.
 
     Attributes:
         law: the wrapped law.
@@ -469,7 +543,7 @@ class WrappedLaw(BulkLaw):
         return self._of(self.law.mapped(change))
 
     def _of(self, law: Law) -> Self:
-        """The same wrapper of a law with other parameters, unchecked."""
+        """The same wrapper around another law, such as the wrapped law with other parameters; not checked."""
         return super().with_parameters({"law": law})
 
     def plane_stress(self) -> Self:
@@ -483,10 +557,10 @@ IN_PLANE_MANDEL, OUT_OF_PLANE_MANDEL = [0, 1, 3], [2, 4, 5]  # indices of Mandel
 class PlaneStressLaw(WrappedLaw):
     """Plane-stress form of a 3D law: its out-of-plane strains make the out-of-plane stresses zero at t + theta dt.
 
-    Compiled code (`thinlayer/pointwise/response.c`) solves for these strains at each point by Newton's method. They
-    are stored after the internal variables of the 3D law, which gets all strains, old and new. The tangent is condensed
-    (Schur complement); the energies are the 3D law's. A point without such strains fails, and the solver takes a
-    smaller step.
+    Forces balance at this time of a step from t to t + dt. Compiled code (`thinlayer/pointwise/response.c`) solves for
+    the out-of-plane strains at each point by Newton's method. They are stored after the internal variables of the 3D
+    law, which gets all strains, old and new. The tangent is condensed (Schur complement); the energies are the 3D
+    law's. If no such strains are found at a point, the point fails, and the solver takes a smaller step.
 
     Attributes:
         law: the law in three dimensions.
@@ -515,7 +589,11 @@ class PlaneStressLaw(WrappedLaw):
         return self._of(self.law.homotopy(parameter))
 
     def condensed(self, C: Array) -> Array:
-        """Condense C (6, 6); out-of-plane rows come from the nearest isotropic tensor, with lmbda of plane stress."""
+        """Tangent (6, 6) of plane stress from the tangent C (6, 6) of the 3D law, by a Schur complement.
+
+        The rows and columns of out-of-plane strains are those of the isotropic tensor nearest to C, with lmbda of plane
+        stress.
+        """
         lmbda, mu = average_lame(C)
         lmbda *= 2 * mu / (lmbda + 2 * mu) if lmbda + 2 * mu > 0 else 0.0
         out = isotropic_tensor(lmbda, mu)
@@ -524,9 +602,10 @@ class PlaneStressLaw(WrappedLaw):
 
 
 def scalar_fields(kind: type[Law]) -> set[str]:
-    """Names of the dataclass fields annotated as one number: float or int, or a union of these with None or functions.
+    """Names of the dataclass fields of a law class whose values are single numbers.
 
-    The annotation is matched as text.
+    These are fields annotated as float or int, or as a union of these with None or functions. The annotation is matched
+    as text.
     """
     texts = {f.name: str(f.type) for f in fields(kind)}
     numbers = {name for name, text in texts.items() if NUMBER_ANNOTATION.search(text)}
@@ -535,7 +614,7 @@ def scalar_fields(kind: type[Law]) -> set[str]:
 
 @contextmanager
 def explained_errors(law: Law, method: str) -> Iterator[None]:
-    """Convert errors of a law's method into InputError that names the law and explains how laws are written."""
+    """Context that turns errors of a law's method into InputError with the law's name and rules for writing laws."""
     try:
         yield
     except InputError:
@@ -549,7 +628,14 @@ def explained_errors(law: Law, method: str) -> Iterator[None]:
 
 
 def require_shape(law: Law, what: str, value: Expr, shape: tuple[int, ...]) -> Expr:
-    """Return the value as UFL; raise InputError unless it is a UFL expression (or number) of this shape."""
+    """Return the value of a law's method as UFL, or raise InputError if it is no UFL or number of the given shape.
+
+    Args:
+        law: the law, for messages.
+        what: name of the value, for messages.
+        value: the value.
+        shape: the shape that it must have.
+    """
     try:
         expression = ufl.as_ufl(value)
     except Exception as error:
@@ -560,7 +646,11 @@ def require_shape(law: Law, what: str, value: Expr, shape: tuple[int, ...]) -> E
 
 
 def checked_stress(law: BulkLaw, step: Step) -> Expr:
-    """Stress (3, 3) of a law in a step; raise InputError if its method fails or returns another shape."""
+    """Stress (3, 3) of a law in a step.
+
+    Raises:
+        InputError: the law's method fails or returns another shape.
+    """
     with explained_errors(law, law.methods[0]):
         return require_shape(law, law.methods[0], law.stress(step), (3, 3))
 

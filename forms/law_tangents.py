@@ -1,4 +1,4 @@
-"""Traced laws, called once with symbols in place of all numbers: their identity, evaluation and tangents.
+"""Laws at one point with symbols for all their numbers: their tangents, their values, and what they depend on.
 
 Tangents at rest, and after a time step, classify layers as soft, stiff or nearly incompressible.
 
@@ -53,11 +53,11 @@ _SYMBOL_MESH = ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,))
 
 
 class SymbolicLaw(NamedTuple):
-    """A law whose parameters are symbols, and a step of symbols.
+    """A law and a time step at one point, with symbols for all parameters and inputs.
 
     Attributes:
-        law: the law.
-        step: the step.
+        law: the law, with symbols for its parameters.
+        step: the step, with symbols for its values.
         strain: strain (6,) at the end of the step, a UFL variable for differentiation.
         numbers: vector of all inputs: e (6), e_old (6), internal variables, n (3), dt, theta, parameters. Tensors are
             in Mandel's order.
@@ -70,7 +70,10 @@ class SymbolicLaw(NamedTuple):
 
 
 def variable(e: Expr) -> Expr:
-    """`ufl.variable` with a fixed label. UFL counts labels per process, and FFCx recompiles laws at another count."""
+    """Wrap an expression like `ufl.variable`, but with a label that is the same in every process.
+
+    UFL counts labels in each process, and FFCx would recompile a law at another count.
+    """
     return Variable(e, Label(-1))
 
 
@@ -80,7 +83,13 @@ def _symbols(length: int) -> Expr:
 
 
 def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> SymbolicLaw:
-    """Trace a law at one point of a step, with a director of d components or None; `values` replace the symbols."""
+    """Symbols for all numbers of a law and of a time step at one point.
+
+    Args:
+        law: the law.
+        values: numbers, in the order of `SymbolicLaw.numbers`, that replace the symbols; None: symbols.
+        d: number of components, 2 or 3, of the layer's unit normal that the law gets; None: no normal.
+    """
     shapes = {name: _shape(value) for name, value in law.parameters().items()}
     length = 6 + 6 + law.memory + 3 + 2 + sum(int(np.prod(shape)) for shape in shapes.values())
     numbers = _symbols(length) if values is None else ufl.as_vector([ufl.as_ufl(float(value)) for value in values])
@@ -98,19 +107,27 @@ def symbolic(law: BulkLaw, values: Array | None = None, d: int | None = 3) -> Sy
 
 
 def _shape(value: ParameterValue) -> tuple[int, ...]:
-    """Shape of a parameter: a number, an array or a Constant."""
+    """Shape of a parameter that is a number, an array or a Constant."""
     return tuple(value.ufl_shape) if isinstance(value, Expr) else np.asarray(value).shape
 
 
 def law_identity(law: BulkLaw) -> tuple[object, ...] | None:
-    """Identity of a law of this package without its numbers; None for user-defined laws, which may read other data."""
+    """Key that is equal for laws of this package with the same equations, whatever the values of their parameters.
+
+    None for user-defined laws, whose methods may read other data.
+    """
     if not all(kind.__module__.partition(".")[0] in ("forms", "builtins") for kind in type(law).__mro__):
         return None
     return (type(law), repr(law.choices()), *map(_shape, law.parameters().values()))
 
 
 def reads_input(law: BulkLaw, name: str) -> bool:
-    """Whether the stress of a law in UFL, or its new internal variables, depend on `n` or `dt` of the step."""
+    """Whether the stress or the new internal variables of a law depend on one input of the step.
+
+    Args:
+        law: a law in UFL.
+        name: "n", the unit normal of the layer, or "dt", the length of the step.
+    """
     point = symbolic(law)
     symbol = ufl.Constant(_SYMBOL_MESH, shape=getattr(point.step, name).ufl_shape)
     step = point.step._replace(**{name: symbol})
@@ -119,7 +136,13 @@ def reads_input(law: BulkLaw, name: str) -> bool:
 
 
 def require_numbers_alone(law: BulkLaw, numbers: Expr, expressions: Iterable[Expr]) -> None:
-    """Raise InputError if expressions contain anything but the inputs of the law."""
+    """Raise InputError if the equations of a law contain anything but numbers and the law's inputs.
+
+    Args:
+        law: the law, for messages.
+        numbers: symbol of all inputs (`SymbolicLaw.numbers`).
+        expressions: the equations, UFL.
+    """
     for node in (node for expression in expressions for node in traverse_unique_terminals(expression)):
         if node is not numbers and not isinstance(node, (ConstantValue, MultiIndex, Label)):
             what = f"{type(law).__name__} contains {str(node)[:80]}, a {type(node).__name__}"
@@ -133,14 +156,14 @@ NUMPY_FUNCTIONS = ARITHMETIC | LOGIC | {Conditional: np.where}
 
 
 def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> Values:
-    """Numerical values of an expression after `expand_derivatives`; NaN or infinite where a function is undefined.
+    """Numerical values of a UFL expression without derivatives; NaN or infinite where a function is undefined.
 
     Args:
-        expression: the expression.
-        values: symbol -> its numbers.
+        expression: the expression, after `expand_derivatives`.
+        values: symbol -> its numbers; None: there are no symbols.
 
     Raises:
-        Exception: of any type, from UFL: a part, such as a coefficient, has no numerical value.
+        Exception: of any type, from UFL: a part of the expression, such as a coefficient, has no numerical value.
     """
     arrays: dict[Expr, Values] = dict(values or {})  # axes of each array: shape of the part, then its free indices
     with np.errstate(all="ignore"):
@@ -151,7 +174,11 @@ def evaluate(expression: Expr, values: Mapping[Expr, Values] | None = None) -> V
 
 
 def _evaluate_node(part: Expr, operands: list[Values]) -> Values:
-    """Values of a node from those of its operands; for a `MultiIndex` its indices, for a `Label` nothing."""
+    """Values of a node of an expression from the values of its operands.
+
+    Their axes are the shape of the node, then one axis for each free index. A `MultiIndex` gives its indices, a `Label`
+    nothing.
+    """
     if isinstance(part, (MultiIndex, Label)):
         return part.indices() if isinstance(part, MultiIndex) else np.empty(0)
     if isinstance(part, Variable):
@@ -173,7 +200,13 @@ def _evaluate_node(part: Expr, operands: list[Values]) -> Values:
 
 
 def _evaluate_indexing(part: Expr, values: Values, indices: Iterable[Expr]) -> Values:
-    """Values of a component, of a tensor of components or of a sum over an index, from the values of its operand."""
+    """Values of a UFL `Indexed`, `ComponentTensor` or `IndexSum`.
+
+    Args:
+        part: the node.
+        values: values of its operand: axes of the shape, then of the free indices.
+        indices: its indices.
+    """
     free, inner = [*part.ufl_free_indices], [*part.ufl_operands[0].ufl_free_indices]
     named = [i.count() for i in indices if isinstance(i, Index)]
     if isinstance(part, Indexed):
@@ -186,20 +219,38 @@ def _evaluate_indexing(part: Expr, values: Values, indices: Iterable[Expr]) -> V
 
 
 def _index_sum(values: Values, axes: list[int], kept: list[int]) -> Values:
-    """Sum an array with named axes over all axes that are not in `kept`."""
+    """Sum an array over all axes that are not kept, and order the others.
+
+    Args:
+        values: the array.
+        axes: a number for each axis; axes with equal numbers form a diagonal.
+        kept: numbers of the axes of the result.
+    """
     places = {name: k for k, name in enumerate(dict.fromkeys(axes))}
     return np.einsum(values, [places[name] for name in axes], [places[name] for name in kept])
 
 
 def _broadcast(values: Values, operand: Expr, axes: int, free: list[int]) -> Values:
-    """Reshape values to `axes` shape axes, then one axis per index in `free`, of length 1 if they lack the index."""
+    """Reshape an operand's values so that they broadcast with those of other operands.
+
+    Args:
+        values: the values: axes of the operand's shape, then of its free indices.
+        operand: the operand.
+        axes: number of axes of the shape of the result.
+        free: free indices of the result; those that the operand lacks become axes of length 1.
+    """
     shape = operand.ufl_shape
     sizes = dict(zip(operand.ufl_free_indices, np.shape(values)[len(shape) :], strict=True))
     return np.reshape(values, [*[1] * (axes - len(shape)), *shape, *(sizes.get(name, 1) for name in free)])
 
 
 def _scalar_function(part: Expr, values: tuple[float, ...]) -> float:
-    """Evaluate a function of scalars, or a comparison, at numbers; NaN where it is undefined."""
+    """Value of a function of scalars, or of a comparison, at numbers; NaN where it is undefined.
+
+    Args:
+        part: UFL node of the function.
+        values: its arguments.
+    """
     try:
         value = part._ufl_expr_reconstruct_(*map(ufl.as_ufl, map(float, values))).evaluate((0.0,), {}, (), {})
         return bool(value) if isinstance(value, (bool, np.bool_)) else _real(value)
@@ -219,15 +270,18 @@ LONG_TIME_STEP = 1e30  # length of a time step in which rates are practically ze
 
 
 def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
-    """d stress/d strain of a law for small strains from rest, (6, 6) in Mandel's order; None if it cannot be evaluated.
+    """Tangent d stress/d strain (6, 6) of a law for small strains from rest, in Mandel's order.
 
-    For a law with memory it is the instantaneous tangent, for a law with a rate the tangent at zero rates. For an
-    incompressible layer the stress excludes the pressure. If the law declares no stiffness, its stress is
+    For a law with internal variables it is the instantaneous tangent. For a law with a rate it is the tangent at zero
+    rates. For an incompressible layer the stress excludes the pressure. If the law declares no stiffness, its stress is
     differentiated, which takes some milliseconds.
 
     Args:
         law: the law, with numbers for parameters.
-        n: director, (d,).
+        n: unit normal (d,) of the layer in d dimensions.
+
+    Returns:
+        The tangent; None if it cannot be evaluated.
     """
     if (C := law.in_space.stiffness(n)) is not None:
         return law.condensed(C)
@@ -235,21 +289,26 @@ def tangent_at_rest(law: BulkLaw, n: Array) -> Array | None:
 
 
 def tangent_over(law: BulkLaw, n: Array, dt: float) -> Array | None:
-    """d stress/d strain, (6, 6), of a linear law over one step of length dt from rest, at its end.
+    """Tangent d stress/d strain (6, 6) of a linear law at the end of one time step from rest, in Mandel's order.
 
-    It is the effective stiffness of a law that creeps or relaxes, under loads that last for dt. None if the law is not
-    linear, or cannot be evaluated.
+    It is the effective stiffness of a law that creeps or relaxes, under loads that last for dt.
 
     Args:
         law: a compiled law, with numbers for parameters.
-        n: director, (d,).
-        dt: time > 0.
+        n: unit normal (d,) of the layer in d dimensions.
+        dt: length of the step, > 0.
+
+    Returns:
+        The tangent; None if the law is not linear or cannot be evaluated.
     """
     return _rest_tangent(law, n, dt) if law.traits.linear else None
 
 
 def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
-    """Tangent at the end of a step from rest, mean at two small opposite strains; None if it cannot be evaluated."""
+    """Tangent (6, 6) at the end of a step of length dt from rest, as the mean over two small opposite strains.
+
+    n (d,) is the unit normal of the layer. None if the tangent cannot be evaluated.
+    """
     law_3d = law.in_space
     if not law_3d.traits.in_ufl:
         return None
@@ -268,48 +327,65 @@ def _rest_tangent(law: BulkLaw, n: Array, dt: float) -> Array | None:
 
 
 def needs_director(law: BulkLaw) -> bool:
-    """Whether the stress of a law depends on the director n; kernels declare it (`KernelLaw.isotropic`)."""
+    """Whether the stress of a law depends on the unit normal n of a layer; a `KernelLaw` declares it (`isotropic`)."""
     law_3d = law.in_space
     return not law_3d.isotropic if isinstance(law_3d, KernelLaw) else reads_input(law_3d, "n")
 
 
 def depends_on_step_length(law: BulkLaw) -> bool:
-    """Whether a law creeps or relaxes, so that its response depends on the step length. Kernels declare it."""
+    """Whether a law creeps or relaxes, so that its response depends on the length of the time step.
+
+    For a `KernelLaw` the class says so (`rate`, `relaxes`).
+    """
     law_3d = law.in_space
     return law_3d.traits.rate or (law_3d.relaxes if isinstance(law_3d, KernelLaw) else reads_input(law_3d, "dt"))
 
 
 def is_checked_at_rest(law: BulkLaw) -> bool:
-    """Whether `tangent_at_rest` computes the tangent of a layer's law at rest, which then must not be negative.
+    """Whether the tangent of a layer's law at rest is computed by `tangent_at_rest` and must not be negative.
 
-    It may be negative for laws that declare `softens`. It is not computed for laws with both memory and rate. For
-    non-linear laws of jumps it is not computed either, because it is unknown which jumps are small.
+    It may be negative for laws that declare `softens`. It is not computed for laws with both internal variables and
+    rate. For non-linear laws of jumps it is not computed either, because it is unknown which jumps are small.
     """
     at_jumps = law.traits.of_jumps and not law.traits.linear
     return not (law.traits.softens or (law.traits.rate and law.internal) or at_jumps)
 
 
 def acoustic_tensor(C: Array, n: Array) -> Array:
-    """Acoustic tensor n.C.n (d, d) of a tangent: traction per jump over the thickness."""
+    """Acoustic tensor n.C.n (d, d): the derivative of the traction by the jump over the thickness.
+
+    Args:
+        C: tangent (6, 6) in Mandel's order.
+        n: unit normal (d,) of the layer in d dimensions.
+    """
     N = np.array([symmetric_mandel((np.outer(v, n) + np.outer(n, v)) / 2) for v in np.eye(len(n))])
     return np.asarray(N @ C @ N.T)
 
 
 def declared_or_computed_tangent(law: BulkLaw, n: Array) -> Array | None:
-    """Tangent (6, 6) of a law at rest, see `tangent_at_rest`; only the declared one unless `is_checked_at_rest`."""
+    """Tangent (6, 6) of a law at rest in Mandel's order; None if it is not known.
+
+    It is computed from the stress if necessary, but not for the laws excluded by `is_checked_at_rest`. For these it is
+    what `BulkLaw.stiffness` declares.
+
+    Args:
+        law: the law, with numbers for parameters.
+        n: unit normal (d,) of the layer in d dimensions.
+    """
     return tangent_at_rest(law, n) if is_checked_at_rest(law) else law.stiffness(n)
 
 
 def require_stable(law: BulkLaw, C: Array | None, n: Array | None = None, slots: Sequence[int] = ()) -> None:
     """Raise InputError if a tangent at rest has a negative eigenvalue; do nothing if it is unknown.
 
-    The matrix itself is tested, not its symmetric part: without an energy this may be indefinite in a stable law.
+    The real parts of the eigenvalues of the tangent itself are tested, not those of its symmetric part. This part may
+    be indefinite in a stable law that has no energy.
 
     Args:
-        law: the law.
-        C: its tangent, (6, 6); None: unknown.
-        n: director (d,) of a layer, whose n.C.n is tested; None: a body.
-        slots: indices of the Mandel components of the strains of a body.
+        law: the law, for messages.
+        C: its tangent, (6, 6) in Mandel's order; None: unknown.
+        n: unit normal (d,) of a layer, whose acoustic tensor n.C.n is tested; None: a body, whose C is tested.
+        slots: for a body, indices of the Mandel components that its strains have.
     """
     if C is None or not np.isfinite(C).all():
         return
@@ -326,18 +402,18 @@ def symmetric_mandel(a: Array) -> Array:
 
 
 def is_isotropic(C: Array) -> bool:
-    """Whether a tangent (6, 6) is isotropic, to `COUPLING_TOLERANCE`."""
+    """Whether a tangent (6, 6) in Mandel's order is isotropic, to the relative tolerance `COUPLING_TOLERANCE`."""
     return bool(np.abs(C - isotropic_tensor(*average_lame(C))).max() <= COUPLING_TOLERANCE * np.abs(C).max())
 
 
 def in_plane_modulus(C: Array, n: Array) -> float:
-    """Stiffness of a sheet against strains in its plane where its faces are free; in 3D the mean over directions.
+    """Modulus of a sheet against strains in its plane while its faces are free; in 3D the mean over two directions.
 
     For an isotropic law it is E/(1 - nu^2).
 
     Args:
-        C: (6, 6) in Mandel's order.
-        n: (d,) normal of the sheet.
+        C: tangent (6, 6) in Mandel's order.
+        n: unit normal (d,) of the sheet in d dimensions.
     """
     normal = np.pad(n, (0, 3 - len(n)))
     frame = np.linalg.svd(normal[None])[2]  # first row: n

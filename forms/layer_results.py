@@ -1,4 +1,4 @@
-"""What tables, pictures and files say of a law at its points in a layer: its status, a word, and shares of material."""
+"""Results that tables, pictures and files show of a law in a layer: its status, a word, and fractions of material."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ ZERO_TRACTION_SHARE = 1e-6
 
 
 class LayerPoints(NamedTuple):
-    """Points of a law in a layer on S, from which it gives their status.
+    """Values at points of a layer on S from which a law computes its status there.
 
     Attributes:
         internal: internal variables of the law by name, (points, *shape).
         plastic: (points, 3, 3) plastic strain, of a Stack the mean of its sublayers.
-        traction: (points, 3) stress n.
+        traction: (points, 3) traction, stress times n.
         n: (points, 3) unit normals of S.
-        opening: (points,) [u] . n.
+        opening: (points,) normal jump [u] . n.
         largest_traction: largest traction of the layer.
-        largest_strain: largest jump of the layer over its thickness, or the jump if it has none.
+        largest_strain: largest jump of the layer over its thickness; without a thickness, the largest jump.
     """
 
     internal: Mapping[str, Array]
@@ -42,7 +42,7 @@ class LayerPoints(NamedTuple):
 
 
 class LayerResults:
-    """Base of laws: the words and numbers that results show of a law, which a law may define otherwise."""
+    """Base of laws with the words and numbers that results show of a law; a law may define them otherwise."""
 
     if TYPE_CHECKING:  # defined by `forms.law.Law`
         internal: ClassVar[Mapping[str, tuple[int, ...]]]
@@ -54,13 +54,14 @@ class LayerResults:
     # ---------------------------------------------------------------- status
     @property
     def statuses(self) -> tuple[str, ...]:
-        """Words that `status_at` may give, "elastic" first."""
+        """Words that `status_at` may return, with "elastic" first."""
         return YIELD_STATUSES if self.internal.get("plastic") == (3, 3) else (ELASTIC,)
 
     def status_at(self, points: LayerPoints) -> npt.NDArray[np.str_]:
-        """Status (points,) of a layer with this law, by default from traction, opening and plastic strain.
+        """Status (points,), a word, of a layer with this law at points on S.
 
-        In a Stack the first sublayer that is not elastic gives the status.
+        By default it follows from traction, opening and plastic strain. In a Stack the first sublayer that is not
+        elastic gives the status.
         """
         flow = np.einsum("pij,pj->pi", points.plastic, points.n)
         t_N, closed = ((vector * points.n).sum(axis=1) for vector in (points.traction, -flow))
@@ -71,7 +72,9 @@ class LayerResults:
         return np.select([*kinds.values()], [*kinds], TORN)
 
     def plastic_strain(self, internal: Mapping[str, Array]) -> Array | None:
-        """Plastic strain (points, 3, 3): by default the internal variable "plastic" of this shape; None: there is none.
+        """Plastic strain (points, 3, 3), by default the internal variable "plastic" if it has the shape (3, 3).
+
+        None: the law has no plastic strain.
 
         Args:
             internal: internal variables by name, (points, *shape).
@@ -81,11 +84,14 @@ class LayerResults:
     # ---------------------------------------------------------------- shares of material
     @property
     def share_columns(self) -> tuple[str, ...]:
-        """Names of the numbers that `mean_shares` gives, columns of marches; () if the material does not change."""
+        """Names of the numbers that `mean_shares` returns, columns of the table of a march.
+
+        (): the material of the law does not change.
+        """
         return ("plus", "minus", "boundary") if self.traits.phases and not self.traits.of_jumps else ()
 
     def shares(self, internal: Mapping[str, Array]) -> dict[str, Array]:
-        """Shares (points,) of the material that are in another state, by name: by default in phases 1 and -1.
+        """Fractions (points,) of the material that have changed, by name: by default those in the phases 1 and -1.
 
         Args:
             internal: internal variables by name, (points, *shape).
@@ -93,13 +99,16 @@ class LayerResults:
         return {"plus": np.maximum(internal["phase"], 0), "minus": np.maximum(-internal["phase"], 0)}
 
     def mean_shares(self, totals: Mapping[str, float], whole: float, eps: float, fraction: float) -> dict[str, float]:
-        """Numbers of a layer by the names of `share_columns`: by default means of shares, and the thickness of phase 0.
+        """Numbers of a whole layer, with the names in `share_columns`.
+
+        By default they are the means of `shares` and, for a law with phases, the thickness of the material in phase 0
+        ("boundary").
 
         Args:
-            totals: integrals of the `shares`.
-            whole: the same integral of 1.
+            totals: integrals of the fractions that `shares` returns over the layer, by name.
+            whole: integral of 1 over the layer.
             eps: thickness of the layer; 0 if it has none.
-            fraction: share of the thickness that has such laws.
+            fraction: fraction of the thickness that has such laws.
         """
         means = {name: total / whole for name, total in totals.items()}
         if self.traits.phases:

@@ -1,4 +1,4 @@
-"""Non-monotone layers: an elastic material with three phases, mixed or pure."""
+"""Laws of non-monotone layers: an elastic material with three phases, which mix or stay pure."""
 
 from __future__ import annotations
 
@@ -30,16 +30,19 @@ PHASE_PARAMETERS = ("alpha", "transformation_energy")  # parameters that may dep
 
 
 def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
-    """G = max over unit vectors k of (chi k).A(k)^-1 (chi k), A(k) = mu I + (lmbda + mu) k (x) k; 1/stress.
+    """Energy gain G, 1/stress, of the best laminate of two phases.
 
-    Two phases whose stresses differ by alpha chi can form laminates with normal k. The best k saves the energy
-    alpha^2 G/2 theta (1 - theta) against a uniform strain. This k lies in the plane of the extreme principal values c
-    of chi. With s = k.chi k the quantity to maximise is (|chi k|^2 - s^2)/mu + s^2/(lmbda + 2 mu). It is largest at
-    s = (1 - nu)(c_min + c_max), or at the nearer of c_min and c_max if s is outside.
+    Two phases whose stresses differ by alpha chi can form laminates with a unit normal k. With a fraction theta of one
+    phase, laminates save the energy alpha^2 (chi k).A(k)^-1 (chi k)/2 theta (1 - theta) per volume against a uniform
+    strain. A(k) = mu I + (lmbda + mu) k (x) k. G is the maximum of (chi k).A(k)^-1 (chi k) over k.
+
+    The best k lies in the plane of the extreme principal values c_min and c_max of chi. With s = k.chi k the quantity
+    to maximise is (|chi k|^2 - s^2)/mu + s^2/(lmbda + 2 mu). It is largest at s = (1 - nu)(c_min + c_max), or at the
+    nearer of c_min and c_max if s is outside.
 
     Args:
-        lmbda, mu: moduli.
-        chi: (d, d) symmetric; k is in the plane for d = 2.
+        lmbda, mu: Lame moduli, stress.
+        chi: orientation of the transformation, symmetric, (2, 2) or (3, 3); k is in the plane if it is (2, 2).
     """
     c = np.linalg.eigvalsh(chi)
     low, high = float(c[0]), float(c[-1])
@@ -50,19 +53,22 @@ def lamination_gain(lmbda: float, mu: float, chi: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Phases(IsotropicLaw):
-    """Base of the non-monotone laws: phases z = -1, 0, 1 of equal moduli.
+    """Base of the non-monotone laws: an elastic material with phases z = -1, 0, 1 of equal moduli.
 
-    A phase has the energy e:C:e/2 - z alpha chi:e + C |z| per volume, stress C:e - z alpha chi; Eq. (39).
+    A phase has the energy lmbda tr(e)^2/2 + mu e:e - z alpha chi:e + Psi |z| per volume. Its stress is lmbda tr(e) I +
+    2 mu e - z alpha chi; Eq. (39) of the paper, which has C for Psi.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
-        alpha: transformation stress, also in a layer (it does not scale with eps), > 0; or a function of T, in numpy.
-        transformation_energy: C in the formulas, energy per volume, > 0; or a function of T. In a layer it is per area,
-            eps times the energy per volume; section 6.1 prints one power of eps for alpha and C.
-        chi: orientation, symmetric, in the layer's axes, (2, 2) in plane strain and (3, 3) in 3D: its second axis is n
-            (`forms.tensors.layer_frame`). chi_22 acts across S, chi_12 along it.
+        alpha: transformation stress, also in a layer (it does not scale with eps), > 0; or a numpy function of the
+            temperature T.
+        transformation_energy: Psi in the formulas, energy per volume, > 0; or a numpy function of T. In a layer it is
+            per area, eps times the energy per volume. Section 6.1 of the paper prints one power of eps for alpha and C.
+        chi: orientation of the transformation, symmetric, in the layer's axes, (2, 2) in plane strain and (3, 3) in 3D.
+            The second axis is n (`forms.tensors.layer_frame`): chi_22 acts across S, chi_12 along it.
         T: temperature, if alpha or the transformation energy depend on it: a number, or a numpy function (x, t) of
-            places (d, n), in the joint before inflating, and the time.
+            places (d, n) in the joint as drawn, before S is opened to the layer's thickness, and the time. None:
+            neither depends on it.
 
     Raises:
         InputError: a parameter out of range, a function without a temperature.
@@ -91,7 +97,7 @@ class Phases(IsotropicLaw):
         object.__setattr__(self, "chi", (chi + chi.T) / 2)
 
     def _check_temperature(self) -> None:
-        """Check parameters that depend on the temperature; if T is a number, replace functions of T by their values."""
+        """Check the parameters in `PHASE_PARAMETERS`; if T is a number, replace functions of T by their values."""
         functions = [name for name in PHASE_PARAMETERS if callable(getattr(self, name))]
         if functions and self.T is None:
             raise InputError(f"{type(self).__name__}: {functions[0]} needs T; give T, a number or a function (x, t)")
@@ -112,7 +118,12 @@ class Phases(IsotropicLaw):
         self.require(len(self.chi) == d, "shape of chi", f"({d}, {d}) in a model of dimension {d}", self.chi.shape)
 
     def _check_phases(self, phases: Mapping[str, Array], where: Callable[[int], str]) -> None:
-        """Raise InputError unless `PHASE_PARAMETERS`, values (n,), are in range; `where(k)` names the k-th place."""
+        """Raise InputError unless parameters of the phases are > 0 and finite.
+
+        Args:
+            phases: values (n,) of each of `PHASE_PARAMETERS` at n places.
+            where: index of a place -> text of the place, for messages.
+        """
         for name, values in phases.items():
             bad = np.flatnonzero(~((values > 0) & np.isfinite(values)))
             for k in bad[np.argsort(values[bad])][:1]:
@@ -151,16 +162,19 @@ class Phases(IsotropicLaw):
 
     # ---------------------------------------------------------------- quantities of a step, UFL
     def _drive(self, e: Expr, n: Expr) -> Expr:
-        """Driving force of phase 1, alpha chi:e, energy per volume."""
+        """Driving force of phase 1, alpha chi:e, energy per volume, at the strain e (3, 3) for the layer's normal n."""
         return ufl.inner(self._transformation_stress(n), e)
 
     def _transformation_stress(self, n: Expr) -> Expr:
-        """Transformation stress alpha chi (3, 3) in the axes of the joint."""
+        """Transformation stress alpha chi (3, 3) in the axes of the joint, for the normal n of the layer."""
         turn = layer_frame(n)
         return self.alpha * turn * three_dimensional(ufl.as_tensor(self.chi)) * turn.T
 
     def remainder(self, step: Step) -> Expr:
-        """Error of the time scheme in the energy balance, plus energy released by changes of temperature or phase."""
+        """Work of the stress in a step minus the increase of the stored energy, UFL, per volume.
+
+        It is the error of the time scheme, plus the energy released by changes of temperature or phase.
+        """
         return ufl.inner(self.stress(step), step.e - step.e_old) - (self.advance(step)["stored"] - step.q["stored"])
 
 
@@ -168,27 +182,31 @@ class Phases(IsotropicLaw):
 class NonMonotone(Phases):
     """The relaxed non-monotone law: phases mix in fine laminates that minimise the energy.
 
-    With the driving force m = alpha chi:e, phase sign(m) has the fraction theta = clip(1/2 + (|m| - C)/g, 0, 1), and
+    Let m = alpha chi:e be the driving force, and Psi the transformation energy. Phase sign(m) has the fraction theta =
+    clip(1/2 + (|m| - Psi)/g, 0, 1), and
 
         stress = lmbda tr(e) I + 2 mu e - sign(m) theta alpha chi,   g = alpha^2 G.
 
-    G (`lamination_gain`) belongs to the best direction of laminates. This is n for chi = sym(a (x) n) with a tangent to
-    S. For chi = n (x) n it is n if lmbda = 0, but not if lmbda > 0.
+    G (`lamination_gain`) is the energy gain of laminates with the best normal. This normal is n for chi = sym(a (x) n)
+    with a tangent to S. For chi = n (x) n it is n if lmbda = 0, but not if lmbda > 0.
 
-    As a layer's law, with E = sym(w (x) n)/eps: t = K w - sign(m) theta alpha chi n, m = alpha chi:E. It replaces
-    Eqs. (41)-(43), which print lmbda + mu for lmbda + 2 mu, [u_1] for [u_2], and one branch only. The stress is
-    continuous. For mixing = 1 t is monotone in w, without snaps: the energy is convex along every sym(a (x) k). It need
-    not be convex along all strains, for example with chi = I.
+    As a layer's law, with the jump w and the strain E = sym(w (x) n)/eps: t = K w - sign(m) theta alpha chi n, m =
+    alpha chi:E. K has the stiffnesses (lmbda + 2 mu)/eps along n and mu/eps along S. It replaces Eqs. (41)-(43) of the
+    paper, which print lmbda + mu for lmbda + 2 mu, [u_1] for [u_2], and one branch only. The stress is continuous. For
+    mixing = 1 t is monotone in w, without snaps: the energy is convex along every sym(a (x) k). It need not be convex
+    along all strains, for example with chi = I.
 
     Where the phases mix the tangent may be singular (chi = n (x) n, lmbda = 0); the stiffness of the bodies remains.
 
     Attributes:
-        mixing: share of the laminates' energy gain, 0 < mixing <= 1: g = mixing alpha^2 G. Below 1 the stress falls as
-            the phases change, more steeply for smaller values; then on S only, see `thinlayer.ArcLength`.
-        G: the gain of `lamination_gain`, 1/stress, computed.
+        mixing: fraction of the laminates' energy gain, 0 < mixing <= 1: g = mixing alpha^2 G. Below 1 the stress falls
+            as the phases change, more steeply for smaller values. The law then acts on S only, and steps of arc length
+            (`thinlayer.ArcLength`) follow its equilibria.
+        G: energy gain from `lamination_gain`, 1/stress; computed from the other parameters.
 
     Raises:
-        InputError: as `Phases`; C < g/2, where phases 1 and -1 would mix.
+        InputError: a parameter out of range, a function without a temperature, or Psi < g/2, where phases 1 and -1
+            would mix.
     """
 
     mixing: float = 1.0
@@ -222,11 +240,11 @@ class NonMonotone(Phases):
 
     @property
     def _gain(self) -> Expr:
-        """Energy gain g of mixing, per volume."""
+        """Energy gain g of mixing, per volume, mixing alpha^2 G."""
         return self.mixing * self.G * self.alpha * self.alpha  # type: ignore[operator]
 
     def _fraction(self, m: Expr) -> Expr:
-        """Fraction of the phase that the driving force m favours."""
+        """Fraction, from 0 to 1, of the phase 1 or -1 that the driving force m favours."""
         return ufl.min_value(ufl.max_value((abs(m) - self.transformation_energy) / self._gain + 0.5, 0.0), 1.0)
 
     def _phase(self, m: Expr) -> Expr:
@@ -251,11 +269,12 @@ class NonMonotoneUnrelaxed(Phases):
     """The non-monotone law with pure phases: stress = lmbda tr(e) I + 2 mu e - z alpha chi, z = -1, 0 or 1.
 
     The phase is an internal variable. Each facet of S has one phase, and so has the column of cells over it in the
-    meshed layer. (If elements through the thickness switched one by one, they would unload each other: another
-    structure.)
+    meshed layer. (If elements through the thickness switched one by one, they would unload each other, which the law on
+    S does not do.)
 
-    A phase stays while no other phase has a lower energy, Eq. (39). For the mean m of alpha chi:e over the column this
-    means: |m| <= C for z = 0; m >= C for z = 1; m <= -C for z = -1. As a layer's law t = K w - z alpha chi n.
+    A phase stays while no other phase has a lower energy, Eq. (39) of the paper. Let m be the mean of the driving force
+    alpha chi:e over the column, and Psi the transformation energy. Then a phase stays while |m| <= Psi for z = 0; m >=
+    Psi for z = 1; m <= -Psi for z = -1. As a layer's law t = K w - z alpha chi n with the jump w.
 
     Equilibria are local minima of the energy. Alternate minimisation from the last equilibrium selects one. All columns
     switch to their phase of lowest energy, then equilibrium is solved with these phases; this is repeated until no
@@ -280,10 +299,25 @@ class NonMonotoneUnrelaxed(Phases):
         return isotropic_energy(self.lmbda, self.mu, step.e) + of_phase
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """(n,) energy of the phase minus energy of the best other phase, over C. A column switches if it is > 0."""
+        """Energy (n,) by which the phases of n columns exceed that of another phase, over Psi; > 0: the column
+        switches.
+
+        For z = 1 and -1 the other phase is 0; for z = 0 it is the phase that the driving force favours.
+
+        Args:
+            phase: phases z, -1, 0 or 1, of the columns, (n,).
+            drive: means (n,) of the driving force alpha chi:e over the columns, energy per volume.
+            bound: means (n,) of the transformation energy Psi, energy per volume.
+        """
         return np.where(phase == 0, abs(drive) / bound - 1, 1 - phase * drive / bound)
 
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Phases (n,) after all columns with an excess > 0 have switched to their phase of lowest energy."""
+        """Phases (n,) after all columns with an excess > 0 have switched to their phase of lowest energy.
+
+        Args:
+            phase: phases z, -1, 0 or 1, of the columns before, (n,).
+            drive: means (n,) of the driving force alpha chi:e over the columns, energy per volume.
+            bound: means (n,) of the transformation energy Psi, energy per volume.
+        """
         lowest = np.where(drive > bound, 1.0, np.where(drive < -bound, -1.0, 0.0))
         return np.where(self.excess(phase, drive, bound) > 0, lowest, phase)

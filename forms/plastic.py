@@ -22,29 +22,38 @@ MIN_ELASTIC_FRACTION = 1e-6  # smallest elastic fraction of the stiffness in con
 
 
 def require_hardening(law: Plastic | VonMises, *names: str) -> None:
-    """Raise InputError unless these parameters and the saturation strain are >= 0, the latter > 0 if it is used."""
+    """Raise InputError unless hardening parameters of a law are >= 0.
+
+    The saturation strain must be > 0 if there is a saturation.
+
+    Args:
+        law: the law.
+        names: names of the other parameters.
+    """
     require_nonnegative(law, *names, "saturation_strain")
     law.require(law.saturation_strain > 0 or law.saturation == 0, "saturation_strain", "> 0 where saturation > 0")
 
 
 @dataclass(frozen=True)
 class Plastic(IsotropicLaw):
-    """Base of the Mohr-Coulomb laws: isotropic elasticity, and plastic strain that grows where shear reaches its bound.
+    """Base of the Mohr-Coulomb laws: isotropic elasticity, and plastic strain where the shear stress reaches its bound.
 
-    A fraction h, `elastic_fraction`, of the stiffness stays elastic, stress = (1 - h) stress_plastic +
-    h (lmbda tr(e) I + 2 mu e). With h > 0 a solution exists even where ideal plasticity has none (a layer without
-    cohesion has no strength at its free ends). h is part of the law: the meshed layer and S have the same h. It hides
-    limit loads, see `State.elastic_share`.
+    A fraction h, `elastic_fraction`, of the stiffness stays elastic: stress = (1 - h) stress_plastic + h (lmbda tr(e) I
+    + 2 mu e). With h > 0 a solution exists even where ideal plasticity has none (a layer without cohesion has no
+    strength at its free ends). h is part of the law: the meshed layer and S have the same h. It hides limit loads;
+    `State.elastic_share` tells how much of a load the fraction h carries.
 
-    The cohesion grows with the accumulated plastic strain p, c = C + H p + Q p/(p_0 + p); this work is dissipated. p is
-    defined such that c dp is the plastic work if the flow is associated; see the laws.
+    The cohesion grows from its initial value C with the accumulated plastic strain p: c = C + H p + Q p/(p_0 + p). The
+    work of this hardening is dissipated. p is defined such that c dp is the plastic work if the flow is associated;
+    each law says how p grows.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
-        cohesion: C in the formulas, stress, also in a layer (it and the angles do not scale with its thickness); >= 0.
+        cohesion: initial cohesion, C in the formulas, stress, also in a layer (it and the angles do not scale with its
+            thickness); >= 0.
         friction_angle: Omega in the formulas, in degrees (30, not 0.52), 0 <= Omega < 90; > 0 if C = 0.
-        elastic_fraction: 0 <= elastic_fraction < 1.
-        hardening: H, stress; >= 0.
+        elastic_fraction: h in the formulas, 0 <= elastic_fraction < 1.
+        hardening: H in the formulas, increase of the cohesion per plastic strain, stress; >= 0.
         saturation: Q, largest increase of the cohesion in addition to H p, stress, also in a layer; >= 0.
         saturation_strain: p_0, at which half of Q is reached, strain (in a layer: strain times thickness, a length); >
             0 where Q > 0.
@@ -79,7 +88,9 @@ class Plastic(IsotropicLaw):
         require_hardening(self, "hardening", "saturation")
 
     def homotopy(self, parameter: float) -> Plastic:
-        """Homotopy law: the elastic fraction grows from its own value (parameter 0) to 1, an elastic layer (1)."""
+        """Homotopy law whose elastic fraction grows from its own value (parameter 0) to 1, an elastic layer (parameter
+        1).
+        """
         h, share = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - parameter) if parameter else 0.0
         return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
 
@@ -88,31 +99,34 @@ class Plastic(IsotropicLaw):
 class MohrCoulomb(KernelLaw, Plastic):
     """Mohr-Coulomb elasto-plasticity: on every plane |shear stress| <= C - tan(Omega) normal stress.
 
-    In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= c cos(Omega) - (s_1 + s_3)/2 sin(Omega). The plastic flow
-    has psi in place of Omega. p grows by cos(Omega) times the largest plastic shear strain (engineering) where the flow
-    has no trace. Steps are implicit. Equation (30) prints |s_n|, which is right in compression, and a flow on one
-    plane, which is not coaxial with the stress. There are two such planes; the flow here is the mean of both. In (31)
-    and (33) the plastic strains lack a factor 2, and the plastic strain has no trace.
+    C is the cohesion, which hardening raises to c. In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= c
+    cos(Omega) - (s_1 + s_3)/2 sin(Omega). The plastic flow has psi in place of Omega. Where the flow has no trace, the
+    accumulated plastic strain grows by cos(Omega) times the largest plastic shear strain (engineering). Steps are
+    implicit.
 
-    As a layer's law it is not Coulomb's law with tan(Omega). In plane strain let p = (lmbda + mu) w_N/eps here be
-    the mean in-plane stress, and s = (s_N, s_T) the in-plane deviator. s grows by mu/eps dw in each step as long as
-    |s| <= R = C cos(Omega) - p sin(Omega). For psi = 0
+    Equation (30) of the paper prints |s_n|, which is right in compression, and a flow on one plane, which is not
+    coaxial with the stress. There are two such planes; the flow here is the mean of both. In Eqs. (31) and (33) the
+    plastic strains lack a factor 2, and the plastic strain has no trace.
 
-        t_N = p + s_N, t_T = s_T
+    As a layer's law it is not Coulomb's law with tan(Omega). In plane strain let s_m = (lmbda + mu) w_N/eps be the mean
+    in-plane stress, and s = (s_N, s_T) the in-plane deviator. s grows by mu/eps dw with the increment dw of the jump as
+    long as |s| <= R = C cos(Omega) - s_m sin(Omega). For psi = 0
 
-    and under lasting shear t_T tends to C cos(Omega) - t_N sin(Omega). Equations (34)-(35) hold with w^p only if the
-    plastic strain has the form of a jump, which it does not have.
+        t_N = s_m + s_N, t_T = s_T
+
+    and under lasting shear t_T tends to C cos(Omega) - t_N sin(Omega). Equations (34)-(35) of the paper need a plastic
+    strain sym(w^p (x) n)/eps, which the plastic strain of this law is not.
 
     This holds for psi = 0, in plane strain, and for s_33 between the in-plane principal stresses. At yield this means
-    |p| (1 - 2 nu) <= R. It fails in tension near the apex, and in compression for small nu and Omega. With C = 0 it
-    fails in compression for nu < (1 - sin(Omega))/2. The law is compiled from C: a return mapping to faces, edges and
-    apex of the yield surface in principal stresses. On edges and at the apex the accumulated p grows by 2 cos(Omega)
-    times the flow along both planes together.
+    |s_m| (1 - 2 nu) <= R. It fails in tension near the apex, and in compression for small nu and Omega. With C = 0 it
+    fails in compression for nu < (1 - sin(Omega))/2. The law is compiled from a C file: a return mapping to faces,
+    edges and apex of the yield surface in principal stresses. On edges and at the apex the accumulated plastic strain
+    grows by 2 cos(Omega) times the sum of the plastic multipliers of both planes.
 
-    For psi = 0 the flow does not change the mean stress. Stresses with a mean above C cot(Omega) cannot return to
-    the yield surface. There the stress is cut off to C cot(Omega) times the identity, with a volumetric plastic strain.
-    The material has torn, and closes only when this volume is compressed to zero again. For psi > 0 the flow itself
-    does this.
+    For psi = 0 the flow does not change the mean stress. Stresses with a mean above C cot(Omega) cannot return to the
+    yield surface. There the stress is cut off to C cot(Omega) times the identity, with a volumetric plastic strain. The
+    material has torn, and closes only when this volume is compressed to zero again. For psi > 0 the flow itself does
+    this.
 
     Attributes:
         dilatancy_angle: psi in the formulas, in degrees, 0 <= psi <= Omega.
@@ -146,11 +160,13 @@ class MohrCoulomb(KernelLaw, Plastic):
 class MohrCoulombMonodirectional(Plastic):
     """Mohr-Coulomb elasto-plasticity with slip only on planes parallel to S: |t_T| <= c - tan(Omega) t_N, t = stress n.
 
-    p grows by the plastic shear strain across S (engineering); in a layer this is the slip |dw^p| over the thickness.
+    c is the cohesion after hardening, C its initial value. The accumulated plastic strain grows by the plastic shear
+    strain across S (engineering). In a layer this is the increment |dw^p| of the plastic jump over the thickness.
 
-    Equations (37)-(38) and (54)-(55), with the sign of the shear stress in the flow: dw^p/dt = k t_T/|t_T|, k >= 0. As
-    a layer's law, t = K (w - w^p): Coulomb's friction with penalties (lmbda + 2 mu)/eps and mu/eps. Where t_N > C
-    cot(Omega) the shear traction vanishes and the normal traction stays elastic: bilateral, as in the paper.
+    This is the law of Eqs. (37)-(38) and (54)-(55) of the paper, with the sign of the shear stress in the flow: dw^p/dt
+    = k t_T/|t_T|, k >= 0. As a layer's law, t = K (w - w^p) with the jump w: Coulomb's friction with the elastic
+    stiffnesses (lmbda + 2 mu)/eps along n and mu/eps along S. Where t_N > C cot(Omega) the shear traction vanishes,
+    while the normal traction stays elastic in tension, as in the paper.
 
     With `unilateral` the layer opens instead of carrying tension: a free strain along n keeps t_N <= 0, and |t_T| <= C
     remains. With C = 0 its limit is contact with friction tan(Omega), `IncrementalCoulomb.of_layer`.
@@ -170,11 +186,15 @@ class MohrCoulombMonodirectional(Plastic):
         self.require(isinstance(self.unilateral, bool), "unilateral", "True or False", repr(self.unilateral))
 
     def _tension(self, e: Expr, n: Expr) -> Expr:
-        """Normal tension of an elastic strain, which opening along n removes if the law is unilateral."""
+        """Normal tension >= 0 that an elastic strain e (3, 3) causes across planes with the normal n.
+
+        If the law is unilateral, an opening along n removes this tension.
+        """
         return ufl.max_value(self.lmbda * ufl.tr(e) + 2 * self.mu * ufl.dot(n, ufl.dot(e, n)), 0)
 
     def _trial(self, step: Step) -> Expr:
-        """Trial stress of the plastic part at t + theta dt, without plastic flow in the step."""
+        """Stress (3, 3) of the plastic part of the law at t + theta dt, as if no plastic strain were added in the step.
+        """
         e, n = step.mid - step.q["plastic"], three_dimensional(step.n)
         stress = lame_stress(self.lmbda, self.mu, e)
         if not self.unilateral:
@@ -191,7 +211,10 @@ class MohrCoulombMonodirectional(Plastic):
         return (1 - self.elastic_fraction) * stored + self.elastic_fraction * elastic
 
     def _flow(self, step: Step) -> tuple[Expr, Expr]:
-        """Increments up to t + theta dt of the traceless plastic strain (3, 3), and of the accumulated strain."""
+        """Increments, from t to t + theta dt, of the plastic strain (3, 3) and of the accumulated plastic strain.
+
+        The plastic strain has no trace.
+        """
         n, p = three_dimensional(step.n), step.q["accumulated"]
         e = step.mid - step.q["plastic"]  # needs only the traction: compiles 50 times faster than with _trial
         e_N = ufl.dot(n, ufl.dot(e, n))
@@ -209,11 +232,18 @@ class MohrCoulombMonodirectional(Plastic):
 
     @property
     def _half(self) -> Expr:
-        """p_0, or 1 without saturation."""
+        """The saturation strain p_0, at which half of the saturation is reached; 1 without saturation."""
         return ufl.conditional(ufl.gt(self.saturation, 0), self.saturation_strain, 1.0)
 
     def _size(self, p: Expr, excess: Expr) -> Expr:
-        """Slip x > 0 with excess = mu x + c(p + x) - c(p), the root of a quadratic equation."""
+        """Increment x > 0 of the accumulated plastic strain, with excess = mu x + c(p + x) - c(p).
+
+        It is the root of a quadratic equation.
+
+        Args:
+            p: accumulated plastic strain at the beginning of the step.
+            excess: shear stress beyond its bound, if no plastic strain is added.
+        """
         d, a = self._half + p, self.mu + self.hardening
         b = a * d + self.saturation * self._half / d - excess
         root = ufl.sqrt(b * b + 4 * a * excess * d)
@@ -241,23 +271,24 @@ MAX_HARDENING_FRACTION = 1 - 1e-9  # largest fraction of the elastic stiffness a
 class VonMises(KernelLaw, IsotropicLaw):
     """Isotropic elasticity, and plastic flow along the deviator where the equivalent stress reaches the yield stress.
 
-    The yield condition is sqrt(3/2) |s - 2/3 K e^p| <= Y + H p + Q (1 - exp(-p/p_0)). s is the deviator of the stress,
-    e^p the plastic strain, which has no trace, and p the accumulated plastic strain, dp/dt = sqrt(2/3) |de^p/dt|. The
+    The yield condition is sqrt(3/2) |s - 2/3 K e^p| <= Y + H p + Q (1 - exp(-p/p_0)). s is the deviator of the stress.
+    e^p is the plastic strain, which has no trace. p is the accumulated plastic strain, dp/dt = sqrt(2/3) |de^p/dt|. The
     right-hand side is the yield stress in uniaxial tension; in shear |s_12| <= Y/sqrt(3) at first. Flow is associated,
     steps are implicit (radial return).
 
     The work of isotropic hardening is dissipated, the work of kinematic hardening (Prager's) is stored.
 
-    As a layer's law, t = (lmbda + 2 mu/3)/eps w_N n + s n with the deviator s at the strain sym(w (x) n)/eps. Without
-    hardening t_T is at most Y/sqrt(3), reached under lasting shear; t_N - (lmbda + 2 mu/3)/eps w_N is at most 2 Y/3.
+    As a layer's law, t = (lmbda + 2 mu/3)/eps w_N n + s n with the jump w, and the deviator s at the strain sym(w (x)
+    n)/eps. Without hardening t_T is at most Y/sqrt(3), reached under lasting shear; t_N - (lmbda + 2 mu/3)/eps w_N is
+    at most 2 Y/3.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         strength: Y in the formulas, yield stress in tension, stress, also in a layer; > 0.
-        hardening: H, linear isotropic hardening, stress; >= 0.
-        kinematic: K, linear kinematic hardening, stress; >= 0.
+        hardening: H in the formulas, modulus of linear isotropic hardening, stress; >= 0.
+        kinematic: K in the formulas, modulus of linear kinematic hardening, stress; >= 0.
         saturation: Q, largest increase of the yield stress in addition to H p, stress, also in a layer; >= 0.
-        saturation_strain: p_0, strain (in a layer: strain times thickness, a length); > 0 where Q > 0.
+        saturation_strain: p_0 in the formulas, strain (in a layer: strain times thickness, a length); > 0 where Q > 0.
 
     Raises:
         InputError: a parameter out of range.
@@ -288,7 +319,13 @@ class VonMises(KernelLaw, IsotropicLaw):
 
     @classmethod
     def young(cls, E: Parameter, nu: Parameter, strength: Parameter, **hardening: Parameter) -> VonMises:
-        """The law with Young's modulus and Poisson's ratio, see `LinearElastic.young`."""
+        """The law with Young's modulus E > 0 (stress) and Poisson's ratio -1 < nu < 1/2 in place of Lame's moduli.
+
+        Args:
+            E, nu: numbers, or numpy functions of places (d, n) in the joint that give n values.
+            strength: yield stress in tension, stress; > 0.
+            hardening: further parameters of the law, by name.
+        """
         elastic = LinearElastic.young(E, nu)
         return cls(elastic.lmbda, elastic.mu, strength, **hardening)  # type: ignore[arg-type]
 
@@ -298,7 +335,9 @@ class VonMises(KernelLaw, IsotropicLaw):
         require_hardening(self, "hardening", "kinematic", "saturation")
 
     def homotopy(self, parameter: float) -> VonMises:
-        """Homotopy law: kinematic hardening grows from its own value (0) to an almost elastic response (1)."""
+        """Homotopy law whose kinematic hardening grows from its own value (parameter 0) to an almost elastic response
+        (1).
+        """
         if not parameter:
             return self
         share = min(MIN_ELASTIC_FRACTION ** (1 - parameter), MAX_HARDENING_FRACTION)

@@ -16,7 +16,7 @@ from forms.tensors import Expr, isotropic_tensor
 
 
 class PressureLaw(LinearLaw):
-    """Isotropic elasticity with a pressure field, stress = 2 mu e + p I."""
+    """Base of isotropic elastic laws with a pressure field p, stress = 2 mu e + p I; p > 0 is tension."""
 
     mu: float
     constrained = True
@@ -42,9 +42,9 @@ class Incompressible(PressureLaw):
     """Incompressible elasticity, stress = 2 mu e + p I with tr e = 0; the pressure p is an unknown field.
 
     As a layer's law: w_N = 0, t_N = p is unknown, t_T = mu/eps w_T with the jump w. The paper gives only the
-    constraint, Eqs. (25)-(29). It is not a penalty: tr e = 0 holds weakly, tested with every pressure of degree 1, in
-    the meshed layer and on S. The law of order 1 is the limit of `Rubber` for infinite lmbda: a gradient of p squeezes
-    the layer along S.
+    constraint, Eqs. (25)-(29). There is no penalty: tr e = 0 holds weakly against all pressures of degree 1, in the
+    meshed layer and on S. The interface law of order 1 is the limit of `Rubber` for infinite lmbda: a gradient of p
+    squeezes the layer along S.
 
     Attributes:
         mu: shear modulus, stress; > 0.
@@ -60,7 +60,11 @@ class Incompressible(PressureLaw):
         require_positive(self, "mu")
 
     def plane_stress(self) -> LinearElastic:
-        """Law without constraint in the plane: e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22)."""
+        """Linear elastic law of plane stress, with in-plane strains that are not constrained and without a pressure
+        field.
+
+        Incompressibility gives e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22).
+        """
         return LinearElastic(1.0, 1.0).with_parameters({"lmbda": 2 * self.mu, "mu": self.mu})
 
     def stiffness(self, n: Array) -> Array:
@@ -71,14 +75,15 @@ class Incompressible(PressureLaw):
 class Rubber(PressureLaw, IsotropicLaw):
     """Isotropic elasticity with a pressure field: stress = 2 mu e + p I with p = lmbda tr e, for any lmbda/mu > 0.
 
-    The same material as `LinearElastic`. Here a pressure of degree 1 controls the volume, in the meshed layer and on S,
-    so that nothing locks as lmbda/mu grows. In the interface law of order 1 (`ThinLayer(order=1)`) p is a continuous
-    field on S. Between stiff bodies it spreads over the length eps sqrt(lmbda/(12 mu)), and it is zero at free ends:
+    The material is that of `LinearElastic`. Here a pressure field of degree 1 controls the volume, in the meshed layer
+    and on S, so that nothing locks as lmbda/mu grows. In the interface law of order 1 (`ThinLayer(order=1)`) p is a
+    continuous field on S. Between stiff bodies it spreads over the length eps sqrt(lmbda/(12 mu)), and it is zero at
+    free ends:
 
         (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = [u_N] + eps div_S <u>,
 
-    in addition to the shear of the layer (`forms.work.surface`). The error is O(eps^2) for all Poisson's ratios in
-    (0, 1/2).
+    where [u_N] is the normal jump and <u> the mean displacement of both faces. The shear of the layer adds to this
+    (`forms.work.surface`). The error is O(eps^2) for all Poisson's ratios in (0, 1/2).
 
     Attributes:
         lmbda: first Lame modulus, stress; > 0.
