@@ -299,8 +299,7 @@ class NonMonotoneUnrelaxed(Phases):
         return isotropic_energy(self.lmbda, self.mu, step.e) + of_phase
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Energy (n,) by which the phases of n columns exceed that of another phase, over Psi; > 0: the column
-        switches.
+        """Energy (n,) by which the phases of columns exceed that of another phase, over Psi; > 0: the column switches.
 
         For z = 1 and -1 the other phase is 0; for z = 0 it is the phase that the driving force favours.
 

@@ -20,7 +20,11 @@ FieldOperator = Callable[["ParameterField", object], "ParameterField"]
 
 
 class ParameterRangeError(InputError):
-    """Error for a value of a parameter that is out of range at the k-th place."""
+    """Error for a value of a parameter that is out of range at one of several places.
+
+    Attributes:
+        k: index of the place.
+    """
 
     def __init__(self, message: str, k: int) -> None:
         super().__init__(message)
@@ -28,7 +32,10 @@ class ParameterRangeError(InputError):
 
 
 def _operators(combine: Combine) -> tuple[FieldOperator, FieldOperator]:
-    """Operator methods of `ParameterField` with the other operand on its right, and on its left."""
+    """Two operator methods of `ParameterField` that combine it with a number or another field.
+
+    The first has the other operand on the right of the operator, the second on its left.
+    """
     return lambda self, other: self._with(combine, other), lambda self, other: self._with(combine, other, turned=True)
 
 
@@ -37,8 +44,9 @@ class ParameterField:
     """A parameter as a function of the place, or a value computed from such parameters and numbers.
 
     Attributes:
-        function: of coordinates x (d, n), or of the values (n,) of the operands; returns (n,) or one number.
-        operands: parameter fields and numbers whose values are the function's arguments; (): a function of coordinates.
+        function: function of coordinates x (d, n) that returns (n,) or one number; with `operands`, function of their
+            values.
+        operands: parameter fields and numbers whose values are the arguments of the function; (): its argument is x.
     """
 
     function: Callable[..., npt.ArrayLike]
@@ -90,7 +98,11 @@ def as_parameter_field(value: Parameter) -> float | ParameterField:
 
 
 def real_values(values: object) -> Array:
-    """Convert to float64; raise TypeError for complex and boolean values, which numpy would convert silently."""
+    """Values as an array of float64.
+
+    Raises:
+        TypeError: values are complex or boolean, which numpy would convert silently.
+    """
     array = np.asarray(values)
     if array.dtype.kind not in "iuf":
         raise TypeError(f"it gives {array.dtype.name} values, not real numbers")
@@ -101,12 +113,18 @@ def real_values(values: object) -> Array:
 
 
 def parameter_numbers(value: ParameterValue) -> Array:
-    """A parameter as numbers; NaN for a `ParameterField`."""
+    """A parameter (number, array) as an array; NaN for a `ParameterField`."""
     return np.asarray(np.nan if isinstance(value, ParameterField) else value, float)
 
 
 def failure_text(what: str, x: Array, error: Exception) -> str:
-    """Text for messages: `what`, a user's function of x, has failed with this error."""
+    """Text for messages: a user's function has failed.
+
+    Args:
+        what: name of the function.
+        x: array for which it was called.
+        error: error that it raised.
+    """
     return f"{what} fails for an array of shape {x.shape}: {type(error).__name__}: {error}"
 
 
@@ -116,7 +134,12 @@ def place_text(x: Array, k: int) -> str:
 
 
 def extreme_places(values: Sequence[Array], *, differences: bool = False) -> list[int]:
-    """Indices of the places where one of the values (n,), or a ratio or difference of two, is smallest or largest."""
+    """Indices of the places where one of several quantities, or the ratio of two, is smallest or largest.
+
+    Args:
+        values: values (n,) of each quantity at n places.
+        differences: whether the differences of two quantities count, too.
+    """
     fields = list(values)
     with np.errstate(all="ignore"):
         for a, b in combinations(values, 2):

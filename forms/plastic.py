@@ -88,9 +88,7 @@ class Plastic(IsotropicLaw):
         require_hardening(self, "hardening", "saturation")
 
     def homotopy(self, parameter: float) -> Plastic:
-        """Homotopy law whose elastic fraction grows from its own value (parameter 0) to 1, an elastic layer (parameter
-        1).
-        """
+        """Homotopy law whose elastic fraction grows from its own value (parameter 0) to 1, an elastic layer (1)."""
         h, share = self.elastic_fraction, MIN_ELASTIC_FRACTION ** (1 - parameter) if parameter else 0.0
         return self.with_parameters({"elastic_fraction": h + share * (1 - h)})
 
@@ -193,8 +191,7 @@ class MohrCoulombMonodirectional(Plastic):
         return ufl.max_value(self.lmbda * ufl.tr(e) + 2 * self.mu * ufl.dot(n, ufl.dot(e, n)), 0)
 
     def _trial(self, step: Step) -> Expr:
-        """Stress (3, 3) of the plastic part of the law at t + theta dt, as if no plastic strain were added in the step.
-        """
+        """Stress (3, 3) of the plastic part of the law at t + theta dt, as if no plastic strain were added."""
         e, n = step.mid - step.q["plastic"], three_dimensional(step.n)
         stress = lame_stress(self.lmbda, self.mu, e)
         if not self.unilateral:
@@ -278,7 +275,7 @@ class VonMises(KernelLaw, IsotropicLaw):
 
     The work of isotropic hardening is dissipated, the work of kinematic hardening (Prager's) is stored.
 
-    As a layer's law, t = (lmbda + 2 mu/3)/eps w_N n + s n with the jump w, and the deviator s at the strain sym(w (x)
+    As a layer's law, t = (lmbda + 2 mu/3)/eps w_N n + s n with the jump w. s is the deviator at the strain sym(w (x)
     n)/eps. Without hardening t_T is at most Y/sqrt(3), reached under lasting shear; t_N - (lmbda + 2 mu/3)/eps w_N is
     at most 2 Y/3.
 
@@ -335,9 +332,7 @@ class VonMises(KernelLaw, IsotropicLaw):
         require_hardening(self, "hardening", "kinematic", "saturation")
 
     def homotopy(self, parameter: float) -> VonMises:
-        """Homotopy law whose kinematic hardening grows from its own value (parameter 0) to an almost elastic response
-        (1).
-        """
+        """Homotopy law: kinematic hardening grows from its own value (parameter 0) to almost elastic behaviour (1)."""
         if not parameter:
             return self
         share = min(MIN_ELASTIC_FRACTION ** (1 - parameter), MAX_HARDENING_FRACTION)

@@ -60,8 +60,7 @@ class Incompressible(PressureLaw):
         require_positive(self, "mu")
 
     def plane_stress(self) -> LinearElastic:
-        """Linear elastic law of plane stress, with in-plane strains that are not constrained and without a pressure
-        field.
+        """Linear elastic law of plane stress, without a pressure field: the in-plane strains are not constrained.
 
         Incompressibility gives e_33 = -(e_11 + e_22), and sigma_33 = 0 gives p = 2 mu (e_11 + e_22).
         """

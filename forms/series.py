@@ -1,4 +1,4 @@
-"""Stack: sublayers in series, and the interface law of order 1 of isotropic elastic sublayers."""
+"""Stack: a law of sublayers in series, and its interface law of order 1 for isotropic elastic sublayers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from forms.traits import Traits, require_declarations
 
 
 class AveragedElastic(LinearElastic):
-    """Average of elastic laws; its moduli may be negative."""
+    """Isotropic elastic law with averages of the sublayers' moduli, which may be negative."""
 
     def check(self) -> None:
         """Check nothing: the laws of the sublayers have been checked."""
@@ -28,12 +28,13 @@ class AveragedElastic(LinearElastic):
 
 @dataclass(frozen=True)
 class EqualTractionSublayers(AveragedElastic):
-    """Average law of sublayers under equal tractions on planes parallel to S.
+    """Average law of isotropic elastic sublayers whose tractions on planes parallel to S are equal.
 
-    Means are over the thickness; Phi_N and Phi_T are defined in `in_series`.
+    Means are over the thickness. Phi_N and Phi_T are the fractions of the normal and tangential jump that displacements
+    contain at a height (`in_series`). They grow from -1/2 at the lower to 1/2 at the upper face.
 
     Attributes:
-        lmbda, mu: mu is the harmonic mean of the sublayers' mu, and lmbda + 2 mu of their lmbda + 2 mu.
+        lmbda, mu: mu is the harmonic mean of the sublayers' mu, and lmbda + 2 mu that of their lmbda + 2 mu.
         lateral: mean of r = lmbda/(lmbda + 2 mu), the thinning of a free layer per stretch along S.
         lateral_normal, lateral_tangential: means of r Phi_N and r Phi_T.
         normal, tangential: means of Phi_N and Phi_T.
@@ -46,7 +47,13 @@ class EqualTractionSublayers(AveragedElastic):
     tangential: float
 
     def strain(self, faces: Faces) -> Expr:
-        """Strain (3, 3) that causes the traction: mean strain across the layer, corrected for strains along S."""
+        """Strain (3, 3) that causes the common traction of the sublayers.
+
+        It is the mean strain across the layer, corrected for strains along S.
+
+        Args:
+            faces: displacements of the faces of the layer.
+        """
         n, across = three_dimensional(faces.n), faces.across() + faces.mean
         thinned = faces.split(self.lateral_normal, self.lateral_tangential).difference
         turned = faces.split(self.normal, self.tangential).difference
@@ -57,10 +64,13 @@ class EqualTractionSublayers(AveragedElastic):
 
 
 def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
-    """Stations of isotropic elastic sublayers, from the lower to the upper face.
+    """Stations of the interface law of order 1 for isotropic elastic sublayers.
 
-    Displacements through the layer are <u> + Phi [u]. The sublayers share the jump as at order 0: Phi_N along n and
-    Phi_T along S grow from -1/2 to 1/2 in proportion to 1/(lmbda + 2 mu) and to 1/mu.
+    Each sublayer is given by its fraction of the thickness and its law, from the lower to the upper face.
+
+    Displacements through the layer are <u> + Phi [u], with the mean <u> and the jump [u] of the faces. Each sublayer
+    has the same part of the jump as in the law of order 0. Phi is Phi_N for the jump along n, and Phi_T for the jump
+    along S. Both grow from -1/2 to 1/2, at rates proportional to 1/(lmbda + 2 mu) and to 1/mu.
 
     Each sublayer gets a small additional strain across S, which makes the tractions on planes parallel to S equal in
     all sublayers. The stress is this traction plus the stress of the strains along S; the energies of both parts add
@@ -102,23 +112,27 @@ def in_series(sublayers: tuple[tuple[float, BulkLaw], ...]) -> list[AnyStation]:
 
 
 def _from_below(steps: list[float]) -> Iterator[tuple[float, float]]:
-    """Value at the lower side of each sublayer, from -1/2 on, and its growth over the sublayer."""
+    """Pairs for each sublayer: the value at its lower side, -1/2 for the first, and the growth over the sublayer.
+
+    `steps` are the growths over the sublayers, from the lower face on.
+    """
     return zip(accumulate(steps[:-1], initial=-0.5), steps, strict=True)
 
 
 @dataclass(frozen=True)
 class Stack(BulkLaw):
-    """Sublayers in series, from the lower to the upper face, with equal tractions and in-plane strains; jumps add up.
+    """Law of sublayers in series, from the lower to the upper face: equal tractions and in-plane strains, jumps add up.
 
-    The meshed layer has cells for each sublayer. On S each point solves for the sublayers' strains e + sym(g_i (x) n).
-    Their tractions are equal, sum a_i g_i = 0, and each law has its own history. A layer of equal linear sublayers has
-    their common law.
+    The meshed layer has cells for each sublayer. On S the strains e + sym(g_i (x) n) of the sublayers are solved for at
+    each point, with the mean strain e. The tractions are equal, and sum a_i g_i = 0 with the fractions a_i of the
+    thickness. Each law has its own internal variables. A layer of equal linear sublayers has their common law.
 
-    The compliances of linear elastic sublayers add, K = (sum_i a_i K_i^-1)^-1. For isotropic sublayers this gives the
-    harmonic means of mu and of lmbda + 2 mu. Equation (52) prints these sums as stiffnesses, and averages lmbda alone.
+    The compliances of linear elastic sublayers add, K = (sum_i a_i K_i^-1)^-1. K_i is the stiffness of the layer if all
+    of it had the law i. For isotropic sublayers this gives the harmonic means of mu and of lmbda + 2 mu. Equation (52)
+    of the paper prints these sums as stiffnesses, and averages lmbda alone.
 
     Attributes:
-        fractions: shares of the layer's thickness, > 0; their sum is 1.
+        fractions: fractions of the layer's thickness, > 0; their sum is 1.
         laws: laws of the sublayers. A Stack among them is replaced by its sublayers.
 
     Raises:
@@ -209,14 +223,14 @@ class Stack(BulkLaw):
         return in_series(self.sublayers)
 
     def with_laws(self, laws: Sequence[BulkLaw]) -> Stack:
-        """The same fractions with other laws, unchecked."""
+        """A stack of the same fractions with other laws, which are not checked."""
         return self.with_parameters({"laws": tuple(laws)})
 
     def mapped(self, change: ChangeParameter) -> Stack:
         return self.with_laws([law.mapped(change) for law in self.laws])
 
     def parameters(self) -> dict[str, ParameterValue]:
-        """Parameters of all sublayers; "0.mu" is the mu of the lowest sublayer."""
+        """Parameters of all sublayers; "0.mu" is the parameter mu of the lowest sublayer, "1.mu" that of the next."""
         return {f"{k}.{name}": value for k, law in enumerate(self.laws) for name, value in law.parameters().items()}
 
     def at(self, x: Array, t: float) -> dict[str, Array]:

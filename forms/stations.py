@@ -1,4 +1,4 @@
-"""Stations: points through a layer's thickness at which the interface law of order 1 evaluates laws."""
+"""Stations: heights through a layer's thickness at which the interface law of order 1 evaluates the layer's law."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ LOCKING_RATIO = 12.0
 
 
 class Faces(NamedTuple):
-    """Displacements of the two faces of a layer at a place of S.
+    """Displacements of the two faces of a layer at a place of S, UFL; d is the number of dimensions.
 
     Attributes:
-        n: director, (d,).
+        n: unit normal of S, from the lower to the upper face, (d,).
         eps: thickness.
-        jump: [u], (d,).
+        jump: [u], displacement of the upper minus that of the lower face, (d,).
         gradient: gradient (d, d) of [u] along S.
-        mean: strain (3, 3) that is uniform through the layer: of <u> along S, or prescribed.
+        mean: strain (3, 3) that is uniform through the layer: that of the mean displacement <u> along S, or a
+            prescribed one.
         along: gradient along S (d, d) and value (d,) of displacements -> strain (3, 3) along S (`Kinematics.along`).
-        slope: grad_S eps, (d,); None: the thickness is uniform.
+        slope: gradient (d,) of the thickness along S; None: the thickness is uniform.
     """
 
     n: Expr
@@ -45,6 +46,9 @@ class Faces(NamedTuple):
         """Strain (3, 3) of the jump at the height z eps above the middle, sym([u] (x) (n - z grad_S eps))/eps.
 
         Where the thickness varies, a surface of constant z has the slope z grad_S eps.
+
+        Args:
+            z: height over the thickness, from -1/2 to 1/2.
         """
         n = self.n if self.slope is None or z == 0 else self.n - z * self.slope
         return jump_strain(self.jump, n) / self.eps
@@ -64,7 +68,7 @@ class Faces(NamedTuple):
 
     @property
     def normal(self) -> Expr:
-        """n (x) n, (3, 3)."""
+        """Tensor n (x) n, (3, 3), of the normal n."""
         return ufl.outer(three_dimensional(self.n), three_dimensional(self.n))
 
     def in_s(self, e: Expr) -> Expr:
@@ -73,7 +77,7 @@ class Faces(NamedTuple):
         return along * e * along
 
     def split(self, normal: Expr, tangential: Expr) -> Faces:
-        """The same faces with the jump multiplied by `normal` along n and by `tangential` along S."""
+        """The same faces with the component of the jump along n multiplied by `normal`, the others by `tangential`."""
         n = self.n
         jump = tangential * self.jump + (normal - tangential) * ufl.dot(n, self.jump) * n
         gradient = tangential * self.gradient + (normal - tangential) * ufl.outer(n, ufl.dot(n, self.gradient))
@@ -82,14 +86,17 @@ class Faces(NamedTuple):
 
 @dataclass(frozen=True)
 class Station(Generic[LawType]):
-    """A point through the thickness at which the interface law of order 1 evaluates a law.
+    """A height through the thickness at which the interface law of order 1 evaluates a law.
+
+    The strain may differ from that of the layer at this height: stations represent the layer's energy.
 
     Attributes:
         law: the law.
-        share: weight of the station over the thickness.
-        strain: law (its parameters UFL expressions on S) and displaced faces -> strain (3, 3), linear in the
-            displacements and in prescribed strains.
-        flow: law (as for `strain`) -> flux along S per gradient of the pressure and per eps^3; 0 without a pressure.
+        share: weight of the station in integrals over the thickness, which is 1.
+        strain: function that returns the strain (3, 3), linear in the displacements and in prescribed strains. Its
+            arguments are the law, with parameters that are UFL expressions on S, and the displaced faces.
+        flow: function of the same law that returns the flux along S per gradient of the pressure and per eps^3; 0
+            without a pressure.
         largest_ratio: lmbda/mu at rest beyond which the strain locks.
     """
 
@@ -108,9 +115,9 @@ def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | 
 
     Args:
         law: the law.
-        difference: law and displaced faces, as in `Station` -> strain (3, 3) at the upper minus strain at the lower
-            face. The default is `Faces.change`, for displacements linear through the layer, which locks for
-            lmbda/mu > `LOCKING_RATIO`.
+        difference: function that returns the strain (3, 3) at the upper minus the strain at the lower face. Its
+            arguments are the law and the displaced faces, as those of `Station.strain`. None: displacements are linear
+            through the layer (`Faces.change`), which locks for lmbda/mu > `LOCKING_RATIO`.
     """
     change = difference or (lambda law, faces: faces.change)
 
@@ -121,10 +128,11 @@ def gauss_stations(law: LawType, difference: Callable[[LawType, Faces], Expr] | 
 
 
 def pressure_stations(law: PressureLaw) -> list[AnyStation]:
-    """Stations of a law with the shear modulus mu and a pressure field on S.
+    """Two stations for a law with the shear modulus mu and a pressure field on S.
 
     The first station has the mean strain, and a gradient of the pressure lets the layer flow along S. The second has
-    the difference of the face strains. This difference causes no traction, so its law there is the plane-stress law.
+    the difference of the strains at the faces. This difference causes no traction, so its law there is that of plane
+    stress.
     """
     return [
         Station(law, 1, lambda law, faces: faces.across() + faces.mean, lambda law: 1 / (12 * law.mu)),

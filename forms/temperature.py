@@ -1,4 +1,4 @@
-"""Parameters that depend on a temperature, and checks of the values of users' functions."""
+"""Parameters that depend on a temperature, and checks of what users' functions return."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TemperatureField = Callable[[Array, float], npt.ArrayLike]  # places (d, n), tim
 
 @dataclass(frozen=True)
 class Tabulated:
-    """Table of a parameter at some temperatures, linear in between: a function T -> value for numbers or arrays.
+    """Table of a parameter at some temperatures, linear in between: a function of a temperature or of an array (n,).
 
     Attributes:
         values: (T, value) pairs, two or more, with T increasing.
@@ -41,7 +41,7 @@ class Tabulated:
         object.__setattr__(self, "values", tuple((float(T), float(value)) for T, value in rows))
 
     def __call__(self, T: npt.ArrayLike) -> Array:
-        """Values (n,) at temperatures (n,)."""
+        """Values (n,) of the parameter at temperatures (n,), or one value at one temperature."""
         require(np.asarray(T).dtype.kind in "iuf", "T", T, "a table is a function of temperatures, numbers")
         T, rows = np.asarray(T, float), np.array(self.values)
         for outside in T[~((rows[0, 0] <= T) & (rows[-1, 0] >= T))][:1]:
@@ -50,7 +50,12 @@ class Tabulated:
 
 
 def finite_values(values: object, *shapes: tuple[int, ...]) -> Array | None:
-    """Values as an array, or None unless they are finite real numbers of one of `shapes` (a first -1 is any length)."""
+    """Values as an array of real numbers; None if they are none, are not finite, or have another shape.
+
+    Args:
+        values: the values.
+        shapes: allowed shapes, in which a first -1 stands for any length; none: all shapes are allowed.
+    """
     try:
         array = real_values(values)
     except (TypeError, ValueError):
@@ -67,15 +72,15 @@ def place_and_time_text(x: Array, t: float, k: int) -> str:
 def checked_values(
     what: str, function: Callable[..., npt.ArrayLike], x: Array, *more: object, wanted: str, where: Callable[[int], str]
 ) -> Array:
-    """Values (n,) of a user's function at x, (n,) or (d, n).
+    """Values (n,) that a user's function returns for n places or temperatures.
 
     Args:
         what: name of the function, for messages.
         function: the user's function of x and `more`.
-        x: places or temperatures.
-        more: further arguments of the function.
+        x: places (d, n) or temperatures (n,).
+        more: further arguments of the function, such as the time.
         wanted: requirement on the function, for messages.
-        where: k -> text of the k-th place, for messages.
+        where: index k -> text of the k-th place, for messages.
 
     Raises:
         InputError: the function fails, or does not return n finite real numbers.
@@ -92,7 +97,17 @@ def checked_values(
 
 
 def evaluated(law: object, name: str, parameter: float | TemperatureFunction, T: Array) -> Array:
-    """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,)."""
+    """Values (n,) of a law's parameter, a number or a function of the temperature, at temperatures T (n,).
+
+    Args:
+        law: the law, for messages.
+        name: name of the parameter, for messages.
+        parameter: the number or function.
+        T: the temperatures.
+
+    Raises:
+        InputError: the function fails, or does not return n finite real numbers.
+    """
     if not callable(parameter):
         return np.full(len(T), float(parameter))
     what, wanted = f"{type(law).__name__}: {name}(T)", "it must be a numpy function of temperatures, or Tabulated(...)"

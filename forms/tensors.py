@@ -1,4 +1,4 @@
-"""Strains, jumps and frames. Laws get three-dimensional tensors: 2D displacements mean plane strain."""
+"""Strains, jumps, frames and Mandel vectors. Laws get three-dimensional tensors: plane strain in 2D."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def three_dimensional(a: Expr) -> Expr:
 
 
 def strain(u: Expr) -> Expr:
-    """Small strain sym(grad u), (3, 3); Eq. (2)."""
+    """Small strain sym(grad u), (3, 3), of displacements u; Eq. (2) of the paper."""
     return three_dimensional(ufl.sym(ufl.grad(u)))
 
 
 def jump_strain(w: Expr, n: Expr) -> Expr:
-    """Symmetrised product of a jump w and the director n, (w (x) n + n (x) w)/2, (3, 3); divided by eps, a strain."""
+    """Symmetric tensor (w (x) n + n (x) w)/2, (3, 3), of a jump w and the normal n; divided by eps, a strain."""
     return ufl.sym(ufl.outer(three_dimensional(w), three_dimensional(n)))
 
 
@@ -39,22 +39,29 @@ MANDEL_BASIS /= np.linalg.norm(MANDEL_BASIS, axis=(1, 2), keepdims=True)
 
 
 def mandel_vectors(tensors: Array) -> Array:
-    """Mandel vectors (..., 6) of the symmetric parts of numeric tensors (..., 3, 3)."""
+    """Mandel vectors (..., 6), order 11, 22, 33, 12, 13, 23, of the symmetric parts of numeric tensors (..., 3, 3)."""
     return np.asarray(np.einsum("...ij,kij->...k", tensors, MANDEL_BASIS))
 
 
 def mandel_tensors(vectors: Array) -> Array:
-    """Symmetric tensors (..., 3, 3) of numeric Mandel vectors (..., 6)."""
+    """Symmetric tensors (..., 3, 3) of numeric Mandel vectors (..., 6), order 11, 22, 33, 12, 13, 23."""
     return np.asarray(np.einsum("...k,kij->...ij", vectors, MANDEL_BASIS))
 
 
 def mandel_vector(a: Expr, slots: Sequence[int] = range(6)) -> Expr:
-    """Components `slots` of the Mandel vector of a symmetric (3, 3) tensor, order 11, 22, 33, 12, 13, 23; a.b = A:B."""
+    """Mandel vector of a symmetric tensor a (3, 3), UFL, in the order 11, 22, 33, 12, 13, 23.
+
+    Shear components have the factor sqrt 2, so that products of vectors are products A:B of the tensors.
+
+    Args:
+        a: the tensor.
+        slots: indices of the components that the vector has; default: all six.
+    """
     return ufl.as_vector([a[i, j] if i == j else SQRT2 * a[i, j] for i, j in (MANDEL_PAIRS[k] for k in slots)])
 
 
 def mandel_tensor(a: Expr) -> Expr:
-    """Symmetric (3, 3) tensor of a Mandel vector (6,)."""
+    """Symmetric tensor (3, 3), UFL, of a Mandel vector (6,), order 11, 22, 33, 12, 13, 23."""
     entries = {pair: a[k] if pair[0] == pair[1] else a[k] / SQRT2 for k, pair in enumerate(MANDEL_PAIRS)}
     return ufl.as_tensor([[entries[min(i, j), max(i, j)] for j in range(3)] for i in range(3)])
 
@@ -66,7 +73,13 @@ def isotropic_tensor(lmbda: float, mu: float) -> Array:
 
 
 def condensed_tangent(C: Array, kept: Sequence[int], out: Sequence[int]) -> Array:
-    """Schur complement of a tangent (6, 6): components `kept`, with zero stresses in the components `out`."""
+    """Tangent of some strain components while the stresses of others are zero, a Schur complement.
+
+    Args:
+        C: tangent (6, 6).
+        kept: indices of the components of the result.
+        out: indices of the components without stress.
+    """
     inner = np.linalg.pinv(C[np.ix_(out, out)])
     return np.asarray(C[np.ix_(kept, kept)] - C[np.ix_(kept, out)] @ inner @ C[np.ix_(out, kept)])
 
@@ -79,10 +92,10 @@ def average_lame(C: Array) -> tuple[float, float]:
 
 
 def layer_frame(n: Expr) -> Expr:
-    """Rotation (3, 3) whose columns are the layer's axes: second axis n; in 2D the first is the tangent (n_2, -n_1).
+    """Rotation (3, 3), UFL, whose columns are the axes of a layer with the unit normal n; the second axis is n.
 
-    In 3D it is the smallest rotation that takes e_2 to n. For n = -e_2 the smallest rotation is not unique; it is then
-    the half turn about the third axis.
+    In 2D the first axis is the tangent (n_2, -n_1). In 3D the rotation is the smallest one that takes e_2 to n. For n =
+    -e_2 this is not unique; it is then the half turn about the third axis.
     """
     if n.ufl_shape[0] == 2:
         return ufl.as_tensor([[n[1], n[0], 0], [-n[0], n[1], 0], [0, 0, 1]])

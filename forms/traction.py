@@ -1,4 +1,4 @@
-"""TractionLaw: an interface law from jump to traction, on S only."""
+"""TractionLaw: an interface law that gives the traction for a jump; on S only."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from forms.traits import STRESS_ATTRIBUTES, Traits
 
 
 class JumpStep(Step):
-    """Input of a traction law at one point of S: a `Step` with jumps (3,) in place of strains; n is (3,) in 2D too.
+    """Input of a traction law at one point of S over a time step: a `Step` with jumps (3,) in place of strains.
+
+    The normal n is (3,) in 2D, too.
 
     Attributes:
-        w, w_old: jump at the end and at the beginning of the step.
+        w, w_old: jump (3,) at the end and at the beginning of the step.
     """
 
     w: Expr = Step.e
@@ -26,7 +28,7 @@ class JumpStep(Step):
 
     @classmethod
     def of(cls, step: Step) -> JumpStep:
-        """Convert a step with strains sym(w (x) n) to its jumps w."""
+        """Step of jumps w from a step of strains sym(w (x) n)."""
         n = step.n
 
         def jump(e: Expr) -> Expr:
@@ -38,10 +40,10 @@ class JumpStep(Step):
 class TractionLaw(Law):
     """A law t = t([u]) without an underlying bulk law, such as a published formula or a measured curve; on S, order 0.
 
-    Subclasses are frozen dataclasses with their parameters as fields; eps scales no parameter. They define
-    `traction(step)`, UFL, (3,), of a `JumpStep`, and `evolve(step)` if they have internal variables ((), (3,) or (3,
-    3)). Optional: `energy(step)`, and `dissipation(step)` with it. If the tangent is not symmetric, write `symmetric =
-    False`.
+    Subclasses are frozen dataclasses with their parameters as fields; no parameter depends on the thickness. They
+    define `traction(step)`, UFL, (3,), of a `JumpStep`. A subclass with internal variables, of shape (), (3,) or (3,
+    3), also defines `evolve(step)`. Optional are `energy(step)`, and `dissipation(step)` with it. If the tangent is not
+    symmetric, write `symmetric = False`.
     """
 
     ignored: ClassVar = (*STRESS_ATTRIBUTES, "stress", "advance", "dissipated", "homotopy")
@@ -61,11 +63,11 @@ class TractionLaw(Law):
         return _bulk_law_class(kind)(self)
 
     def traction(self, step: JumpStep) -> Expr:
-        """Traction at t + theta dt, (3,)."""
+        """Traction (3,), UFL, at t + theta dt, the time in the step from t to t + dt after which forces balance."""
         raise InputError(f"{type(self).__name__} has no traction; a traction law needs a method traction(step)")
 
     def evolve(self, step: JumpStep) -> dict[str, Expr]:
-        """Internal variables at the end of the step."""
+        """Internal variables at the end of the step, UFL by name."""
         names = ", ".join(self.internal)
         raise InputError(f"{type(self).__name__} gives no new {names}; a law with internal needs a method evolve(step)")
 
@@ -74,14 +76,14 @@ class TractionLaw(Law):
         raise InputError(f"{type(self).__name__} declares no energy; a traction law needs a method energy(step) for it")
 
     def dissipation(self, step: JumpStep) -> Expr:
-        """Dissipated power per unit area over the step, UFL."""
+        """Dissipated power per unit area, UFL, whose product with dt is the energy dissipated in the step."""
         return ufl.as_ufl(0.0)
 
 
 class TractionAsBulkLaw(WrappedLaw):
-    """A traction law as a law of strains sym(w (x) n). Its stress T has T n = t and T : sym(v (x) n) = t . v.
+    """A traction law t([u]) in the form of a law of strains sym(w (x) n), with the jump w.
 
-    It is the same in plane stress.
+    Its stress T has T n = t, and T : sym(v (x) n) = t . v for all v. It is the same in plane stress.
 
     Attributes:
         law: the traction law.
@@ -109,5 +111,8 @@ class TractionAsBulkLaw(WrappedLaw):
 
 @cache
 def _bulk_law_class(kind: type) -> type[TractionAsBulkLaw]:
-    """Subclass of `TractionAsBulkLaw` with the name and module of a class of traction laws, for messages and keys."""
+    """Subclass of `TractionAsBulkLaw` for a class of traction laws, with the name and module of this class.
+
+    Messages and the keys of compiled code need these names.
+    """
     return type(kind.__name__, (TractionAsBulkLaw,), {"__module__": kind.__module__, "__qualname__": kind.__qualname__})

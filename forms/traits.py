@@ -1,4 +1,4 @@
-"""Traits of laws, from which models and solvers choose their methods, and checks of the declarations of law classes."""
+"""Traits of laws, by which models and solvers choose their methods, and checks of the declarations of law classes."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ VARIABLE_SIZES = {(): 1, (3,): 3, (3, 3): 6}  # shape of an internal variable ->
 
 
 class RangeWarning(UserWarning):
-    """Warning that a law, a model or a result is outside its range of accuracy; the message has the value and a remedy.
+    """Warning that a law, a model or a result is outside its range of accuracy; the message has value and remedy.
 
     Attributes:
-        key: identifier of the condition that is violated.
+        key: identifier of the condition that is violated; "" if it has none.
     """
 
     def __init__(self, message: str, key: str = "") -> None:
@@ -40,7 +40,12 @@ class RangeWarning(UserWarning):
 
 
 def warn_of_range(key: str, message: str) -> None:
-    """Issue a RangeWarning, see `warn_outside`."""
+    """Issue a RangeWarning that points to the calling line outside these packages.
+
+    Args:
+        key: identifier of the condition that is violated.
+        message: the text.
+    """
     warn_outside(RangeWarning(message, key))
 
 
@@ -54,14 +59,21 @@ def warn_outside(warning: Warning) -> None:
 
 
 def show_warnings() -> None:
-    """Undo the redirection of warnings by FFCx, at its import, to a log without handlers."""
+    """Make Python show warnings again after FFCx, at its import, has redirected them to a log without handlers."""
     handlers = [*logging.getLogger("py.warnings").handlers, *logging.getLogger().handlers]
     if all(isinstance(handler, logging.NullHandler) for handler in handlers):
         logging.captureWarnings(False)
 
 
 def accept_renamed(kind: type, new_names: Mapping[str, str]) -> None:
-    """Copy attributes that a class defines under names of version 1.0 to their new names, with a DeprecationWarning."""
+    """Copy attributes that a class defines under names of version 1.0 to their new names.
+
+    Issue a DeprecationWarning for each of them.
+
+    Args:
+        kind: the class.
+        new_names: old name -> new name.
+    """
     for old, new in new_names.items():
         if old in vars(kind):
             warn_outside(DeprecationWarning(f"{kind.__name__}.{old} is deprecated since thinlayer 1.1; call it {new}"))
@@ -69,7 +81,7 @@ def accept_renamed(kind: type, new_names: Mapping[str, str]) -> None:
 
 
 def reset_inherited(kind: type[Law]) -> None:
-    """Reset inherited attributes of a class to the defaults if they were written for another stress than its own.
+    """Reset inherited attributes of a law class to the defaults if they were written for another stress than its own.
 
     Attributes that the class itself defines stay, also `plane_stress = Parent.plane_stress`. Traits that are checked or
     that only select solvers (`linear`, `symmetric`, ...) stay. Attributes that depend on parameters only (`powers`,
@@ -89,10 +101,15 @@ def reset_inherited(kind: type[Law]) -> None:
 
 
 def _is_for_another_stress(kind: type, name: str, responses: tuple[str, ...]) -> bool:
-    """Whether a class inherits this attribute from a class with another stress or traction.
+    """Whether a class inherits an attribute from a class that has another stress or traction.
 
     An attribute of a base class without a stress belongs to the first stress that a subclass defines. Adding internal
     variables does not count as another stress.
+
+    Args:
+        kind: the class.
+        name: name of the attribute.
+        responses: names of the attributes that give the stress or update internal variables.
     """
     if not _own(kind, name):
         return False
@@ -103,12 +120,13 @@ def _is_for_another_stress(kind: type, name: str, responses: tuple[str, ...]) ->
 
 
 def _responses(kind: type, names: tuple[str, ...]) -> dict[str, object]:
-    """Attributes of a class with these names, except the defaults of all laws."""
+    """Attributes of a class with these names, by name, without those that have the default of all laws."""
     return {name: inspect.getattr_static(kind, name) for name in names if _own(kind, name)}
 
 
 def _place(kind: type, name: str) -> int:
-    """Position in the method resolution order of the class that defines this name; 0 is the class itself."""
+    """Index, in the method resolution order of a class, of the first class that defines a name; 0 is the class itself.
+    """
     return next((k for k, base in enumerate(kind.__mro__) if name in vars(base)), len(kind.__mro__))
 
 
@@ -119,7 +137,10 @@ def _reset(kind: type, name: str, default: object = None) -> None:
 
 
 def require_declarations(law: Law) -> None:
-    """Raise InputError unless the declarations of a law's class fit its parameters and methods."""
+    """Raise InputError unless the declarations of a law's class fit its parameters and methods.
+
+    Declarations are the powers of eps, the internal variables and the methods.
+    """
     kind, name, parameters = type(law), type(law).__name__, law.parameters()
     declared = [field_name for field_name, note in inspect.get_annotations(kind).items() if "ClassVar" not in str(note)]
     if declared and "__dataclass_params__" not in vars(kind):  # its constructor does not take them
@@ -135,7 +156,7 @@ def require_declarations(law: Law) -> None:
 
 
 def _require_used(law: Law) -> None:
-    """Raise InputError for methods and attributes that would be silently ignored."""
+    """Raise InputError if a law's class has methods or attributes that would never be used."""
     kind, name = type(law), type(law).__name__
     defining = min(_place(kind, attribute) for attribute in ("source", "ignored"))
     for method in kind.ignored:
@@ -159,13 +180,20 @@ def _own(kind: type, name: str) -> bool:
 
 
 def trait_field(fold: Callable[[Iterable[bool]], bool], default: bool = False) -> bool:
-    """Declare a field of `Traits`: `fold` combines the values of sublayers in a Stack; `default` if not declared."""
+    """Declare a field of `Traits`.
+
+    Args:
+        fold: function from the values of the sublayers of a Stack to the value of the Stack.
+        default: value of the trait if a law does not declare it.
+    """
     return field(default=default, metadata={"fold": fold})
 
 
 @dataclass(frozen=True)
 class Traits:
-    """Properties of a law. A class of laws declares a trait as an attribute, `linear = True`, or as a property.
+    """Properties of a law by which models and solvers choose their methods.
+
+    A class of laws declares a trait as an attribute, `linear = True`, or as a property.
 
     A Stack has a trait if `all` or if `any` of its sublayers have it, as declared for each field.
 
@@ -177,15 +205,17 @@ class Traits:
             to a sudden load at once.
         constrained: the pressure p is a separate unknown field; tr e is p times the law's `volume_compliance`, which
             can be 0.
-        bounded: the stress is bounded in some direction, so there may be a limit load.
+        bounded: in some direction of strain the stress cannot grow beyond a bound, so there may be a limit load.
         singular: the tangent may be singular for some strains; Newton's method adds a Levenberg-Marquardt term.
-        isochoric: inelastic flow preserves the volume; elements must not lock.
+        isochoric: inelastic flow preserves the volume, so that elements need a method against locking.
         softens: the stress falls as strains grow. In a meshed layer the law gets the mean strain through the thickness,
             as on S.
-        plateau: strains across the layer may grow at constant stress, so they may be non-uniform through the layer.
+        plateau: strains across the layer may grow at constant stress, so that they may vary through the thickness.
         varies: parameters vary along the layer or in time; the law's `at` gives their values.
-        phases: the internal variable "phase", a scalar in [-1, 1], is the share of the layer in phase 1, or -1.
-        switches: each column of the layer is in one phase, which is fixed during a solve and may switch after it.
+        phases: the law has an internal variable "phase" in [-1, 1], the fraction of the material in phase 1, or minus
+            the fraction in phase -1.
+        switches: each column of the layer (a facet of S, or the cells above each other through the thickness) is in one
+            phase. The phase is fixed during a solve and may switch after it.
 
     Traits that follow from the methods of a law:
         has_energy: stored energy and dissipation are declared.
@@ -222,12 +252,17 @@ class Traits:
 
     @property
     def may_soften(self) -> bool:
-        """Whether the stress may fall as jumps grow although no declared trait of the law says or explains it."""
+        """Whether the stress may fall as jumps grow, although no declared trait of the law tells this or excludes it.
+        """
         return self.symmetric and not (self.softens or self.linear or self.rate or self.bounded or self.switches)
 
     @classmethod
     def of(cls, law: object, **of_methods: bool) -> Traits:
-        """Traits of a law: declared traits, and traits that follow from its methods (`of_methods`).
+        """Traits of a law: those that its class declares, and those that follow from its methods.
+
+        Args:
+            law: the law.
+            of_methods: the latter, by name.
 
         Raises:
             InputError: a declaration that is neither True nor False.

@@ -1,4 +1,4 @@
-"""Laws with rate or memory: Kelvin-Voigt, Maxwell, Norton, and creep by Norton's power law."""
+"""Laws with a rate or with creep: Kelvin-Voigt, Maxwell, Norton, and creep by Norton's power law."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ REST_STRAIN = 1e-12  # strain increment of a step below which the dashpot may be
 
 
 def isotropic_energy(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
-    """Energy of an isotropic elastic solid, lmbda (tr e)^2/2 + mu e:e."""
+    """Energy per volume of an isotropic elastic solid at the strain e (3, 3), lmbda (tr e)^2/2 + mu e:e."""
     return lmbda * ufl.tr(e) ** 2 / 2 + mu * ufl.inner(e, e)
 
 
 class ParallelDashpot(IsotropicLaw):
-    """An elastic spring and a dashpot in parallel; subclasses define the dashpot's stress."""
+    """Base of laws with an elastic spring and a dashpot in parallel; subclasses define the dashpot's stress."""
 
     rate = True
     quadratic = True
@@ -46,14 +46,17 @@ class ParallelDashpot(IsotropicLaw):
 
 @dataclass(frozen=True)
 class KelvinVoigt(ParallelDashpot):
-    """Elastic spring parallel to a dashpot, stress = C(lmbda, mu) : e + C(lmbda theta_lmbda, mu theta_mu) : rate.
+    """Elastic spring parallel to a dashpot, stress = C(lmbda, mu) : e + C(lmbda theta_lmbda, mu theta_mu) : de/dt.
 
-    As a layer's law, Eqs. (16)-(17): t = K w + K_theta dw/dt with the jump w. Along S eps K = mu and
-    eps K_theta = mu theta_mu. Along n eps K = lmbda + 2 mu and eps K_theta = lmbda theta_lmbda + 2 mu theta_mu.
+    C(lmbda, mu) is the isotropic stiffness tensor with these moduli.
+
+    As a layer's law, Eqs. (16)-(17) of the paper: t = K w + K_theta dw/dt with the jump w. Along S eps K = mu and eps
+    K_theta = mu theta_mu. Along n eps K = lmbda + 2 mu and eps K_theta = lmbda theta_lmbda + 2 mu theta_mu.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
-        theta_lmbda, theta_mu: viscosity over modulus, times; theta_mu > 0, lmbda theta_lmbda + 2 mu theta_mu/3 >= 0.
+        theta_lmbda, theta_mu: viscosity over modulus, in units of time; theta_mu > 0, lmbda theta_lmbda + 2 mu
+            theta_mu/3 >= 0.
 
     Raises:
         InputError: a parameter out of range.
@@ -80,7 +83,7 @@ class KelvinVoigt(ParallelDashpot):
 
 
 class SeriesDashpot(IsotropicLaw):
-    """An elastic spring and dashpots in series; subclasses define the relaxation rates in a step."""
+    """Base of laws with an elastic spring and dashpots in series; subclasses define the relaxation rates in a step."""
 
     internal: ClassVar = {"stress": (3, 3)}
     quadratic = True
@@ -90,7 +93,7 @@ class SeriesDashpot(IsotropicLaw):
         return self.lmbda + 2 * self.mu / 3
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:
-        """Relaxation rates of the deviator and of the mean of the stress at t + theta dt."""
+        """Relaxation rates, 1/time, of the deviator and of the mean of the stress at t + theta dt."""
         raise NotImplementedError
 
     def advance(self, step: Step) -> dict[str, Expr]:
@@ -102,7 +105,14 @@ class SeriesDashpot(IsotropicLaw):
 
     @staticmethod
     def _relaxed(step: Step, old: Expr, elastic: Expr, rate: Expr) -> Expr:
-        """New value of x from x_new - x_old = elastic - dt rate x(t + theta dt)."""
+        """Value of a part x of the stress at the end of a step, from x_new - x_old = elastic - dt rate x(t + theta dt).
+
+        Args:
+            step: the step.
+            old: value at its beginning.
+            elastic: change without relaxation.
+            rate: relaxation rate, 1/time.
+        """
         x = step.dt * rate
         return ((1 - (1 - step.theta) * x) * old + elastic) / (1 + step.theta * x)
 
@@ -110,7 +120,7 @@ class SeriesDashpot(IsotropicLaw):
         return step.between(step.q["stress"], self.advance(step)["stress"])
 
     def _complementary(self, stress: Expr) -> tuple[Expr, Expr]:
-        """Elastic energy of the deviator and of the mean part of a stress."""
+        """Elastic energies per volume of the deviator and of the mean part of a stress (3, 3)."""
         s, mean = ufl.dev(stress), ufl.tr(stress) / 3
         return ufl.inner(s, s) / (4 * self.mu), mean**2 / (2 * self._bulk)
 
@@ -124,20 +134,21 @@ class SeriesDashpot(IsotropicLaw):
 
 @dataclass(frozen=True)
 class Maxwell(SeriesDashpot):
-    """Elastic spring and viscous dashpot in series, E rate = (1 + nu)(ds/dt + s/t1) - nu tr(ds/dt + s/t2) I.
+    """Elastic spring and viscous dashpot in series, E de/dt = (1 + nu)(ds/dt + s/t1) - nu tr(ds/dt + s/t2) I.
 
-    Equation (18) prints strains on the left in place of strain rates; s is the three-dimensional stress, s_33 included.
-    The deviator relaxes with the time t1, the mean stress with t_v, 1/t_v = ((1 + nu)/t1 - 3 nu/t2)/(1 - 2 nu).
+    s is the three-dimensional stress, s_33 included, and de/dt the strain rate; Eq. (18) of the paper prints the
+    strain. The deviator of the stress relaxes with the time t1, the mean stress with t_v, 1/t_v = ((1 + nu)/t1 - 3
+    nu/t2)/(1 - 2 nu).
 
-    As a layer's law with t1 = t2: dt/dt + t/t1 = K dw/dt with the jump w, eps K = mu along S and lmbda + 2 mu along n.
-    Equation (19) prints other coefficients. With t1 != t2 the normal traction is a sum of two parts that relax
-    differently: no single differential equation of first order holds for it.
+    As a layer's law with t1 = t2: the rate of the traction plus traction/t1 is K dw/dt with the jump w. eps K is mu
+    along S and lmbda + 2 mu along n. Equation (19) of the paper prints other coefficients. With t1 != t2 the normal
+    traction is a sum of two parts that relax differently: no single differential equation of first order holds for it.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
-        t1: relaxation time of the deviator, > 0.
-        t2: relaxation time of the trace in Eq. (18), >= 3 nu t1/(1 + nu); at this bound the mean stress does not relax.
-            Default: t1.
+        t1: relaxation time of the deviator of the stress, > 0.
+        t2: relaxation time of the trace of the stress in the formula above, > 0 and >= 3 nu t1/(1 + nu). At this bound
+            the mean stress does not relax. Default: t1.
 
     Raises:
         InputError: a parameter out of range.
@@ -170,7 +181,10 @@ class Maxwell(SeriesDashpot):
 
     @property
     def _volumetric_rate(self) -> Expr:
-        """1/t_v, with (1 + nu)/(1 - 2 nu) = (3 lmbda + 2 mu)/(2 mu) and nu/(1 - 2 nu) = lmbda/(2 mu)."""
+        """Relaxation rate 1/t_v of the mean stress, 1/time.
+
+        In its formula (1 + nu)/(1 - 2 nu) = (3 lmbda + 2 mu)/(2 mu) and nu/(1 - 2 nu) = lmbda/(2 mu).
+        """
         t2: Expr = self.t2
         return ((3 * self.lmbda + 2 * self.mu) / self.t1 - 3 * self.lmbda / t2) / (2 * self.mu)
 
@@ -186,19 +200,20 @@ class Maxwell(SeriesDashpot):
 
 @dataclass(frozen=True)
 class Norton(ParallelDashpot):
-    """Elastic spring parallel to a power-law dashpot, stress = C(lmbda, mu) : e + eta |rate|^(p - 2) rate, Eq. (21).
+    """Elastic spring parallel to a power-law dashpot, stress = C : e + eta |de/dt|^(p - 2) de/dt; Eq. (21) of the
+    paper.
 
-    Its creep stops where the spring carries the load. For the steady creep rate A s^n of data sheets see `NortonCreep`.
-    The dashpot alone has that rate, without a change of volume, for p = 1 + 1/n and
-    eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
+    C is the isotropic stiffness tensor of the moduli. Creep stops where the spring carries the load. For the steady
+    creep rate A s^n of data sheets see `NortonCreep`. The dashpot alone has that rate, without a change of volume, for
+    p = 1 + 1/n and eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
 
-    As a layer's law, t = K w + eta eps^(1 - p) q^(p - 2) (v_N n + v_T/2). w is the jump, v = dw/dt, and
-    q^2 = v_N^2 + |v_T|^2/2 is the square of |v (x)_s n|; Eqs. (22)-(24) put the modulus bars around v alone. The limit
-    is finite for eta ~ eps^(p - 1).
+    As a layer's law, t = K w + eta eps^(1 - p) q^(p - 2) (v_N n + v_T/2). w is the jump and v = dw/dt. q^2 = v_N^2 +
+    |v_T|^2/2 is the square of |sym(v (x) n)|; Eqs. (22)-(24) of the paper put the bars around v alone. The law is
+    finite for eps -> 0 if eta is proportional to eps^(p - 1).
 
     For p < 2 the tangent is infinite at rest. The dashpot is linear where its stiffness in a step would exceed 1e6
     times the spring's, and only at strain increments below 1e-12. For p < 1.2 Newton's method may need a larger linear
-    range, see `rest`.
+    range, which `rest` gives.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
@@ -236,18 +251,18 @@ class Norton(ParallelDashpot):
 
 @dataclass(frozen=True)
 class NortonCreep(SeriesDashpot):
-    """Norton's creep: elastic spring and power-law dashpot in series, E rate = C^-1 : ds/dt + 3/2 A q^(n - 1) dev s.
+    """Norton's creep: elastic spring and power-law dashpot in series, de/dt = C^-1 : ds/dt + 3/2 A q^(n - 1) dev s.
 
-    q = sqrt(3/2) |dev s| is the equivalent stress. In uniaxial tension creep continues at the steady rate A s^n of data
-    sheets, without a change of volume. `Norton`, the paper's law, has the dashpot parallel to the spring: its creep
-    stops.
+    s is the stress, C the isotropic stiffness tensor of the moduli, q = sqrt(3/2) |dev s| the equivalent stress. In
+    uniaxial tension with the stress s creep continues at the steady rate A s^n of data sheets, without a change of
+    volume. `Norton`, the paper's law, has the dashpot parallel to the spring: its creep stops.
 
     As a layer's law: under a constant shear traction dw_T/dt = eps 3^((n + 1)/2) A |t_T|^(n - 1) t_T after the elastic
     jump.
 
     Attributes:
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
-        A: rate of strain under unit stress, 1/(time stress^n) (in a layer: length/(time stress^n)); > 0.
+        A: creep rate under unit stress, 1/(time stress^n) (in a layer: length/(time stress^n)); > 0.
         n: exponent >= 1; 1 is Maxwell's dashpot, t1 = 1/(3 mu A), of the deviator alone.
 
     Raises:
@@ -264,7 +279,11 @@ class NortonCreep(SeriesDashpot):
         self.require(1 <= self.n < math.inf, "n", ">= 1")
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:
-        """Relaxation rates from x = q/q_trial at t + theta dt, the root of x + c x^n = 1, which is convex in x."""
+        """Relaxation rates, 1/time, of the deviator and of the mean of the stress, which is zero, at t + theta dt.
+
+        They follow from the ratio x of the equivalent stress to its value without creep in the step. x is the root of x
+        + c x^n = 1, a convex function.
+        """
         n: Expr = self.n
         trial = ufl.dev(step.q["stress"]) + 2 * step.theta * self.mu * ufl.dev(step.e - step.e_old)
         q = ufl.sqrt(1.5 * ufl.inner(trial, trial) + 1e-300)  # roots have no derivative at 0
