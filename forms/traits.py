@@ -125,8 +125,7 @@ def _responses(kind: type, names: tuple[str, ...]) -> dict[str, object]:
 
 
 def _place(kind: type, name: str) -> int:
-    """Index, in the method resolution order of a class, of the first class that defines a name; 0 is the class itself.
-    """
+    """Index, in the method resolution order of a class, of the first class that defines a name; 0: the class itself."""
     return next((k for k, base in enumerate(kind.__mro__) if name in vars(base)), len(kind.__mro__))
 
 
@@ -252,8 +251,7 @@ class Traits:
 
     @property
     def may_soften(self) -> bool:
-        """Whether the stress may fall as jumps grow, although no declared trait of the law tells this or excludes it.
-        """
+        """Whether the stress may fall as jumps grow, although no declared trait of the law tells or excludes it."""
         return self.symmetric and not (self.softens or self.linear or self.rate or self.bounded or self.switches)
 
     @classmethod

@@ -200,12 +200,11 @@ class Maxwell(SeriesDashpot):
 
 @dataclass(frozen=True)
 class Norton(ParallelDashpot):
-    """Elastic spring parallel to a power-law dashpot, stress = C : e + eta |de/dt|^(p - 2) de/dt; Eq. (21) of the
-    paper.
+    """Elastic spring parallel to a power-law dashpot, stress = C : e + eta |de/dt|^(p - 2) de/dt.
 
-    C is the isotropic stiffness tensor of the moduli. Creep stops where the spring carries the load. For the steady
-    creep rate A s^n of data sheets see `NortonCreep`. The dashpot alone has that rate, without a change of volume, for
-    p = 1 + 1/n and eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
+    This is Eq. (21) of the paper. C is the isotropic stiffness tensor of the moduli. Creep stops where the spring
+    carries the load. For the steady creep rate A s^n of data sheets see `NortonCreep`. The dashpot alone has that rate,
+    without a change of volume, for p = 1 + 1/n and eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
 
     As a layer's law, t = K w + eta eps^(1 - p) q^(p - 2) (v_N n + v_T/2). w is the jump and v = dw/dt. q^2 = v_N^2 +
     |v_T|^2/2 is the square of |sym(v (x) n)|; Eqs. (22)-(24) of the paper put the bars around v alone. The law is
@@ -279,7 +278,7 @@ class NortonCreep(SeriesDashpot):
         self.require(1 <= self.n < math.inf, "n", ">= 1")
 
     def _rates(self, step: Step) -> tuple[Expr, Expr]:
-        """Relaxation rates, 1/time, of the deviator and of the mean of the stress, which is zero, at t + theta dt.
+        """Relaxation rates, 1/time, of the deviator and of the mean of the stress at t + theta dt; the latter is zero.
 
         They follow from the ratio x of the equivalent stress to its value without creep in the step. x is the root of x
         + c x^n = 1, a convex function.

@@ -1,4 +1,4 @@
-"""Terms of the weak form: laws with their measures, the two sides of S, and the virtual work of terms."""
+"""Terms of the weak form: laws with their measures, the two sides of S, and the virtual work of the terms."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def constant_law(law: BulkLaw) -> BulkLaw:
 
 @dataclass(frozen=True)
 class InterfaceSide:
-    """One side of S.
+    """One side of S, to which functions on the mesh are restricted; d is the number of dimensions.
 
     Attributes:
-        restrict: function -> its restriction to this side.
-        inverse_gradient: (d, d) gradient of the map from S to this side's facet; None: they coincide.
+        restrict: UFL function -> its restriction to this side.
+        inverse_gradient: gradient (d, d) of the map from S to this side's facets; None: S lies on the facets.
     """
 
     restrict: Callable[[Expr], Expr]
@@ -47,29 +47,30 @@ class InterfaceSide:
         return self.restrict(f)
 
     def gradient(self, f: Expr) -> Expr:
-        """Gradient of a function on this side; its part along S is the gradient of the values on S."""
+        """Gradient of a function on this side by coordinates of S; its part along S is that of the values on S."""
         gradient = self.restrict(ufl.grad(f))
         return gradient if self.inverse_gradient is None else ufl.dot(gradient, self.inverse_gradient)
 
 
 @dataclass(frozen=True)
 class Interface:
-    """The two sides of S.
+    """The two sides of S, with the measure, the normal and the kinematics on S; d is the number of dimensions.
 
-    S lies on the facets of the mesh. Where the bodies are parted, S lies midway between the facets of its two sides. A
-    layer between parted facets is strained like a shell whose fibres connect them, so that rigid motions cause no
-    strain.
+    S lies on the facets of the mesh; or, where there is a space between the bodies, midway between the facets of its
+    two sides. A layer in such a space is strained like a shell whose fibres connect these facets, so that rigid motions
+    cause no strain.
 
     Attributes:
         measure: dS restricted to S between two bodies, ds on a rigid base.
         x: places on S, (d,).
         n: unit normal from the lower to the upper body, (d,).
-        director: (d,) vector from the lower to the upper body with component 1 along n; it is n unless they are parted.
+        director: (d,) vector from the lower to the upper body with component 1 along n; it is n if S lies on the
+            facets.
         upper, lower: restrict a function to this side of S.
         kinematics: kinematics at places on S.
         area: area of S per area of the measure.
-        law_on_surface: law -> the same law with UFL expressions on S as parameters, also for functions of the place;
-            strains of order 1 need it.
+        law_on_surface: function from a law to the same law with UFL expressions on S as parameters, also for functions
+            of the place. The strains of laws of order 1 need it.
     """
 
     measure: ufl.Measure
@@ -84,7 +85,7 @@ class Interface:
 
     @classmethod
     def between_bodies(cls, dS: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None) -> Self:
-        """S inside the mesh; the measure's "+" is the upper body.
+        """Sides of S between two bodies of the mesh; the measure's "+" is the upper body.
 
         Args:
             dS: measure of the facets, with its mesh.
@@ -99,7 +100,13 @@ class Interface:
 
     @classmethod
     def on_rigid_base(cls, ds: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, to_s: Expr | None = None) -> Self:
-        """S on the boundary of the upper body; the base below does not move; arguments as in `between_bodies`."""
+        """Sides of S on the boundary of the upper body; the base below does not move.
+
+        Args:
+            ds: measure of the facets, with its mesh.
+            kinematics: kinematics of the mesh.
+            to_s: (d,) vectors from the facets to S; None: S lies on the facets.
+        """
         mesh, upper, lower = ds.ufl_domain(), InterfaceSide(lambda v: v), InterfaceSide(lambda v: 0 * v)
         if to_s is None:
             n = -ufl.FacetNormal(mesh)
@@ -110,7 +117,16 @@ class Interface:
     def _apart(
         cls, measure: ufl.Measure, kinematics: Kinematics, to_s: Expr, upper: InterfaceSide, lower: InterfaceSide
     ) -> Self:
-        """S away from the facets of the mesh, from the upper side; the measure is of its facets (Nanson's formula)."""
+        """Sides of S away from the facets of the mesh.
+
+        The upper side gives n, the places on S and the area of S per area of the facets (Nanson's formula).
+
+        Args:
+            measure: measure of the facets, with its mesh.
+            kinematics: kinematics of the mesh.
+            to_s: (d,) vectors from the facets to S.
+            upper, lower: sides of S; the inverse gradient of the upper side is added here.
+        """
         mesh, back = measure.ufl_domain(), upper(_inverse_gradient(to_s))
         N = -ufl.dot(upper(ufl.FacetNormal(mesh)), back)
         length = ufl.sqrt(ufl.dot(N, N))
@@ -121,15 +137,21 @@ class Interface:
 
     @property
     def factor(self) -> Expr:
-        """Factor of the measure for integrals over S."""
+        """Factor of the measure for integrals over S, UFL."""
         return self.kinematics.factor * self.area
 
     def jump(self, v: Expr) -> Expr:
-        """[v] = v(upper) - v(lower)."""
+        """Jump [v] of a function v on S: its value on the upper side minus that on the lower side."""
         return self.upper(v) - self.lower(v)
 
     def faces(self, u: Expr, eps: Expr, slope: Expr | None = None) -> Faces:
-        """Faces of a layer under displacements u; its thickness eps has the gradient `slope` along S."""
+        """Displacements of the faces of a layer on S.
+
+        Args:
+            u: displacement.
+            eps: thickness of the layer.
+            slope: gradient (d,) of the thickness along S; None: it is uniform.
+        """
         along_s = ufl.Identity(len(self.n)) - ufl.outer(self.director, self.n)
         upper, lower = (ufl.dot(side.gradient(u), along_s) for side in (self.upper, self.lower))
         mean = self.kinematics.along((upper + lower) / 2, (self.upper(u) + self.lower(u)) / 2)
@@ -142,22 +164,24 @@ def _inverse_gradient(to_s: Expr) -> Expr:
 
 @dataclass(frozen=True)
 class Term:
-    """Work of one law, integrated over a measure.
+    """Virtual work of one law, integrated over a measure; d is the number of dimensions.
 
     Attributes:
-        law: the law, with parameters for the actual thickness.
-        strain: displacement -> strain (3, 3) at the points.
+        law: the law, with parameters scaled to the thickness of the layer.
+        strain: function from a displacement to the strain (3, 3), UFL.
         weight: factor of the measure.
         measure: dx, ds or dS.
-        n: director, (d,), or None in a body.
+        n: unit normal of the layer, from the lower to the upper body, (d,); None in a body.
         prescribed_strain: strain (3, 3) added to the strain of the displacements: mean strain of a periodic cell minus
             eigenstrain. An expression of place and time; None: zero.
-        key: key of internal variables and stored data, if several layers have names; "": by kind and order.
+        key: name under which internal variables and stored data are kept, if several layers have names; "": the name is
+            made of "body" or "layer" and, if there are several terms, a number.
         kinematics: kinematics of the strain.
-        volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar),
-            for compiled laws over cells; None: no projection.
+        volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar).
+            It applies to compiled laws over cells. None: no projection.
         traction: on S, stress (3, 3) -> traction (d,) conjugate to [u], per area; None: stress n.
-        flow: eps^3/(12 mu), flux along S per gradient of the pressure, of laws with a pressure on S at order 1; or 0.
+        flow: flux along S per gradient of the pressure, eps^3/(12 mu), for laws of order 1 with a pressure on S; else
+            0.
     """
 
     law: BulkLaw
@@ -190,17 +214,37 @@ class Term:
 
 
 def body(law: BulkLaw, measure: ufl.Measure, kinematics: Kinematics = PLANE_STRAIN, volume: int | None = None) -> Term:
-    """Term of a law in a body; `law` is the law for these kinematics (`Kinematics.law`), `volume` is as in `Term`."""
+    """Term of a law in a body.
+
+    Args:
+        law: the law for these kinematics (`Kinematics.law`).
+        measure: dx of the body.
+        kinematics: kinematics of the mesh.
+        volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar);
+            None: no projection.
+    """
     return Term(law, kinematics.strain, kinematics.factor, measure, kinematics=kinematics, volume=volume)
 
 
 def band(law: BulkLaw, measure: ufl.Measure, n: Expr, kinematics: Kinematics = PLANE_STRAIN) -> Term:
-    """Term of a layer's law in the meshed layer, or in the cells of one sublayer."""
+    """Term of a layer's law in the meshed layer, or in the cells of one sublayer.
+
+    Args:
+        law: the law, with parameters scaled to the thickness of the layer.
+        measure: dx of these cells.
+        n: unit normal of the layer, (d,).
+        kinematics: kinematics of the mesh.
+    """
     return Term(law, kinematics.strain, kinematics.factor, measure, n, kinematics=kinematics)
 
 
 def jump_term(law: BulkLaw, sides: Interface) -> Term:
-    """Term of a traction law on S in bulk form (`TractionLaw.as_bulk_law`), with strain sym([u] (x) n) and weight 1."""
+    """Term of a traction law on S, with the strain sym([u] (x) n) of the jump [u] and no thickness.
+
+    Args:
+        law: the traction law in the form of a law of strains (`TractionLaw.as_bulk_law`).
+        sides: the sides of S.
+    """
     n, kinematics = sides.n, sides.kinematics
     return Term(law, lambda u: jump_strain(sides.jump(u), n), sides.factor, sides.measure, n, kinematics=kinematics)
 
@@ -218,19 +262,20 @@ def surface(
 
     Order 0: one term with the strain sym([u] (x) n)/eps and the weight eps.
 
-    Order 1: one term for each of the law's stations (`BulkLaw.stations`), with the weight eps times its share. By
-    default these are two Gauss points z = -+1/(2 sqrt 3) of a strain e0 + z e1 that is linear through the layer. Here
-    e0 = sym([u] (x) n)/eps + sym(grad_S <u>); e1 = sym(grad_S [u]). For an energy quadratic in the strain the sum of
-    the two terms is the thickness integral eps e0:C:e0/2 + eps/12 e1:C:e1/2.
+    Order 1: one term for each of the law's stations (`BulkLaw.stations`), with the weight eps times the weight of the
+    station. By default these are two Gauss points z = -+1/(2 sqrt 3) of a strain e0 + z e1 that is linear through the
+    layer. Here e0 = sym([u] (x) n)/eps + sym(grad_S <u>); e1 = sym(grad_S [u]). For an energy quadratic in the strain
+    the sum of the two terms is the thickness integral eps e0:C:e0/2 + eps/12 e1:C:e1/2.
 
     Args:
-        law: the law, with parameters for the actual thickness.
+        law: the law, with parameters scaled to the thickness of the layer.
         sides: the sides of S.
         eps: the thickness.
         order: order of the interface law, 0 or 1.
         prescribed_strain: (3, 3), uniform through the layer, added to the strain of the displacements.
         slope: gradient (d,) of the thickness along S; None: it is uniform.
-        ends: weights of free ends, for laws that have stations there; None: an infinite layer.
+        ends: reductions of the stiffness near free ends, for laws with `end_strips`; None: the law of an infinite
+            layer.
 
     Raises:
         InputError: the law has no interface law of order 1.
@@ -266,12 +311,12 @@ def with_added_strain(terms: Iterable[Term], strain: Expr) -> list[Term]:
 
 
 def sum_strains(*strains: Expr) -> Expr:
-    """The sum of strains (3, 3), component by component, so that zeros stay zeros."""
+    """Sum of strains (3, 3), UFL, component by component, so that components that are zero in all of them stay zero."""
     return ufl.as_tensor([[sum(e[i, j] for e in strains) for j in range(3)] for i in range(3)])
 
 
 def stress(term: Term, u: Expr) -> Expr:
-    """The stress (3, 3) of a term's law at displacements u."""
+    """Stress (3, 3), UFL, of a term's law at displacements u, without the components that its kinematics exclude."""
     return term.kinematics.restricted(checked_stress(term.law, term.step(u)))
 
 
@@ -281,5 +326,5 @@ def work(terms: Iterable[Term], u: Expr, v: Expr) -> Expr:
 
 
 def energy(terms: Iterable[Term], u: Expr) -> Expr:
-    """Stored energy of a displacement, a UFL form."""
+    """Stored energy of a displacement u, a UFL form."""
     return sum(term.law.energy(term.step(u)) * term.weight * term.measure for term in terms)

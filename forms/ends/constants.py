@@ -1,4 +1,4 @@
-"""Constants of a free end of a layer, by Poisson's ratio."""
+"""Constants of a free end of a layer as functions of Poisson's ratio."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ TABLE_FILE = Path(__file__).parent / "table.csv"
 class FreeEnd(NamedTuple):
     """Constants of a free end, at a right angle to the faces, of an isotropic layer between much stiffer bodies.
 
-    Plane strain, or plane stress with the ratio nu/(1 + nu). Lengths are over the thickness, stresses over mu, and
-    M = lmbda + 2 mu. At nu = 0.5 c_N, m_N and rho_N are infinite. Source: `studies/half_strip.py`.
+    The constants hold in plane strain, and in plane stress with nu/(1 + nu) of the material for nu. Lengths are over
+    the thickness, stresses over mu, and M = lmbda + 2 mu. w_N is the opening of the layer, w_T its slip. At nu = 0.5
+    c_N, m_N and rho_N are infinite. Source: `studies/half_strip.py`.
 
     Attributes:
         nu: Poisson's ratio of the layer.
         c_N: with one such end, a layer of length L under an opening w_N carries the force M w_N (L - c_N).
-        m_N: first moment, about the end, of the missing normal tractions, over M w_N.
+        m_N: first moment, about the end, of the normal tractions that are missing near it, over M w_N.
         rho_N: mean distance from the end of the tractions along S that balance lmbda w_N.
-        c_T: as c_N, for the force mu w_T. It is also the mean distance from the end of the tractions across S that
-            balance the moment of this force. It is also the mean displacement of the end across S, towards the face
-            that moves outwards, over -w_T.
-        m_T: first moment, about the end, of the missing shear tractions, over mu w_T.
-        kappa: factor on the pressure-driven flow along S (`forms.rubber`) within one thickness of the end. With this
-            factor the pressure alone gives c_N.
+        c_T: with one such end, a layer of length L under a slip w_T carries the force mu w_T (L - c_T). It is also the
+            mean distance from the end of the tractions across S that balance the moment of mu w_T. It is also the mean
+            displacement of the end across S, towards the face that moves outwards, over -w_T.
+        m_T: first moment, about the end, of the shear tractions that are missing near it, over mu w_T.
+        kappa: factor on the pressure-driven flow along S within one thickness of the end, in laws with a pressure on S
+            (`forms.rubber`). With this factor the pressure alone gives c_N.
     """
 
     nu: float
@@ -47,7 +48,7 @@ class FreeEnd(NamedTuple):
     def drawn_in(self) -> float:
         """Mean inward displacement of the end as the layer opens, over w_N.
 
-        The end is free of the stress lmbda w_N/eps along S of an infinite layer. The end lowers the energy by
+        The end does not bear the stress lmbda w_N/eps along S that an infinite layer has. The end lowers the energy by
         c_N M w_N^2/2, which is half the work of this stress on the end's displacement.
         """
         lmbda = lame_over_mu(self.nu)
@@ -65,10 +66,10 @@ def lame_over_mu(nu: float) -> float:
 
 
 def free_end(nu: float) -> FreeEnd:
-    """Constants of a free end for Poisson's ratio nu from 0 to 0.5, to nine digits, from a table.
+    """Constants of a free end of a layer for Poisson's ratio nu from 0 to 0.5, to nine digits, from a table.
 
-    The table is interpolated by polynomials of s = sqrt(1 - 2 nu), from 0 to 1. The numbers c_N M mu/(lmbda^2 s),
-    m_N M s^2/lmbda, rho_N s, c_T and m_T are analytic in s; the first is sqrt(1/12) at s = 0.
+    The table is interpolated by polynomials of s = sqrt(1 - 2 nu), from 0 to 1. The numbers c_N M mu/(lmbda^2 s), m_N M
+    s^2/lmbda, rho_N s, c_T and m_T are analytic in s; the first is sqrt(1/12) at s = 0.
 
     Raises:
         InputError: nu out of range.
@@ -86,20 +87,26 @@ def free_end(nu: float) -> FreeEnd:
 
 
 def chebyshev_ratios(n: int) -> Array:
-    """Poisson's ratios of a table of n rows: Chebyshev points in s, from the largest to the smallest ratio."""
+    """Poisson's ratios (n,) for a table of n rows, from the largest to the smallest.
+
+    They are Chebyshev points in s = sqrt(1 - 2 nu).
+    """
     s = (1 - np.cos(np.pi * (np.arange(n) + 0.5) / n)) / 2
     return np.asarray((1 - s**2) / 2)
 
 
 @cache
 def shipped_table() -> dict[str, Array]:
-    """Table of this package: name of a column -> values, in the order of `chebyshev_ratios`."""
+    """Table of the constants in this package: name of a column -> values, in the order of `chebyshev_ratios`."""
     return dict(zip(TABLE_COLUMNS, np.loadtxt(TABLE_FILE, delimiter=",", skiprows=1).T, strict=True))
 
 
 @cache
 def _coefficients() -> Array:
-    """Chebyshev coefficients of the five analytic numbers of `free_end` in 2 s - 1, (rows of the table, 5)."""
+    """Chebyshev coefficients (n, 5) of the five analytic numbers in `free_end`, from the table's n rows.
+
+    The variable of the polynomials is 2 s - 1 with s = sqrt(1 - 2 nu).
+    """
     table = shipped_table()
     nu = table["nu"]
     lmbda, s = 2 * nu / (1 - 2 * nu), np.sqrt(1 - 2 * nu)
@@ -110,10 +117,15 @@ def _coefficients() -> Array:
 
 
 def flow_factor(delta: float, excess: float) -> float:
-    """Flow factor f on 0 < x < 1 such that int (1 - p) dx over x > 0 is delta + excess.
+    """Factor f on the flow within 0 < x < 1 with which the integral of 1 - p over x > 0 is delta + excess.
 
-    The pressure p solves delta^2 (f p')' = p - 1 with p(0) = 0; f = 1 for x > 1. With r = sqrt(f) and
-    t = tanh(1/(r delta)) the integral is r delta (1 + r t)/(t + r).
+    The pressure p over the pressure far from the end solves delta^2 (f p')' = p - 1 with p(0) = 0; f = 1 for x > 1. x
+    is the distance from the end over the thickness. With r = sqrt(f) and t = tanh(1/(r delta)) the integral is r delta
+    (1 + r t)/(t + r).
+
+    Args:
+        delta: length over which the pressure evens out, over the thickness; the integral for f = 1.
+        excess: difference of the integral from delta.
     """
 
     def missing(r: float) -> float:

@@ -1,8 +1,8 @@
-"""The singular field at the corner of a layer's free end.
+"""Singular stress field at the corner between a face and the free side of a layer.
 
-At a corner, where a face meets the free side, the layer is a wedge of 90 degrees, 0 < theta < pi/2. It is fixed at
-theta = 0 and traction-free at theta = pi/2. Its stresses grow like H r^(lambda - 1) towards the corner (Williams 1952).
-With Muskhelishvili's potentials phi = a z^lambda, psi = b z^lambda
+Near this corner the layer is a wedge of 90 degrees, 0 < theta < pi/2. It is fixed at theta = 0 and traction-free at
+theta = pi/2. Its stresses grow like H r^(lambda - 1) towards the corner (Williams 1952). With Muskhelishvili's
+potentials phi = a z^lambda, psi = b z^lambda
 
     2 mu (u + i v) = kappa phi - z conj(phi') - conj(psi);   kappa = 3 - 4 nu;
     s_xx + s_yy = 4 Re phi';   s_yy - s_xx + 2 i s_xy = 2 (conj(z) phi'' + psi').
@@ -25,12 +25,12 @@ ARC_GAUSS_POINTS = 24  # number of Gauss points on an arc around the corner
 
 @dataclass(frozen=True)
 class CornerField:
-    """The singular field at the corner between a layer's free side and a rigid face; plane strain, stresses over mu.
+    """Singular field at the corner between a layer's free side and a rigid face, in plane strain; stresses are over mu.
 
-    In plane stress nu is nu/(1 + nu) of the layer. The polar angle is measured from the face into the layer.
+    For plane stress give nu/(1 + nu) of the layer as nu. The polar angle is measured from the face into the layer.
 
     Attributes:
-        nu: Poisson's ratio, in [0, 0.5].
+        nu: Poisson's ratio of the layer, in [0, 0.5].
     """
 
     nu: float
@@ -40,9 +40,10 @@ class CornerField:
 
     @cached_property
     def exponent(self) -> float:
-        """lambda, from 1 at nu = 0 to 0.595 at nu = 0.5: stresses grow like r^(lambda - 1).
+        """Exponent lambda of stresses ~ r^(lambda - 1) near the corner, from 1 at nu = 0 to 0.595 at nu = 0.5.
 
-        It is the only root from 0 to 1 of 4 kappa sin(lambda pi/2)^2 = (kappa + 1)^2 - 4 lambda^2.
+        r is the distance from the corner. lambda is the only root from 0 to 1 of 4 kappa sin(lambda pi/2)^2 = (kappa +
+        1)^2 - 4 lambda^2 with kappa = 3 - 4 nu.
         """
         k = 3 - 4 * self.nu
 
@@ -54,7 +55,13 @@ class CornerField:
         return float(brentq(excess, 0.0, 1.0, xtol=1e-15, rtol=1e-14)) if excess(1.0) > 0 else 1.0
 
     def _values(self, power: float, coefficients: Array, r: Array, angle: Array) -> tuple[Array, Array]:
-        """Displacements (..., 2) and stresses 11, 22, 12 (..., 3) for a = c_0 + i c_1, b = c_2 + i c_3."""
+        """Displacements (..., 2), for mu = 1, and stresses 11, 22, 12, (..., 3), of a power solution.
+
+        Args:
+            power: exponent of the displacements.
+            coefficients: (4,), real and imaginary part of a, then of b, in the potentials a z^power and b z^power.
+            r, angle: polar coordinates (...) of the points.
+        """
         a, b = coefficients[0] + 1j * coefficients[1], coefficients[2] + 1j * coefficients[3]
         z = r * np.exp(1j * angle)
         first, second, third = z**power, power * z ** (power - 1), power * (power - 1) * z ** (power - 2)
@@ -64,7 +71,11 @@ class CornerField:
         return np.stack([u.real, u.imag], axis=-1), stress
 
     def _mode(self, power: float) -> Array:
-        """Coefficients (4,) of the field with zero displacement on the face and zero traction on the free side."""
+        """Coefficients (4,) of a field without displacement on the face and without traction on the free side.
+
+        Args:
+            power: exponent of the displacements.
+        """
         rows = np.empty((4, 4))
         for k, unit in enumerate(np.eye(4)):
             on_face, _ = self._values(power, unit, np.array(1.0), np.array(0.0))
@@ -82,7 +93,10 @@ class CornerField:
         return self._mode(-self.exponent)
 
     def field(self, r: Array, angle: Array) -> tuple[Array, Array]:
-        """The field with H = 1, which has the normal traction r^(lambda - 1) on the face.
+        """The singular field with the intensity H = 1, whose normal traction on the face is r^(lambda - 1).
+
+        Args:
+            r, angle: polar coordinates (...) of points, from the corner and from the face.
 
         Returns:
             Displacements (..., 2), for mu = 1, and stresses 11, 22, 12, (..., 3), with axis 1 along the face.
@@ -91,7 +105,7 @@ class CornerField:
 
     @property
     def shear(self) -> float:
-        """Tangential over normal traction on the face; axis 1 points away from the corner."""
+        """Ratio of the tangential to the normal traction on the face; axis 1 points away from the corner."""
         return float(self.field(np.array(1.0), np.array(0.0))[1][2])
 
     @cached_property
@@ -100,19 +114,21 @@ class CornerField:
         return (points + 1) * np.pi / 4, weights * np.pi / 4
 
     def arc(self, r: float) -> Array:
-        """Points (n, 2) on the arc of radius r around the corner, where `strength` needs displacements and stresses."""
+        """Points (n, 2) on an arc of radius r around the corner, where `strength` takes displacements and stresses."""
         angles = self._arc[0]
         return r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def strength(self, r: float, u: Array, stress: Array) -> float:
-        """Intensity H of a field, by reciprocity with the dual field, whose displacements are ~ r^(-lambda).
+        """Intensity H of the singular field, from displacements and stresses on an arc around the corner.
+
+        H follows from Betti's reciprocity with the dual field, whose displacements are ~ r^(-lambda).
 
         The result does not depend on the radius if the face is fixed and the side is traction-free.
 
         Args:
             r: radius of the arc.
-            u: displacements (n, 2) at `arc` relative to the face, times mu.
-            stress: stresses 11, 22, 12, (n, 3), at `arc`.
+            u: displacements (n, 2) at the points of `arc` relative to the face, times mu.
+            stress: stresses 11, 22, 12, (n, 3), at the points of `arc`.
 
         Returns:
             H, in units of stress times length^(1 - lambda).
@@ -120,14 +136,26 @@ class CornerField:
         return self._reciprocal(r, u, stress) / self._reciprocal(1.0, *self.field(np.array(1.0), self._arc[0]))
 
     def _reciprocal(self, r: float, u: Array, stress: Array) -> float:
-        """Work of the stresses on the dual displacements minus work of the dual stresses on u, on an arc."""
+        """Work of stresses in the dual field's displacements minus work of the dual field's stresses in u, on an arc.
+
+        Args:
+            r: radius of the arc.
+            u: displacements (n, 2) at its points, times mu.
+            stress: stresses 11, 22, 12, (n, 3), at its points.
+        """
         angles, weights = self._arc
         dual_u, dual = self._values(-self.exponent, self._dual, np.array(r), angles)
         return float(weights @ (_work(stress, angles, dual_u) - _work(dual, angles, u))) * r
 
 
 def _work(stress: Array, angles: Array, u: Array) -> Array:
-    """Work (n,) of the tractions of stresses 11, 22, 12 (n, 3) at points of an arc on displacements (n, 2)."""
+    """Work (n,), per length of arc, of the tractions on an arc around the corner in displacements u (n, 2).
+
+    Args:
+        stress: stresses 11, 22, 12, (n, 3), at the points.
+        angles: polar angles (n,) of the points.
+        u: displacements at the points.
+    """
     c, s = np.cos(angles), np.sin(angles)
     t_x, t_y = stress[:, 0] * c + stress[:, 2] * s, stress[:, 2] * c + stress[:, 1] * s
     return np.asarray(t_x * u[:, 0] + t_y * u[:, 1])

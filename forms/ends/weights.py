@@ -1,21 +1,24 @@
-"""Weights that change a layer's interface law of order 1 near its free ends, where its error is then of order 2, too.
+"""Reductions of a layer's stiffness near its free ends, for interface laws of order 1.
 
-Near a free end a layer is weaker than an infinite layer. Let its faces move by w_N across S and by w_T along S. Then
-the forces c_N M w_N and c_T mu w_T per unit of edge are missing (`FreeEnd`). In addition, the stresses lmbda w_N along
-S and mu w_T across S cannot reach the end, as they would in a layer without thickness. They are transferred to the
-faces over lengths of about the thickness.
+With them the errors far from the ends are O(eps^2) instead of O(eps).
 
-Let d be the distance to the end, and m its normal in S. Let e_N and g be the strains of the jump across S and along it.
-Let e_S be the strain of the mean displacements in S, and h the gradient of <u_N> along S. The mean strain has the
-energy per volume
+Near a free end a layer is less stiff than an infinite layer. Let its faces move apart by w_N across S and by w_T along
+S. Then the forces c_N M w_N and c_T mu w_T per unit of edge are missing (`FreeEnd`), with M = lmbda + 2 mu. In
+addition, the stresses lmbda w_N along S and mu w_T across S cannot reach the end, as they would in a layer without
+thickness. They are transferred to the faces over lengths of about the thickness.
+
+Let d be the distance to the end, m the end's normal in S, and tau the direction along the end in S. Let e_N and g be
+the strains of the jump across S and along it. Let e_S be the strain of the mean displacements <u> of the faces in S,
+and h the gradient of <u_N> along S. Indices m and tau are components. The mean strain has the energy per volume
 
     2 W = M (1 - a_N) e_N^2 + 2 lmbda f_N e_N tr e_S + [lmbda (tr e_S)^2 + 2 mu e_S : e_S]/(1 - a_N)
           + mu [(1 - a_T) g_m^2 + 2 f_T g_m h_m + h_m^2/(1 - a_T)] + mu (g_tau + h_tau)^2.
 
 Here a_N = c_N eps/l_N within l_N of an end, and a_T = c_T eps/l_T within l_T; elsewhere both are zero. The others are
 f_N = min(1, d/(2 rho_N eps)) and f_T = min(1, d/(2 c_T eps)). The lengths l_N = 2 m_N eps/c_N and l_T = 2 m_T eps/c_T
-of the strips reproduce the first moments of the missing tractions; but l_N <= 3 eps. On facets in which a strip ends, a
-has its mean. The integral of a across an end is therefore c eps on any mesh. W is convex because a < 1 and f <= 1.
+of the strips reproduce the first moments of the missing tractions; but l_N <= 3 eps. On facets in which a strip ends,
+a_N and a_T have their mean over the facet. The integral of a_N across an end is therefore c_N eps on any mesh, that of
+a_T is c_T eps. W is convex because a_N, a_T < 1 and f_N, f_T <= 1.
 
 W is the sum of the energies of the isotropic law at two strains. With q = 1 - a, and without the tau components, they
 are
@@ -25,9 +28,10 @@ are
     g' = sqrt(q_T) g_m + f_T h_m/sqrt(q_T);                       g'' = sqrt((1 - f_T^2)/q_T) h_m.
 
 A law with a pressure on S (`forms.rubber`) needs the shear part only. Its pressure is zero at free ends, which makes it
-weaker against openings. This gives c_N if the flow along S within one thickness of an end is kappa times the flow in an
-infinite layer (`FreeEnd.kappa`). Resistances to the flow add up across an end. On facets in which the strip ends, the
-flow factor is therefore the harmonic mean; with the part s of the facet in the strip it is 1/(1 + (1/kappa - 1) s).
+less stiff against openings. This gives c_N if the flow along S within one thickness of an end is kappa times the flow
+in an infinite layer (`FreeEnd.kappa`). Resistances to the flow add up across an end. On facets in which the strip ends,
+the flow factor is therefore the harmonic mean. With the fraction s of the facet in the strip it is 1/(1 + (1/kappa - 1)
+s).
 """
 
 from __future__ import annotations
@@ -49,11 +53,11 @@ MIN_SPREAD = 10.0  # spreading length, over the thickness, from which a pressure
 
 
 class EndStrip(NamedTuple):
-    """A strip along a free end, in which a weight is c/length; lengths are over the thickness.
+    """A strip of S along a free end, in which a relative loss of stiffness is c/length; lengths are over the thickness.
 
     Attributes:
-        c: integral of the weight across the end; 0: no strip.
-        length: length of the strip, > 0.
+        c: integral of the loss across the end; 0: no strip.
+        length: length of the strip from the end, > 0.
     """
 
     c: float = 0.0
@@ -61,13 +65,13 @@ class EndStrip(NamedTuple):
 
 
 class EndStrips(NamedTuple):
-    """Strips along a free end of an isotropic layer, and transfer lengths; all lengths are over the thickness.
+    """Strips of S along a free end of an isotropic layer in which its law changes; all lengths are over the thickness.
 
     Attributes:
-        opening, shear: strips in which the layer is weaker against openings, and against shear.
-        resistance: strip in which the pressure-driven flow along S meets more resistance.
-        r_N, r_T: lengths over which the stress is transferred to the faces if the layer opens, and if it is sheared;
-            0: at once.
+        opening, shear: strips in which the layer is less stiff against openings, and against shear.
+        resistance: strip in which the pressure-driven flow along S meets more resistance; less if its c < 0.
+        r_N, r_T: lengths over which the stress is transferred to the faces if the layer opens, and if it is sheared; 0:
+            at once.
     """
 
     opening: EndStrip
@@ -78,26 +82,30 @@ class EndStrips(NamedTuple):
 
     @property
     def longest(self) -> float:
-        """Length of the longest strip where the layer is weaker."""
+        """Length over the thickness of the longest strip that is not empty."""
         return max(strip.length for strip in (self.opening, self.shear, self.resistance) if strip.c)
 
     @classmethod
     def of(cls, end: FreeEnd) -> EndStrips:
-        """Strips that reproduce the first moments of a free end."""
+        """Strips that reproduce the missing forces of a free end, and as far as possible their first moments."""
         l_N = min(2 * end.m_N / end.c_N, OPENING_STRIP_LENGTH) if end.c_N else OPENING_STRIP_LENGTH
         return cls(EndStrip(end.c_N, l_N), _of_shear(end), EndStrip(), 2 * end.rho_N, 2 * end.c_T)
 
     @classmethod
     def with_pressure(cls, end: FreeEnd) -> EndStrips:
-        """Strips of a law whose pressure is zero at the end, which makes it weaker against openings without a strip."""
+        """Strips of a law whose pressure on S is zero at the free end.
+
+        The pressure makes this law less stiff against openings, without a strip for openings.
+        """
         return cls(EndStrip(), _of_shear(end), EndStrip(1 / end.kappa - 1), 0.0, 2 * end.c_T)
 
     def of_spread(self, length: float) -> EndStrips:
-        """Strips for a pressure that spreads over at most `length` (over the thickness), for any Poisson's ratio.
+        """Strips for a layer whose pressure spreads over at most `length`, a length over the thickness.
 
         For nu > 0.49 the flow at an end has less resistance than in an infinite layer (kappa > 1). This holds if the
-        pressure grows linearly over many thicknesses. Narrow S or soft bodies can prevent this. Then the flow within
-        5 thicknesses is closer to the flow in an infinite layer, and the strip of the resistance is left out.
+        pressure grows linearly over many thicknesses. Narrow S or soft bodies can prevent this. If `length` is below
+        `MIN_SPREAD`, the flow near the end is closer to the flow in an infinite layer, and the strip `resistance` is
+        left out.
         """
         return self if self.resistance.c >= 0 or length >= MIN_SPREAD else self._replace(resistance=EndStrip())
 
@@ -107,10 +115,10 @@ def _of_shear(end: FreeEnd) -> EndStrip:
 
 
 class EndWeights(NamedTuple):
-    """Weights of free ends at a place of S, see the module.
+    """Changes of a layer's law of order 1 near its free ends, at a place of S, UFL; the module has their formulas.
 
     Attributes:
-        m: unit normal of the nearest end, in S; (d,).
+        m: unit normal of the nearest end, in S; (d,) in d dimensions.
         a_N, a_T: relative loss of stiffness against openings and shear; 0 <= a < 1.
         f_N, f_T: fraction of the stress that has not been transferred to the faces; 0 <= f <= 1.
         flow: factor on the pressure-driven flow along S; > 0.
@@ -124,14 +132,25 @@ class EndWeights(NamedTuple):
     flow: Expr
 
     def sheared(self, faces: Faces) -> tuple[Expr, Expr]:
-        """Strain (3, 3) that the shear weights add to the first strain of `strains`, and the second strain with g''."""
+        """Two strains (3, 3) of the shear part of the energy W in the module.
+
+        The first is what this part adds to the first strain of `strains`; the second has the shear g''.
+
+        Args:
+            faces: displacements of the faces of the layer.
+        """
         m, n = three_dimensional(self.m), three_dimensional(faces.n)
         g, h = 2 * ufl.dot(n, faces.across() * m), 2 * ufl.dot(n, faces.mean * m)
         root, shear = ufl.sqrt(1 - self.a_T), ufl.sym(ufl.outer(m, n))
         return ((root - 1) * g + (self.f_T / root - 1) * h) * shear, ufl.sqrt(1 - self.f_T**2) / root * h * shear
 
     def strains(self, faces: Faces, share: Expr) -> tuple[Expr, Expr]:
-        """Two strains (3, 3) at which the energies of the isotropic law with lmbda/M = share add up to W."""
+        """Two strains (3, 3) at which the energies of the isotropic law add up to the energy W in the module.
+
+        Args:
+            faces: displacements of the faces of the layer.
+            share: lmbda/(lmbda + 2 mu) of the law.
+        """
         n, across, mean, (first, second) = three_dimensional(faces.n), faces.across(), faces.mean, self.sheared(faces)
         e_N, e_S, root = ufl.dot(n, across * n), faces.in_s(mean), ufl.sqrt(1 - self.a_N)
         trace = share * ufl.tr(e_S) / root
@@ -141,7 +160,15 @@ class EndWeights(NamedTuple):
 
 
 def pressure_stations_at_ends(law: PressureLaw, weights: EndWeights) -> list[AnyStation]:
-    """Stations as in `forms.stations.pressure_stations`, with the weights of free ends."""
+    """Three stations of a law with a pressure field on S, near free ends of the layer.
+
+    They are the stations of `forms.stations.pressure_stations`, changed by the weights, and one for the second shear
+    strain.
+
+    Args:
+        law: the law.
+        weights: changes of the law near free ends, UFL on S.
+    """
     mean, stiff = pressure_stations(law)
     sheared = replace(
         mean,
