@@ -32,8 +32,8 @@ def check(law: Law, d: int | None = 3) -> None:
     package. A law in UFL must
 
     - return a stress (3, 3), and internal variables and energies of the declared shapes; tensors must be symmetric;
-    - return the same values whether its parameters are numbers or, for compilation, symbols, which Python code must not
-      compare;
+    - return the same values when symbols replace its parameters for compilation: no Python condition may depend on
+      them;
     - have the same tangent at all strains if it declares `linear`;
     - have a symmetric tangent unless it declares `symmetric = False`;
     - return the derivative of its energy as stress, if it is symmetric and has neither internal variables nor a rate.

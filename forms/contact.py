@@ -283,6 +283,8 @@ class HolonomicCoulomb(_Coulomb):
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         friction: Coulomb's friction coefficient; >= 0.
         cohesion: largest |t_T| without pressure, stress; >= 0.
+        gap: by keyword, initial gap along n, a length: a number, or a numpy function of places (d, n) that returns n
+            numbers.
 
     Raises:
         InputError: a parameter out of range.
@@ -302,6 +304,8 @@ class IncrementalCoulomb(_Coulomb):
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         friction: Coulomb's friction coefficient; >= 0.
         cohesion: largest |t_T| without pressure, stress; >= 0.
+        gap: by keyword, initial gap along n, a length: a number, or a numpy function of places (d, n) that returns n
+            numbers.
 
     Raises:
         InputError: a parameter out of range.
@@ -333,6 +337,8 @@ class Tresca(ContactLaw):
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         bound: largest magnitude of the tangential traction, stress; >= 0.
+        gap: by keyword, initial gap along n, a length: a number, or a numpy function of places (d, n) that returns n
+            numbers.
 
     Raises:
         InputError: a parameter out of range.

@@ -34,7 +34,7 @@ IN_PLANE_VOIGT = [0, 1, 5]
 
 
 def lame_stress(lmbda: Expr, mu: Expr, e: Expr) -> Expr:
-    """Isotropic stress lmbda tr(e) I + 2 mu e."""
+    """Isotropic stress (3, 3), UFL, at the strain e (3, 3): lmbda tr(e) I + 2 mu e."""
     return lmbda * ufl.tr(e) * ufl.Identity(3) + 2 * mu * e
 
 
@@ -68,7 +68,7 @@ class LinearLaw(BulkLaw):
     quadratic = True
 
     def energy(self, step: Step) -> Expr:
-        """Strain energy per unit volume, e:C:e/2."""
+        """Strain energy per unit volume, UFL: e:C:e/2 with the stiffness tensor C."""
         return ufl.inner(self.stress(Step(step.e, step.n)), step.e) / 2
 
 

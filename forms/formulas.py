@@ -24,11 +24,11 @@ def mohr_coulomb_fixed_opening(
 ) -> Array:
     """Tractions (..., 2), t_T and t_N, of a Mohr-Coulomb layer as its slip w_T grows at a fixed opening w_N.
 
-    The law is `MohrCoulomb` with psi = 0 in plane strain, and the result is exact in time. With p = (lmbda + mu) w_N
-    and the in-plane deviator s, the response is elastic until |s| = R = C cos(Omega) - p sin(Omega). Let s_y be the
-    shear stress at first yield, at w_y. After it, with a = mu (w_T - w_y)/R + artanh(s_y/R), t_T = R tanh(a) and t_N =
-    p +- R sech(a). The sign equals the sign of s_N = mu w_N. The normal part of the deviator fades, and t_T tends to R,
-    not to the C - t_N tan(Omega) of Eqs. (34)-(37) of the paper.
+    The law is `MohrCoulomb` with psi = 0 in plane strain, and the result is exact in time. Let p = (lmbda + mu) w_N be
+    the mean in-plane stress, and s the in-plane deviator. The response is elastic until |s| = R = C cos(Omega) - p
+    sin(Omega). Let s_y be the shear stress at first yield, at w_y. After it, with a = mu (w_T - w_y)/R + artanh(s_y/R),
+    t_T = R tanh(a) and t_N = p +- R sech(a). The sign equals the sign of s_N = mu w_N. The normal part of the deviator
+    fades, and t_T tends to R, not to the C - t_N tan(Omega) of Eqs. (34)-(37) of the paper.
 
     Args:
         lmbda, mu: Lame moduli over the thickness, stress per length.
@@ -368,16 +368,19 @@ class Bar:
     def sigma(self, delta: Array | float) -> Array:
         """Stress of the global minimiser at elongations delta of the bar.
 
-        It is delta/(l R), then sigma_m, then (delta - l alpha/kbar)/(l R). Equation (47) of the paper prints (k/(eps
-        l)) K/K_eps, without delta, in the first case and likewise in the third.
+        For delta > 0 it is delta/(l R) before phase 1 grows, sigma_m while it grows, and (delta - l alpha/kbar)/(l R)
+        after that. Equation (47) of the paper prints (k/(eps l)) K/K_eps, without delta, in the first case and likewise
+        in the third.
         """
         return self.branch(delta, self.phase(delta)).sigma
 
     def U(self, delta: Array | float) -> Array:
         """Elongation of the layer in the global minimiser at elongations delta of the bar.
 
-        It is l sigma/kbar, then delta - sigma_m l (1 - eps)/K, then l (sigma + alpha)/kbar. The first and third cases
-        before Eq. (47) of the paper print K delta/(K_eps (1 - eps)), which exceeds delta.
+        For delta > 0 it is l sigma/kbar before phase 1 grows. It is delta - sigma_m l (1 - eps)/K while phase 1 grows,
+        and l (sigma + alpha)/kbar after that. The first and third cases before Eq. (47) of the paper print K
+        delta/(K_eps (1
+        - eps)), which exceeds delta.
         """
         return self.branch(delta, self.phase(delta)).U
 
@@ -411,7 +414,7 @@ class Bar:
         return BarResponse(phase, sigma, U, energy, kept & changed)
 
     def layouts(self, delta: Array | float, n: int) -> BarResponse:
-        """Responses of a layer of n equal elements with m = 0, ..., n of them in phase 1 (delta < 0: -1).
+        """Responses of a bar whose layer has n equal elements, with m = 0, ..., n of them in phase 1 (delta < 0: -1).
 
         Each array has the axes of delta, then one axis for m. Which elements are in phase 1 does not matter. No layout
         with both 1 and -1, or with -1 in place of 1, has less energy. `BarResponse.least` is the global minimiser of n
@@ -422,9 +425,9 @@ class Bar:
 
     # ------------------------------------------------------------ a uniform layer that softens
     def layer(self, U: Array | float, mixing: float = 1.0) -> tuple[Array, Array, Array]:
-        """Stress, energy per area of the section, and signed phase fraction of the layer alone at elongations U.
+        """Stress, energy per area of the section, and signed phase fraction of a layer alone at elongations U.
 
-        The fraction is that in phase 1, or minus that in phase -1.
+        The last is the fraction of the layer in phase 1, or minus the fraction in phase -1.
 
         Args:
             U: elongations of the layer, of any shape.

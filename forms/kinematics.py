@@ -49,7 +49,7 @@ class Kinematics:
         return tuple(range(d))
 
     def radius(self, x: Array) -> Array:
-        """(n,) distances of places (n, d) from the axis of revolution; infinite where there is no such axis."""
+        """Distances (n,) of places (n, d) from the axis of revolution; infinite if there is no such axis."""
         return np.full(len(x), np.inf)
 
     def stress_slots(self, d: int) -> tuple[int, ...]:

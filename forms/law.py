@@ -114,8 +114,8 @@ class Law(LayerResults):
         powers: name of a parameter -> power of the thickness eps to which it is proportional in a family of layers;
             only a `BulkLaw` has powers.
         internal: internal variables, name -> shape: (), (3,) or (3, 3), symmetric. They start from zero.
-        functions: names of parameters that may be functions for which the class itself computes values. `parameters`
-            gives NaN for such a function, `at` gives its values.
+        functions: names of parameters that may be functions other than those of `takes_fields`, such as functions of a
+            temperature. `parameters` gives NaN for such a function, `at` gives its values.
         ignored: names of methods that are never called, because other methods replace them.
         takes_fields: whether scalar parameters may be numpy functions of places (d, n) in the joint that return (n,).
     """
@@ -656,12 +656,12 @@ def checked_stress(law: BulkLaw, step: Step) -> Expr:
 
 
 def require_positive(law: Law, *names: str) -> None:
-    """Raise InputError unless these parameters of the law are finite and > 0."""
+    """Raise InputError unless the parameters of the law with these names are finite and > 0."""
     for name in names:
         law.require(0 < getattr(law, name) < math.inf, name, "> 0")
 
 
 def require_nonnegative(law: Law, *names: str) -> None:
-    """Raise InputError unless these parameters of the law are finite and >= 0."""
+    """Raise InputError unless the parameters of the law with these names are finite and >= 0."""
     for name in names:
         law.require(0 <= getattr(law, name) < math.inf, name, ">= 0, finite")

@@ -91,7 +91,9 @@ class LayerResults:
         return ("plus", "minus", "boundary") if self.traits.phases and not self.traits.of_jumps else ()
 
     def shares(self, internal: Mapping[str, Array]) -> dict[str, Array]:
-        """Fractions (points,) of the material that have changed, by name: by default those in the phases 1 and -1.
+        """Fractions (points,) of the material that have changed, by name.
+
+        By default they are "plus" and "minus", the fractions in the phases 1 and -1.
 
         Args:
             internal: internal variables by name, (points, *shape).
@@ -108,7 +110,7 @@ class LayerResults:
             totals: integrals of the fractions that `shares` returns over the layer, by name.
             whole: integral of 1 over the layer.
             eps: thickness of the layer; 0 if it has none.
-            fraction: fraction of the thickness that has such laws.
+            fraction: fraction of the layer's thickness that sublayers with such laws take; 1 without sublayers.
         """
         means = {name: total / whole for name, total in totals.items()}
         if self.traits.phases:

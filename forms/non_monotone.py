@@ -110,7 +110,10 @@ class Phases(IsotropicLaw):
         self._check_phases({name: np.array([getattr(self, name)], float) for name in PHASE_PARAMETERS}, lambda k: "")
 
     def plane_stress(self) -> Phases:
-        """The law with the modulus lmbda of plane stress; chi acts in the plane, and all phases have equal moduli."""
+        """The law for plane stress: the same phases with the modulus lmbda of plane stress.
+
+        This is exact because chi acts in the plane, and all phases have equal moduli.
+        """
         self.require(len(self.chi) == 2, "shape of chi", "(2, 2) in plane stress", self.chi.shape)
         return replace(self, lmbda=2 * self.lmbda * self.mu / (self.lmbda + 2 * self.mu))
 
@@ -198,6 +201,8 @@ class NonMonotone(Phases):
 
     Where the phases mix the tangent may be singular (chi = n (x) n, lmbda = 0); the stiffness of the bodies remains.
 
+    The moduli lmbda and mu, alpha, transformation_energy (Psi), chi and T are described in the base class `Phases`.
+
     Attributes:
         mixing: fraction of the laminates' energy gain, 0 < mixing <= 1: g = mixing alpha^2 G. Below 1 the stress falls
             as the phases change, more steeply for smaller values. The law then acts on S only, and steps of arc length
@@ -268,7 +273,7 @@ class NonMonotone(Phases):
 class NonMonotoneUnrelaxed(Phases):
     """The non-monotone law with pure phases: stress = lmbda tr(e) I + 2 mu e - z alpha chi, z = -1, 0 or 1.
 
-    The phase is an internal variable. Each facet of S has one phase, and so has the column of cells over it in the
+    The phase z is an internal variable. Each facet of S has one phase, and so has the column of cells over it in the
     meshed layer. (If elements through the thickness switched one by one, they would unload each other, which the law on
     S does not do.)
 
@@ -280,6 +285,8 @@ class NonMonotoneUnrelaxed(Phases):
     switch to their phase of lowest energy, then equilibrium is solved with these phases; this is repeated until no
     phase changes. The energy falls each time. `march` stops where the first column switches, so that the result does
     not depend on its steps.
+
+    The moduli lmbda and mu, alpha, transformation_energy (Psi), chi and T are described in the base class `Phases`.
     """
 
     linear: ClassVar = True

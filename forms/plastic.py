@@ -54,9 +54,10 @@ class Plastic(IsotropicLaw):
         friction_angle: Omega in the formulas, in degrees (30, not 0.52), 0 <= Omega < 90; > 0 if C = 0.
         elastic_fraction: h in the formulas, 0 <= elastic_fraction < 1.
         hardening: H in the formulas, increase of the cohesion per plastic strain, stress; >= 0.
-        saturation: Q, largest increase of the cohesion in addition to H p, stress, also in a layer; >= 0.
-        saturation_strain: p_0, at which half of Q is reached, strain (in a layer: strain times thickness, a length); >
-            0 where Q > 0.
+        saturation: Q in the formulas, largest increase of the cohesion in addition to H p, stress, also in a layer; >=
+            0.
+        saturation_strain: p_0 in the formulas, at which half of Q is reached, strain (in a layer: strain times
+            thickness, a length); > 0 where Q > 0.
 
     Raises:
         InputError: a parameter out of range.
@@ -95,12 +96,12 @@ class Plastic(IsotropicLaw):
 
 @dataclass(frozen=True)
 class MohrCoulomb(KernelLaw, Plastic):
-    """Mohr-Coulomb elasto-plasticity: on every plane |shear stress| <= C - tan(Omega) normal stress.
+    """Mohr-Coulomb elasto-plasticity: on every plane |shear stress| <= c - tan(Omega) normal stress.
 
-    C is the cohesion, which hardening raises to c. In principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= c
-    cos(Omega) - (s_1 + s_3)/2 sin(Omega). The plastic flow has psi in place of Omega. Where the flow has no trace, the
-    accumulated plastic strain grows by cos(Omega) times the largest plastic shear strain (engineering). Steps are
-    implicit.
+    c is the cohesion after hardening, C its initial value, Omega the friction angle, psi the dilatancy angle. In
+    principal stresses s_1 >= s_2 >= s_3: (s_1 - s_3)/2 <= c cos(Omega) - (s_1 + s_3)/2 sin(Omega). The plastic flow has
+    psi in place of Omega. Where the flow has no trace, the accumulated plastic strain grows by cos(Omega) times the
+    largest plastic shear strain (engineering). Steps are implicit.
 
     Equation (30) of the paper prints |s_n|, which is right in compression, and a flow on one plane, which is not
     coaxial with the stress. There are two such planes; the flow here is the mean of both. In Eqs. (31) and (33) the
@@ -125,6 +126,9 @@ class MohrCoulomb(KernelLaw, Plastic):
     yield surface. There the stress is cut off to C cot(Omega) times the identity, with a volumetric plastic strain. The
     material has torn, and closes only when this volume is compressed to zero again. For psi > 0 the flow itself does
     this.
+
+    The moduli, cohesion, friction_angle, elastic_fraction and the parameters of the hardening are described in the base
+    class `Plastic`.
 
     Attributes:
         dilatancy_angle: psi in the formulas, in degrees, 0 <= psi <= Omega.
@@ -158,8 +162,9 @@ class MohrCoulomb(KernelLaw, Plastic):
 class MohrCoulombMonodirectional(Plastic):
     """Mohr-Coulomb elasto-plasticity with slip only on planes parallel to S: |t_T| <= c - tan(Omega) t_N, t = stress n.
 
-    c is the cohesion after hardening, C its initial value. The accumulated plastic strain grows by the plastic shear
-    strain across S (engineering). In a layer this is the increment |dw^p| of the plastic jump over the thickness.
+    c is the cohesion after hardening, C its initial value, Omega the friction angle. The accumulated plastic strain
+    grows by the plastic shear strain across S (engineering). In a layer this is the increment |dw^p| of the plastic
+    jump over the thickness.
 
     This is the law of Eqs. (37)-(38) and (54)-(55) of the paper, with the sign of the shear stress in the flow: dw^p/dt
     = k t_T/|t_T|, k >= 0. As a layer's law, t = K (w - w^p) with the jump w: Coulomb's friction with the elastic
@@ -168,6 +173,9 @@ class MohrCoulombMonodirectional(Plastic):
 
     With `unilateral` the layer opens instead of carrying tension: a free strain along n keeps t_N <= 0, and |t_T| <= C
     remains. With C = 0 its limit is contact with friction tan(Omega), `IncrementalCoulomb.of_layer`.
+
+    The moduli, cohesion, friction_angle, elastic_fraction and the parameters of the hardening are described in the base
+    class `Plastic`.
 
     Attributes:
         unilateral: whether the layer opens instead of carrying tension.
@@ -284,7 +292,8 @@ class VonMises(KernelLaw, IsotropicLaw):
         strength: Y in the formulas, yield stress in tension, stress, also in a layer; > 0.
         hardening: H in the formulas, modulus of linear isotropic hardening, stress; >= 0.
         kinematic: K in the formulas, modulus of linear kinematic hardening, stress; >= 0.
-        saturation: Q, largest increase of the yield stress in addition to H p, stress, also in a layer; >= 0.
+        saturation: Q in the formulas, largest increase of the yield stress in addition to H p, stress, also in a layer;
+            >= 0.
         saturation_strain: p_0 in the formulas, strain (in a layer: strain times thickness, a length); > 0 where Q > 0.
 
     Raises:

@@ -172,8 +172,8 @@ class Stack(BulkLaw):
         """A layer whose law changes through the thickness, as n sublayers of equal thickness.
 
         Args:
-            law: height in the layer, from 0 at the lower to 1 at the upper face -> the law there. Each sublayer has the
-                law at its middle, so that the error is O(1/n^2).
+            law: function that returns the law at a height, from 0 at the lower to 1 at the upper face of the layer.
+                Each sublayer has the law at its middle, so that the error is O(1/n^2).
             n: number of sublayers, >= 1.
         """
         require(is_integer(n, 1), "Stack.graded: the number of sublayers", n, "allowed: whole numbers >= 1")

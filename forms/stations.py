@@ -88,7 +88,8 @@ class Faces(NamedTuple):
 class Station(Generic[LawType]):
     """A height through the thickness at which the interface law of order 1 evaluates a law.
 
-    The strain may differ from that of the layer at this height: stations represent the layer's energy.
+    All stations together represent the energy of the layer. The strain of one station may differ from the layer's
+    strain at a height.
 
     Attributes:
         law: the law.

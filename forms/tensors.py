@@ -85,7 +85,7 @@ def condensed_tangent(C: Array, kept: Sequence[int], out: Sequence[int]) -> Arra
 
 
 def average_lame(C: Array) -> tuple[float, float]:
-    """Lame moduli lmbda, mu of the isotropic tensor nearest to C (6, 6), the average of C over all rotations."""
+    """Lame moduli lmbda, mu of the isotropic tensor nearest to a tangent C (6, 6), the mean of C over all rotations."""
     bulk = C[:3, :3].sum() / 9
     mu = (np.trace(C) - 3 * bulk) / 10
     return float(bulk - 2 * mu / 3), float(mu)

@@ -38,7 +38,7 @@ class JumpStep(Step):
 
 
 class TractionLaw(Law):
-    """A law t = t([u]) without an underlying bulk law, such as a published formula or a measured curve; on S, order 0.
+    """A law t = t([u]) without an underlying bulk law, such as a published formula or a measured curve; on S only.
 
     Subclasses are frozen dataclasses with their parameters as fields; no parameter depends on the thickness. They
     define `traction(step)`, UFL, (3,), of a `JumpStep`. A subclass with internal variables, of shape (), (3,) or (3,

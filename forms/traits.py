@@ -260,7 +260,7 @@ class Traits:
 
         Args:
             law: the law.
-            of_methods: the latter, by name.
+            of_methods: values, by name, of the traits that follow from its methods.
 
         Raises:
             InputError: a declaration that is neither True nor False.

@@ -203,8 +203,8 @@ class Norton(ParallelDashpot):
     """Elastic spring parallel to a power-law dashpot, stress = C : e + eta |de/dt|^(p - 2) de/dt.
 
     This is Eq. (21) of the paper. C is the isotropic stiffness tensor of the moduli. Creep stops where the spring
-    carries the load. For the steady creep rate A s^n of data sheets see `NortonCreep`. The dashpot alone has that rate,
-    without a change of volume, for p = 1 + 1/n and eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
+    carries the load. `NortonCreep` has the steady creep rate A sigma^n of data sheets at the stress sigma. The dashpot
+    alone has that rate, without a change of volume, for p = 1 + 1/n and eta = (2/3)^((n + 1)/(2 n)) A^(-1/n).
 
     As a layer's law, t = K w + eta eps^(1 - p) q^(p - 2) (v_N n + v_T/2). w is the jump and v = dw/dt. q^2 = v_N^2 +
     |v_T|^2/2 is the square of |sym(v (x) n)|; Eqs. (22)-(24) of the paper put the bars around v alone. The law is
@@ -218,8 +218,9 @@ class Norton(ParallelDashpot):
         lmbda, mu: moduli, stress; mu > 0, lmbda + 2 mu/3 > 0.
         eta: viscosity, stress times time^(p - 1) (in a layer: stress (time/length)^(p - 1)); > 0.
         p: exponent > 1. 2: a linear dashpot; near 1: almost rigid below a threshold.
-        rest: rate below which the dashpot is linear, part of the law: |rate|^2 becomes |rate|^2 + rest^2. 1/time (in a
-            layer: length/time); >= 0. For p < 1.2 Newton's method needs about 1e-4 of the actual rates, or more.
+        rest: strain rate below which the dashpot is linear: |de/dt|^2 is replaced by |de/dt|^2 + rest^2. It is part of
+            the law; 1/time (in a layer: length/time); >= 0. For p < 1.2 Newton's method needs at least about 1e-4 of
+            the actual rates.
 
     Raises:
         InputError: a parameter out of range.
@@ -253,8 +254,8 @@ class NortonCreep(SeriesDashpot):
     """Norton's creep: elastic spring and power-law dashpot in series, de/dt = C^-1 : ds/dt + 3/2 A q^(n - 1) dev s.
 
     s is the stress, C the isotropic stiffness tensor of the moduli, q = sqrt(3/2) |dev s| the equivalent stress. In
-    uniaxial tension with the stress s creep continues at the steady rate A s^n of data sheets, without a change of
-    volume. `Norton`, the paper's law, has the dashpot parallel to the spring: its creep stops.
+    uniaxial tension with the stress sigma creep continues at the steady rate A sigma^n of data sheets, without a change
+    of volume. `Norton`, the paper's law, has the dashpot parallel to the spring: its creep stops.
 
     As a layer's law: under a constant shear traction dw_T/dt = eps 3^((n + 1)/2) A |t_T|^(n - 1) t_T after the elastic
     jump.

@@ -179,7 +179,8 @@ class Term:
         kinematics: kinematics of the strain.
         volume: degree, 0 or 1, of the polynomials onto which the trace of the strain is projected in each cell (B-bar).
             It applies to compiled laws over cells. None: no projection.
-        traction: on S, stress (3, 3) -> traction (d,) conjugate to [u], per area; None: stress n.
+        traction: on S, function from the stress (3, 3) to the traction (d,) per area that is conjugate to [u]; None:
+            stress times n.
         flow: flux along S per gradient of the pressure, eps^3/(12 mu), for laws of order 1 with a pressure on S; else
             0.
     """
@@ -271,7 +272,7 @@ def surface(
         law: the law, with parameters scaled to the thickness of the layer.
         sides: the sides of S.
         eps: the thickness.
-        order: order of the interface law, 0 or 1.
+        order: order of the interface law in eps, 0 or 1.
         prescribed_strain: (3, 3), uniform through the layer, added to the strain of the displacements.
         slope: gradient (d,) of the thickness along S; None: it is uniform.
         ends: reductions of the stiffness near free ends, for laws with `end_strips`; None: the law of an infinite

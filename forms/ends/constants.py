@@ -29,8 +29,8 @@ class FreeEnd(NamedTuple):
         m_N: first moment, about the end, of the normal tractions that are missing near it, over M w_N.
         rho_N: mean distance from the end of the tractions along S that balance lmbda w_N.
         c_T: with one such end, a layer of length L under a slip w_T carries the force mu w_T (L - c_T). It is also the
-            mean distance from the end of the tractions across S that balance the moment of mu w_T. It is also the mean
-            displacement of the end across S, towards the face that moves outwards, over -w_T.
+            mean distance from the end of the tractions across S that balance the moment of mu w_T. The mean
+            displacement of the end across S is c_T w_T, away from the face that moves outwards.
         m_T: first moment, about the end, of the shear tractions that are missing near it, over mu w_T.
         kappa: factor on the pressure-driven flow along S within one thickness of the end, in laws with a pressure on S
             (`forms.rubber`). With this factor the pressure alone gives c_N.
