@@ -64,7 +64,12 @@ def check(law: Law, d: int | None = 3) -> None:
 
 
 def require_computed(law: BulkLaw, d: int | None = 3) -> None:
-    """Check a law and its director of `d` components as `check` does, but also if the law has passed before."""
+    """Check a law as `check` does, also if it has passed before.
+
+    Args:
+        law: the law.
+        d: number of components (2 or 3) of the layer's unit normal that the law gets; None: it gets no normal.
+    """
     if not law.traits.in_ufl:
         return
     numeric_law, name, method = law.mapped(_number), type(law).__name__, law.methods[0]
@@ -133,8 +138,8 @@ def _evaluate_methods(law: BulkLaw, step: Step) -> dict[str, Expr]:
 def _sample(law: BulkLaw, size: float, d: int) -> tuple[Array, Array]:
     """Random strain (6,) of magnitude `size`, and a vector of random inputs of the law that starts with this strain.
 
-    Its components are those of `SymbolicLaw.numbers`: e, e_old, internal variables, director, dt = 0.1, theta = 1,
-    parameters. d is the number of components of the director that are not zero.
+    Its components are those of `SymbolicLaw.numbers`: e, e_old, internal variables, unit normal n, dt = 0.1, theta = 1,
+    parameters. d is the number of components of n that are not zero.
     """
     random = np.random.default_rng(3)
     e, n = size * random.normal(size=6), np.pad(random.normal(size=d), (0, 3 - d))
@@ -147,7 +152,7 @@ def _require_no_decisions(law: BulkLaw, d: int | None, sample: Array, values: Ca
 
     Args:
         law: the law.
-        d: number of components of the director; None: no director.
+        d: number of components of the layer's unit normal; None: no normal.
         sample: inputs of the law, as `_sample` returns them.
         values: name of a method and inputs -> values of the law with symbols; None if they cannot be evaluated.
     """

@@ -41,8 +41,9 @@ class ContactLaw(Law):
 
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
-        gap: by keyword, initial gap along n between the two sides, a length: a number, or a numpy function of places x
-            (d, n) that returns n numbers; < 0 is an interference, which presses the undisplaced sides together.
+        gap: by keyword, initial gap along n between the two sides, a length. It is a number, or a numpy function of
+            places x (d, n) that returns n numbers. A gap < 0 is an interference, which presses the undisplaced sides
+            together.
         memory: whether the slip, d - 1 components at a node, is stored from step to step; otherwise it is always zero.
     """
 
@@ -233,17 +234,17 @@ class ContactHomotopy:
         return self.law.bonded(n, d)
 
     def traction(self, w: Array, slip: Array | None = None) -> Array:
-        """Traction (n, d) at jumps w (n, d), with the slip (n, d - 1) at the beginning of the step (None: zero)."""
+        """Traction (n, d) at jumps w (n, d), for a slip (n, d - 1) before the step; None: no slip."""
         along = w[:, :-1] if slip is None else w[:, :-1] - slip
         elastic = np.column_stack([self.law.K_T * along, self.law.K_N * w[:, -1]])
         return (1 - self.share) * self.law.traction(w, slip) + self.share * elastic
 
     def tangent(self, w: Array, slip: Array | None = None) -> Array:
-        """Derivative (n, d, d) of the traction by the jumps w (n, d), with a slip (n, d - 1) at the beginning."""
+        """Derivative (n, d, d) of the traction by the jumps w (n, d), for a slip (n, d - 1) before the step."""
         return (1 - self.share) * self.law.tangent(w, slip) + self.share * self.bonded(*w.shape)
 
     def status(self, w: Array, slip: Array | None = None) -> npt.NDArray[np.int8]:
-        """`Status` (n,) of each node under the contact law alone, at jumps w (n, d) and a slip (n, d - 1)."""
+        """`Status` (n,) of each node by the contact law alone, at jumps w (n, d), for a slip before the step."""
         return self.law.status(w, slip)
 
 
@@ -283,7 +284,7 @@ class HolonomicCoulomb(_Coulomb):
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         friction: Coulomb's friction coefficient; >= 0.
         cohesion: largest |t_T| without pressure, stress; >= 0.
-        gap: by keyword, initial gap along n, a length: a number, or a numpy function of places (d, n) that returns n
+        gap: by keyword, initial gap along n, a length; a number, or a numpy function of places (d, n) that returns n
             numbers.
 
     Raises:
@@ -304,7 +305,7 @@ class IncrementalCoulomb(_Coulomb):
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         friction: Coulomb's friction coefficient; >= 0.
         cohesion: largest |t_T| without pressure, stress; >= 0.
-        gap: by keyword, initial gap along n, a length: a number, or a numpy function of places (d, n) that returns n
+        gap: by keyword, initial gap along n, a length; a number, or a numpy function of places (d, n) that returns n
             numbers.
 
     Raises:
@@ -337,7 +338,7 @@ class Tresca(ContactLaw):
     Attributes:
         K_N, K_T: normal and tangential stiffness, stress per length; > 0.
         bound: largest magnitude of the tangential traction, stress; >= 0.
-        gap: by keyword, initial gap along n, a length: a number, or a numpy function of places (d, n) that returns n
+        gap: by keyword, initial gap along n, a length; a number, or a numpy function of places (d, n) that returns n
             numbers.
 
     Raises:

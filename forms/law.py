@@ -193,7 +193,8 @@ class Law(LayerResults):
     def for_points(self) -> Self:
         """A copy of the law that is compiled and evaluated at quadrature points.
 
-        Its parameters may then be functions of the place; otherwise the stress of a law may be part of a UFL form.
+        Its parameters may then be functions of the place, which they may not be in a law whose stress is part of a UFL
+        form.
         """
         law = self.with_parameters({})
         object.__setattr__(law, "traits", replace(self.traits, compiled=True, varies=bool(self.fields)))

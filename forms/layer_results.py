@@ -110,7 +110,8 @@ class LayerResults:
             totals: integrals of the fractions that `shares` returns over the layer, by name.
             whole: integral of 1 over the layer.
             eps: thickness of the layer; 0 if it has none.
-            fraction: fraction of the layer's thickness that sublayers with such laws take; 1 without sublayers.
+            fraction: fraction of the layer's thickness taken by the sublayers over which `totals` are integrals; 1
+                without sublayers.
         """
         means = {name: total / whole for name, total in totals.items()}
         if self.traits.phases:

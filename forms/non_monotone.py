@@ -66,9 +66,9 @@ class Phases(IsotropicLaw):
             per area, eps times the energy per volume. Section 6.1 of the paper prints one power of eps for alpha and C.
         chi: orientation of the transformation, symmetric, in the layer's axes, (2, 2) in plane strain and (3, 3) in 3D.
             The second axis is n (`forms.tensors.layer_frame`): chi_22 acts across S, chi_12 along it.
-        T: temperature, if alpha or the transformation energy depend on it: a number, or a numpy function (x, t) of
-            places (d, n) in the joint as drawn, before S is opened to the layer's thickness, and the time. None:
-            neither depends on it.
+        T: temperature, if alpha or the transformation energy depend on it; None: neither depends on it. It is a number,
+            or a numpy function (x, t) of places (d, n) and the time. The places are those in the joint as drawn, before
+            S is opened to the layer's thickness.
 
     Raises:
         InputError: a parameter out of range, a function without a temperature.

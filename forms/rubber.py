@@ -27,7 +27,7 @@ class PressureLaw(LinearLaw):
         return lame_stress(0, self.mu, step.mid)
 
     def stations(self) -> list[AnyStation]:
-        """Stations with a pressure field on S, whose gradient drives a flow along S."""
+        """Stations of order 1, with a pressure field on S; the gradient of the pressure drives a flow along S."""
         return pressure_stations(self)
 
     def end_strips(self) -> EndStrips | None:

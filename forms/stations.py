@@ -98,7 +98,7 @@ class Station(Generic[LawType]):
             arguments are the law, with parameters that are UFL expressions on S, and the displaced faces.
         flow: function of the same law that returns the flux along S per gradient of the pressure and per eps^3; 0
             without a pressure.
-        largest_ratio: lmbda/mu at rest beyond which the strain locks.
+        largest_ratio: lmbda/mu at rest beyond which this strain makes the layer lock.
     """
 
     law: LawType

@@ -137,7 +137,7 @@ class Interface:
 
     @property
     def factor(self) -> Expr:
-        """Factor of the measure for integrals over S, UFL."""
+        """Factor of the measure for integrals over S, UFL: that of the kinematics times `area`."""
         return self.kinematics.factor * self.area
 
     def jump(self, v: Expr) -> Expr:

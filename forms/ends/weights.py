@@ -53,10 +53,12 @@ MIN_SPREAD = 10.0  # spreading length, over the thickness, from which a pressure
 
 
 class EndStrip(NamedTuple):
-    """A strip of S along a free end, in which a relative loss of stiffness is c/length; lengths are over the thickness.
+    """A strip of S along a free end with the uniform weight c/length; lengths are over the thickness.
+
+    The weight is a relative loss of stiffness, or a relative increase of the resistance to a flow along S.
 
     Attributes:
-        c: integral of the loss across the end; 0: no strip.
+        c: integral of the weight across the end; 0: no strip.
         length: length of the strip from the end, > 0.
     """
 
@@ -104,8 +106,8 @@ class EndStrips(NamedTuple):
 
         For nu > 0.49 the flow at an end has less resistance than in an infinite layer (kappa > 1). This holds if the
         pressure grows linearly over many thicknesses. Narrow S or soft bodies can prevent this. If `length` is below
-        `MIN_SPREAD`, the flow near the end is closer to the flow in an infinite layer, and the strip `resistance` is
-        left out.
+        `MIN_SPREAD`, the flow near the end is closer to that in an infinite layer. The strip `resistance` is then left
+        out.
         """
         return self if self.resistance.c >= 0 or length >= MIN_SPREAD else self._replace(resistance=EndStrip())
 
