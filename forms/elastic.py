@@ -161,7 +161,7 @@ class LinearElastic(LinearLaw, IsotropicLaw):
     def stations_at_ends(self, weights: EndWeights) -> list[AnyStation]:
         """Three stations of the law near free ends: two for the mean strain, one for its change from face to face.
 
-        The energies at the first two add up to the energy of the mean strain in the module `forms.ends.weights`.
+        The energies at the first two add up to that of a layer with free ends, W in the module `forms.ends.weights`.
 
         Args:
             weights: reductions of the stiffness near free ends, UFL on S.

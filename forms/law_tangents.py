@@ -365,8 +365,8 @@ def acoustic_tensor(C: Array, n: Array) -> Array:
 def declared_or_computed_tangent(law: BulkLaw, n: Array) -> Array | None:
     """Tangent (6, 6) of a law at rest in Mandel's order; None if it is not known.
 
-    It is computed from the stress if necessary, but not for the laws excluded by `is_checked_at_rest`. For these it is
-    what `BulkLaw.stiffness` declares.
+    If the law does not declare it (`BulkLaw.stiffness`), it is computed from the stress. This is not done for laws
+    whose tangent at rest may be negative or is not defined (`is_checked_at_rest`).
 
     Args:
         law: the law, with numbers for parameters.

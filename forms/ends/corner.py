@@ -55,7 +55,7 @@ class CornerField:
         return float(brentq(excess, 0.0, 1.0, xtol=1e-15, rtol=1e-14)) if excess(1.0) > 0 else 1.0
 
     def _values(self, power: float, coefficients: Array, r: Array, angle: Array) -> tuple[Array, Array]:
-        """Displacements (..., 2), for mu = 1, and stresses 11, 22, 12, (..., 3), of a power solution.
+        """Displacements (..., 2), for mu = 1, and stresses 11, 22, 12, (..., 3), of a field r^power.
 
         Args:
             power: exponent of the displacements.

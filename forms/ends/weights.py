@@ -134,9 +134,10 @@ class EndWeights(NamedTuple):
     flow: Expr
 
     def sheared(self, faces: Faces) -> tuple[Expr, Expr]:
-        """Two strains (3, 3) of the shear part of the energy W in the module.
+        """Two strains (3, 3) by which a free end changes the layer's energy in shear.
 
-        The first is what this part adds to the first strain of `strains`; the second has the shear g''.
+        The first is added to the mean strain of an infinite layer; the second has an energy of its own (g'' in the
+        module).
 
         Args:
             faces: displacements of the faces of the layer.
@@ -147,7 +148,9 @@ class EndWeights(NamedTuple):
         return ((root - 1) * g + (self.f_T / root - 1) * h) * shear, ufl.sqrt(1 - self.f_T**2) / root * h * shear
 
     def strains(self, faces: Faces, share: Expr) -> tuple[Expr, Expr]:
-        """Two strains (3, 3) at which the energies of the isotropic law add up to the energy W in the module.
+        """Two strains (3, 3) whose energies in the isotropic law add up to the layer's energy near a free end.
+
+        This energy is W in the module.
 
         Args:
             faces: displacements of the faces of the layer.
