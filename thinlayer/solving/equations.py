@@ -38,15 +38,18 @@ LINEARITY_TOLERANCE = 1e-9  # relative deviation from a straight line in time th
 
 
 class Equations(PartSum):
-    """Residual and tangent of a model. The unknowns are the displacements, then the parts' own unknowns.
+    """Residual and tangent of a model's balance of forces over a time step. All methods are collective.
 
-    With inclined supports, rigid plates or other multi-point constraints, other unknowns y take the places of the
-    displacements u = T y, see `Constraints`.
-
-    The constructor and all methods are collective.
+    The unknowns are the displacements, then the own unknowns of parts, such as pressures. With inclined supports, rigid
+    plates or other multi-point constraints, other unknowns y take the places of the displacements u = T y, see
+    `Constraints`. The constructor is collective too.
 
     Attributes:
-        parts, traits, with_own, depends_on_dt, failed: as in `PartSum`.
+        parts: the parts whose forces are summed.
+        traits: properties of all parts together: a flag is set if one part has it.
+        with_own: the parts with unknowns of their own.
+        depends_on_dt: whether the tangent depends on the length of the step.
+        failed: number of points where laws failed in the last residual.
         bodies, layers: the parts of the bodies, and of the layers.
         u: displacements of the last residual.
         loads: nodal forces of the loads in the balance of the present step.
@@ -56,7 +59,7 @@ class Equations(PartSum):
         constraints: the constraints u = T y of the displacements.
         mean_stiffness: mean size of the diagonal entries of K and of the tangents at rest of bodies that are not in K.
         homotopy_parameter: continuation parameter of the parts' laws: 0 is the law itself, 1 an elastic law.
-        factor: linear solver with the factor of a tangent, of this model or of another model of its family.
+        factor: linear solver with the factor of a tangent, of this model or of another model of its `ModelFamily`.
         scale: the reference forces for residuals; it includes the norms that `Part.add_forces` returns.
     """
 
@@ -94,14 +97,14 @@ class Equations(PartSum):
         return self._layout.vector()
 
     def put_state(self, state: Configuration, x: PETSc.Vec) -> None:
-        """Write into x the unknowns from which a step after this state starts."""
+        """Write into x the unknowns of a state, from which a step after this state starts."""
         values = self._layout.split(x.array)
         values[DISPLACEMENT_KEY][:] = self.constraints.unknowns(state.u.x.array[: self.n_displacements])
         for part in self.with_own:
             values[part.key][:] = part.own_start(state)
 
     def _put(self, x: PETSc.Vec) -> None:
-        """Write unknowns into the displacements u and the parts' own functions."""
+        """Copy unknowns x into the displacements u and the parts' own functions."""
         self._layout.put(x)
         if self._T is not None:
             owned = self.u.x.array[: self.n_displacements]
@@ -109,7 +112,7 @@ class Equations(PartSum):
             self.u.x.scatter_forward()
 
     def _prescribed(self, t: float | None) -> tuple[IntArray, Array]:
-        """Local numbers of the constrained unknowns, increasing, and their values at time t (0 if t is None)."""
+        """Local numbers of the constrained unknowns, increasing, and their values at time t (zeros if t is None)."""
         bc_dofs = self.constraints.bc_dofs.astype(np.int64)
         values = np.zeros(len(bc_dofs)) if t is None else self.constraints.values(t)
         first = self.n_displacements
@@ -147,7 +150,12 @@ class Equations(PartSum):
         return orthonormal(vectors)
 
     def set_preconditioner_data(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
-        """Pass rigid motions or blocks of the unknowns to the preconditioner of a tangent A with supports."""
+        """Pass rigid motions, or the blocks of displacements and pressures, to the preconditioner of a linear solver.
+
+        Args:
+            ksp: the linear solver. Algebraic multigrid gets the rigid motions; PCFIELDSPLIT gets the blocks.
+            A: its matrix: a tangent with Dirichlet conditions applied.
+        """
         kind = ksp.getPC().getType()
         if kind in MULTIGRID_TYPES:
             A.setNearNullSpace(PETSc.NullSpace().create(vectors=self.near_null, comm=A.comm))
@@ -159,8 +167,8 @@ class Equations(PartSum):
         """Raise LooseBody if a connected piece of the bodies can move freely.
 
         The test uses the tangents, at the last u, of the parts that resist rigid motions. It is skipped if a part may
-        resist less than its tangent does. Forces at a node count as resistance only if they exceed the residual at
-        which solvers stop, and the residual r.
+        resist less than its tangent does. A force at a node counts as resistance only if it exceeds the residual at
+        which solvers stop. If the residual r is given, it must also exceed the norm of r on the block of the node.
         """
         if not self.traits.weakens:
             of_blocks, rounding = self.scale.target(self._largest(self.u.x.array)), self.u.x.petsc_vec.duplicate()
@@ -171,7 +179,7 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- a step
     def rest(self, t: float) -> State:
-        """The state at rest, before the first step."""
+        """State at rest at time t, before the first step: displacements and stresses are zero."""
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
         lost, u = dict.fromkeys(model.by_place({}), 0.0), fem.Function(model.V)
         memory, stresses = self.memory_at_rest, self.stresses_at_rest
@@ -218,7 +226,7 @@ class Equations(PartSum):
         return b
 
     def prescribed_forces(self) -> PETSc.Vec:
-        """New vector of forces on the unknowns: the external forces of the present step, and loads of own equations."""
+        """New vector of forces on the unknowns in this step: `external`, and the parts' loads on their own unknowns."""
         return self.on_unknowns(self.external, [part.load for part in self.with_own])
 
     def configuration(self, x: PETSc.Vec) -> Configuration:
@@ -228,11 +236,11 @@ class Equations(PartSum):
         return Configuration(self.u.copy(), self.interval.t, fields=fields)
 
     def prescribed_forces_at(self, t: float) -> PETSc.Vec:
-        """New vector of forces on the unknowns: the loads, and loads of own equations, at a time."""
+        """New vector of forces on the unknowns at time t: the loads, and the parts' loads on their own unknowns."""
         return self.on_unknowns(self.loads_at(t), [part.load_at(t) for part in self.with_own])
 
     def on_unknowns(self, forces: PETSc.Vec, part_loads: Sequence[Array] = ()) -> PETSc.Vec:
-        """New vector of forces on the unknowns, from nodal forces, and from loads of the parts' own equations."""
+        """New vector of forces on the unknowns, from nodal forces, and from loads on each part's own unknowns."""
         out = self.vector()
         self._put_forces(forces.array_r, part_loads, out)
         return out
@@ -246,8 +254,9 @@ class Equations(PartSum):
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Write the residual at the initial unknowns x of the step into `out`, and pass its norms to the force scale.
 
-        Under a mean strain the norms are not passed: stiff bodies alone would follow the strain, with large forces
-        however soft the layer. Nor are they passed for homotopy laws, in which a layer that has slipped far is elastic.
+        In a periodic cell under a mean strain the norms are not passed: stiff bodies alone would follow the strain,
+        with large forces however soft the layer. Nor are they passed for homotopy laws (between an elastic law and the
+        given law), in which a layer that has slipped far is elastic.
         """
         self.residual(x, out)
         if self.model.strain is None and not self.homotopy_parameter:
@@ -294,9 +303,10 @@ class Equations(PartSum):
         """Within a `with` block, the tangent at the unknowns of the last residual, with Dirichlet conditions applied.
 
         Args:
-            x, b: as in `apply_bcs`.
-            lend: whether the bodies' matrix may be changed in place to serve as the tangent, without x. Nothing but a
-                factorisation may then use the bodies' matrix within the block.
+            x: vector whose values at constrained unknowns the solution shall have; None: zero.
+            b: right-hand side, to which the forces of these values are added; None with x = None.
+            lend: whether the bodies' matrix may be changed in place to serve as the tangent, if x is None. Nothing but
+                a factorisation may then use the bodies' matrix within the block.
         """
         alone = x is None and self._T is None and not self.with_own
         first, *others = self.blocks(self._relative_residual) if lend and alone else [Block(None)]
@@ -309,16 +319,17 @@ class Equations(PartSum):
             yield A
 
     def set_homotopy(self, parameter: float) -> None:
-        """Set the continuation parameter of the laws: 0 is the law itself, 1 an elastic law."""
+        """Set the continuation parameter of the laws: 0 is the given law, 1 an elastic law."""
         self.homotopy_parameter = parameter
         for part in self.parts:
             part.set_homotopy(parameter)
 
     def accept(self, x: PETSc.Vec, report: Report) -> State:
-        """Return the state at the end of the step, for its solution x.
+        """Return the state at the end of the step, for its solution x and the solver's report.
 
         Raises:
-            SolveError: x is not an equilibrium, even if the solver converged. LooseBody: parts released a body.
+            SolveError: x is not an equilibrium, even if the solver converged. LooseBody: a law that can release a body,
+                such as contact, has done so.
         """
         out, x0 = self.vector(), self.vector()
         self.residual(x, out)
@@ -341,7 +352,10 @@ class Equations(PartSum):
         return replace(state, sudden=self.interval.dt == 0 and self.interval.old.at_rest, dissipated=dissipated)
 
     def reactions(self) -> Array:
-        """Forces and moments (n, k) of `Model.holders` at the end of the step, for the last residual."""
+        """Reactions (n, k) at the end of the step, for the last residual: k components of force and moment.
+
+        The n rows are the places `Model.holders`: supports, plates and rigid bases. Moments are about `Model.centre`.
+        """
         return self._reactions.at_end(self._forces, self.interval, self.loads_at)
 
     def _require_bounded_jumps(self) -> None:
@@ -377,7 +391,7 @@ class Equations(PartSum):
         return True
 
     def _largest(self, values: Array) -> float:
-        """Largest size of numbers on all ranks; 0 without any."""
+        """Largest absolute value of numbers on all ranks; 0 if there are none."""
         return float(self.comm.allreduce(float(np.abs(values).max(initial=0.0)), max))
 
     def _data_at(self, t: float) -> list[Array]:
@@ -394,6 +408,6 @@ class Equations(PartSum):
 
     # ---------------------------------------------------------------- end
     def destroy(self) -> None:
-        """Free the matrices, except matrices that other models of the family may use."""
+        """Free the matrices, except those that other models of the `ModelFamily` may use."""
         destroy(*self._own_parts)
         self._shared.release(self.model)

@@ -26,10 +26,10 @@ class Snap:
 
     Attributes:
         t: time of the snap.
-        row: table row of the state after the snap. The previous row is the state just before it (stored if `keep` is
-            "all").
+        row: number of the table row of the state after the snap. The previous row is the state just before it, which is
+            stored if `keep` of the march is "all".
         lost: energy lost in the snap.
-        seams: names of the seams whose layers have different shares, as of phases, after it.
+        seams: names of the seams in whose layers the snap changes volume fractions, of phases or of broken material.
     """
 
     t: float
@@ -45,12 +45,12 @@ class History:
     Attributes:
         model: the model.
         table: a row for each accepted state: t, dt, iterations, residual, energy balance (`Audit`), observed values.
-        states: row -> state, for the states that are kept.
-        theta: forces balance at t + theta dt of each step.
-        step_errors: "displacements", "jumps", "forces" -> estimated relative error of the last state due to the planned
-            steps. It is 0 if nothing was dissipated, and NaN if unknown. It is empty for laws that are linear or have
-            no history, for adaptive steps and for paths.
-        begun: whether the march continues from a state, which is its first state, instead of from rest.
+        states: number of a table row -> state, for the states that are kept.
+        theta: fraction of each time step after which forces balance.
+        step_errors: "displacements", "jumps", "forces" -> estimated relative error of the last state due to the length
+            of the planned time steps. It is 0 if nothing was dissipated, and NaN if unknown. It is empty for laws that
+            are linear or have no history, for adaptive time steps and for arc-length continuation.
+        begun: whether the march began at a given state, its first state. False: it began at rest.
     """
 
     model: Model
@@ -65,7 +65,7 @@ class History:
         return f"History({self.model!r}, {len(self)} steps{span}, {len(self.states)} states)"
 
     def identity(self) -> dict[str, Any]:
-        """Identity of the history: the identity of its model, and its times."""
+        """Data that identify the history: those of its model (`Model.identity`), and its times."""
         return {"history of": self.model.identity(), "t": self.t.tolist()}
 
     def __len__(self) -> int:
@@ -88,9 +88,9 @@ class History:
 
     @property
     def snaps(self) -> list[Snap]:
-        """Snaps of layers whose columns switch phase, in order of time: all rows with dt = 0 except the first row.
+        """Snaps of layers with phases, in order of time: one for each table row with dt = 0, except the first row.
 
-        Switches under a sudden load at the start are not snaps; the first row is the state after them.
+        Changes of phase under a sudden load at the start are not snaps; the first row is the state after them.
         """
         if not self.table.rows:
             return []
@@ -99,7 +99,7 @@ class History:
         return [Snap(float(t[k]), k, float(lost[k]), self._changed(k)) for k in rows]
 
     def _changed(self, row: int) -> tuple[str, ...]:
-        """Names of the seams whose layers have different shares in a row than in the previous row."""
+        """Names of the seams in whose layers volume fractions differ between a table row and the row before it."""
         before, after = (self.table.rows[k] for k in (row - 1, row))
         moved = {column for column in after if after[column] != before[column]}
         seams = seams_with_shares(self.model)
@@ -125,12 +125,12 @@ Solution = State | History
 
 # ---------------------------------------------------------------- columns
 def columns(model: Model) -> dict[str, Callable[[State], float]]:
-    """Name of a table column of a march -> function of its value in a state; without dt and observed values.
+    """Functions of a state that return the values of a march's table, by column; without dt and observed values.
 
     If there are several seams, each layer with internal variables has a column for the energy that it dissipates in a
     step. Bodies with internal variables have such a column too. The energy lost in a snap, by layers and bodies
     together, is in the column "dissipated" alone. The column "elastic share" exists for laws with an
-    `elastic_fraction`, see `State.elastic_share`.
+    `elastic_fraction`: the fraction of the load in the springs parallel to them.
     """
     names = ("t", "report.iterations", "report.residual", *(f"audit.{name}" for name in ENERGY_COLUMNS))
     getters: dict[str, Callable[[State], float]] = {name.rpartition(".")[2]: attrgetter(name) for name in names}
@@ -147,6 +147,9 @@ def columns(model: Model) -> dict[str, Callable[[State], float]]:
 
 
 def columns_of_shares(model: Model, seam: str) -> dict[str, str]:
-    """Name of a number in `layer_shares` -> its column, which contains the seam's name if several seams have some."""
+    """Columns of a layer's volume fractions: name of a number in `layer_shares` -> name of its column.
+
+    The column's name contains the seam's name if several seams have such columns.
+    """
     of_seam = f" {seam}" if len(seams_with_shares(model)) > 1 else ""
     return {name: name + of_seam for name in share_columns(model.layers[seam].law)}

@@ -1,4 +1,4 @@
-"""`solve` for one equilibrium of a model, and `Solver` for step after step."""
+"""Solution of a model: the function `solve` for one equilibrium, the class `Solver` for a sequence of time steps."""
 
 from __future__ import annotations
 
@@ -64,31 +64,33 @@ def solve(
     method: str | None = None,
     like: State | None = None,
 ) -> State:
-    """Solve a model for its equilibrium at a time; laws with memory respond to a sudden load. Collective.
+    """Solve a model for its equilibrium at a time; laws with memory respond as to a sudden load. Collective.
 
     Args:
         model: the model.
         t: the time of loads and supports.
-        options: PETSc options without prefix; they override our defaults. -thinlayer_NAME given to PETSc overrides
-            both.
-        method: "linear" (default if every law is linear) or "newton". For contact laws there are four methods.
-            "condensed" condenses to the displacements of nodes on S; default on one rank if S has few nodes.
-            "multigrid" is the default otherwise. "newton" is the default if a body is not linear, for user-defined
-            laws, for periodic joints, and if only some seams are in contact. "relaxation" is the method of the paper,
-            for comparison, not for networks.
-        like: a state of an interface model of the same joint, for example with another load, thickness or law. Newton's
-            method begins at its displacements. Under a contact law "condensed" and "multigrid" begin with its contact
-            status. If that fails they begin at rest.
+        options: {name of a PETSc option without its prefix: value}; they override the defaults of this package. An
+            option -thinlayer_NAME in PETSc's database, as from the command line, overrides both.
+        method: "linear" (default if every law is linear) or "newton" (default otherwise). Contact laws have four
+            methods. "newton" is Newton's method for all unknowns. "condensed" condenses the bodies to the nodes of S,
+            on one rank. "multigrid" is Newton's method with a multigrid preconditioner. "relaxation" is the relaxation
+            of the paper, for comparison, on one rank, for one seam without branches. The default is "newton" if a body
+            is not linear, for user-defined contact laws, inclined supports, rigid plates and periodic joints, and if
+            only some seams are in contact. In all other cases it is "condensed" on one rank if S has few nodes, else
+            "multigrid".
+        like: a state of an interface model of the same joint, for example with another load, thickness or law. Without
+            contact laws Newton's method begins at its displacements. With them "condensed" and "multigrid" begin with
+            its jumps on S, the other methods at rest. If the solve fails from there, it begins again at rest.
 
     Warns:
-        RangeWarning: an interface model, or its result, is outside the range of its law; strains of bodies are not
-            small; elements of bodies lock; a law relaxes (Maxwell), and the result is its response just after sudden
-            loads. Each warning is issued once for a model, or once for its state at a time.
+        RangeWarning: an interface model, or its result, is outside the range in which its law is valid; strains of
+            bodies are not small; elements of bodies lock; a law relaxes (Maxwell), and the result is its response just
+            after sudden loads. Each warning is issued once for a model, or once for its state at a time.
 
     Raises:
-        SolveError: no convergence, or no unique solution; LooseBody if the test finds a body without support.
-        InputError: unknown method, or a linear solve of a non-linear law; a PETSc option that the solver does not read;
-            a law without an instantaneous response; loads that are not finite; `like` of another joint.
+        SolveError: no convergence, or no unique solution; its subclass LooseBody if a body can move freely.
+        InputError: an unknown or unsuitable method; a PETSc option that the solver does not read; a law that depends on
+            rates or softens; loads that are not finite; `like` of another joint.
 
     Example:
         >>> from forms import LinearElastic
@@ -115,14 +117,14 @@ def solve(
 
 
 class SolverChoices(TypedDict, total=False):
-    """Keyword arguments of a march for its solver: PETSc options and the method, see `solve`."""
+    """Keyword arguments that a march passes to its solver: PETSc options and the name of the method, as in `solve`."""
 
     options: Options | None
     method: str | None
 
 
 def comm_of(model: object) -> MPI.Intracomm:
-    """Communicator of a model; the default communicator if `model` is not a Model."""
+    """MPI communicator of a model; the package's default communicator if `model` is not a Model."""
     return model.comm if isinstance(model, Model) else default_comm()
 
 
@@ -139,13 +141,13 @@ SolveWay = tuple[str, OptionDict]  # a method, and PETSc options of its linear s
 
 @dataclass(frozen=True)
 class SolveAttempt:
-    """Description of one attempt at solving a step.
+    """One attempt at solving a step: a method with its options.
 
     Attributes:
-        name: name for the log.
-        way: the method, and PETSc options of its linear solver, without prefix.
-        options: PETSc options of Newton's method, without prefix.
-        uses_homotopy: whether laws follow a homotopy, which begins with an elastic law.
+        name: name of the attempt in the log.
+        way: pair of the method's name and the PETSc options of its linear solver, {name without prefix: value}.
+        options: PETSc options of Newton's method, {name without prefix: value}.
+        uses_homotopy: whether a continuation leads from an elastic law to the given law.
     """
 
     name: str
@@ -155,13 +157,22 @@ class SolveAttempt:
 
 
 class Solver(AbstractContextManager["Solver"]):
-    """Solver of a model for step after step; keeps matrices, and their factors as long as the matrices stay the same.
+    """Solver of a model for time step after time step, which keeps matrices and factors between the steps.
 
-    Arguments and errors as in `solve`. Use it in a `with` statement, or call `close`.
+    A factor is used again while its matrix stays the same. Use the solver in a `with` statement, or call `close`.
+
+    Args:
+        model: the model.
+        options: {name of a PETSc option without its prefix: value}.
+        method: name of the method, see `solve`; None: the default for the model.
+        like: a state of an interface model of the same joint whose displacements are the first guess; None: no guess.
 
     Attributes:
         yields: whether a law bounds stresses, so that loads may have a limit.
         bounded: whether loads may have a limit: a law yields, or seams in contact slide or open.
+
+    Raises:
+        InputError: an unknown or unsuitable method; options that are not a dictionary; `like` of another joint.
     """
 
     def __init__(
@@ -208,7 +219,7 @@ class Solver(AbstractContextManager["Solver"]):
         self.close()
 
     def _ways_of(self, method: str) -> list[SolveWay]:
-        """A method, combined with each of its linear solvers in the order in which they are tried."""
+        """Pairs (method, PETSc options of a linear solver) of a method, in the order in which they are tried."""
         if method in SOLVER_OF_METHOD:
             return [(method, {})]
         kinds = linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._user_options))
@@ -216,7 +227,7 @@ class Solver(AbstractContextManager["Solver"]):
         return [(method, options) for options in (kinds[:1] if user_chooses else kinds)]
 
     def _solver_of(self, method: str) -> EquilibriumSolver:
-        """Solver of a method, created at its first use."""
+        """Solver object of a method, by the method's name; it is created at its first use."""
         if method not in self._solvers:
             contact = SOLVER_OF_METHOD.get(method)
             self._solvers[method] = contact(self.equations, self._like) if contact else self._newton(method)
@@ -237,25 +248,34 @@ class Solver(AbstractContextManager["Solver"]):
         self.equations.destroy()
 
     def rest(self, t: float) -> State:
-        """The state at rest, before the first step."""
+        """State at rest at time t, before the first step: displacements and stresses are zero."""
         return self.equations.rest(t)
 
     def sudden(self, t: float) -> State:
-        """State under loads that are applied suddenly at a time, from rest. Collective; errors as in `solve`."""
+        """State at time t under loads that are applied suddenly to the model at rest. Collective.
+
+        Raises:
+            SolveError: no convergence, or no unique solution.
+        """
         return self.step(self.rest(t), t)
 
     def step(self, old: State, t: float, theta: float = 1.0, thorough: bool = True, keep_phases: bool = False) -> State:
         """State at a time t >= old.t, with the balance of forces at old.t + theta (t - old.t). Collective.
 
-        With t = old.t it is the response to a sudden load. Errors as in `solve`.
+        With t = old.t it is the response to a sudden change of the loads.
 
         Args:
             old: the state before the step.
             t: time at the end of the step.
-            theta: forces balance at old.t + theta (t - old.t).
-            thorough: whether a homotopy is tried if Newton's method fails.
-            keep_phases: whether columns keep the phases of `old`. Otherwise they switch, and the step is solved again,
-                until all columns are in the phase of lowest energy.
+            theta: fraction of the step after which forces balance; 1: backward Euler.
+            thorough: whether a continuation from an elastic law is tried if Newton's method fails.
+            keep_phases: whether laws with phases keep the phases of `old`. Otherwise columns (a facet of S, or the
+                cells above it in a meshed layer) change their phase. The step is then solved again, until each column
+                is in the phase of lowest energy.
+
+        Raises:
+            SolveError: no convergence, or no unique solution.
+            InputError: loads that are not finite, or a PETSc option that the solver does not read.
         """
         start = time.perf_counter()
         self.equations.begin(TimeStep(old, t, t - old.t, theta))
@@ -270,6 +290,13 @@ class Solver(AbstractContextManager["Solver"]):
 
     def solve_regularised(self, old: State, t: float, theta: float = 1.0) -> State:
         """State at the end of a step for which `step` has failed, by weak springs at all nodes. Collective.
+
+        The springs soften until Newton's method converges without them, see `WeakSprings`.
+
+        Args:
+            old: the state before the step.
+            t: time at the end of the step.
+            theta: fraction of the step after which forces balance.
 
         Raises:
             NoEquilibrium: displacements grow without bound as the springs soften. SolveError: no convergence.
@@ -295,7 +322,10 @@ class Solver(AbstractContextManager["Solver"]):
             raise
 
     def _from_like(self, attempt: SolveAttempt, old: State) -> tuple[StepSolution, int] | None:
-        """Solution by Newton's method from the displacements of `like`; None if `like` is not used, or if it fails."""
+        """Newton's solution from the displacements of `like`, with 0, its number of continuation solves; None: failed.
+
+        None is also returned without `like`, for contact laws, and for other methods than Newton's.
+        """
         if self._like is None or self.method != "newton" or self.model.contact:
             return None
         equations, start = self.equations, self.equations.vector()
@@ -308,7 +338,10 @@ class Solver(AbstractContextManager["Solver"]):
             return None
 
     def _accept(self, x: PETSc.Vec, report: Report) -> State:
-        """State of the solution x; warns, once, if the stress of a law falls although it does not declare `softens`."""
+        """State at the end of the step, from its solution x and the solver's report.
+
+        Warns once if the stress of a law falls although the law does not declare `softens`.
+        """
         state = self.equations.accept(x, report)
         falling = [] if self._warned else [part.undeclared_softening() for part in self.equations.parts]
         for name, where in [*filter(None, falling)][:1]:
@@ -320,7 +353,7 @@ class Solver(AbstractContextManager["Solver"]):
 
     # ---------------------------------------------------------------- attempts
     def _attempts(self) -> list[SolveAttempt]:
-        """Attempts in the order in which they are tried: every method with its linear solvers, then a homotopy."""
+        """Attempts in the order in which they are tried: every method with its linear solvers, then a continuation."""
         traits, out = self.equations.traits, list[SolveAttempt]()
         contact = CONTACT_OPTIONS if self.model.contact else {}
         law_options = YIELDING_OPTIONS if self.yields else SINGULAR_OPTIONS if traits.singular else {}
@@ -335,13 +368,18 @@ class Solver(AbstractContextManager["Solver"]):
         return out
 
     def _try_in_turn(self, attempts: list[SolveAttempt], start: PETSc.Vec | None = None) -> tuple[StepSolution, int]:
-        """Solution of the first successful attempt, with the iterations of all, and the number of homotopy solves.
+        """Solution of the first attempt that succeeds, and its number of continuation solves, 0 without a continuation.
 
-        A method and linear solver that fail are dropped for all later steps if a later attempt succeeds.
+        The solution's iterations include those of failed attempts with the last method and linear solver. A method and
+        linear solver that fail are dropped for all later steps if a later attempt succeeds.
+
+        Args:
+            attempts: the attempts, in order.
+            start: initial unknowns of attempts without continuation; None: from the state before the step.
 
         Raises:
             SolveError: all attempts failed. It is the error of the first attempt with the last method and linear
-                solver, or a LooseBody of the homotopy.
+                solver, or a LooseBody of the continuation.
         """
         why, errors = "", list[SolveError]()
         for attempt in attempts:
@@ -364,9 +402,10 @@ class Solver(AbstractContextManager["Solver"]):
         raise errors.pop(0) from (errors.pop() if errors else None)
 
     def _try(self, attempt: SolveAttempt, start: PETSc.Vec | None = None) -> StepSolution:
-        """Solution of an attempt, with our PETSc options and the user's, which must all be read.
+        """Solution of one attempt, from the unknowns `start` (None: from the state before the step).
 
-        If it fails with the factor of an earlier step, it is repeated with a new factor.
+        PETSc options of the attempt are set, and overridden by the user's, all of which must be read. If the attempt
+        fails with the factor of an earlier step, it is repeated with a new factor.
         """
         began, ours = time.perf_counter(), {**attempt.way[1], **attempt.options}
         self._solver = self._solver_of(attempt.way[0])
@@ -388,12 +427,13 @@ class Solver(AbstractContextManager["Solver"]):
     def _follow(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
         """Lower the continuation parameter from 1 (elastic layer) to 0 (the law); return solution and number of solves.
 
-        Its decrement is doubled after a solve that converges and halved after a solve that fails. Each solve starts
-        from the unknowns of the last converged solve, with the strains and memory of the step.
+        The decrement of the parameter is doubled after a solve that converges and halved after a solve that fails. Each
+        solve starts from the unknowns of the last converged solve, with the strains and memory at the start of the
+        step.
 
         Raises:
-            SolveError: a solve with a homotopy law fails, or displacements grow without bound; LooseBody if a body has
-                been released.
+            SolveError: a solve with a law of the continuation fails, or displacements grow without bound; LooseBody if
+                a body has been released.
         """
         reached, limit = self.equations.vector(), math.inf
         converged, parameter, decrement, solves, spent = 1.0, 1.0, FIRST_DECREMENT, 0, 0

@@ -41,11 +41,13 @@ class StepProblem(PartSum):
             problem.accept()                        # keep the internal variables of the laws
 
     Args:
-        form: UFL form of u, linear in a test function: virtual work of all other stresses minus the loads' work.
+        form: UFL form of u, linear in a test function: the virtual work of all stresses that are not in `terms` or
+            `parts`, minus the work of the loads.
         u: displacements of all bodies; their values at construction are the first state.
         bcs: Dirichlet conditions; their values are read in every evaluation of the residual.
-        terms: terms of laws on any UFL measure: of a layer (`BrokenMesh.layer`) or a body (`forms.work.body`). Laws
-            with memory or rate are compiled and evaluated at quadrature points; the others are added to the form.
+        terms: integrals of the virtual work of laws, on any UFL measure: of a layer (`BrokenMesh.layer`) or a body
+            (`forms.work.body`). Laws with memory or rate are compiled and evaluated at quadrature points; the others
+            are added to the form.
         parts: further parts of the balance, such as a `ContactPart` or a user-defined `thinlayer.parts.part.Part`, each
             with its own key. The constructor evaluates their tangents in a step of length 0, for the nonzero pattern;
             `destroy` destroys the parts too.
@@ -53,9 +55,12 @@ class StepProblem(PartSum):
     Attributes:
         state: displacements, time, memory and stored energies at the last accepted state. Keys of compiled terms are
             "layer", or "layer 1", "layer 2", ... in their order, and in bodies "body", or "body 1", ...
-        energies: key -> energies of a compiled term or further part at the last accepted state: stored; dissipated in
-            all steps; error of the time scheme in the energy balance of all steps. NaN if a law declares no energy.
-        parts, traits, failed: as in `PartSum`; the first part is the form.
+        energies: key of a compiled term or further part -> array of its three energies at the last accepted state:
+            stored; dissipated in all steps; error of the time scheme in the energy balance of all steps. NaN if a law
+            declares no energy.
+        parts: the parts whose forces are summed; the first part is the form.
+        traits: properties of all parts together: a flag is set if one part has it.
+        failed: number of points where laws failed in the last evaluation.
 
     Raises:
         InputError: a law that needs its own pressure field; a form that is not linear in one test function; conditions
@@ -106,7 +111,7 @@ class StepProblem(PartSum):
         self._interval: TimeStep | None = None
 
     def _first_tangent(self) -> tuple[PETSc.Mat, ForceScale, float]:
-        """Tangent at the first state, force scale of the form's stiffness, stiffness for rows of constrained dofs."""
+        """Tangent at the first state, reference forces from the form's stiffness, stiffness for constrained rows."""
         of_parts = [part.tangents(0.0) for part in self.parts]
         of_form = TangentMatrix(self.comm, self._matrix.sizes).fill(of_parts[0]).getDiagonal()
         tangent = self._matrix.fill([block for blocks in of_parts for block in blocks])
@@ -120,7 +125,7 @@ class StepProblem(PartSum):
 
     @property
     def compiled(self) -> dict[str, CompiledTerm]:
-        """The compiled terms by key, with their `strain`, `respond`, `forces` and `stiffness`."""
+        """Terms with compiled laws, by their keys; each has methods `strain`, `respond`, `forces` and `stiffness`."""
         return {part.key: part.points for part in self.of_kind(CompiledPart)}
 
     # ---------------------------------------------------------------- a step
@@ -142,8 +147,8 @@ class StepProblem(PartSum):
     def residual(self, snes: PETSc.SNES | None, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Write the residual at displacements x into `out`: internal forces minus loads; all NaN if a law fails.
 
-        At constrained dofs it is the difference of x from the prescribed values, times a stiffness of the form. The
-        stiffness makes both kinds of entries comparable, because line searches add them up.
+        At constrained dofs it is the difference of x from the prescribed values, times the largest diagonal entry of
+        the form's tangent. This makes displacements comparable with forces, because line searches add them up.
         """
         if x.handle != self._u.x.petsc_vec.handle:
             self._u.x.array[: x.getLocalSize()] = x.array_r
@@ -155,7 +160,7 @@ class StepProblem(PartSum):
             out.set(np.nan)
 
     def jacobian(self, snes: PETSc.SNES | None, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
-        """Write the derivative of the residual at the displacements of its last call into P.
+        """Write the derivative of the residual into P, at the displacements where the residual was last evaluated.
 
         Rows of constrained dofs are rows of the identity times a stiffness, so that a Newton step reaches the
         prescribed values. The matrix is therefore not symmetric.
@@ -170,8 +175,8 @@ class StepProblem(PartSum):
         """End the step at the displacements u; the next step begins with the internal variables there.
 
         Raises:
-            SolveError: more than 1e-6 of the forces is out of balance, a law fails at u, or a column must change phase,
-                see `switch`.
+            SolveError: more than 1e-6 of the forces is out of balance, a law fails at u, or phases of a layer must
+                change, see `switch`.
         """
         x, moved = self._u.x.petsc_vec, float(self.state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
         self.residual(None, x, self._forces)
@@ -190,12 +195,12 @@ class StepProblem(PartSum):
         self._interval = None
 
     def _self_balanced(self) -> float:
-        """Norm of the form's tangent times u: size of stresses that balance each other, such as thermal stresses."""
+        """Norm of the form's tangent times u: size of nodal forces that balance each other, as of thermal stresses."""
         of_form = TangentMatrix(self.comm, self._matrix.sizes).fill(self.parts[0].tangents(0.0))
         return float((of_form * self._u.x.petsc_vec).norm())
 
     def switch(self) -> bool:
-        """Change columns of laws with phases to the phase of lowest energy; on True, solve the step again."""
+        """Change the layers' phases to those of lowest energy, per facet of S; on True, solve the step again."""
         self._evaluate(self._forces)
         return super().switch()
 
@@ -205,7 +210,7 @@ class StepProblem(PartSum):
 
     # ---------------------------------------------------------------- within a step
     def _evaluate(self, out: PETSc.Vec) -> None:
-        """Write internal forces minus loads at the displacements u, with reactions at constrained dofs."""
+        """Write internal forces minus loads at the displacements u into `out`; they are reactions at constrained dofs."""
         if self._interval is None:
             if self.state.memory:
                 raise InputError("no step has begun: call begin(dt) before each solve")
