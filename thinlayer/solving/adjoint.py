@@ -34,17 +34,20 @@ LOAD_TOLERANCE = 1e-12  # relative difference of two loads that counts as roundi
 class Adjoint(AbstractContextManager["Adjoint"]):
     """Linear responses of an interface model at an equilibrium, to forces and to goals. Use it in a `with` statement.
 
-    A goal is Q(u) = q . u - g . r(u), with nodal weights q, the reactions r, and motions g at constrained dofs. Its
-    adjoint solution, the weights z, satisfies K^t z = q, and z = g at constrained dofs.
+    K is the tangent at the equilibrium, K^t its transpose. A goal is Q(u) = q . u - g . r(u), with nodal weights q, the
+    reactions r at constrained dofs, and motions g there. Its adjoint solution, the weights z, satisfies K^t z = q, and
+    z = g at constrained dofs.
 
     Args:
         state: the equilibrium.
-        old: the configuration from which one step led to it; None: rest at its time.
-        options: PETSc options of the solve, as in `solve`; the factor of that solve is then used again if the model is
-            linear.
+        old: the configuration from which one step led to it; None: rest, before a sudden load at its time.
+        options: {name of a PETSc option without prefix: value} for the linear solver. With the options of the solve
+            that led to the state, its factor is used again if the model is linear.
 
     Attributes:
-        transposed: whether `displacements` solves with the transpose, as adjoint solutions need it.
+        state, model, equations: the equilibrium, its model, and the balance of forces of this model.
+        interval: the step from `old` to the state.
+        transposed: whether `displacements` solves with K^t instead of K, as adjoint solutions need it.
     """
 
     def __init__(self, state: State, old: Configuration | None = None, options: Options | None = None) -> None:
@@ -88,7 +91,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return self.equations.on_unknowns(assemble_forces(compiled(form)))
 
     def nodal_weights(self, dofs: IntArray, values: Array) -> PETSc.Vec:
-        """Weights q with `values` (n,) at `dofs` (n,), local numbers, ghosts included; one rank gives each of them."""
+        """Weights q with `values` (n,) at the dofs `dofs` (n,); only one rank gives the value of a dof.
+
+        `dofs` are local numbers of displacements, which may be ghosts.
+        """
         f, forces = fem.Function(self.model.V), self.equations.u.x.petsc_vec.duplicate()
         np.add.at(f.x.array, dofs, values)
         f.x.scatter_reverse(la.InsertMode.add)
@@ -96,24 +102,27 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return self.equations.on_unknowns(forces)
 
     def load_weights(self) -> PETSc.Vec:
-        """Weights q that are the loads, with loads on plates, but without loads on the layers, see `layer_loads`."""
+        """Weights q equal to the nodal loads, with those on rigid plates, without those on layers (`layer_loads`)."""
         loads = self.equations.loads.copy()
         loads.array[:] -= self.layer_loads
         return self.equations.on_unknowns(loads, [part.load for part in self.equations.with_own])
 
     @cached_property
     def layer_loads(self) -> Array:
-        """Nodal forces (m,) of the interface model for the loads on its layers. Collective."""
+        """Nodal forces (m,) on the m displacements of this rank, for the loads on the model's layers. Collective."""
         return np.asarray(self.model.forces.nodal_at(self.model.V, self.state.t, layers=True).array_r.copy())
 
     def prescribed_motions(self) -> PETSc.Vec:
-        """Motions g that are the prescribed displacements of supports."""
+        """Motions g equal to the prescribed displacements at constrained dofs."""
         g = self.zero_vector()
         g.array[self.equations.bc_dofs] = self.equations.prescribed
         return g
 
     def reaction_motions(self, place: Place, direction: Array) -> PETSc.Vec:
-        """Motions g for which -g . r is the force along a direction (d,) of supports and plates at a place."""
+        """Motions g for which -g . r is the component along `direction` (d,) of the reaction of a place.
+
+        d is the number of dimensions. The reaction is that of supports and plates.
+        """
         g, constraints = self.zero_vector(), self.model.constraints
         dual = constraints.dual_to_resultant(self.model.holder_rows(place), direction)
         g.array[: self.equations.n_displacements] = -dual
@@ -124,7 +133,12 @@ class Adjoint(AbstractContextManager["Adjoint"]):
     ) -> None:
         """Raise InputError unless a linear goal of a linear model changes by q . d - g . r along a random motion d.
 
-        With `layers` the goal also weighs the loads on the layers, which act on S in this model and are not in q.
+        Args:
+            name: name of the goal.
+            value: function of a state and the model that returns the goal's value.
+            q: nodal weights of the goal.
+            g: motions of the goal at constrained dofs.
+            layers: whether the goal also weighs the loads on the layers, which act on S in this model and are not in q.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
         d, residuals, values = equations.vector(), [], []
@@ -153,14 +167,24 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     # ---------------------------------------------------------------- displacements and weights
     def displacements(self, dofs: IntArray, forces: Array) -> Array:
-        """Linear response (m,) to `forces` (n,) at `dofs` (n,), as in `nodal_weights`; zero at constrained dofs."""
+        """Displacements (m,) of this rank that nodal forces cause, to first order; zero at constrained dofs.
+
+        Args:
+            dofs: (n,) local numbers of displacements, which may be ghosts.
+            forces: (n,) nodal forces at `dofs`; only one rank gives the force at a dof.
+        """
         q, x = self.nodal_weights(dofs, forces), self.equations.vector()
         q.array[self.equations.bc_dofs] = 0.0
         self._solve(q, x, transposed=self.transposed)
         return np.asarray(self.equations.configuration(x).u.x.array[: self.equations.n_displacements])
 
     def weights(self, q: PETSc.Vec, g: PETSc.Vec) -> Configuration:
-        """Adjoint solution z, as displacements and the layers' own fields; q and g are overwritten."""
+        """Adjoint solution z of a goal, as a configuration: displacements and the layers' own fields.
+
+        Args:
+            q: nodal weights of the goal; overwritten.
+            g: motions of the goal at constrained dofs; overwritten.
+        """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
         if self._same and self._are_of_state(q, g):
             return equations.configuration(self._x)
@@ -182,7 +206,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
                 solve_linear(self.equations.factor.ksp, q, x)
 
     def _are_of_state(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
-        """Whether q is the loads, and g the prescribed displacements: then the state itself is the adjoint solution."""
+        """Whether q is the loads, and g the prescribed displacements; then the state itself is the adjoint solution."""
         bc_dofs, r = self.equations.bc_dofs, self._r
         self.equations.residual(self.equations.vector(), r)  # minus the loads
         r.array[bc_dofs] = 0.0
@@ -192,7 +216,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return bool(r.norm() <= LOAD_TOLERANCE * size)
 
     def _times(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
-        """K^t x, from residuals unless the tangent is stored: the factor's matrix has Dirichlet conditions."""
+        """Write K^t x into `out`, without Dirichlet conditions; for a symmetric K it is a difference of residuals.
+
+        The factor's matrix cannot serve, as it contains Dirichlet conditions.
+        """
         if self._tangent is not None:
             self._tangent.multTranspose(x, out)
             return
@@ -203,14 +230,24 @@ class Adjoint(AbstractContextManager["Adjoint"]):
 
     # ---------------------------------------------------------------- parts of the balance
     def tangent_of(self, parts: PartSum) -> PETSc.Mat:
-        """Tangent of parts at their last evaluation (the state, after the constructor); do not change the matrix."""
+        """Tangent of a sum of parts at their last evaluation, which is the state unless they were evaluated since.
+
+        Do not change the matrix: it may be the parts' own.
+        """
         first, *others = blocks = parts.blocks()
         if first.kept and first.factor == 1.0 and not (others or parts.traits.nonlinear):
             return first.matrix  # no copy, as the matrix of the bodies is the largest
         return TangentMatrix(self.model.comm, {DISPLACEMENT_KEY: self.equations.n_displacements}).fill(blocks)
 
     def forces(self, parts: Sequence[Part], state: Configuration, u: fem.Function, interval: TimeStep) -> Array:
-        """Nodal forces (m,) of parts at displacements u in a time step, with the parts' own fields from a state."""
+        """Nodal forces (m,) of parts on the m displacements of this rank.
+
+        Args:
+            parts: the parts.
+            state: configuration whose own fields, such as pressures, the parts take.
+            u: displacements at the end of the step.
+            interval: the time step.
+        """
         out = fem.Function(self.model.V)
         if parts:
             layers = PartSum(parts)
@@ -221,7 +258,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         return np.asarray(out.x.petsc_vec.array_r.copy())
 
     def work(self, parts: Sequence[Part], z: Configuration) -> Array:
-        """Work (m,) of the parts' stresses of the last evaluation in displacements z, distributed over the nodes."""
+        """Work (m,) of the stresses at the parts' last evaluation in displacements z, distributed over the nodes."""
         out = fem.Function(self.model.V)
         for part in parts:
             part.add_work_in(z.u, out.x.petsc_vec)

@@ -1,9 +1,10 @@
-"""Linear solvers for a model: PETSc options, factors, matrices that families share, and blocks with pressures.
+"""Linear solvers for a model: PETSc options, factors, matrices that similar models share, and blocks with pressures.
 
-With pressures on S the tangent is [A B'; B -C], and PETSc's PCFIELDSPLIT preconditions it block by block. The Schur
-complement of the pressures is -(C + B A^-1 B'). C has the compliance and the flow of the layer, and is assembled. B
-A^-1 B' is the compliance of the sides of S under pressures. PETSc replaces A by its diagonal there ("selfp"), which
-gives the compliance under waves as long as cells. Where bodies are stiff, or waves short, C is the larger term.
+With pressures on S as unknowns the tangent is [A B'; B -C]. A is the stiffness for the displacements, and B couples
+both. PETSc's PCFIELDSPLIT preconditions it block by block. The Schur complement of the pressures is -(C + B A^-1 B'). C
+has the compliance and the flow of the layer, and is assembled. The product B A^-1 B' is the compliance of the sides of
+S under pressures. PETSc replaces A by its diagonal there ("selfp"), which gives the compliance under waves of pressure
+as long as cells. Where bodies are stiff, or waves short, C is the larger term.
 """
 
 from __future__ import annotations
@@ -61,15 +62,16 @@ MIN_MULTIGRID_UNKNOWNS = {2: 3_000_000, 3: 50_000}
 def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = None) -> list[OptionDict]:
     """PETSc options of the linear solvers for a model, in the order in which they are tried.
 
-    The direct solver is MUMPS: Cholesky for symmetric tangents, else LU. Large models try conjugate gradients (GMRES if
-    not symmetric) with algebraic multigrid first, whose near null space is the rigid motions. Very stiff layers slow it
-    down so much that factorising is faster. Layers with a pressure lead to saddle points. If the pressures are on S,
-    large models try GMRES with blocks first. If MUMPS fails, it is tried with more memory and smaller pivots.
+    The direct solver is MUMPS: Cholesky for symmetric tangents, else LU. Large models first try conjugate gradients
+    (GMRES if not symmetric) with algebraic multigrid, whose near null space is the rigid motions. If this fails, as for
+    very stiff layers, the direct solver follows. Layers with a pressure as an unknown lead to saddle points. If all
+    pressures are on S, large models first try GMRES with a preconditioner of blocks, displacements and pressures. If
+    MUMPS fails at a saddle point, it is tried with more memory and smaller pivots.
 
     Args:
         model: the model.
-        parts: the parts of its balance.
-        chosen: type of preconditioner that the user has chosen; None: the default.
+        parts: the parts of its balance of forces.
+        chosen: PETSc's type of preconditioner (pc_type) that the user has chosen; None: the default.
 
     Raises:
         InputError: a type of preconditioner that does not suit the model.
@@ -97,7 +99,10 @@ def direct_solver(model: Model) -> OptionDict:
 
 
 def needs_factor_only() -> bool:
-    """Whether, with the options that are set, solves use only the factor, or only matrices in blocks."""
+    """Whether, with the options in PETSc's database, linear solves need the assembled matrix only during their set-up.
+
+    This holds for a factorisation by MUMPS, and for algebraic multigrid (gamg), which keeps a copy in blocks.
+    """
     options, names = options_set(), ("ksp_type", "pc_factor_mat_solver_type")
     return options.get("pc_type") == "gamg" or all(options.get(name) == DIRECT_OPTIONS[name] for name in names)
 
@@ -111,13 +116,13 @@ def least_pivot(pc: PETSc.PC) -> float:
 
 
 def mark_symmetry(A: PETSc.Mat, model: Model, *, saddle: bool) -> None:
-    """Set PETSc's flags of a tangent: symmetric, and positive definite, which it is not at a saddle point."""
+    """Set PETSc's flags of a tangent: symmetric, and positive definite, which it is not if it is a `saddle` point."""
     A.setOption(PETSc.Mat.Option.SYMMETRIC, model.symmetric)
     A.setOption(PETSc.Mat.Option.SPD, model.symmetric and model.linear and not saddle)
 
 
 class Factor:
-    """KSP and the matrix that it has factorised. Collective.
+    """Linear solver (KSP) with the factor of a matrix, or its preconditioner, for several solves. Collective.
 
     Attributes:
         ksp: the linear solver; None before the first `renew`.
@@ -135,11 +140,11 @@ class Factor:
 
         Args:
             A: the matrix.
-            of: key that identifies it.
-            set_data: function that passes data to the preconditioner, see `Equations.set_preconditioner_data`.
+            of: key that identifies the matrix.
+            set_data: function of the KSP and the matrix that passes rigid motions or blocks to the preconditioner.
 
         Returns:
-            Whether the KSP stays: it then orders the unknowns anew only if A has another nonzero pattern.
+            Whether the KSP stays the same: it then orders the unknowns anew only if A has another nonzero pattern.
         """
         options = options_set()
         stays = self.ksp is not None and options == self._options and self.ksp.getPC().getType() != "fieldsplit"
@@ -163,7 +168,7 @@ class Factor:
         self.ksp.getPC().setReusePreconditioner(True)
 
     def _set_up_in_blocks(self, A: PETSc.Mat) -> None:
-        """Build the multigrid hierarchy, and let its matrices multiply in blocks; A itself does not change."""
+        """Build the multigrid hierarchy of A, and convert its matrices to blocks, which multiply faster; A stays."""
         pc = self.ksp.getPC()
         with lean_products():
             self.ksp.setUp()
@@ -184,7 +189,7 @@ class Factor:
 
 
 class SharedMatrices:
-    """Matrices of the equations of a model, which the solvers of its family use one after the other.
+    """Matrices that the solvers of similar models, of one `ModelFamily`, use one after the other.
 
     Attributes:
         bodies: parts that depend on mesh and bodies alone; empty: not created.
@@ -201,7 +206,10 @@ class SharedMatrices:
 
     @classmethod
     def acquire(cls, model: Model) -> SharedMatrices:
-        """Take the matrices from the model's family, without any that do not suit this model; new if there are none."""
+        """Take the matrices of the model's `ModelFamily`, or create new ones.
+
+        A tangent whose nonzero pattern does not suit this model is freed.
+        """
         waiting = model.family.acquire()
         shared = waiting if isinstance(waiting, cls) else cls()
         layers = [(name, type(s.law), s.thin_layer and s.thin_layer.order) for name, s in model.layers.items()]
@@ -214,7 +222,7 @@ class SharedMatrices:
         return shared
 
     def release(self, model: Model) -> None:
-        """Leave the matrices to the next solver of the model's family, see `ModelFamily.release`."""
+        """Leave the matrices to the next solver of a model of the same `ModelFamily`."""
         for part in self.bodies:
             vars(part).pop("interval", None)  # its state refers to a model of the family
         model.family.release(self)
@@ -227,7 +235,7 @@ class SharedMatrices:
 
 # ---------------------------------------------------------------- blocks with pressures
 def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
-    """Orthonormalise independent vectors in place."""
+    """Orthonormalise linearly independent vectors in place, and return them."""
     for k, v in enumerate(vectors):
         for earlier in vectors[:k]:
             v.axpy(-v.dot(earlier), earlier)
@@ -236,12 +244,12 @@ def orthonormal(vectors: list[PETSc.Vec]) -> list[PETSc.Vec]:
 
 
 def set_field_split(pc: PETSc.PC, A: PETSc.Mat, layout: UnknownLayout, motions: list[PETSc.Vec]) -> None:
-    """Set the blocks "u", displacements, and "p", pressures, of a PCFIELDSPLIT. Collective.
+    """Set the blocks of a PCFIELDSPLIT: "u", the displacements, and "p", the pressures. Collective.
 
     Args:
         pc: the preconditioner, which has read its options.
-        A: the tangent, with supports, see `Equations.apply_bcs`.
-        layout: layout of the unknowns: displacements and fields on S.
+        A: the tangent, with Dirichlet conditions applied.
+        layout: layout of the unknowns: displacements, then pressures on S.
         motions: vectors of rigid motions, of the displacements or of all unknowns.
     """
     first, last = A.getOwnershipRange()

@@ -48,11 +48,11 @@ YIELDING_EVERYWHERE_STEP = 1e4  # linear step over old displacements above which
 
 @dataclass(frozen=True)
 class StepSolution:
-    """Unknowns at the end of a step.
+    """Unknowns at the end of a step, with the effort and accuracy of their computation.
 
     Attributes:
         x: the unknowns; the vector belongs to the solver and is valid until the next `solve_step` or `close`.
-        iterations: number of iterations; of Newton's method, if the solver uses it.
+        iterations: number of Newton steps; of Krylov iterations in a linear solve; of sweeps in a relaxation.
         residual: norm of the residual relative to the forces.
     """
 
@@ -62,10 +62,12 @@ class StepSolution:
 
 
 class EquilibriumSolver(ABC):
-    """Solver for the unknowns of the step that its equations have begun; keeps matrices and factors between steps.
+    """Base of solvers for the unknowns at the end of a time step, which keep matrices and factors between steps.
+
+    The time step is the one that the solver's `Equations` have begun.
 
     Attributes:
-        has_homotopy: whether it can solve with homotopy laws, see `Equations.set_homotopy`.
+        has_homotopy: whether it can solve with homotopy laws, between an elastic law and the model's law.
         reused: whether the last step used a solver of an earlier step, and so read no PETSc options.
     """
 
@@ -92,11 +94,19 @@ class EquilibriumSolver(ABC):
 
 
 class NewtonSolver(EquilibriumSolver):
-    """Solver by a linear step and Newton's method, which keeps its factor as long as the matrix stays the same.
+    """Solver by one linear step, then Newton's method or iterative refinement.
+
+    It keeps its factor as long as the matrix stays the same.
+
+    Args:
+        equations: the equations of the step.
+        nonlinear: whether Newton's method follows the linear step; otherwise iterative refinement does.
+        own_test: whether the reference forces of `ForceScale` decide on convergence, not tolerances of the user.
+        yields: whether a law bounds stresses; Newton's method then stops early where it does not converge.
+        advice: advice in the error message of Newton's method.
 
     Attributes:
-        equations: the equations of the step.
-        nonlinear: whether Newton's method follows the linear step.
+        equations, nonlinear: the arguments.
     """
 
     def __init__(self, equations: Equations, *, nonlinear: bool, own_test: bool, yields: bool, advice: str) -> None:
@@ -112,9 +122,14 @@ class NewtonSolver(EquilibriumSolver):
         return was_reused
 
     def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
-        """Solve for the unknowns at the end of the step; from `start`, Newton's method begins without a linear step.
+        """Solve for the unknowns at the end of the step. Collective.
 
-        Errors as in `solve`.
+        Args:
+            start: unknowns at which Newton's method begins, without a linear step; None: begin with a linear step from
+                the old state.
+
+        Raises:
+            SolveError: no convergence, or no unique solution.
         """
         equations = self.equations
         x, r, d, move = self._vectors
@@ -148,7 +163,14 @@ class NewtonSolver(EquilibriumSolver):
         return StepSolution(x, iterations + refining, residual)
 
     def _from_linear_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> StepSolution:
-        """Solve by Newton's method after a linear step, in which the supports move."""
+        """Solve by Newton's method after a linear step, in which the supports move.
+
+        Args:
+            x: the unknowns of the old state; overwritten.
+            r: the residual at x; overwritten.
+            d: work vector.
+            move: increments of the prescribed displacements, zero at all other unknowns.
+        """
         equations, forces = self.equations, float(self.equations.scale.forces[0])
         self._require_finite("stress", self._free_norm(r))
         r.scale(-1.0)
@@ -168,7 +190,7 @@ class NewtonSolver(EquilibriumSolver):
         return self._newton(x)
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
-        """Compute the linear step d with the stiffness of an elastic layer."""
+        """Compute the linear step d from unknowns x with the stiffness of an elastic layer; supports move by `move`."""
         equations, homotopy_parameter = self.equations, self.equations.homotopy_parameter
         equations.residual(x, r)
         r.scale(-1.0)
@@ -181,7 +203,15 @@ class NewtonSolver(EquilibriumSolver):
         solve_linear(self._factor.ksp, r, d)
 
     def _retreat(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
-        """Shorten a linear step that is far too long, as for laws that stiffen with the rate; supports stay moved."""
+        """Shorten a linear step that is far too long, as for laws that stiffen with the rate; supports stay moved.
+
+        Args:
+            x: unknowns after the step; overwritten.
+            r: residual at x; overwritten.
+            d: the step; overwritten.
+            move: part of the step by which supports move.
+            forces: reference force; the residual must be at most `OVERSHOOT_RESIDUAL` times as large.
+        """
         d.axpy(-1.0, move)
         for _ in range(40):
             if not forces or self._free_norm(r) <= OVERSHOOT_RESIDUAL * forces:
@@ -191,7 +221,10 @@ class NewtonSolver(EquilibriumSolver):
             self.equations.residual(x, r)
 
     def _prepare(self, move: PETSc.Vec | None = None, b: PETSc.Vec | None = None) -> None:
-        """Assemble and factorise the matrix of the step, and add the forces of support displacements `move` to b."""
+        """Set the matrix of the step for the next solve, and add the forces of support displacements `move` to b.
+
+        Without `move`, a factor of the same matrix is used again.
+        """
         equations = self.equations
         dt = equations.interval.dt if equations.depends_on_dt else 0.0
         key = float(f"{dt:.12g}"), equations.interval.theta  # lengths of equal steps differ by rounding
@@ -217,7 +250,9 @@ class NewtonSolver(EquilibriumSolver):
             raise SolveError(f"the {quantity} of {names} is not finite at the start of the step", advice=advice)
 
     def _refine(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec) -> tuple[float, int]:
-        """Refine the linear solution x iteratively; return its relative residual and the Krylov iterations.
+        """Refine the linear solution x iteratively; return its relative residual and the number of Krylov iterations.
+
+        The residual r at x and the vector d are overwritten.
 
         Raises:
             SolveError: the solution is not unique, or its residual is too large.
@@ -277,7 +312,10 @@ class NewtonSolver(EquilibriumSolver):
         return max(_largest(x), scale.displacement, of_forces)
 
     def _relative(self, r: PETSc.Vec) -> float:
-        """Largest norm of the residual relative to the forces on its block; sets r to zero at constrained unknowns."""
+        """Largest ratio, over the blocks of unknowns, of the norm of r to the forces.
+
+        r becomes zero at constrained unknowns.
+        """
         r.array[self.equations.bc_dofs] = 0.0
         return self.equations.relative(r)
 
@@ -287,10 +325,11 @@ class NewtonSolver(EquilibriumSolver):
 
     # ---------------------------------------------------------------- Newton's method
     def _newton(self, x: PETSc.Vec) -> StepSolution:
-        """Solve by Newton's method (PETSc SNES) from unknowns x of the last residual, which are overwritten.
+        """Solve by Newton's method (PETSc SNES) from unknowns x, which are overwritten.
 
-        The force scale decides on convergence, unless the user's options do. If a law yields, the method stops early if
-        the residual stagnates or displacements grow without bound, as for loads beyond the limit load.
+        The last residual must be that at x. The force scale decides on convergence, unless the user's options do. If a
+        law yields, the method stops early if the residual stagnates or displacements grow without bound, as for loads
+        beyond the limit load.
 
         Raises:
             SolveError: no convergence. InputError: an SNES type that does not use our convergence test. PETSc.Error:

@@ -1,7 +1,7 @@
 """PETSc options, with errors for options that no solver reads; PETSc solves; functions that petsc4py lacks.
 
-- `schur_complement` and `keep_unknowns`: MUMPS's Schur complement. Without it a bar of 256 squares takes 514 solves
-  more.
+- `schur_complement` and `keep_unknowns`: MUMPS's Schur complement. Without it the condensation of a bar of 256 square
+  cells takes 514 more solves.
 - `was_read`: whether PETSc has read an option. Without it misspelt options would be ignored silently.
 """
 
@@ -41,7 +41,12 @@ C_ARGUMENTS = {  # name of a function -> types of its arguments; all functions r
 
 @contextmanager
 def default_options(options: Options, prefix: str = PREFIX) -> Iterator[None]:
-    """Within a `with` block, set these options under a prefix in PETSc's database, unless the user has set them."""
+    """Within a `with` block, set options with a prefix in PETSc's database, except those that the user has set there.
+
+    Args:
+        options: {name without the prefix: value}.
+        prefix: the prefix of their names.
+    """
     database = PETSc.Options()
     theirs = database.getAll()  # hasName would mark the option as read
     ours = {prefix + name: value for name, value in options.items() if prefix + name not in theirs}
@@ -57,34 +62,39 @@ def default_options(options: Options, prefix: str = PREFIX) -> Iterator[None]:
 
 
 def options_set() -> dict[str, str]:
-    """The options under our prefix in PETSc's database, by name without the prefix."""
+    """Options in PETSc's database with the prefix of this package, {name without the prefix: value}."""
     options = PETSc.Options().getAll().items()
     return {name.removeprefix(PREFIX): value for name, value in options if name.startswith(PREFIX)}
 
 
 def is_set(name: str, user_options: Options) -> bool:
-    """Whether the user has set an option, in a script or in PETSc's database."""
+    """Whether the user has set an option (name without prefix), in a script (`user_options`) or in PETSc's database."""
     return name in user_options or name in options_set()
 
 
 def value_of(name: str, user_options: Options) -> str | None:
-    """The user's value of an option, in PETSc's database or in a script; None: not set."""
+    """The user's value of an option, from PETSc's database or else from a script (`user_options`); None: not set."""
     value = options_set().get(name, user_options.get(name))
     return None if value is None else str(value)
 
 
 def database_options() -> str:
-    """The options under our prefix in PETSc's database, written as on a command line."""
+    """Options in PETSc's database with the prefix of this package, written as on a command line."""
     return " ".join(f"-{PREFIX}{name} {value}".rstrip() for name, value in sorted(options_set().items()))
 
 
 def _options_of_user(ours: Collection[str]) -> list[str]:
-    """Names without our prefix of the options in PETSc's database, except those of `ours` that have our values."""
+    """Names, without prefix, of the options in PETSc's database that the user has set; `ours` are our defaults."""
     return sorted(name for name in options_set() if name not in ours or PREFIX + name not in _DEFAULT_NAMES)
 
 
 def require_all_read(solver: str, ours: Collection[str]) -> None:
-    """Raise InputError unless the last solve has read all options that the user has set; `ours` may stay unread."""
+    """Raise InputError unless the last solve has read all options that the user has set.
+
+    Args:
+        solver: name of the solver for the message.
+        ours: names, without prefix, of the defaults of this package, which need not be read.
+    """
     if unread := ", ".join(f"-{PREFIX}{name}" for name in _options_of_user(ours) if not was_read(PREFIX + name)):
         remedy = f"a direct solver has no tolerances, -{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
         raise InputError(f"PETSc options not read by the {solver} solver: {unread}; {remedy}")
@@ -92,7 +102,11 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
 
 @contextmanager
 def chosen_options(ours: Options, user_options: Options | None = None) -> Iterator[None]:
-    """Within a `with` block, set our options in PETSc's database, and the options of a script, which override ours.
+    """Within a `with` block, set options in PETSc's database: defaults, and options of a script, which override them.
+
+    Args:
+        ours: defaults of this package, {name without prefix: value}.
+        user_options: options of the script, likewise; None: none.
 
     Raises:
         InputError: PETSc does not take the value of one of the user's options.
@@ -140,13 +154,13 @@ def was_read(option: str) -> bool:
 
 
 def keep_unknowns(factor: PETSc.Mat, unknowns: Indices) -> None:
-    """Set, before the factorisation, which unknowns (c,) a factor keeps: it then computes their Schur complement."""
+    """Set, before the factorisation, the unknowns (c,) on which a factor computes the Schur complement."""
     rows = PETSc.IS().createGeneral(unknowns.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
     _checked_call("MatFactorSetSchurIS", factor.handle, rows.handle)
 
 
 def schur_complement(factor: PETSc.Mat, c: int) -> Array:
-    """Copy (c, c) of the Schur complement of the c kept unknowns of a Cholesky factor; its upper triangle is set."""
+    """Copy (c, c) of a Cholesky factor's Schur complement on c unknowns; only its upper triangle is set."""
     out = np.empty((c, c))
     dense = PETSc.Mat().createDense((c, c), array=out.T, comm=PETSc.COMM_SELF)  # PETSc stores columns
     inside, status = C_POINTER(), ctypes.c_int()
@@ -157,7 +171,7 @@ def schur_complement(factor: PETSc.Mat, c: int) -> Array:
 
 
 def faster_products(*, serial: bool) -> AbstractContextManager[None]:
-    """Within a `with` block, PETSc computes A P before P^T A P if `serial`: less time, more memory."""
+    """Within a `with` block, let PETSc compute A P before P^T A P if `serial`: less time, more memory."""
     return default_options({"matptap_via": "rap"} if serial else {}, prefix="")
 
 
@@ -167,7 +181,10 @@ def lean_products() -> AbstractContextManager[None]:
 
 
 def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
-    """Convert A, in place or in `into`, to blocks, which multiply faster; PETSc's own conversion is slower."""
+    """Convert a matrix to block format (BAIJ), in place or into the matrix `into`, and return it.
+
+    Blocks multiply faster. PETSc's own conversion is slower than this one.
+    """
     indptr, indices, values = A.getValuesCSR()
     d, shape = A.getBlockSize(), (A.getLocalSize()[0], A.getSize()[1])
     blocks = scipy.sparse.csr_matrix((values, indices, indptr), shape=shape, copy=False).tobsr((d, d))
@@ -181,7 +198,7 @@ def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
 
 
 def set_residual(pc: PETSc.PC, level: int, A: PETSc.Mat) -> None:
-    """Set the matrix with which a level of multigrid computes residuals."""
+    """Set the matrix A with which a level of a multigrid preconditioner (PCMG) computes residuals."""
     _checked_call("PCMGSetResidual", pc.handle, level, None, A.handle)
 
 
@@ -220,6 +237,6 @@ def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec) -> None:
 
 
 def reason_name(reasons: type, value: int) -> str:
-    """PETSc's name of the reason why a solver stopped; `reasons` is its class `ConvergedReason`."""
+    """PETSc's name of the reason, a number, why a solver stopped; `reasons` is the solver's class `ConvergedReason`."""
     names = {v: name for name, v in vars(reasons).items() if isinstance(v, int) and not name.startswith("_")}
     return names.get(value, str(value))

@@ -210,7 +210,7 @@ class StepProblem(PartSum):
 
     # ---------------------------------------------------------------- within a step
     def _evaluate(self, out: PETSc.Vec) -> None:
-        """Write internal forces minus loads at the displacements u into `out`; they are reactions at constrained dofs."""
+        """Write internal forces minus loads at displacements u into `out`, including reactions at constrained dofs."""
         if self._interval is None:
             if self.state.memory:
                 raise InputError("no step has begun: call begin(dt) before each solve")
