@@ -1,4 +1,4 @@
-"""Balance of forces of a step: the sum of its parts, the order of its unknowns, its tangent, its scale of forces."""
+"""Balance of forces of a step: sum of its parts, layout of its unknowns, tangent, and reference forces of residuals."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ class ForceScale:
     """Reference forces for the residuals of a step, in each block of the unknowns.
 
     A block is a set of unknowns that can be out of balance independently of the others. Blocks are the whole model,
-    each connected piece of the bodies, and the nodes of a piece on each seam. Norms (k,) of forces, stiffnesses and
-    residuals are Euclidean. They have one entry for each block, the whole model first. Rules:
+    each connected piece of the bodies, the nodes of a piece on each seam, and all meshed layers. Norms (k,) of forces,
+    stiffnesses and residuals are Euclidean, with one entry for each of the k blocks, the whole model first. Rules:
 
     1. Residuals in a block are relative to "the forces" on it: the largest of the loads, the forces of the stresses at
        the last residual, and the residual at the start of the step.
     2. All forces may be rounding errors if supports move stiff bodies, loads end at zero, or soft springs let stiff
-       bodies move far. Therefore the forces have a lower bound: 1e-14 of stiffness times displacement, their rounding,
-       divided by the 1e-6 of rule 5.
+       bodies move far. The rounding of the forces is about 1e-14 of stiffness times displacement. This, divided by the
+       1e-6 of rule 5, is a lower bound of the forces.
     3. Solvers stop where the residual in each block is at most 1e-10 of the forces, or at most the rounding of
        stiffness times displacement.
     4. A residual as small as the rounding of prescribed displacements is always allowed; no solver can reduce it.
@@ -77,7 +77,8 @@ class ForceScale:
     Attributes:
         stiffness: the argument.
         forces: (k,) the forces of rules 1 and 2 for the last residual.
-        displacement: largest known displacement: prescribed, of the previous state, or of an elastic response.
+        displacement: largest displacement that is known: of those prescribed, of the previous state, and of an elastic
+            response.
     """
 
     def __init__(self, stiffness: Array | float, cancelling: float = 0.0, within: csr_matrix | None = None) -> None:
@@ -104,7 +105,7 @@ class ForceScale:
         self._unbalanced = np.where(np.isfinite(unbalanced), unbalanced, 0.0)
 
     def move(self, elastic: float) -> None:
-        """Include the largest displacement of an elastic response; other iterates may move far too much."""
+        """Count the largest displacement of an elastic response as known; other iterates may move far too much."""
         self.displacement = max(self.displacement, elastic)
 
     def update_stresses(self, stresses: Array | float) -> None:
@@ -116,21 +117,21 @@ class ForceScale:
             self.forces = np.maximum(self.forces, ROUNDING_SHARE / STATE_TOLERANCE * (self._within.T @ self.forces))
 
     def rounding(self, largest_displacement: float) -> Array:
-        """Rounding errors (k,) of the forces for a largest displacement."""
+        """Norms (k,) of the rounding errors of the forces, if `largest_displacement` is the largest of the unknowns."""
         return np.asarray(MACHINE_EPSILON * self._largest_stiffness * largest_displacement)
 
     def target(self, largest_displacement: float) -> Array:
-        """Norms (k,) of the residual at which solvers stop."""
+        """Norms (k,) of the residual at which solvers stop, if `largest_displacement` is that of the unknowns."""
         rounded = np.minimum(self.rounding(largest_displacement), self.allowed)
         return np.asarray(np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounded))
 
     @property
     def allowed(self) -> Array:
-        """Largest norms (k,) of the residual of an accepted state."""
+        """Norms (k,) that the residual of an accepted state must not exceed."""
         return np.asarray(np.maximum(STATE_TOLERANCE * self.forces, self._support_rounding))
 
     def relative(self, norms: Array) -> float:
-        """Largest ratio of the norms (k,) of a residual to the forces on their blocks."""
+        """Largest ratio, over all blocks, of the norm (k,) of a residual to the forces on the block."""
         return float((norms / np.maximum(self.forces, MIN_DIVISOR)).max())
 
 
@@ -139,17 +140,18 @@ class PartSum:
 
     Attributes:
         parts: the parts.
-        traits: the traits of all parts together.
+        traits: properties of all parts together: a flag is set if one part has it.
         with_own: the parts with unknowns of their own.
         depends_on_dt: whether the tangent depends on the length of the step.
-        failed: number of points where parts failed in the last evaluation.
-        comm, bc_dofs, scale: communicator, local numbers of the constrained unknowns of this rank, and the reference
-            forces for residuals, of the equations of a step.
+        failed: number of points where laws failed in the last evaluation.
+        comm: communicator; subclasses set it.
+        bc_dofs: local numbers of the constrained unknowns of this rank; subclasses set them.
+        scale: the reference forces for residuals; subclasses set them.
         block_of: (n,) block number >= 1 of each of the first n unknowns of this rank, see `ForceScale`. Further
             unknowns count for the whole model only.
-        n_blocks: number of blocks, including the whole model.
-        within: (n_blocks, n_blocks) sparse; entry (i, j) is 1 if block j lies within block i, or is block i. The row
-            and column of the whole model are as in the identity.
+        n_blocks: number k of blocks, including the whole model, block 0.
+        within: (k, k) sparse; entry (i, j) is 1 if block j lies within block i, or is block i. The row and column of
+            the whole model are as in the identity.
         last_body: the last of the parts that are bodies.
         of_bodies: norms (k,) of the summed forces of the bodies in the last evaluation.
     """
@@ -178,11 +180,15 @@ class PartSum:
         return [part for part in self.parts if isinstance(part, kind)]
 
     def names_with_trait(self, trait: str) -> list[str]:
-        """Names of the laws, and of parts without a law, that have a trait."""
+        """Names of the laws, and of parts without a law, for which a flag of `PartTraits` is set, given by its name."""
         return [name for part in self.parts for name, traits in part.named().items() if getattr(traits, trait)]
 
     def refuse(self, reasons: Mapping[str, str]) -> None:
-        """Raise InputError with the reason of a trait if a part has this trait; {} becomes the part's name."""
+        """Raise InputError if a part has one of the given traits.
+
+        Args:
+            reasons: name of a flag of `PartTraits` -> message of the error, in which {} stands for the part's name.
+        """
         for trait, reason in reasons.items():
             for name in self.names_with_trait(trait):
                 raise InputError(reason.format(name))
@@ -190,22 +196,28 @@ class PartSum:
     # ---------------------------------------------------------------- a step
     @property
     def memory_at_rest(self) -> dict[str, Memory]:
-        """Memory at rest, by key, of the parts that have a memory."""
+        """Memory (internal variables) at rest of the parts that have one, by the parts' keys."""
         return {part.key: rest for part in self.parts if (rest := part.rest()) is not None}
 
     @property
     def stresses_at_rest(self) -> dict[str, Array]:
-        """Zero stresses at rest, by key, of the parts whose stresses are stored in states."""
+        """Zero stresses (points, components) at rest, by key, of the parts whose stresses are stored in states."""
         memory, widths = self.memory_at_rest, {part.key: part.stress_width for part in self.parts if part.stress_width}
         return {key: np.zeros((len(memory[key]), width)) for key, width in widths.items() if key in memory}
 
     def begin_parts(self, interval: TimeStep) -> None:
-        """Begin a step in all parts."""
+        """Begin the time step `interval` in all parts."""
         for part in self.parts:
             part.begin(interval)
 
     def forces(self, u: fem.Function, mid: fem.Function, out: PETSc.Vec, each: PETSc.Vec | None = None) -> list[float]:
         """Evaluate all parts and write the sum of their nodal forces into `out`.
+
+        Args:
+            u: displacements at the end of the step.
+            mid: displacements at the time of the step at which forces balance.
+            out: vector of the forces.
+            each: work vector like `out`, or None, see Returns.
 
         Returns:
             One norm for each part: the result of `Part.add_forces` or, with a work vector `each`, the norm of the
@@ -232,25 +244,44 @@ class PartSum:
         return next(filter(None, [part.failure() for part in self.parts]), "")
 
     def blocks(self, relative_residual: float = 0.0) -> list[Block]:
-        """Blocks of the tangent at the last evaluation."""
+        """Blocks of the tangent at the last evaluation.
+
+        Args:
+            relative_residual: norm of the last residual over the forces, for tangents that may be singular; else 0.
+        """
         return [block for part in self.parts for block in part.tangents(relative_residual)]
 
     def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
-        """Blocks of the parts that resist rigid motions with forces larger than `rounding` at their nodes."""
+        """Blocks of the tangent, of the parts that resist rigid motions of bodies.
+
+        Args:
+            relative_residual: norm of the last residual over the forces, for tangents that may be singular; else 0.
+            rounding: nodal forces that are not larger than these do not count as resistance.
+        """
         parts = [part for part in self.parts if not part.traits.inner]
         return [block for part in parts for block in part.resisting(relative_residual, rounding)]
 
     @property
     def excess(self) -> float:
-        """Largest gain of energy by a change of phase of a column; <= 0 if no column gains energy."""
+        """Largest energy that a column of a layer gains by another phase; <= 0 if no column gains energy.
+
+        It is -inf without phases. A column is a facet of S, or in a meshed layer the cells above it.
+        """
         return max((part.excess() for part in self.parts if isinstance(part, SwitchesPhases)), default=-math.inf)
 
     def switch(self) -> bool:
-        """Change columns to the phases of lowest energy in the last evaluation; return whether any column changes."""
+        """Change phases to those of lowest energy in the last evaluation; return whether any phase changes.
+
+        The phases of a column (a facet of S, or in a meshed layer the cells above it) change together.
+        """
         return any([part.switch() for part in self.parts if isinstance(part, SwitchesPhases)])
 
     def end_parts(self, u: fem.Function, t: float) -> tuple[dict[str, StepOutcome], Configuration]:
-        """End the step at displacements u of the last evaluation; return the parts' outcomes and the configuration."""
+        """End the step at displacements u of the last evaluation and time t.
+
+        Returns:
+            Outcomes of the parts (energies and memory) by key, and the configuration at the end of the step.
+        """
         outcomes = {part.key: part.commit() for part in self.parts}
         memory = {key: outcome.memory for key, outcome in outcomes.items() if outcome.memory is not None}
         if lost := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
@@ -262,7 +293,10 @@ class PartSum:
 
     # ---------------------------------------------------------------- tests of balance
     def norms(self, values: Array) -> Array:
-        """Norms (k,) of forces on the unknowns of this rank: first on all of them, then on each block."""
+        """Norms (k,) of forces on the unknowns of this rank: of all forces, then of those on each block.
+
+        They are sums over all ranks.
+        """
         squares = values * values
         sums = np.bincount(self.block_of, squares[: len(self.block_of)], self.n_blocks)
         sums = sums if self.within is None else self.within @ sums
@@ -276,7 +310,7 @@ class PartSum:
         return self.norms(free)
 
     def relative(self, r: PETSc.Vec) -> float:
-        """Largest norm of a residual relative to the forces on its block."""
+        """Largest ratio, over all blocks of unknowns, of the norm of a residual to the forces on the block."""
         return self.scale.relative(self.residual_norms(r))
 
     def target(self, x: PETSc.Vec) -> Array:
@@ -284,7 +318,7 @@ class PartSum:
         return self.scale.target(float(x.norm(PETSc.NormType.INFINITY)))
 
     def is_balanced(self, x: PETSc.Vec, r: PETSc.Vec) -> bool:
-        """Whether solvers stop at unknowns x with the residual r."""
+        """Whether the residual r at unknowns x is so small that solvers stop."""
         return bool((self.residual_norms(r) <= self.target(x)).all())
 
     def require_equilibrium(self, r: PETSc.Vec) -> None:
@@ -303,11 +337,11 @@ class PartSum:
 
 # ---------------------------------------------------------------- unknowns and tangent
 class UnknownLayout:
-    """Order of the unknowns of this rank: field after field. Collective.
+    """Layout of the unknowns of this rank in a vector: the values of one field after those of another. Collective.
 
     Args:
         comm: communicator.
-        fields: key -> the function whose values are unknowns, in the order of the unknowns.
+        fields: key of a field -> the function whose values are unknowns, in the order of the vector.
     """
 
     def __init__(self, comm: MPI.Intracomm, fields: Mapping[str, fem.Function]) -> None:
@@ -325,12 +359,12 @@ class UnknownLayout:
         return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
 
     def put(self, x: PETSc.Vec) -> None:
-        """Write unknowns into their functions, ghosts included."""
+        """Write a vector of unknowns into their functions, ghosts included."""
         for key, values in self.split(x.array_r).items():
             set_owned_values(self.fields[key], values)
 
     def widened(self, T: PETSc.Mat | None) -> PETSc.Mat | None:
-        """Extend a matrix T of displacements by the identity on all other unknowns; None stays None."""
+        """Extend the matrix T of the displacements u = T y by the identity on all other unknowns; None stays None."""
         if T is None or len(self.sizes) == 1:
             return T
         others = _diagonal_matrix(self.comm, int(self._ends[-1]) - self.sizes[DISPLACEMENT_KEY], 1.0)
@@ -359,7 +393,10 @@ class TangentMatrix:
         self._whole: PETSc.Mat | None = None
 
     def fill(self, blocks: Sequence[Block]) -> PETSc.Mat:
-        """Return the matrix of these blocks, whose pattern the first call fixes; destroy blocks not kept."""
+        """Return the sum of these blocks, in their places, as one matrix, whose nonzero pattern the first call fixes.
+
+        Blocks that their parts do not keep (`Block.kept`) are destroyed.
+        """
         for place in dict.fromkeys((block.row, block.column) for block in blocks):
             self._add(place, [block for block in blocks if (block.row, block.column) == place])
         destroy(*(block.matrix for block in blocks if not block.kept))
@@ -410,8 +447,8 @@ def augmented_in_place(
     Args:
         comm: communicator.
         K: a matrix with symmetric pattern; after the block its entries are the same as before.
-        others: the other blocks; blocks not kept are destroyed.
-        bc_rows: rows and columns to replace by `value` times the identity.
+        others: the other blocks. Those that their parts do not keep (`Block.kept`) are destroyed.
+        bc_rows: global numbers of the rows and columns to replace by `value` times the identity.
         value: the diagonal entry of these rows.
     """
     # as the pattern is symmetric, the columns of these rows are the rows with entries in constrained columns
@@ -446,7 +483,7 @@ def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers
 
 
 def block_matrix(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intracomm) -> PETSc.Mat:
-    """One matrix of blocks; on each rank, rows and columns are in the order of the blocks."""
+    """One matrix from rows of blocks (None: zero); each rank has its rows and columns in the order of the blocks."""
     return PETSc.Mat().createNest(blocks, comm=comm).convert("aij", PETSc.Mat())
 
 

@@ -33,30 +33,35 @@ INDEPENDENCE_TOLERANCE = 1e-6  # least singular value of motions of a piece that
 
 
 class SupportReactions:
-    """Resultants of the reactions of `Model.holders`. All methods are collective.
+    """Forces and moments that a model's supports, plates and rigid bases exert. All methods are collective.
 
     Args:
         model: the model.
-        parts: the parts of its balance.
+        parts: the parts of its balance of forces.
     """
 
     def __init__(self, model: Model, parts: Sequence[Part]) -> None:
         self.model, self.parts = model, parts
 
     def _motions(self, rows: IntArray) -> Array:
-        """Values (m, k) of the k rigid motions about `Model.centre` at m displacements `rows` of this rank."""
+        """Values (m, k) of the k rigid motions, about `Model.centre`, at m displacements of this rank.
+
+        Args:
+            rows: (m,) local numbers of the displacements.
+        """
         return motion_values(self.model.places, self.model.centre, rows)
 
     def at_end(self, r: PETSc.Vec, interval: TimeStep, loads_at: Callable[[float], PETSc.Vec]) -> Array:
-        """Forces and moments (n, k) at the end of a step, about `Model.centre`.
+        """Reactions (n, k) at the end of a step: k components of force and moment about `Model.centre`.
 
-        The reactions in the balance of the step are a weighted mean: 1 - theta times the reactions at its beginning,
-        plus theta times the reactions at its end.
+        The n rows are the places `Model.holders`: supports, plates and rigid bases. The reactions in the balance of the
+        step are a weighted mean: 1 - theta times the reactions at its beginning, plus theta times the reactions at its
+        end.
 
         Args:
             r: nodal forces of the last evaluation of the parts, minus loads.
             interval: the step.
-            loads_at: nodal forces of the loads at a time, a new vector.
+            loads_at: function of a time that returns a new vector of the nodal forces of the loads.
         """
         theta, old = interval.theta, interval.old
         now = self._resultants(r, self._of_ties(interval.t, old.t, theta))
@@ -68,12 +73,21 @@ class SupportReactions:
         return np.asarray((now - (1 - theta) * before) / theta)
 
     def _of_ties(self, new: float, old: float, theta: float) -> Array:
-        """Loads (n,) on multi-point constraints in the balance of a step; they are not reactions."""
+        """Loads (n,) on multi-point constraints at n displacements in the balance of a step; they are not reactions.
+
+        Args:
+            new: time at the end of the step.
+            old: time at the start of the step.
+            theta: fraction of the step after which forces balance.
+        """
         loads = [share * self.model.constraints.loads_at(t) for t, share in ((new, theta), (old, 1 - theta)) if share]
         return np.asarray(sum(loads))
 
     def _resultants(self, r: PETSc.Vec, of_ties: Array, *, layers: bool = True) -> Array:
-        """Forces and moments (n, k) of nodal forces r minus loads; of layers on rigid bases zero unless `layers`."""
+        """Reactions (n, k) for nodal forces r minus loads, with loads `of_ties` on multi-point constraints.
+
+        Rows of rigid bases, which bear forces of layers, are zero unless `layers`.
+        """
         model, constraints = self.model, self.model.constraints
         by_supports = constraints.support_forces(r.array_r)
         rest = r.array_r + of_ties - constraints.prescribed.conditions.T @ by_supports
@@ -85,7 +99,12 @@ class SupportReactions:
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))
 
     def _of_layer(self, layer: SeamLayer, like: PETSc.Vec) -> Array:
-        """This rank's force and moment (k,) of a layer in the last evaluation, with its sublayers and pressure."""
+        """This rank's force and moment (k,) of a layer with its sublayers and pressure, in the last evaluation.
+
+        Args:
+            layer: the layer.
+            like: a vector of nodal forces; a work vector of the same size is created.
+        """
         forces = like.duplicate()
         forces.set(0.0)
         for part in self.parts:
@@ -96,7 +115,7 @@ class SupportReactions:
 
 
 class RigidMotions:
-    """The rigid motions of a model's connected pieces that its supports allow. All methods are collective.
+    """Rigid motions of the connected pieces of a model that its supports allow. All methods are collective.
 
     Args:
         model: the model.
@@ -108,7 +127,7 @@ class RigidMotions:
 
     @cached_property
     def _pieces(self) -> Indices:
-        """Connected piece of each node of this rank, ghosts included."""
+        """Number of the connected piece of the bodies to which each node of this rank belongs, ghosts included."""
         model, V = self.model, self.model.V
         pieces, dofs = model.split_mesh.pieces, np.asarray(V.dofmap.list)
         piece_of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int32)
@@ -119,11 +138,11 @@ class RigidMotions:
 
     @cached_property
     def blocks(self) -> tuple[IntArray, scipy.sparse.csr_matrix]:
-        """(n,) block number >= 1 of each displacement of this rank, and the blocks within others, see `ForceScale`.
+        """Block number (n,) >= 1 of each displacement of this rank, and the matrix of blocks within others.
 
-        A block is a connected piece of the bodies, or its nodes on one seam, or all meshed layers. Meshed layers
-        include their nodes on the bodies, whose forces they bear. They count as within each piece, because a piece may
-        have no other forces.
+        They are `block_of` and `within` of `PartSum`. A block is a connected piece of the bodies, or its nodes on one
+        seam, or all meshed layers. Meshed layers include their nodes on the bodies, whose forces they bear. They count
+        as within each piece, because a piece may have no other forces.
         """
         model, V, joint = self.model, self.model.V, self.model.domain.joint
         pieces = (model.split_mesh if joint.band is None else cut_at_faces(joint)).pieces
@@ -148,13 +167,15 @@ class RigidMotions:
         return 1 + np.searchsorted(blocks, block_of), scipy.sparse.block_diag([1.0, inside], format="csr")
 
     def _motions(self, rows: IntArray) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-        """Sparse motions (n, c) of pieces, then of plates, without components that supports prevent; and a matrix.
+        """Rigid motions (n, c), without components that supports prevent, and their Gram matrix (c, c).
 
-        The matrix (c, c) is zero for combinations of motions that supports allow, see `Constraints.admissible`.
+        Both are sparse. The c motions are those of the connected pieces, then of the plates, at the n displacements of
+        this rank. The Gram matrix is that of the violations of supports: zero for combinations of motions that supports
+        allow.
 
         Args:
-            rows: displacements of this rank, ascending, at which motions are evaluated; all, if constraints relate
-                them.
+            rows: local numbers, ascending, of the displacements at which motions are evaluated; all are if constraints
+                relate them.
         """
         model, constraints = self.model, self.model.constraints
         n, rows = constraints.n, rows if constraints.T is None else np.arange(constraints.n)
@@ -167,7 +188,7 @@ class RigidMotions:
 
     @cached_property
     def _allowed(self) -> scipy.sparse.csc_matrix:
-        """(c, k) coefficients, in the motions of `_motions`, of the k motions that supports allow."""
+        """Coefficients (c, k) of the k motions that supports allow, in terms of the c motions of pieces and plates."""
         gram = self._motions(np.unique(self.model.constraints.prescribed.conditions.indices))[1]
         unit, touched = scipy.sparse.eye(gram.shape[0], format="csc"), gram.diagonal() > 0
         values, vectors = np.linalg.eigh(gram[touched][:, touched].toarray())
@@ -175,7 +196,10 @@ class RigidMotions:
         return scipy.sparse.hstack([unit[:, ~touched], unit[:, touched] @ allowed], format="csc")
 
     def require_resisted(self, blocks: Sequence[Block]) -> None:
-        """Raise LooseBody if tangent blocks do not resist a motion that supports allow; destroy blocks not kept."""
+        """Raise LooseBody if tangent blocks do not resist a motion that supports allow.
+
+        Blocks that their parts do not keep (`Block.kept`) are destroyed.
+        """
         allowed, comm = self._allowed, self.model.comm
         stiffness = scipy.sparse.csc_matrix((allowed.shape[0],) * 2)
         for block in blocks if allowed.shape[1] else ():
@@ -199,7 +223,11 @@ class RigidMotions:
         raise LooseBody(reason, motion, advice="add supports, or give the layer's law a stiffness in this direction")
 
     def _described(self, motions: Array) -> str:
-        """Text on how the piece that moves most in the last of k motions can move; rows as in `_motions`."""
+        """Text that says how a piece can move: the piece that moves most in the last of some motions.
+
+        Args:
+            motions: (c, m) coefficients of m motions, in terms of the c motions of pieces and plates.
+        """
         d, pieces = self.model.joint.dim, len(self._names)
         by_piece = motions[: pieces * self._per_piece].reshape(pieces, self._per_piece, -1)  # plates come last
         k = int(np.abs(by_piece[..., -1]).max(axis=1).argmax())

@@ -1,10 +1,10 @@
 """Search for an equilibrium by weak springs at all nodes, where Newton's method fails.
 
-Springs k between all nodes and their old places are added. Then R(u) + k (u - u_0) = 0 has a solution even above the
-limit load. Newton's method converges easily while k is large. As k falls, u tends to the nearest equilibrium if there
-is one. Otherwise u grows without bound, in the end as 1/k. For a layer with associated flow this is a theorem. There R
-is monotone, |u - u_0| only grows as k falls, and no equilibrium is nearer (Brezis 1973, the regularisation of Yosida).
-For other layers it is an indication.
+Springs of stiffness k between all nodes and their old places are added. With the residual R and the old displacements
+u_0, the equation R(u) + k (u - u_0) = 0 has a solution even above the limit load. Newton's method converges easily
+while k is large. As k falls, u tends to the nearest equilibrium if there is one. Otherwise u grows without bound, in
+the end as 1/k. For a layer with associated flow this is a theorem. There R is monotone, |u - u_0| only grows as k
+falls, and no equilibrium is nearer (Brezis 1973, the regularisation of Yosida). For other layers it is an indication.
 """
 
 from __future__ import annotations
@@ -38,11 +38,13 @@ MIN_DECREASE = 0.1  # least relative decrease of the residual, over the length o
 
 
 class WeakSprings:
-    """Solver of steps of a model with springs at all nodes. Collective. Arrays x (n,) are unknowns of this rank.
+    """Search for the equilibrium at the end of a step, with springs at all nodes that soften. Collective.
+
+    Arrays x (n,) are the unknowns of this rank.
 
     Args:
         equations: the equations of the model.
-        options: PETSc options of the linear solver.
+        options: PETSc options of the linear solver, {name without prefix: value}.
     """
 
     def __init__(self, equations: Equations, options: Options) -> None:
@@ -57,8 +59,9 @@ class WeakSprings:
 
         Args:
             rest: the state at rest.
-            step: the step from an equilibrium to the time of the next equilibrium.
-            find: unknowns -> the equilibrium near them; raises SolveError.
+            step: the time step at whose end an equilibrium is sought.
+            find: function that seeks an equilibrium without springs from given unknowns; it raises SolveError if it
+                fails.
 
         Raises:
             NoEquilibrium: displacements grow without bound. SolveError: no equilibrium was found.
@@ -132,7 +135,10 @@ class WeakSprings:
         return math.sqrt(self.equations.comm.allreduce(float(moved @ moved)))
 
     def _shares(self, x: Array) -> dict[str, float]:
-        """Shares of the seams in the squared jumps since the start; jumps along S count half in layers that yield."""
+        """Fraction of the squared jumps since the start that occurs on each seam, by its name, the largest first.
+
+        Only seams with laws that yield or release bodies count; jumps along S count half in layers that yield.
+        """
         self._d.array[:] = x - self._start
         equations, model, u = self.equations, self.equations.model, self.equations.configuration(self._d).u
         limited = [part for part in equations.parts if part.traits.bounded or part.traits.releases]
@@ -146,7 +152,10 @@ class WeakSprings:
 
     # ---------------------------------------------------------------- Newton's method
     def _residual(self, x: Array) -> float:
-        """Compute the residual with springs; return its norm, each block relative to the forces on it at the start."""
+        """Compute the residual with springs at x; return its norm.
+
+        In each block of unknowns (see `ForceScale`) it is relative to the forces at the start of the search.
+        """
         equations = self.equations
         self._x.array[:] = x
         equations.residual(self._x, self._r)
@@ -156,7 +165,7 @@ class WeakSprings:
         return float(np.linalg.norm(self._norms[1:] / np.maximum(self._forces[1:], MIN_DIVISOR)))
 
     def _is_solved(self, x: Array) -> bool:
-        """Whether the residual is small relative to the forces of the springs, on each block."""
+        """Whether the last residual is small relative to the forces of the springs at x, on each block of unknowns."""
         springs = self._stiffness * self.equations.norms(x - self._start)
         return bool((self._norms <= np.maximum(RESIDUAL_TOLERANCE * springs, self.equations.target(self._x))).all())
 
@@ -175,7 +184,10 @@ class WeakSprings:
         return None
 
     def _search(self, x: Array, d: Array, most: float) -> tuple[Array, float]:
-        """Line search along d; return unknowns with a residual below `most`, else with the least, and the residual."""
+        """Line search from x along d; return the new unknowns, and the norm of their residual.
+
+        The norm is below `most` if such a point is found, else it is the least that was found.
+        """
         best, at, length = math.inf, 0.0, 1.0
         for length in 0.5 ** np.arange(MAX_HALVINGS):
             size = self._residual(x + length * d)
