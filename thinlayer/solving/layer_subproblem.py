@@ -1,4 +1,4 @@
-"""Subproblem of the layers without bodies: face forces for prescribed face displacements, and the inverse."""
+"""Subproblem of the layers without bodies: forces for given displacements of the layers' faces, and the inverse."""
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ RANK_TOLERANCE = 1e-9  # least singular value of independent motions, over the l
 
 
 class DirichletLayers:
-    """Layers without bodies, at a time, with prescribed face displacements. Vectors (n,) are unknowns of the layers.
+    """Meshed layers without bodies, at a time, with prescribed displacements of their faces.
+
+    The faces are the lower and the upper side of a layer, where it meets the bodies. The sides of a layer join its
+    faces at the ends of S. Vectors (n,) are the unknowns w of the layers: displacements, then other fields.
 
     Attributes:
         model: the layers, meshed.
@@ -88,7 +91,7 @@ class DirichletLayers:
         return self._equations.rest(t)
 
     def begin(self, old: Configuration, t: float) -> None:
-        """Begin a step from a configuration of the layers to a time, and linearise at its start."""
+        """Begin a step of the layers from a configuration `old` to time t, and linearise at its start."""
         equations = self._equations
         equations.begin(TimeStep(old, t, t - old.t, 1.0))
         self.forces[: self._n_u], self.values[equations.bc_dofs] = equations.loads.array_r, equations.prescribed
@@ -109,7 +112,7 @@ class DirichletLayers:
         self._reset()
 
     def state(self, w: Array) -> State:
-        """State of the layers at unknowns w, displacements first."""
+        """State of the layers at unknowns w (n,), displacements first."""
         self.residual(w)
         _, end = self._equations.end_parts(self._equations.u, self._equations.interval.t)
         return State(**vars(end), model=self.model, report=Report("layers", 0, 0.0, 0.0))
@@ -119,16 +122,23 @@ class DirichletLayers:
         return _SubmatrixFactor(self.K, self._inside, symmetric=self.model.symmetric)
 
     def dirichlet_displacements(self, v: Array, load: Array, values: Array) -> Array:
-        """Unknowns (n,) for face displacements v, forces `load` and prescribed displacements `values` of the sides.
+        """Unknowns (n,) of the layers in equilibrium with given displacements of their faces.
 
         Laws that are not linear are replaced by their tangent, see `linearise`.
+
+        Args:
+            v: (n,) displacements of the faces; other entries are not used.
+            load: (n,) forces on the layers.
+            values: (n,) prescribed displacements of the sides; other entries are not used.
         """
         w = np.where(self.on_face, v, np.where(self._at_sides, values, 0.0))
         self._dirichlet.solve(load - self.K @ w, w)
         return w
 
     def equilibrate_dirichlet(self, v: Array) -> Array:
-        """Unknowns (n,) for face displacements v under the layers' own loads, with non-linear laws; linearise there.
+        """Unknowns (n,) of the layers in equilibrium with face displacements v (n,), under their own loads.
+
+        Non-linear laws are solved by Newton's method. The layers are then linearised at the result.
 
         Raises:
             SolveError: no convergence, or the layer softens.
@@ -137,12 +147,18 @@ class DirichletLayers:
         return self._balanced(w, np.zeros(len(v)), lambda: self._dirichlet)
 
     def _balanced(self, w: Array, forces: Array, factor: Callable[[], _SubmatrixFactor]) -> Array:
-        """Solve residual = forces by Newton's method from w, for the unknowns of a factor; all others stay fixed."""
+        """Solve residual = forces by Newton's method from w; return the unknowns (n,).
+
+        Args:
+            w: (n,) initial unknowns.
+            forces: (n,) forces that balance the residual.
+            factor: function that returns the factor of K at present; unknowns outside the factor stay fixed.
+        """
         if self.model.linear:
             return w
 
         def slope(share: float) -> float:
-            """Decrease of the energy along the step, per unit of the share, at w + share * step."""
+            """Decrease of the energy along the step, per unit of `share`, at w + share * step."""
             return float(step @ (forces - self.residual(w + share * step)))
 
         for _ in range(MAX_NEWTON_STEPS):
@@ -158,13 +174,26 @@ class DirichletLayers:
         raise SolveError(f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} steps", advice=MESH_REMEDY)
 
     def motion_of(self, place: Place, direction: Array) -> Array:
-        """(n,) motion g of the layers' sides for which -g . r is the force of a support along a direction (d,)."""
+        """Motion g (n,) of the layers' sides for which -g . r is the force of a support along a direction.
+
+        r is the residual of the layers.
+
+        Args:
+            place: place of the support.
+            direction: the direction, (d,) in d dimensions.
+        """
         out = np.zeros(len(self.load))
         out[: self._n_u] = -self.model.constraints.dual_to_resultant(self.model.holder_rows(place), direction)
         return out
 
     def in_refined_cells(self, w: Array, fine: DirichletLayers) -> Array:
-        """(m,) displacements w interpolated to the divided cells of layers `fine`; zero for other unknowns."""
+        """Unknowns (m,) of other layers: displacements interpolated from unknowns w (n,), zero for other fields.
+
+        Args:
+            w: (n,) unknowns of these layers.
+            fine: layers with m unknowns whose cells are divisions of these layers' cells. If none is divided, w is
+                returned.
+        """
         divided, d = fine.model.divided, self.model.joint.dim
         if divided is None:
             return w
@@ -180,16 +209,17 @@ class DirichletLayers:
 
 
 class LayerSubproblem(DirichletLayers):
-    """Subproblem of the layers of an interface model, at a time.
+    """Subproblem of the layers of an interface model, at a time: forces against displacements of their faces.
 
-    For face displacements v, with the least energy inside, the face forces are E v - l. E is a Schur complement of the
-    stiffness K. Every rank has the whole vectors.
+    For face displacements v, with the least energy inside, the face forces are E v - l. E is the Schur complement of
+    the stiffness K on the faces, and l are condensed loads. Every rank has the whole vectors (n,).
 
     Attributes:
         seams: names of the layers' seams.
         through: number of cells through the thickness.
         free_faces: (n,) mask of face displacements that supports leave free.
-        R: (n, m) orthonormal motions without energy of each piece, as far as supports allow them.
+        R: (n, m) orthonormal motions without energy of each connected piece of the layers, as far as supports allow
+            them.
 
     Args:
         interface: the interface model.
@@ -216,7 +246,12 @@ class LayerSubproblem(DirichletLayers):
         return _SubmatrixFactor(self.K, (self.free_faces | self._inside) & ~self._pins, symmetric=self.model.symmetric)
 
     def work(self, w: Array, z: Array) -> Array:
-        """Work (k,) of the stresses at w in the strains of z, minus the loads' work, distributed over displacements."""
+        """Work (k,) of the stresses at w in the strains of z, minus the loads' work, for each of k displacements.
+
+        Args:
+            w: (n,) unknowns at which stresses are evaluated.
+            z: (n,) virtual displacements.
+        """
         self.residual(w)
         strained, nodal_work = fem.Function(self.model.V), fem.Function(self.model.V)
         strained.x.array[:] = z[: self._n_u]
@@ -225,7 +260,11 @@ class LayerSubproblem(DirichletLayers):
         return np.asarray(nodal_work.x.array - (z * self.forces)[: self._n_u])
 
     def _motions(self, free: BoolArray) -> tuple[Array, BoolArray]:
-        """Orthonormal motions without energy (n, m), and a mask (n,) of m unknowns that fix them."""
+        """Orthonormal motions without energy (n, m), and a mask (n,) of m unknowns that fix these motions.
+
+        Args:
+            free: (n,) mask of the unknowns that supports leave free.
+        """
         model, pins, null_spaces = self.model, np.zeros(len(free), bool), []
         motions = model_motions(model).values()
         rigid = np.zeros((len(free), len(motions)))
@@ -245,29 +284,42 @@ class LayerSubproblem(DirichletLayers):
 
     # ---------------------------------------------------------------- vectors of the interface model
     def at_faces(self, x: Array) -> Array:
-        """Values at the faces (n,) of a vector (m,) of the interface model's displacements on this rank. Collective."""
+        """Vector (n,) of the layers with the face values of a vector of the interface model, else zero. Collective.
+
+        Args:
+            x: (m,) values at the m displacements of the interface model on this rank.
+        """
         out = np.zeros(len(self.load))
         out[self._face_dofs] = x[self._body_dofs]
         return np.asarray(self._comm.allreduce(out))
 
     def of_faces(self, w: Array) -> tuple[IntArray, Array]:
-        """Local numbers of the interface model's displacements at the faces on this rank, and the values of w there."""
+        """Face values of w (n,) for the interface model: local numbers of its displacements there, and the values.
+
+        Both are for this rank.
+        """
         return self._body_dofs, w[self._face_dofs]
 
     # ---------------------------------------------------------------- E and its inverse
     def dirichlet_reactions(self, v: Array, load: Array, values: Array) -> Array:
-        """Forces (n,) on the faces at face displacements v; zero where supports constrain the faces."""
+        """Forces (n,) on the faces at given face displacements; zero where supports constrain the faces.
+
+        Args:
+            v: (n,) displacements of the faces.
+            load: (n,) forces on the layers.
+            values: (n,) prescribed displacements of the sides.
+        """
         return self.on_free(self.K @ self.dirichlet_displacements(v, load, values) - load)
 
     def on_free(self, r: Array) -> Array:
-        """Values at the faces that supports leave free, zero elsewhere."""
+        """Values of r (n,) at the face displacements that supports leave free, zero elsewhere."""
         return np.where(self.free_faces, r, 0.0)
 
     def compliance(self, r: Array) -> tuple[Array, float]:
         """Face displacements (n,) under face forces r without resultant, and the work r . E^+ r of the forces in them.
 
-        The work is infinite if rounding hides it. A layer of length L that can bend freely is (L/eps)^4 times as soft
-        as a layer that is stretched across.
+        E^+ is the pseudo-inverse of E. The work is infinite if rounding hides it. A layer of length L that can bend
+        freely is (L/eps)^4 times as soft as a layer that is stretched across.
         """
         w = np.zeros(len(r))
         work = self._neumann.solve(r, w)
@@ -275,15 +327,20 @@ class LayerSubproblem(DirichletLayers):
         return np.where(self.on_face, w, 0.0), work if lost <= MAX_WORK_DIFFERENCE * work else math.inf
 
     def equilibrate_neumann(self, w: Array, F: Array) -> Array:
-        """Unknowns (n,) under face forces F without resultant, starting from w; as in `equilibrate_dirichlet`."""
+        """Unknowns (n,) of layers with non-linear laws, in equilibrium with face forces F (n,) without resultant.
+
+        Newton's method starts from w (n,). The layers are then linearised at the result. Linear laws: w is returned.
+
+        Raises:
+            SolveError: no convergence, or the layer softens.
+        """
         return self._balanced(w, F, lambda: self._neumann)
 
     def bregman_divergence(self, w: Array, at: Array) -> tuple[float, float]:
-        """Bounds of the energy at w above its tangent plane at `at`, for laws with a convex energy.
+        """Bounds of the energy at w (n,) above its tangent plane at `at` (n,), for laws with a convex energy.
 
-        This is the work, along the straight line from `at` to w, of the residuals minus the first residual. For a
-        convex energy the work of the residuals grows along the line. Therefore left and right sums over substeps are
-        bounds.
+        This energy is the work, along the straight line from `at` to w, of the residual minus the residual at `at`. For
+        a convex energy the integrand grows along the line. Therefore left and right Riemann sums are bounds.
 
         Raises:
             SolveError: the work falls somewhere: the energy is not convex.
@@ -297,7 +354,7 @@ class LayerSubproblem(DirichletLayers):
 
 
 class _SubmatrixFactor:
-    """Factor of the rows and columns of a matrix that a mask selects."""
+    """Factor of the submatrix of those rows and columns of a matrix that a mask selects."""
 
     def __init__(self, K: scipy.sparse.csr_matrix, rows: BoolArray, *, symmetric: bool) -> None:
         self._rows, self._symmetric = rows, symmetric
@@ -316,7 +373,7 @@ class _SubmatrixFactor:
         return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)) if self._symmetric and self._rows.any() else 0
 
     def solve(self, b: Array, out: Array) -> float:
-        """Write the solution into `out`, at the selected rows; return its product with b."""
+        """Write the solution for the selected rows of b (n,) into `out` (n,); return its product with b."""
         if not self._rows.any():
             return 0.0
         self._b.array[:] = b[self._rows]
@@ -326,17 +383,17 @@ class _SubmatrixFactor:
 
 
 def line_search_share(slope: Callable[[float], float], start: float) -> float:
-    """Line search: share of a step at which the energy does not increase too steeply.
+    """Fraction of a step, at most 1, at whose end a convex energy does not increase too steeply, by a line search.
 
     Args:
-        slope: share -> decrease of a convex energy per unit of the share.
-        start: `slope` at the share 0, > 0.
+        slope: function of the fraction: the decrease of the energy per unit of the fraction.
+        start: `slope` at the fraction 0, > 0.
 
     Returns:
-        A share, at most 1, with a slope of at least -start/2.
+        A fraction, at most 1, with a slope of at least -start/2.
 
     Raises:
-        SolveError: there is no such share.
+        SolveError: there is no such fraction.
     """
     share = 1.0 if math.isfinite(start) else 0.0
     while share and not (end := slope(share)) >= -start / 2:  # NaN where a law fails
@@ -348,7 +405,10 @@ def line_search_share(slope: Callable[[float], float], start: float) -> float:
 
 
 def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntArray, IntArray]:
-    """Displacements of this rank at the layers' seams, and the equal displacements of the layers' faces, unrolled."""
+    """Numbers (k,) of the interface model's displacements at the layers' faces, and of the same ones in the layers.
+
+    Only displacements that this rank owns in the interface model are listed.
+    """
     base, band, d = layers.joint, layers.domain.joint, interface.joint.dim
     body_cells, layer_cells = _local_cells(interface, base), _local_cells(layers, band)
     face_nodes: dict[tuple[Vertices, int, Vertices], int] = {}
@@ -378,7 +438,7 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
 
 
 def _local_cells(model: Model, joint: Joint) -> IntArray:
-    """(n_cells,) local cell of the model's mesh for each cell of the joint; -1: not on this rank."""
+    """Local cell (n_cells,) of the model's mesh for each cell of the joint; -1: not on this rank."""
     out = np.full(len(joint.corners), -1, np.int64)
     original = model.domain.original_cells
     out[original] = np.arange(len(original))
@@ -386,7 +446,15 @@ def _local_cells(model: Model, joint: Joint) -> IntArray:
 
 
 def _facet_dofs(model: Model, cells: IntArray, joint: Joint, cell: int, facet: int) -> Iterator[tuple[int, IntArray]]:
-    """Yield the nodes on a facet of a cell of the joint, each with the vertices of its vertex, edge or face."""
+    """Yield the nodes on a facet of a cell, each with the vertices of the vertex, edge or face to which it belongs.
+
+    Args:
+        model: the model with the nodes.
+        cells: (n_cells,) local cell of each cell of the joint, see `_local_cells`.
+        joint: the joint.
+        cell: number of the cell in the joint; no nodes are yielded if it is not on this rank.
+        facet: number of the facet in the cell.
+    """
     if cells[cell] < 0:
         return
     dofs, layout = model.V.dofmap.cell_dofs(cells[cell]), model.V.dofmap.dof_layout

@@ -51,7 +51,7 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
 
     Args:
         model: the model.
-        lasting: durations > 0 of the loads at the times of interest; () for sudden loads.
+        lasting: durations > 0 of the loads, from their start to each time of interest; () for sudden loads.
     """
     setup = model.structure
     for law, C in zip(setup.bodies_with_numbers, setup.bodies_at_rest, strict=True):
@@ -77,7 +77,13 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
 
 
 def _model_remarks(model: Model, layer: SeamLayer, lasting: Sequence[float]) -> Iterator[Remark]:
-    """Warnings about a layer that follow from the model alone, before it is solved."""
+    """Pairs (key, text) of warnings about a layer that follow from the model alone, before it is solved.
+
+    Args:
+        model: the model.
+        layer: the layer.
+        lasting: durations > 0 of the loads, from their start to each time of interest; () for sudden loads.
+    """
     sublayers = resting_sublayers(layer)
     yield from _facet_remarks(model, layer)
     if not acts_as_springs(sublayers):
@@ -146,7 +152,13 @@ def warn_of_strains(states: Sequence[State]) -> None:
 
 
 def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | None) -> Iterator[Remark]:
-    """Warnings about a layer that follow from states."""
+    """Pairs (key, text) of warnings about a layer that follow from its states.
+
+    Args:
+        states: states of one model.
+        layer: the layer.
+        start: time since which the loads last; None if they are sudden at every state.
+    """
     model, sublayers = states[0].model, resting_sublayers(layer)
     if not (model.linear or acts_as_springs(sublayers)):
         # The mean over S is tested, as jumps are large at single places in any case. The limit is above 1, because
@@ -166,18 +178,24 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
 
 
 def _jumps_tell_more(layer: SeamLayer, sublayers: list[RestingSublayer]) -> bool:
-    """Whether jumps test the pressure of a layer better than its free ends do, so that one warning is enough."""
+    """Whether the pressure of a layer is tested by the jumps of states, and by its free ends only if these pass.
+
+    This holds for a single nearly incompressible sublayer with a linear law without memory.
+    """
     of_one = layer.law.traits.linear and not layer.remembers and len(sublayers) == 1
     return of_one and sublayers[0].length < math.inf
 
 
 def _strain_layers(model: Model) -> list[SeamLayer]:
-    """Layers of an interface model whose laws depend on strains; several samples if parameters are functions."""
+    """Layers of an interface model whose laws depend on strains.
+
+    A layer whose parameters vary in space occurs several times, with samples of their values.
+    """
     return [s for layer in model.layers.values() if layer.thin_layer for s in layer.samples] if model.broken else []
 
 
 def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
-    """Warning if straight facets of a curved S resist slip by the angles between them.
+    """Warning (key, text) if the straight facets of a curved S resist slip by the angles between them.
 
     A slip w opens the layer by w . (N - n), with the facet's normal n and the mean normal N of its neighbours at each
     vertex. This adds the normal stiffness times the mean of |N - n|^2 to the tangential stiffness. Angles above
@@ -201,10 +219,10 @@ def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
 
 
 def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSublayer]) -> Iterator[Remark]:
-    """Warnings about a layer that is thicker than a body, harder than a body, or between plates that bend.
+    """Warnings (key, text) about a layer thicker than a body, harder than a body, or between plates that bend.
 
-    The law of a layer is the start of a series in eps over the length scale of its stresses. Order 0 neglects eps
-    grad_S <u>, about eps t/E_body, in a jump of about eps t/E_layer.
+    The law of a layer is the start of a series in eps over the length scale of its stresses. Order 0 neglects the term
+    eps grad_S <u> in the jump. It is about eps t/E_body, while the jump is about eps t/E_layer, under a traction t.
     """
     # on one rank, as heights need memory for all cells
     height, thin_layer = on_root(model.comm, lambda: min(layer.sheet.heights)), layer.thin_layer
@@ -233,9 +251,9 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSu
 
 
 def _largest_tension(applicability: Applicability, state: State) -> float:
-    """Largest pressure p (tension > 0) of a layer over its shear modulus, at the vertices of S. Collective.
+    """Largest ratio of a layer's pressure p (tension > 0) to its shear modulus, at the vertices of S. Collective.
 
-    It is 0 for a layer without pressure flow, and without tension.
+    It is 0 without tension, and for a layer without pressure flow.
     """
     layer = applicability.layer
     p = state.fields.get(str(Key.parse(layer.key).pressure)) if layer.has_pressure_flow else None
@@ -253,6 +271,12 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
 
     Only steps that begin within this time constant after the start or a break of the data are tested. Later steps
     follow slow changes.
+
+    Args:
+        model: the model.
+        start: time at which the march begins.
+        times: ends of the planned steps.
+        theta: fraction of each time step after which forces balance.
     """
     changes = [start, *(t for t in model.break_times if t > start)]
     steps = (
@@ -276,13 +300,18 @@ def warn_of_no_time(model: Model) -> None:
 
 
 def _law_times(model: Model) -> list[tuple[str, float]]:
-    """Pairs of a law's name and one of its time constants, for laws whose parameters are numbers."""
+    """Pairs (name of a law, one of its time constants), for laws whose parameters are numbers."""
     laws = [*model.body_laws.values(), *(law for layer in model.layers.values() for _, law in layer.law.sublayers)]
     return [(type(law.in_space).__name__, float(tau)) for law in laws if not law.fields for tau in law.own_times]
 
 
 def _step_error(x: float, theta: float) -> float:
-    """Error of exp(-t/tau) at about t = tau, for steps of length x tau of the time scheme."""
+    """Error of the time scheme for exp(-t/tau) at about t = tau, with time steps of length x tau.
+
+    Args:
+        x: length of the steps over tau.
+        theta: fraction of each time step after which forces balance.
+    """
     if x < MIN_STEP_RATIO:
         return 0.0
     n = max(1, round(1 / x))
