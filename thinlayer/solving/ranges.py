@@ -180,7 +180,7 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
 def _jumps_tell_more(layer: SeamLayer, sublayers: list[RestingSublayer]) -> bool:
     """Whether the pressure of a layer is tested by the jumps of states, and by its free ends only if these pass.
 
-    This holds for a single nearly incompressible sublayer with a linear law without memory.
+    This holds for layers of one sublayer, with a linear law without memory and with a shear stiffness.
     """
     of_one = layer.law.traits.linear and not layer.remembers and len(sublayers) == 1
     return of_one and sublayers[0].length < math.inf

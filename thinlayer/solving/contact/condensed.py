@@ -44,7 +44,7 @@ WORK_RATIO = 0.1  # work along a step at its end, relative to that at its beginn
 
 
 class CondensedContact(ContactSolver):
-    """Solver for one seam, or for a network of seams, any number of which may meet.
+    """Contact solver with static condensation of the bodies, for one seam or any number of seams, which may meet.
 
     The bodies are condensed to the displacements of all nodes in contact, body by body, once. A small system is left.
     """
@@ -70,7 +70,15 @@ class CondensedContact(ContactSolver):
         return CondensedSystem(self._condensation.stiffness, self.pairs, x, lines)
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """As in `ContactSolver`."""
+        """Solve for x in place; return the number of Newton steps and the residual relative to the forces.
+
+        Args:
+            has_guess: whether the jumps of x are an initial guess; otherwise Newton's method starts from a coarser
+                system or from bonded nodes.
+
+        Raises:
+            SolveError: no convergence.
+        """
         equations, pairs, b = self.equations, self.pairs, self.b.array
         condensation = self._condensation
         u, constrained = self.x.array_r[pairs.dofs], ~pairs.free.ravel()
@@ -91,7 +99,13 @@ class CondensedContact(ContactSolver):
         return len(residuals) - 1, relative
 
     def _relative(self, r: Array, forces: Array, u: Array) -> float:
-        """Largest norm of the residual r at nodes in contact relative to the forces on its block, see `ForceScale`."""
+        """Largest ratio, over the blocks of unknowns (see `ForceScale`), of the norm of a residual to the forces.
+
+        Args:
+            r: (n d,) residual at the nodes in contact.
+            forces: (n d,) contact forces at these nodes.
+            u: (n d,) displacements of these nodes, not used.
+        """
         block, count, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
         of_pairs, of_r = (np.sqrt(np.bincount(block, v * v, count)) for v in (forces, r))
         scale.update_stresses(np.maximum(self._external_norms, of_pairs))
@@ -105,17 +119,17 @@ class CondensedContact(ContactSolver):
 
 
 class CondensedSystem:
-    """Solver of K u + forces of pairs = g by Newton's method, started from a system with half as many nodes.
+    """Solver of K u + f(u) = g, with the contact forces f of the pairs, by Newton's method.
 
-    Gauss-Seidel sweeps, node by node with all pairs of a node, precede each Newton step. Their number grows with the
-    number of steps. Later steps are shortened if the residual does positive work at their end. In the first steps
-    residuals may grow.
+    Newton's method starts from the solution of a system with half as many nodes. Gauss-Seidel sweeps, node by node with
+    all pairs of a node, precede each Newton step. Their number grows with the number of steps. Later steps are
+    shortened if the residual does positive work at their end. In the first steps residuals may grow.
 
     Args:
         K: (n d, n d) condensed stiffness of the bodies.
         pairs: the pairs, and their n nodes.
         x: (pairs, d) places of the pairs.
-        lines: (m, 2) pairs that are neighbours along S; if they are few there is no coarser system.
+        lines: (m, 2) numbers of two pairs that are neighbours along S; if m is small there is no coarser system.
     """
 
     def __init__(self, K: Array | scipy.sparse.csr_matrix, pairs: ContactPairs, x: Array, lines: IntArray) -> None:
@@ -132,14 +146,14 @@ class CondensedSystem:
 
     @cached_property
     def _rounding(self) -> float:
-        """Rounding errors of the forces for unit displacements."""
+        """Norm of the rounding errors of the forces for displacements of size 1."""
         springs = self.pairs.bonded()[0]
         largest = max(float(matrix.diagonal().max(initial=0.0)) for matrix in (self._stiffness, springs))
         return MACHINE_EPSILON * SUMMATION_FACTOR * math.sqrt(len(self.pairs.nodes)) * largest
 
     @cached_property
     def _coarser(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
-        """System of every second pair along S, and the matrix that interpolates its displacements; None: no smaller."""
+        """System of every second pair along S, and the matrix that interpolates from it; None: there is none."""
         if len(self._lines) <= MAX_COARSEST_LINES:
             return None
         chosen, shares, lines = every_second(self._x, self._lines)
@@ -155,7 +169,10 @@ class CondensedSystem:
         return CondensedSystem(P.T @ self._stiffness @ P, few, self._x[chosen], lines), P
 
     def start(self, g: Array) -> Array:
-        """Initial displacements for Newton's method: interpolated from the coarser system, or with bonded springs."""
+        """Initial displacements (n d,) of Newton's method, under forces g (n d,).
+
+        They are interpolated from the coarser system. Without it, or if it fails, pairs are bonded by springs.
+        """
         if self._coarser is not None:
             system, P = self._coarser
             with suppress(SolveError):
@@ -164,11 +181,11 @@ class CondensedSystem:
         return self._linear_solve(springs, g - forces)
 
     def _residual(self, u: Array, g: Array) -> Array:
-        """Forces of bodies and pairs, minus g; zero at constrained displacements."""
+        """Residual (n d,) at displacements u: forces of bodies and pairs, minus g; zero where u is constrained."""
         return np.asarray(self._stiffness @ u + self.pairs.forces(self.pairs.separation(u)) - g)
 
     def _linear_solve(self, more: scipy.sparse.csr_matrix, b: Array) -> Array:
-        """Solve (stiffness + more) x = b; x is not finite if the matrix is singular."""
+        """Solve (K + more) x = b with another matrix `more`; x is not finite if the sum is singular."""
         A = self._stiffness
         if isinstance(A, np.ndarray):
             try:
@@ -195,7 +212,19 @@ class CondensedSystem:
     def newton(
         self, u: Array, g: Array, relative: Callable[[Array, Array, Array], float], tolerance: float = NEWTON_TOLERANCE
     ) -> tuple[Array, tuple[float, ...]]:
-        """Solve from u; return displacements, and relative residuals before each Newton step and after the last."""
+        """Solve from u by Newton's method; return displacements (n d,), and the history of relative residuals.
+
+        The history has the residuals before each step and after the last one.
+
+        Args:
+            u: (n d,) initial displacements.
+            g: (n d,) forces.
+            relative: function of the residual, the forces of the pairs and u that returns the relative residual.
+            tolerance: relative residual at which the method stops.
+
+        Raises:
+            SolveError: no convergence.
+        """
         residuals, pairs, long_steps, far = list[float](), self.pairs, 0, LONG_STEP_RATIO * np.abs(u).max(initial=0.0)
         while True:
             forces = pairs.forces(pairs.separation(u))
@@ -213,14 +242,14 @@ class CondensedSystem:
             u = u + (self._length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
 
     def _stalls(self, residuals: list[float], u: Array, forces: Array) -> bool:
-        """Whether the residual hardly falls, and is as small as rounding allows."""
+        """Whether the last residual hardly fell, and is as small as rounding allows, at displacements u."""
         if len(residuals) < 3 or residuals[-1] <= residuals[-2] / 2:
             return False
         share = self._rounding * float(np.abs(u).max(initial=0.0)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
         return residuals[-1] <= max(STALLED_TOLERANCE, min(share, STATE_TOLERANCE))
 
     def _length(self, u: Array, step: Array, g: Array) -> float:
-        """Length of a step, at most 1, at which the work of the residual along it vanishes; by regula falsi."""
+        """Length, at most 1, of a Newton step from u at which the residual does no work along it; by regula falsi."""
 
         def work(length: float) -> float:
             return float(step @ self._residual(u + length * step, g))
@@ -247,10 +276,15 @@ def _unscaled(r: Array, forces: Array, u: Array) -> float:
 
 
 def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_matrix, IntArray]:
-    """Choose every second of places (n, 2) along the curves that lines (m, 2) form, with all ends and branches.
+    """Choose every second place along the curves that lines between places form, with all ends and branches.
+
+    Args:
+        x: (n, d) coordinates of the places.
+        lines: (m, 2) numbers of the two places of each line.
 
     Returns:
-        Numbers (k,) of the chosen places, ascending; weights (n, k) that interpolate from them; lines between them.
+        Numbers (k,) of the chosen places, ascending; weights (n, k) that interpolate from them to all places; lines
+            between them (.., 2), numbered from 0 to k - 1.
     """
     chosen = np.bincount(lines.ravel(), minlength=len(x)) != 2
     chosen[along(x, lines, float(np.ptp(x)))[::2]] = True

@@ -16,7 +16,7 @@ from thinlayer.system.ranks import destroy
 
 
 class ContactSolver(EquilibriumSolver):
-    """Solver of steps of linear bodies in contact. Collective.
+    """Base of the solvers of time steps with linear bodies in contact. Collective.
 
     A method solves A u + (nodal forces of the contact laws) = b, where A and b contain the Dirichlet conditions.
 
@@ -29,6 +29,7 @@ class ContactSolver(EquilibriumSolver):
         parts: the contact laws with their pairs of nodes.
         is_fixed: (N,) mask of the constrained displacements of this rank.
         x: displacements: initial values of a step, then its solution.
+        b: the right-hand side.
     """
 
     def __init__(self, equations: Equations, like: State | None) -> None:
@@ -49,7 +50,10 @@ class ContactSolver(EquilibriumSolver):
         return A
 
     def solve_step(self, start: PETSc.Vec | None = None) -> StepSolution:
-        """Solve for the displacements at the end of the step, from `start`, the state `like`, or the old state.
+        """Solve for the displacements at the end of the step.
+
+        Args:
+            start: initial unknowns; None: those of the state `like` in the first step, else of the old state.
 
         Raises:
             SolveError: no convergence.
@@ -75,7 +79,9 @@ class ContactSolver(EquilibriumSolver):
 
     @abstractmethod
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for x in place, from values with prescribed displacements; return the steps and the relative residual.
+        """Solve for x in place; return the number of steps of the method, and the residual relative to the forces.
+
+        The initial values in x have the prescribed displacements.
 
         Args:
             has_guess: whether the jumps of x are an initial guess; otherwise they are zero.

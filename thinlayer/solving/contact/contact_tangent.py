@@ -27,17 +27,19 @@ CHANGED_NODE_SHARE = 0.1
 class ContactTangent:
     """Tangent of a contact problem and its preconditioner, as contexts of a PETSc matrix and a PETSc PC.
 
-    Each rank factorises the rows of its own nodes of S, without data of other ranks.
+    The preconditioner is a cycle of a multigrid hierarchy, then a solve for the nodes of S. The hierarchy is that of
+    the bodies' stiffness with springs on S. Each rank factorises the rows of its own nodes of S, without data of other
+    ranks.
 
-    Both act on vectors that are zero at constrained dofs. Both multiply with the hierarchy's matrix in blocks. The
-    tangent adds the difference between the tangents of S and the springs of the hierarchy.
+    Tangent and preconditioner act on vectors that are zero at constrained dofs. Both multiply with the hierarchy's
+    matrix in blocks. The tangent adds the difference between the tangents of S and the springs of the hierarchy.
 
     Args:
         A: stiffness of the bodies with supports.
-        nodes: all pairs whose upper node this rank owns.
+        nodes: the n pairs whose upper node this rank owns.
         pairs: the same pairs, with their contact laws and the nodes that this rank solves for.
         equations: the equations of the model.
-        start: (n, d) expected jumps, which choose the springs of the hierarchy; None: bonded.
+        start: (n, d) expected jumps, which choose the springs of the hierarchy; None: pairs neither open nor slide.
     """
 
     def __init__(
@@ -57,7 +59,7 @@ class ContactTangent:
         self._build(equations)
 
     def _adjacent_stiffness(self) -> Array:
-        """(n,) stiffness E/h (modulus over size of cells) of the softer side of S. Collective."""
+        """Stiffness E/h (n,), modulus over size of cells, of the softer side of S at each pair of nodes. Collective."""
         nodes, diagonal = self.nodes, self._A.getDiagonal()
         above = diagonal.array_r.reshape(-1, nodes.dim)[nodes.upper].mean(axis=1)
         below = nodes.lower_side(diagonal).mean(axis=1)
@@ -66,7 +68,13 @@ class ContactTangent:
         return np.asarray(softer / (NODE_STIFFNESS * nodes.weights))
 
     def _clipped(self, start: Array | None) -> Array:
-        """Clipped tangents (n, d, d) of S without the coupling by friction."""
+        """Springs (n, d, d) of the hierarchy: tangents of S, without the coupling by friction, within bounds.
+
+        The bounds are proportional to the stiffness E/h of the bodies at S.
+
+        Args:
+            start: (n, d) jumps at which tangents are taken; None: pairs neither open nor slide.
+        """
         pairs, scale, d = self.pairs, self._scale, self.nodes.dim
         D = pairs.bonded_tangents() if start is None else pairs.tangents(start)
         out, i = np.zeros_like(D), np.arange(d)
@@ -77,7 +85,7 @@ class ContactTangent:
         return out
 
     def _build(self, equations: Equations) -> None:
-        """Build the hierarchy from the bodies' stiffness and the springs."""
+        """Build the multigrid hierarchy from the bodies' stiffness and the springs."""
         added, pattern = self.nodes.stiffness(self._springs), PETSc.Mat.Structure
         M, based = self._A.copy(), self.nodes.lower is None
         M.axpy(1.0, added, pattern.SUBSET_NONZERO_PATTERN if based else pattern.DIFFERENT_NONZERO_PATTERN)
@@ -100,9 +108,12 @@ class ContactTangent:
                 convert_to_blocks(self._cycle.getMGSmoother(level).getOperators()[0])
 
     def follow(self, jumps: Array | None) -> None:
-        """Update the springs of the hierarchy to jumps (n, d), None: bonded, if many springs change. Collective.
+        """Update the springs of the hierarchy to the tangents at other jumps, if many springs change. Collective.
 
         With the springs of another contact status an iteration reduces the residual much less.
+
+        Args:
+            jumps: (n, d) jumps; None: pairs neither open nor slide.
         """
         new, comm = self._clipped(jumps), self.nodes.comm
         changed = (np.abs(new - self._springs) > self._springs / 2).any(axis=(1, 2))
@@ -121,7 +132,7 @@ class ContactTangent:
         self._springs = new
 
     def linearise(self, tangents: Array) -> None:
-        """Set the tangents (n, d, d) of the law, and factorise the rows of this rank's nodes of S."""
+        """Set the tangents (n, d, d) of the contact laws, and factorise the rows of this rank's nodes of S."""
         self._tangents = tangents
         if len(self.pairs.nodes):
             self._local = splu((self._near + self.pairs.stiffness(tangents)).tocsc(), **SUPERLU_OPTIONS)
@@ -133,7 +144,7 @@ class ContactTangent:
         y.array[self.bc_dofs] = 0.0
 
     def apply(self, _: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Compute z by a multigrid cycle, then a solve for this rank's nodes of S with all other unknowns fixed."""
+        """Compute z from r by a multigrid cycle, then a solve for this rank's nodes of S, all others being fixed."""
         self._cycle.apply(r, z)
         z.array[self.bc_dofs] = 0.0
         tractions = np.einsum("nij,nj->ni", self._tangents, self.nodes.jump(z))
@@ -147,8 +158,9 @@ class ContactTangent:
 
         Args:
             u: displacements.
-            residual: residual of the law at u.
-            turned: (n, d) changes of the jumps of pairs that shall stick; their nodes are not swept.
+            residual: residual of the contact problem at u.
+            turned: (n, d) changes of the jumps of pairs that shall stick, zero for all other pairs; nodes of pairs that
+                shall stick are not swept.
         """
         pairs, w = self.pairs, self.nodes.separation(u)
         u_pairs = u.array_r[pairs.dofs].copy()

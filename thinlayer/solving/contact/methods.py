@@ -17,10 +17,11 @@ MAX_CONDENSED = {2: 4000, 3: 1200}  # dimension -> number of displacements at S 
 
 
 def default_method(model: Model) -> str:
-    """The default method for a contact model.
+    """Name of the default method for a model with contact laws: "condensed", "multigrid" or "newton".
 
-    "newton" for bodies that are not linear, user-defined laws, periodic joints, and if only some seams are in contact.
-    "condensed" on one rank if S, or in a network S of each body, has few displacements. Else "multigrid".
+    It is "newton" for bodies that are not linear, user-defined laws, inclined supports, rigid plates, periodic joints,
+    and if only some seams are in contact. Otherwise it is "condensed" on one rank, if S has few displacements, or in a
+    network of seams S on each body. In all other cases it is "multigrid".
     """
     joint = model.joint
     both = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
@@ -45,7 +46,7 @@ def _is_network(model: Model) -> bool:
 
 
 def _is_linear(model: Model) -> bool:
-    """Whether, except for contact, unknowns are displacements with a constant, symmetric stiffness of forms alone."""
+    """Whether, apart from contact, unknowns are displacements with a constant, symmetric stiffness from UFL forms."""
     if model.constraints.T is not None or not all(term.proportional for term in model.terms):
         return False  # with T the unknowns are not the displacements
     traits = [term.law.traits for term in model.terms]

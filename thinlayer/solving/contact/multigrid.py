@@ -1,4 +1,4 @@
-"""Contact on a large S, in three dimensions and on several ranks: Newton's method, Krylov, one multigrid hierarchy."""
+"""Contact on a large S, in three dimensions and on several ranks: Newton's method with Krylov solver and multigrid."""
 
 from __future__ import annotations
 
@@ -55,16 +55,17 @@ NEWTON_OPTIONS = OptionDict(
 
 
 class MultigridContact(ContactSolver):
-    """Solver by Newton's method (SNES), FGMRES and one multigrid hierarchy, for seams that may meet. Collective.
+    """Contact solver by Newton's method (SNES), FGMRES and multigrid, for one seam or several. Collective.
 
-    The algebraic hierarchy is built for the bodies with symmetric, clipped springs on S, in the first solve, and kept
-    until `close`. Its springs change with the contact status of S. FGMRES uses the exact tangent, which is not
-    symmetric where S slides. Its preconditioner is a cycle of multigrid, then an exact solve for the nodes of S on each
-    rank. If the status of a node has changed, Gauss-Seidel sweeps over the nodes of S, on each rank alone, precede a
-    Newton step. If Newton's method fails from the initial jumps, it starts again from bonded nodes.
+    The algebraic hierarchy is built for the bodies with symmetric springs on S, in the first solve, and kept until
+    `close`. The stiffness of the springs is limited to about that of the bodies, and changes with the contact status of
+    S. FGMRES uses the exact tangent, which is not symmetric where S slides. Its preconditioner is a cycle of multigrid,
+    then an exact solve for the nodes of S on each rank. If the status of a node has changed, Gauss-Seidel sweeps over
+    the nodes of S, on each rank alone, precede a Newton step. If Newton's method fails from the initial jumps, it
+    starts again from bonded nodes.
 
-    PETSc options under our prefix: snes_ and ksp_ for Newton's method, pc_ and mg_ for the hierarchy. Tolerances of
-    linear solves are chosen here unless ksp_rtol is set.
+    PETSc options with the prefix of this package: snes_ and ksp_ for Newton's method, pc_ and mg_ for the hierarchy.
+    Tolerances of linear solves are chosen here unless ksp_rtol is set.
     """
 
     def __init__(self, equations: Equations, like: State | None) -> None:
@@ -76,7 +77,10 @@ class MultigridContact(ContactSolver):
         self._forces = equations.vector()
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve as in `ContactSolver`.
+        """Solve for x in place; return the number of Newton steps and the residual relative to the forces.
+
+        Args:
+            has_guess: whether the jumps of x are an initial guess; otherwise Newton's method starts from bonded nodes.
 
         Raises:
             SolveError: no convergence, for instance without an equilibrium.
@@ -119,7 +123,7 @@ class MultigridContact(ContactSolver):
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
         """Write the residual at u, zero at constrained dofs, into `out`; return its norm relative to the forces.
 
-        It is scaled so that NEWTON_TOLERANCE is the residual at which solvers stop by `ForceScale`.
+        It is scaled so that it is NEWTON_TOLERANCE where the rules of `ForceScale` let solvers stop.
         """
         equations = self.equations
         equations.residual(u, out)
@@ -138,10 +142,10 @@ class MultigridContact(ContactSolver):
 
 
 class _NewtonRun:
-    """One run of SNES.
+    """One run of Newton's method (SNES) for a contact problem.
 
     Attributes:
-        residuals: residuals relative to the forces, before the first and after each step.
+        residuals: residuals relative to the forces, before the first step and after each step.
     """
 
     def __init__(self, solver: MultigridContact, tangent: ContactTangent, reductions: Reductions) -> None:
@@ -154,7 +158,10 @@ class _NewtonRun:
         self._set_rtol = not is_set("ksp_rtol", {})
 
     def run(self, u: PETSc.Vec, start: Array | None) -> int:
-        """Solve from u, in place, first with the tangent at the jumps `start` (None: bonded); return PETSc's reason."""
+        """Solve from u, in place; return PETSc's reason why it stopped.
+
+        The first step uses the tangent at the jumps `start` (n, d); None: that of pairs that neither open nor slide.
+        """
         solver, self._start = self.solver, start
         u.array[self.bc_dofs] = solver.equations.prescribed
         f = self._f = u.duplicate()
@@ -225,7 +232,10 @@ class _NewtonRun:
             snes.getKSP().setTolerances(rtol=rtol)
 
     def _begin(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
-        """Tangents of the first step; f becomes the residual of the law linearised at the initial jumps."""
+        """Tangents (n, d, d) of the first step, at the initial jumps or for bonded nodes.
+
+        The residual f is changed to that of a contact law linearised there.
+        """
         pairs, jumps, start = self.pairs, self.nodes.separation(u), self._start
         if start is None:
             tangents = pairs.bonded_tangents()
@@ -239,7 +249,7 @@ class _NewtonRun:
         return tangents
 
     def _go_on(self, u: PETSc.Vec) -> Array:
-        """Tangents of a later step; sets the target of its linear solve."""
+        """Tangents (n, d, d) of a later step, at displacements u; sets the target of its linear solve."""
         now = self._relative
         if self._swept:
             self._target = max(self.reductions[1] * min(now, self._target), MIN_REDUCTION * min(now, 1.0))
@@ -255,7 +265,7 @@ class _NewtonRun:
 
 # ---------------------------------------------------------------- nodes whose slip has reversed
 def sliding_state(pairs: ContactPairs, w: Array) -> SlidingState:
-    """Sliding state at jumps (n, d), for a later `turned_jumps`."""
+    """Status (n,) of the nodes at jumps w (n, d), and their tangential jumps minus slip (n, d - 1)."""
     return pairs.status(w), pairs.offsets(w)[:, :-1]
 
 
@@ -264,6 +274,11 @@ def turned_jumps(pairs: ContactPairs, w: Array, at: SlidingState | None) -> Arra
 
     A sliding node has no contact stiffness along its slip. If it should stick, Newton's method can move it back and
     forth for ever, and sweeps do not stop that.
+
+    Args:
+        pairs: the pairs of nodes.
+        w: (n, d) jumps now.
+        at: result of `sliding_state` at the last tangents; None: not known, so that all changes are zero.
     """
     out = np.zeros_like(w)
     if at is None:

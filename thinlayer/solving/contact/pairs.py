@@ -38,7 +38,10 @@ class ContactPairs:
         dofs: (n d,) local numbers of the nodes' displacements.
         free: (n, d) mask of components that are not constrained.
         ends: (pairs, 2) upper and lower node, as indices of `nodes`; -1: the rigid base, or a node that is left out.
-        d: dimension.
+        d: number of dimensions.
+        frames: (pairs, d, d) axes of S at the pairs: tangents, then the normal, as rows.
+        weights: (pairs,) area of S (length in two dimensions) that belongs to each pair.
+        gaps: (pairs, d) initial gap along the normal, in these axes; tangential components are zero.
     """
 
     def __init__(
@@ -57,7 +60,12 @@ class ContactPairs:
         self._join(pairs, ~is_fixed.reshape(-1, self.d))
 
     def some(self, chosen: IntArray, weights: Array) -> ContactPairs:
-        """The pairs of numbers `chosen` (k,), with areas `weights` (k,), and their nodes."""
+        """Some of the pairs, with their nodes.
+
+        Args:
+            chosen: (k,) numbers of the pairs.
+            weights: (k,) area of S that belongs to each of them.
+        """
         few = copy(self)
         few.frames, few.gaps, few.weights = self.frames[chosen], self.gaps[chosen], weights
         few._part, few._of_part = self._part[chosen], self._of_part[chosen]
@@ -65,7 +73,12 @@ class ContactPairs:
         return few
 
     def _join(self, pairs: IntArray, free: BoolArray) -> None:
-        """Number the nodes of pairs (n, 2) of nodes, and set their matrices; -1: no node."""
+        """Number the nodes of pairs, and set the matrices between nodes and pairs.
+
+        Args:
+            pairs: (pairs, 2) upper and lower node, as indices of `free`; -1: no node.
+            free: mask, of components of all nodes, that are not constrained.
+        """
         self.nodes, place = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)
         self.nodes = self.nodes[1:]
         self.ends, self.free = place[1:].reshape(-1, 2) - 1, free[self.nodes]
@@ -84,48 +97,51 @@ class ContactPairs:
         self._by_node = [column.astype(np.int32) for column in (begins, *columns)]
 
     def _gathered(self, of_part: LawValues[Scalar], w: Array) -> npt.NDArray[Scalar]:
-        """(pairs, ...) values of each part's law at the jumps (pairs, d)."""
+        """Values (pairs, ...) of each pair's law, by a function of the law, jumps and slip, at jumps w (pairs, d)."""
         parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
         return np.concatenate([of_part(part.now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
 
     def separation(self, u: Array) -> Array:
-        """(pairs, d) jumps plus initial gaps along the normal, in the pairs' frames, at displacements (n d,)."""
+        """Jumps plus initial gaps along the normal (pairs, d), in the pairs' frames, at displacements u (n d,)."""
         return np.asarray((self.jumps @ u).reshape(-1, self.d) + self.gaps)
 
     def forces(self, w: Array) -> Array:
-        """(n d,) nodal forces of the pairs at jumps (pairs, d); zero at constrained components.
+        """Nodal forces (n d,) of the pairs at jumps w (pairs, d); zero at constrained components.
 
         They are to be added to the internal forces of the bodies.
         """
         return self.on_nodes(self.tractions(w))
 
     def on_nodes(self, t: Array) -> Array:
-        """(n d,) nodal forces of tractions (pairs, d), zero at constrained components."""
+        """Nodal forces (n d,) of tractions t (pairs, d); zero at constrained components."""
         return np.where(self.free.ravel(), self._to_nodes @ (t * self.weights[:, None]).ravel(), 0.0)
 
     def tractions(self, w: Array) -> Array:
-        """(pairs, d) tractions of the laws at jumps (pairs, d)."""
+        """Tractions (pairs, d) of the laws at jumps w (pairs, d), initial gaps included."""
         return self._gathered(lambda law, w, slip: law.traction(w, slip), w)
 
     def tangents(self, w: Array) -> Array:
-        """(pairs, d, d) derivatives of `tractions` by the jumps."""
+        """Derivatives (pairs, d, d) of `tractions` by the jumps, at jumps w (pairs, d)."""
         return self._gathered(lambda law, w, slip: law.tangent(w, slip), w)
 
     def bonded_tangents(self) -> Array:
-        """(pairs, d, d) tangents of pairs that neither open nor slide."""
+        """Tangents (pairs, d, d) of pairs that neither open nor slide."""
         return self._gathered(lambda law, w, _: law.bonded(*w.shape), self.gaps)
 
     def status(self, w: Array) -> npt.NDArray[np.int8]:
-        """(pairs,) `Status` at jumps (pairs, d)."""
+        """`Status` (pairs,) at jumps w (pairs, d): separated, sticking or sliding."""
         return self._gathered(lambda law, w, slip: law.status(w, slip), w)
 
     def bonded(self) -> tuple[csr_matrix, Array]:
-        """Stiffness of springs that neither open nor slide, and their nodal forces at rest due to slip and gaps."""
+        """Stiffness (n d, n d) of pairs as springs that neither open nor slide, and nodal forces (n d,) at rest.
+
+        The forces at rest are due to slip and gaps.
+        """
         D = self.bonded_tangents()
         return self.stiffness(D), self.on_nodes(np.einsum("nij,nj->ni", D, self.offsets(self.gaps)))
 
     def stiffness(self, D: Array) -> csr_matrix:
-        """(n d, n d) stiffness of springs D (pairs, d, d) between the free displacements."""
+        """Stiffness (n d, n d) of springs D (pairs, d, d) of the pairs; zero for constrained displacements."""
         d, frames = self.d, self.frames
         ends = self.ends[:, [0, 1, 0, 1]], self.ends[:, [0, 1, 1, 0]]
         pair, which = np.nonzero((ends[0] >= 0) & (ends[1] >= 0))
@@ -138,7 +154,7 @@ class ContactPairs:
         return csr_matrix((blocks.ravel(), places), shape=(len(self.dofs),) * 2)
 
     def offsets(self, w: Array) -> Array:
-        """Jumps (pairs, d) minus the slip."""
+        """Jumps w (pairs, d) whose tangential components are reduced by the slip at the start of the step."""
         return self._gathered(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
 
     def sweep(
@@ -168,7 +184,10 @@ class ContactPairs:
 
 
 def sweep_parameters(law: NodalLaw) -> tuple[float, ...]:
-    """Parameters of a law for the sweeps: K_N, K_T, friction, cohesion, and the share of bonded springs."""
+    """Parameters of a law for the sweeps: K_N, K_T, friction, cohesion, and the fraction of bonded springs.
+
+    The fraction is that of a homotopy law; it is 0 for the law itself.
+    """
     law, share = (law.law, law.share) if isinstance(law, ContactHomotopy) else (law, 0.0)
     assert law.numbers is not None
     return *law.numbers, share

@@ -35,14 +35,14 @@ RELAXATION_OPTIONS = dict[str, tuple[float, float]](  # name -> default and uppe
 
 
 class SeamSystem(NamedTuple):
-    """A u + (contact forces) = b, where the dofs of contact nodes are jumps in the axes of S.
+    """Equations A u + (contact forces) = b, where the dofs of contact nodes are jumps in the axes of S.
 
     Attributes:
-        A: stiffness; rows of constrained dofs have a diagonal entry only.
+        A: (N, N) stiffness; rows of constrained dofs have a diagonal entry only.
         b: (N,) forces.
         contact: (n, d) dofs of the contact nodes: tangential dofs, then the normal dof, positive if S opens.
         weights: (n,) areas (lengths in two dimensions) of the nodes.
-        law: the law.
+        law: the contact law.
         slip: (n, d - 1) slip at the beginning of the step.
     """
 
@@ -55,7 +55,7 @@ class SeamSystem(NamedTuple):
 
 
 class Relaxation(NamedTuple):
-    """The result of `relax`.
+    """Result of `relax`: the last iterate and the convergence of the sweeps.
 
     Attributes:
         u: (N,) the last iterate.
@@ -80,20 +80,21 @@ def relax(
 ) -> Relaxation:
     """Run the relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component over all N dofs.
 
-    A contact node has the weight b and the threshold rho; its row has the diagonal a and the remainder r. Its normal
-    component becomes r / a if that opens S, else r / (a + b K_N). Its tangential component becomes r / (a + b K_T) if
-    it sticks, else (r -+ b rho) / a. In three dimensions both tangential components are computed together, on a disc.
-    Unlike in the paper thresholds follow the pressure within the sweeps, and omega is 1 at contact nodes. The same
-    omega everywhere fails for many meshes and stiffnesses.
+    A contact node has the area b and the threshold of friction rho. In the row of one of its components, A has the
+    diagonal entry a, and r is the right-hand side minus all other entries times u. The normal component becomes r / a
+    if that opens S, else r / (a + b K_N). The tangential component becomes r / (a + b K_T) if the node sticks, else
+    (r -+ b rho) / a. In three dimensions both tangential components are computed together: their traction lies in a
+    disc. Unlike in the paper thresholds follow the pressure within the sweeps, and contact nodes have a relaxation
+    factor of their own, by default 1. The same factor everywhere fails for many meshes and stiffnesses.
 
     Args:
         system: the equations.
         u: (N,) first iterate, not changed; None: zero.
         order: (N,) dofs in the order of a sweep. Both tangential dofs of a node are swept at the first of their places.
             None: in the order of the numbers, except that contact nodes begin with the normal component.
-        omega: relaxation factor of the other dofs.
-        omega_contact: relaxation factor of the contact dofs.
-        tolerance: largest increment of a converged sweep, as in `Relaxation.increments`.
+        omega: relaxation factor of all dofs that are not of contact nodes.
+        omega_contact: relaxation factor of the dofs of contact nodes.
+        tolerance: the relaxation has converged if the change of u in a sweep, relative to u, is at most this.
         max_sweeps: largest number of sweeps.
 
     Returns:
@@ -123,7 +124,15 @@ def relax(
 
 
 def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices:
-    """The steps of a sweep, in the code that sweeps.c reads."""
+    """Steps of a sweep in order, coded for sweeps.c: a dof, or -1 - 2 k and -2 - 2 k for contact node k.
+
+    -1 - 2 k is the node's normal component, -2 - 2 k its tangential components.
+
+    Args:
+        contact: (n, d) dofs of the contact nodes: tangential dofs, then the normal dof.
+        order: (N,) dofs in the order of a sweep; None: in the order of their numbers.
+        count: number N of dofs.
+    """
     place = np.arange(count) if order is None else np.argsort(order)
     normal, tangential = place[contact[:, -1]].astype(float), place[contact[:, :-1]].min(axis=1).astype(float)
     if order is None:
@@ -135,7 +144,7 @@ def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices
 
 
 class ContactRelaxation(ContactSolver):
-    """Solver by the paper's relaxation over all displacements, for one seam; it begins at rest.
+    """Contact solver by the paper's relaxation over all displacements, for one seam; it begins at rest.
 
     At contact nodes the unknowns are the jumps in the axes of S, gaps included, instead of the upper side's
     displacements.
@@ -160,7 +169,10 @@ class ContactRelaxation(ContactSolver):
         self._A = self._T.T @ self._K @ self._T
 
     def _order(self) -> Indices:
-        """Unknowns in the order of the nodes' places, along x first: convergence depends on the order of sweeps."""
+        """Unknowns (N,) in the order of their nodes' coordinates, of which x varies fastest.
+
+        Convergence depends on the order of sweeps.
+        """
         nodes = self.part.nodes
         d, x = nodes.dim, nodes.surface.V.tabulate_dof_coordinates()
         rows = np.lexsort(np.rint(x[:, :d] / (1e-9 * self.equations.model.joint.size)).T)
@@ -181,9 +193,13 @@ class ContactRelaxation(ContactSolver):
         return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve as in `ContactSolver`; the steps are sweeps until increments first meet their tolerance.
+        """Solve for x in place; return the number of sweeps and the residual relative to the forces.
 
-        More sweeps follow with smaller tolerances if the forces do not balance yet.
+        The sweeps are counted until the increments first meet their tolerance. More follow with smaller tolerances if
+        the forces do not balance yet.
+
+        Args:
+            has_guess: not used: the relaxation begins at rest.
 
         Raises:
             SolveError: no convergence; its residuals are the increments of the sweeps.
@@ -223,7 +239,7 @@ class ContactRelaxation(ContactSolver):
 
 
 def _option(name: str) -> float:
-    """An option of the relaxation in PETSc's database. InputError: the value is out of range."""
+    """Value of the relaxation's option `name` in PETSc's database. InputError: the value is out of range."""
     options, (default, bound) = PETSc.Options(PREFIX + "relaxation_"), RELAXATION_OPTIONS[name]
     value: float = (options.getInt if isinstance(default, int) else options.getReal)(name, default)
     if not 0 < value < bound:
@@ -232,7 +248,15 @@ def _option(name: str) -> float:
 
 
 def _fixed_components(frames: Array, is_fixed: BoolArray) -> BoolArray:
-    """Mask (n, d) of constrained components of jumps, in the axes of S."""
+    """Mask (n, d) of the components of jumps, in the axes of S, that supports constrain.
+
+    Args:
+        frames: (n, d, d) axes of S at the contact nodes, as rows.
+        is_fixed: (n, d) mask of the constrained components of the jumps in the coordinate axes.
+
+    Raises:
+        InputError: a node is constrained along axes other than those of S.
+    """
     along = np.abs(frames)
     aligned = (np.abs(along - np.rint(along)) < AXIS_TOLERANCE).all(axis=(1, 2))
     if (~aligned & is_fixed.any(axis=1) & ~is_fixed.all(axis=1)).any():
