@@ -1,4 +1,4 @@
-"""`estimate`: by how much results change if the mesh of a layer is dropped."""
+"""The function `estimate`: by how much results change if an interface law replaces the mesh of a layer."""
 
 from __future__ import annotations
 
@@ -51,23 +51,26 @@ def estimate(
 ) -> Estimate:
     """Estimate how much results change if a layer's mesh is dropped, without meshing it between its bodies. Collective.
 
-    The layer is meshed without the bodies. A few steps lead from the state to the structure with the meshed layer
-    (`global_local`); in a history they do so at each of its times. For linear laws goals have bounds, which hold for
-    these cells of the bodies and of the layer. For other laws, in one step from rest, the energy has bounds.
+    The layer is meshed without the bodies. A few steps of an iteration (`global_local`) lead from the state to the
+    structure with the meshed layer; in a history they do so at each of its times. If all laws are linear, goals have
+    bounds, which hold for the given cells of the bodies and of the layer. For other laws, and one step from rest, the
+    potential energy has bounds instead.
 
     Args:
-        state: a state of an interface model, or of a model with bonds ("may the layer be ignored altogether?"); or a
-            history, marched with theta = 1.
-        layer: the layer that bonds leave out: one layer for all of them, or {name of a seam: its layer}.
+        state: a state of an interface model, or of a model with bonds, in which bodies are joined without any layer; or
+            a history of such states that `march` returned, with theta = 1.
+        layer: the layer that bonds leave out: one layer for all of them, or {name of a seam: its layer}; None if the
+            model has no bonds.
         goals: quantities of interest, whose change is estimated.
-        seam: name of the seam whose layer is dropped; the others stay as they are in the state. "S": all of them.
-        width: width of bounds over the change of their goal, > 0: steps continue until all bounds are as narrow, at
-            most five times.
-        options: PETSc options, as in `solve`.
+        seam: name of the seam whose layer is meshed for the estimate; all other seams keep their laws. "S": all seams.
+        width: largest width of bounds, relative to the estimated change of their goal, > 0. Steps continue until all
+            bounds are so narrow; at most five steps are made.
+        options: {name of a PETSc option without its prefix: value}, as in `solve`.
 
     Raises:
         InputError: a state or law that cannot be estimated, with the reason.
-        SolveError: as in `solve`; or no convergence to the structure with its layers.
+        SolveError: a solve does not converge or has no unique solution; or no convergence to the structure with its
+            meshed layers.
 
     Example:
         >>> from forms import LinearElastic
@@ -136,7 +139,16 @@ def estimate(
 
 
 def _checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> list[str]:
-    """Names of the seams whose layers are dropped; `bonds` are those that are bonded in the state."""
+    """Names of the seams whose layers are meshed for the estimate.
+
+    Args:
+        model: the interface model with layers in place of bonds.
+        bonds: names of the seams that are bonded in the state.
+        seam: name of the seam that the user asks for; "S": all seams.
+
+    Raises:
+        InputError: no layer, an unknown seam, or a layer without bond beside bonds.
+    """
     if not model.layers:
         raise InputError("estimate: the model has no layer whose mesh could be dropped; give a model with layers")
     require_known("layer", seam, (S, *model.layers), "estimate")
@@ -147,7 +159,18 @@ def _checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> 
 
 
 def _goal_error(name: str, value: float, scale: float, at: GoalBounds, bounded: bool) -> GoalError:
-    """Error of a goal, with bounds widened by rounding; raises SolveError unless estimate and bounds make sense."""
+    """Error of a goal, with bounds widened by rounding.
+
+    Args:
+        name: name of the goal.
+        value: its value in the state.
+        scale: its reference magnitude, see `Goal.scale`.
+        at: its estimate and bounds with the layer meshed.
+        bounded: whether the bounds hold; otherwise the error has none.
+
+    Raises:
+        SolveError: the estimate is not finite, or the bounds contradict each other.
+    """
     has_bounds = bounded and at.upper - at.lower < math.inf
     slack = GOAL_TOLERANCE * max(abs(value), abs(at.estimate)) + at.rounding if has_bounds else math.nan
     if not math.isfinite(at.estimate):
@@ -159,7 +182,7 @@ def _goal_error(name: str, value: float, scale: float, at: GoalBounds, bounded: 
 
 
 def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
-    """The model, and the same model with better laws if they exist."""
+    """Yield the model, then, if it exists, the same model with the layers `better`, whose laws are of order 1."""
     yield model
     try:
         yield model.improved(better)
@@ -168,7 +191,10 @@ def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[
 
 
 def _states_of_path(state: State | History, model: InterfaceModel, anew: bool, options: Options | None) -> list[State]:
-    """States up to the last state; solved again with the model's laws if `anew`, or in place of bonds. Collective."""
+    """States from the first one to the estimated state, in order of time. Collective.
+
+    They are solved again, with the model's laws, if `anew` is set, if they have bonds, or if the history lacks some.
+    """
     anew = anew or bool(state.model.bonds)
     if isinstance(state, State):
         return [solve(model, state.t, options=options) if anew else state]
@@ -183,7 +209,14 @@ def _states_of_path(state: State | History, model: InterfaceModel, anew: bool, o
 
 
 def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubproblem, options: Options | None) -> None:
-    """March the layers through earlier states of the interface model, and begin their last step. Collective."""
+    """March the meshed layers through earlier states of the interface model, and begin their last step. Collective.
+
+    Args:
+        earlier: states of the interface model before the last one, in order of time.
+        last: the last state.
+        layers: the meshed layers.
+        options: PETSc options, {name without prefix: value}.
+    """
     path, before = [*earlier, last], None
     inside = layers.rest(path[0].t)
     layers.begin(inside, path[0].t)
@@ -199,8 +232,13 @@ def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubprobl
 def _require_subproblem(model: InterfaceModel, state: State | History, dropped: Sequence[SeamLayer]) -> None:
     """Raise InputError unless layers can be meshed without the bodies of a model. Collective.
 
-    Nodes on S must follow neither plates nor inclined supports. Laws or parts with memory must have been at rest
-    before, or be among the dropped layers with a known history.
+    Nodes on S must follow neither plates nor inclined supports. Laws or parts with memory must have been at rest before
+    the state, unless they are meshed layers with a known history.
+
+    Args:
+        model: the interface model, with layers in place of bonds.
+        state: the state or history that is estimated.
+        dropped: the layers that are meshed for the estimate.
     """
     for name in model.layers:
         model.applicability[name].require("estimate", "estimate: ")
@@ -235,7 +273,7 @@ def _checked_goals(goals: Sequence[Goal]) -> dict[str, Goal]:
 
 
 def _has_multi_point_constraints(model: InterfaceModel) -> bool:
-    """Whether displacements on S have multi-point constraints or turned axes. Collective."""
+    """Whether displacements on S have multi-point constraints or inclined supports. Collective."""
     constraints, d = model.constraints, model.joint.dim
     if constraints.T is None:
         return False
@@ -247,7 +285,10 @@ def _has_multi_point_constraints(model: InterfaceModel) -> bool:
 
 
 def _of_order_1(applicability: Applicability) -> ThinLayer:
-    """The layer with its plain law of order 1; unchanged if there is none, as for anisotropic sublayers."""
+    """The layer with its law of order 1, without correction at free ends; unchanged if there is no such law.
+
+    There is none, for example, for anisotropic sublayers.
+    """
     try:
         return replace(applicability.next_order(), edges="plain")
     except InputError:
@@ -255,7 +296,7 @@ def _of_order_1(applicability: Applicability) -> ThinLayer:
 
 
 def _with_layers(state: State, layer: Layers | None) -> InterfaceModel:
-    """The interface model with all layers whose mesh may be dropped, also in place of bonds. Collective."""
+    """The interface model of a state, with layers (`layer`) in place of bonds. Collective."""
     model = state.model
     if not isinstance(model, InterfaceModel):
         raise InputError(f"estimate: a {model.name} model has all its meshes; give a state of an interface model")

@@ -1,17 +1,20 @@
 """Global-local iteration from an interface model, and a subproblem of its layers, to the structure with meshed layers.
 
 An iterate is a displacement u whose bodies are in equilibrium except on S: forces F on the layers' faces balance them.
-The residual of the meshed layer is r = F - (E u - l), on its faces alone. The interface model's matrix K_1 is a
-preconditioner of (K_b + E) d = r; directions are conjugate (Gosselet, Blanchard, Allix and Guguin 2018). By the theorem
-of Prager and Synge (1947) a goal Q with weights z is bounded, with the layer meshed, by
+Meshed layers need the forces E u - l there, with their stiffness E and loads l, both condensed to the faces. The
+residual is r = F - (E u - l), on the faces alone. With the tangent K_b of the bodies, steps solve (K_b + E) d = r by
+conjugate gradients; the interface model's tangent K_1 is the preconditioner (Gosselet, Blanchard, Allix and Guguin
+2018). By the theorem of Prager and Synge (1947) a goal Q with weights z is bounded, with the layer meshed, by
 
     Q in Q(u) + z . r + r . E^+ r_z/2 -+ (r . E^+ r)^(1/2) (r_z . E^+ r_z)^(1/2)/2, r_z = F_z - E z.
 
-If the layers' laws are not linear, E is their tangent at the face displacements of the iterate, and follows the
-iterate. Goals then have no bounds. If energies are convex, the energy J(u_0) of the state, with the layer in place of
-its law, has bounds. With E(v) the least energy of the layers and E* its conjugate,
+E^+ is the pseudo-inverse of E. The forces F_z balance the bodies under the weights z, as F does under u.
 
-    gap = E(u) + E*(F) - F . u >= J(u) - min J, D - gap <= J(u_0) - min J <= D,
+If the layers' laws are not linear, E is their tangent at the face displacements of the iterate, and follows the
+iterate. Goals then have no bounds. If energies are convex, the energy J(u_0) of the state u_0, with the layer in place
+of its law, has bounds. With W(v) the least energy of the layers for face displacements v, and W* its convex conjugate,
+
+    gap = W(u) + W*(F) - F . u >= J(u) - min J, D - gap <= J(u_0) - min J <= D,
 
 where D has two parts. In the bodies it is |u_0 - u|^2/2. In the layers it is the energy of u_0 above the tangent plane
 at the displacements under F.
@@ -58,14 +61,18 @@ DEFAULT_WIDTH = 0.05  # default width of bounds over the change at which steps e
 
 
 class BodyEquilibrium(NamedTuple):
-    """An iterate whose bodies are in equilibrium except on S: displacements, or the weights z of a goal.
+    """Iterate whose bodies are in equilibrium except on S: displacements, or the weights z of a goal.
+
+    m is the number of displacements of this rank, n that of the unknowns of the layers.
 
     Attributes:
-        u: (m,) displacements of this rank.
-        v: displacements of the layers' faces.
-        F: forces of the bodies on the faces.
-        load, values: forces on the layers, and prescribed displacements of their sides; of a goal its weights there.
-        directions: directions of the steps that led to it: d, v, F of each, and (K_b + E) d at the faces.
+        u: (m,) displacements.
+        v: (n,) displacements of the layers' faces.
+        F: (n,) forces of the bodies on the faces.
+        load: (n,) forces on the layers; for weights, the goal's weights there.
+        values: (n,) prescribed displacements of the layers' sides; for weights, the goal's motions there.
+        directions: directions of the steps that led to it: d (m,), v (n,), F (n,) of each, and (K_b + E) d at the faces
+            (n,).
         gained: decrease of twice the energy by these steps.
     """
 
@@ -78,7 +85,7 @@ class BodyEquilibrium(NamedTuple):
     gained: float = 0.0
 
     def is_near(self, other: BodyEquilibrium) -> bool:
-        """Whether two iterates agree to rounding on the faces; then so do their steps. Every rank has all faces."""
+        """Whether two iterates agree to rounding on the faces; then their steps agree too. Every rank has all faces."""
         pairs = ((self.v, other.v), (self.F, other.F), (self.load, other.load), (self.values, other.values))
         return all(np.abs(a - b).max(initial=0.0) <= ITERATE_TOLERANCE * np.abs(a).max(initial=0.0) for a, b in pairs)
 
@@ -103,7 +110,7 @@ class GoalBounds(NamedTuple):
         return self._replace(estimate=min(max(self.estimate, lower), upper), lower=lower, upper=upper)
 
     def is_narrow(self, value: float, share: float) -> bool:
-        """Whether the width is at most a share of the change from `value`, or little more than rounding."""
+        """Whether the width is at most a fraction `share` of the change from `value`, or little more than rounding."""
         return self.upper - self.lower <= max(share * abs(self.estimate - value), MAX_WIDTH_RATIO * self.rounding)
 
 
@@ -111,8 +118,8 @@ class GlobalLocal:
     """Global-local iteration between an interface model and a subproblem of its layers.
 
     Args:
-        adjoint: adjoint at a state of the interface model, with its factor; for goals of the meshed layer.
-        layers: the subproblem of the layers.
+        adjoint: linear responses and adjoint solutions of the interface model at a state.
+        layers: the subproblem of the meshed layers.
     """
 
     def __init__(self, adjoint: Adjoint, layers: LayerSubproblem) -> None:
@@ -142,16 +149,16 @@ class GlobalLocal:
         return set_owned_values(fem.Function(self.model.V), u)
 
     def _missing_forces(self, u: Array) -> Array:
-        """Loads (m,) minus the forces of all parts except the layers' laws, at displacements (m,)."""
+        """Loads (m,) minus the forces of all parts except the layers' laws, at displacements u (m,)."""
         others = self.adjoint.forces(self._others, self.state, self._field(u), self.adjoint.interval)
         return np.asarray(self._loads - others)
 
     def _face_forces(self, forces: Array) -> Array:
-        """Forces on the faces, from nodal forces (m,)."""
+        """Forces (n,) on the layers' faces, from nodal forces (m,) of the interface model."""
         return self.layers.on_free(self.layers.at_faces(forces))
 
     def _resistance(self, d: Array) -> Array:
-        """Linearised forces (m,) of all parts except the layers' laws, at small displacements (m,)."""
+        """Forces (m,) of all parts except the layers' laws, linearised, at small displacements d (m,)."""
         self._x.array[:] = d
         out = self._x.duplicate()
         (self._K_b.multTranspose if self.adjoint.transposed else self._K_b.mult)(self._x, out)
@@ -160,14 +167,21 @@ class GlobalLocal:
         return forces
 
     def _displacements_under(self, r: Array) -> tuple[Array, Array]:
-        """Displacements of the interface model under face forces r, and the forces of its bodies on the layers."""
+        """Displacements (m,) of the interface model under face forces r (n,), and forces (n,) on its layers."""
         d = self.adjoint.displacements(*self.layers.of_faces(r))
         return d, r - self._face_forces(self._resistance(d))
 
     def _with_couples(self, u: Array, F: Array, load: Array, values: Array) -> BodyEquilibrium:
-        """Iterate with couples on the faces, so that its forces F and the loads on the layers have no resultants.
+        """Iterate with added couples, so that the forces on the layers, F and their loads, have no resultants.
 
-        A couple is a solve with K_1. Only motions that laws resist, or that loads on the layers drive, need a couple.
+        A couple is a load on the faces in proportion to a rigid motion, and its response by a solve with K_1. Only
+        motions that laws resist, or that loads on the layers drive, need one.
+
+        Args:
+            u: (m,) displacements, without couples.
+            F: (n,) forces of the bodies on the faces, without couples.
+            load: (n,) forces on the layers.
+            values: (n,) prescribed displacements of the layers' sides.
         """
         iterate = BodyEquilibrium(u, self.layers.at_faces(u), F, load, values)
         for _ in range(len(self._axes) + 1):  # a couple may leave a resultant along other axes
@@ -183,7 +197,11 @@ class GlobalLocal:
         return iterate
 
     def _add_couple(self, along: Array) -> None:
-        """Solve for the couple along a new axis of motions, if the resultant has a component along a new axis."""
+        """Solve for the couple in proportion to the rigid motion that is new in a resultant, unless it is very small.
+
+        Args:
+            along: the resultant, as coefficients of the orthonormal rigid motions of the layers.
+        """
         new = along - self._axes @ (self._axes.T @ along)
         if norm(new) > NEW_AXIS_SHARE * norm(along):  # a smaller part is left to the next pass, or is rounding
             axis = new / norm(new)
@@ -193,21 +211,21 @@ class GlobalLocal:
             self._axes = np.column_stack([self._axes, axis])
 
     def _resultant(self, iterate: BodyEquilibrium) -> tuple[float, float]:
-        """Largest resultant of the forces on the layers, and the resultant that counts as rounding."""
+        """Largest resultant of the forces on the layers in an iterate, and the resultant that counts as rounding."""
         total, layers = iterate.F + iterate.load, self.layers
         rounding = ROUNDING_SHARE * float(np.abs(layers.K.diagonal()).sum() * np.abs(iterate.v).max())
         return np.abs(layers.R.T @ total).max(initial=0.0), RESULTANT_TOLERANCE * float(np.abs(total).sum()) + rounding
 
     # ---------------------------------------------------------------- iterates
     def first(self) -> BodyEquilibrium:
-        """First iterate: the state."""
+        """First iterate: the displacements of the state, with couples; the layers are linearised there."""
         u = self.state.u.x.array[: self.n].copy()
         first = self._with_couples(u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.values)
         self._start = first.F
         return self._linearised(first)
 
     def weights(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
-        """Nodal weights q (m,) of a goal at the displacements of this rank, and its adjoint solution z."""
+        """Nodal weights q (m,) of a goal at this rank's displacements, and its adjoint solution z, an iterate."""
         q, g = goal.dual(self.adjoint)
         if self.model.linear and goal.is_linear(self.model):
             self.adjoint.require_dual(goal.name, goal.value, q, g, layers=bool(goal.in_layers(self.layers)[0].any()))
@@ -218,7 +236,7 @@ class GlobalLocal:
 
     @contextmanager
     def _transposed(self) -> Iterator[None]:
-        """Within a `with` block, use transposed stiffness and its couples, for adjoint solutions."""
+        """Within a `with` block, use the transposed stiffness, with couples of its own, for adjoint solutions."""
         if self.model.symmetric:
             yield
             return
@@ -231,11 +249,11 @@ class GlobalLocal:
             self._reset()
 
     def inside(self, iterate: BodyEquilibrium) -> Array:
-        """Unknowns of the layers at an iterate."""
+        """Unknowns (n,) of the layers in equilibrium with the face displacements of an iterate."""
         return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.values)
 
     def residual(self, iterate: BodyEquilibrium) -> Array:
-        """Residual r = F - (E u - l) on the faces."""
+        """Residual r = F - (E u - l) (n,) on the faces."""
         return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.values)
 
     def step(self, old: BodyEquilibrium) -> BodyEquilibrium:
@@ -261,7 +279,7 @@ class GlobalLocal:
         return iterate._replace(load=self.layers.load, directions=())
 
     def _equilibrate_bodies(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """The iterate with bodies that are not linear in equilibrium except on S, to first order."""
+        """The iterate with its bodies in equilibrium except on S, to first order; unchanged for linear bodies."""
         if not self._nonlinear:
             return iterate
         missing = self._missing_forces(iterate.u)
@@ -271,7 +289,10 @@ class GlobalLocal:
         return iterate._replace(u=iterate.u + d, v=v, F=F, gained=iterate.gained + self._work(missing, d))
 
     def _work(self, forces: Array, d: Array) -> float:
-        """Work of nodal forces (m,) in small displacements (m,); none of reactions, though rounding moves supports."""
+        """Work of nodal forces (m,) in small displacements d (m,), without forces at constrained displacements.
+
+        Rounding may move constrained displacements.
+        """
         constraints = self.equations.constraints
         forces = constraints.forces(forces).copy()
         forces[constraints.bc_dofs] = 0.0
@@ -331,14 +352,18 @@ class GlobalLocal:
             raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g}; allowed: {least:.2g}")
 
     def gap(self, iterate: BodyEquilibrium) -> float:
-        """Upper bound r . E^+ r of twice the excess energy of the iterate over the solution (Prager and Synge)."""
+        """Upper bound r . E^+ r of twice the energy of the iterate above that of the solution (Prager and Synge)."""
         return self.layers.compliance(self.residual(iterate))[1]
 
     def energy(self, state: State, iterate: BodyEquilibrium) -> GoalBounds | None:
-        """Bounds of J(u_0) - min J, from a last iterate. Collective.
+        """Bounds of the energy J of a state, with the layers meshed, above its minimum. Collective.
 
         None if bodies are not linear, tangents are not symmetric, the layers cannot bear the forces on their faces, or
         an energy is not convex.
+
+        Args:
+            state: the state u_0.
+            iterate: the last iterate.
         """
         if self._nonlinear or not self.model.symmetric:
             return None
@@ -359,7 +384,15 @@ class GlobalLocal:
     def is_near(
         self, last: BodyEquilibrium, values: Mapping[str, float], bounds: Mapping[str, GoalBounds], width: float | None
     ) -> bool:
-        """Whether bounds are narrow, and energy and forces of the residual small relative to the steps; see `run`."""
+        """Whether bounds are narrow, and the residual is small relative to the steps, in its energy and its forces.
+
+        Args:
+            last: the last iterate.
+            values: values of the goals from which changes count, by name.
+            bounds: bounds of the goals, by name.
+            width: largest width of narrow bounds, relative to the change; None: there are no bounds, and True is
+                returned.
+        """
         if width is None:
             return True
         narrow, share = all(b.is_narrow(values[name], width) for name, b in bounds.items()), min(width, DEFAULT_WIDTH)
@@ -371,7 +404,13 @@ class GlobalLocal:
 
     # ---------------------------------------------------------------- goals
     def bounds(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> GoalBounds:
-        """Bounds of a goal with a value at rest, weights q (m,) on this rank, and z.load in the layers. Collective.
+        """Estimate and bounds of a linear goal with the layer meshed. Collective.
+
+        Args:
+            at_rest: value of the goal at zero displacements.
+            q: (m,) its nodal weights at the displacements of this rank.
+            last: the last iterate.
+            z: the goal's adjoint solution; its weights in the layers are z.load.
 
         Raises:
             SolveError: forces on the layers are not in equilibrium.
@@ -387,15 +426,27 @@ class GlobalLocal:
         return GoalBounds(estimate, middle - half, middle + half, rounding)
 
     def goal_estimate(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> float:
-        """Value of a goal, corrected by the residual on S times the weights; arguments as in `bounds`. Collective."""
+        """Value of a linear goal with the layer meshed, corrected by the residual on S times the weights. Collective.
+
+        Args:
+            at_rest: value of the goal at zero displacements.
+            q: (m,) its nodal weights at the displacements of this rank.
+            last: the last iterate.
+            z: the goal's adjoint solution; its weights in the layers are z.load.
+        """
         layers, w, w_z = self.layers, self.inside(last), self.inside(z)
         bulk = self._dot(q, self.equations.constraints.unknowns(last.u)) + self._dot(z.u, self._missing_forces(last.u))
         return float(at_rest + bulk + z.load @ w - w_z @ (layers.K @ w - last.load))
 
     def work_of_laws(self, u: fem.Function, z: BodyEquilibrium, *, bonded: bool = False) -> Array:
-        """Work (m,) of the laws at u in weights z, minus the loads' work on them, distributed over displacements.
+        """Work (m,) of the interface laws in the weights z, minus the work of loads on them, for each displacement.
 
         Bonded bodies have no laws: the forces that the bodies need replace them.
+
+        Args:
+            u: displacements at which the laws are evaluated.
+            z: adjoint solution of a goal.
+            bonded: whether the bodies are bonded.
         """
         adjoint = self.adjoint
         if bonded:
@@ -406,7 +457,7 @@ class GlobalLocal:
         return adjoint.work(self._laws, Configuration(self._field(z.u), self.state.t)) - z.u * adjoint.layer_loads
 
     def states(self, last: BodyEquilibrium) -> tuple[State, State]:
-        """States of the interface model and of its layers at an iterate."""
+        """State of the interface model, and state of the meshed layers, at the last iterate."""
         return replace(self.state, u=self._field(last.u)), self.layers.state(self.layers.equilibrate_dirichlet(last.v))
 
     def run(
@@ -415,11 +466,11 @@ class GlobalLocal:
         """Iterate until bounds are narrow, or `MAX_STEPS` times; return the iterate and the goals' weights. Collective.
 
         Args:
-            goals: by name.
-            values: values of the goals from which changes count.
-            bounds: earlier bounds of goals that are linear; the new bounds replace them.
-            width: width of narrow bounds, over the change; None: there are no bounds, and Newton's method iterates to
-                convergence.
+            goals: goals by their names.
+            values: values of the goals from which changes count, by name.
+            bounds: earlier bounds of goals that are linear, by name; the new bounds replace them.
+            width: largest width of narrow bounds, relative to the change of the goal. None: there are no bounds, and
+                Newton's method iterates to convergence.
         """
         iterate = self.newton() if width is None else self.first()
         weights = {name: self.weights(goal) for name, goal in goals.items()}
