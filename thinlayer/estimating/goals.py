@@ -1,4 +1,4 @@
-"""Goals: quantities of interest of a structure, whose change with the layer's law is estimated; their base `Goal`."""
+"""Goals: quantities of interest of a structure, whose change with the layer's model is estimated; their base `Goal`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ from thinlayer.system.compat import expand_derivatives
 
 
 class Goal(ABC):
-    """Quantity of interest Q: a number that depends on a structure's displacements, defined alike for all its models.
+    """Quantity of interest Q: a number that depends on a structure's displacements.
+
+    Its definition is the same for full and interface models of the structure.
 
     Attributes:
         name: name of the goal, in tables and sentences.
@@ -54,7 +56,7 @@ class Goal(ABC):
 
     @abstractmethod
     def value(self, state: State, model: InterfaceModel) -> float:
-        """Q in a state; displacements of another model are transferred to the interface model. Collective."""
+        """Q in a state; displacements of another model are first transferred to the interface model. Collective."""
 
     @abstractmethod
     def scale(self, state: State, model: InterfaceModel) -> float:
@@ -65,12 +67,17 @@ class Goal(ABC):
         return self.value(replace(state, u=fem.Function(model.V)), model)
 
     def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
-        """Weights q at the unknowns of the meshed layers, and motions g of their sides; by default zero."""
+        """Weights q (n,) at the unknowns of the meshed layers, and motions g (n,) of their sides; by default zero."""
         return np.zeros_like(layers.load), np.zeros_like(layers.load)
 
     @abstractmethod
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        """Nodal weights q and motions g of supports for which Q = q . u - g . r + `at_rest`, see `Adjoint`. Collective.
+        """Nodal weights q and motions g of supports for which Q = q . u - g . r + `at_rest`. Collective.
+
+        u are displacements, and r the reactions at constrained dofs.
+
+        Args:
+            adjoint: adjoint of the interface model at the state where Q is linearised.
 
         Raises:
             InputError: Q has no such weights.
@@ -78,7 +85,11 @@ class Goal(ABC):
 
 
 class DirectedGoal(Goal):
-    """Goal along a direction (d,), which is not zero."""
+    """Goal along a direction.
+
+    Attributes:
+        direction: (d,) in d dimensions, not zero; its length does not matter.
+    """
 
     direction: Sequence[float]
 
@@ -86,7 +97,7 @@ class DirectedGoal(Goal):
         self.unit(model)
 
     def unit(self, model: Model) -> Array:
-        """Unit direction; raises InputError unless the direction has d finite components, not all zero."""
+        """Unit vector (d,) of the direction; raises InputError unless it has d finite components, not all zero."""
         d = model.joint.dim
         direction = finite_values(self.direction, (d,))
         if direction is None or not direction.any():
@@ -95,7 +106,7 @@ class DirectedGoal(Goal):
 
 
 def vector_text(vector: Iterable[float]) -> str:
-    """Text of a vector in the name of a goal; `repr` if it is not a vector, which `check` refuses."""
+    """Text of a vector in the name of a goal; the `repr` of anything else, which `Goal.check` refuses later."""
     try:
         return f"({', '.join(f'{c:.4g}' for c in vector)})"
     except (TypeError, ValueError, OverflowError):
@@ -139,11 +150,12 @@ def _rms_traction(surface: Surface, state: State) -> float:
 
 @dataclass(frozen=True)
 class Reaction(DirectedGoal):
-    """Force of a place's supports on the structure along a direction, see `State.reaction`.
+    """Force that supports and springs at a place exert on the structure, along a direction.
 
     Attributes:
-        place: as in `State.reaction`.
-        direction: (d,) not zero.
+        place: place of the supports: name of a facet set NAME; NAME/REGION, its part on one body or on a layer's own
+            side; or the coordinates of a vertex.
+        direction: (d,) in d dimensions, not zero.
     """
 
     place: Place
@@ -155,7 +167,7 @@ class Reaction(DirectedGoal):
         return f"reaction {self.place} along {vector_text(self.direction)}"
 
     def unit(self, model: Model) -> Array:
-        """Unit direction; in axisymmetry its axial part, because forces along radii add up to zero."""
+        """Unit vector of the direction; in axisymmetry its axial part, because forces along radii add up to zero."""
         axial: Array = super().unit(model) * balanced_motions(model.kinematics, model.joint.dim)[: model.joint.dim]
         allowed = "give one with a part along the axis: forces along radii add up to zero"
         require(axial.any(), f"{self.name}: the direction", self.direction, allowed)
@@ -190,12 +202,12 @@ class Reaction(DirectedGoal):
 
 @dataclass(frozen=True)
 class MeanTraction(DirectedGoal):
-    """Mean over a seam of the traction along a direction: the bodies' reactions on S over its area.
+    """Mean traction on a seam along a direction: resultant of the bodies' reactions on S over the area of S.
 
     Reactions at nodes that supports or plates constrain are left out, as they contain the forces of these.
 
     Attributes:
-        direction: (d,) not zero.
+        direction: (d,) in d dimensions, not zero.
         seam: name of the seam; "S": all seams together.
     """
 
@@ -239,9 +251,9 @@ class MeanTraction(DirectedGoal):
     def _test(self, model: InterfaceModel) -> fem.Function:
         """Displacements in which the work of the bodies' reactions on the seam is the mean traction.
 
-        Each side contributes half of it. If a node of one side is constrained, or lies on another seam too, its
-        reaction contains other forces. Then the other side's node contributes all. If both nodes are such, reactions at
-        other nodes of the same facet replace theirs.
+        Each side of S contributes half of it. If a node of one side is constrained, or lies on another seam too, its
+        reaction contains other forces. Then the other side's node contributes all. If this holds for the nodes of both
+        sides, reactions at other nodes of the same facet replace theirs.
         """
         e, W, v = self.unit(model), model.space(1), fem.Function(model.V)
         sides = {name: nodes_of_sides(model, W, name) for name in model.layers}
@@ -264,10 +276,17 @@ class MeanTraction(DirectedGoal):
 
 
 def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
-    """(nodes, d) shares of nodal reactions in the traction on a seam, negative above; zero at `mixed` nodes."""
+    """Factors (nodes, d) by which nodal reactions enter the mean traction on a seam, negative on its upper side.
+
+    Args:
+        W: vector space of degree 1 on the mesh of the model.
+        upper: nodes of the facets of S on the upper side, (facets, nodes of a facet).
+        lower: the same on the lower side; empty on a rigid base.
+        mixed: (nodes, d) mask of reactions that contain other forces; their factors are zero.
+    """
 
     def facing(values: Array | BoolArray) -> Array:
-        """Sums at each node of the values at the nodes that face it."""
+        """Sums at each node of the values at the nodes on the other side of S."""
         return nodal_sums(W, both, [values[lower], values[upper]][: len(both)])
 
     both = [upper, lower] if len(upper) == len(lower) else []  # on a rigid base no nodes face each other
@@ -285,7 +304,13 @@ def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mix
 
 
 def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence[Array | BoolArray]) -> Array:
-    """(nodes, d) sums over all ranks of values (..., d) at local nodes (...) of a vector space. Collective."""
+    """Sums (nodes, d) over all ranks of values at nodes of a vector space. Collective.
+
+    Args:
+        W: the vector space.
+        nodes: arrays of local numbers of nodes.
+        values: for each of these arrays, an array of its shape times d, with the values there.
+    """
     f, d = fem.Function(W), W.dofmap.bs
     for of_nodes, at_nodes in zip(nodes, values, strict=True):
         np.add.at(f.x.array.reshape(-1, d), of_nodes, at_nodes)
@@ -296,13 +321,13 @@ def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence
 
 @dataclass(frozen=True)
 class Displacement(DirectedGoal):
-    """Displacement of a place along a direction.
+    """Displacement of a point along a direction.
 
     Attributes:
-        x: (d,) the place, in the interface model.
-        direction: (d,) not zero.
-        side: side of S, "lower" or "upper", for a place on S.
-        seam: the seam that has this side, as in `Probe`.
+        x: (d,) coordinates of the point, in the undeformed mesh of the interface model.
+        direction: (d,) in d dimensions, not zero.
+        side: side of S, "lower" or "upper", for a point on S.
+        seam: name of the seam whose side this is; "S": any seam.
     """
 
     x: Sequence[float]
@@ -341,7 +366,7 @@ class Displacement(DirectedGoal):
 
 @dataclass(frozen=True)
 class Functional(Goal):
-    """User-defined UFL functional.
+    """Functional that the user defines as a UFL form.
 
     Attributes:
         name: name of the goal.

@@ -31,11 +31,11 @@ FIXED_GOAL_SHARE = 1e-10  # change of a goal, over its scale, that is only round
 
 
 class GoalError(NamedTuple):
-    """The estimated error of a goal.
+    """Value of a goal Q in the estimated state u_0, and its estimate with the layer meshed, with bounds.
 
     Attributes:
-        value: Q(u_0), in the state that is estimated.
-        better: Q(u_1), with the layer meshed.
+        value: Q(u_0).
+        better: Q(u_1), in the state u_1 with the layer meshed.
         scale: reference magnitude for rounding errors of both, see `Goal.scale`.
         lower, upper: bounds of Q with the layer meshed; nan: there are none.
     """
@@ -60,12 +60,12 @@ class GoalError(NamedTuple):
 
     @property
     def change(self) -> float:
-        """Q(u_1) - Q(u_0)."""
+        """Change Q(u_1) - Q(u_0) of the goal if the layer is meshed."""
         return self.better - self.value
 
     @property
     def relative(self) -> float:
-        """|Q(u_1) - Q(u_0)|/|Q(u_1)|; nan: the goal is zero."""
+        """Relative error |Q(u_1) - Q(u_0)|/|Q(u_1)| of the goal; nan: the goal is zero."""
         if self.zero:
             return math.nan
         return 0.0 if self.fixed else abs(self.change / self.better) if self.better else math.inf
@@ -77,22 +77,24 @@ class GoalError(NamedTuple):
 
     @property
     def at_most(self) -> float:
-        """Upper bound of the relative error; the estimate if there are no bounds."""
+        """Upper bound of the relative error of the goal; its estimate if there are no bounds."""
         return self.between[1] if self.bounded and not self.fixed else self.relative
 
     @property
     def fixed(self) -> bool:
-        """Whether the goal does not change, because equilibrium alone determines it."""
+        """Whether the goal is the same with the layer meshed, because equilibrium alone determines it."""
         return abs(self.change) <= FIXED_GOAL_SHARE * self.scale
 
 
 class LayerError(NamedTuple):
-    """The estimated errors of a layer.
+    """Estimated errors of the traction t and the jump [u] of a layer.
+
+    u_0 is the estimated state, u_1 that with the layer meshed.
 
     Attributes:
         layer: the layer as it was meshed.
-        traction: |t(u_1) - t(u_0)|/|t(u_0)| in L2 on S; nan: it bears no traction.
-        jump: likewise; nan for bonded bodies.
+        traction: |t(u_1) - t(u_0)|/|t(u_0)| in the L2 norm on S; nan: it bears no traction.
+        jump: |[u_1] - [u_0]|/|[u_0]| in the L2 norm on S; nan for bonded bodies.
     """
 
     layer: ThinLayer
@@ -102,15 +104,15 @@ class LayerError(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Estimate:
-    """Estimated error of dropping the mesh of a layer, see `estimate`.
+    """Estimated error of dropping the mesh of a layer, the result of `estimate`.
 
     Attributes:
         state: u_0, the state that is estimated.
         better: u_1, a state of the same interface model, whose bodies are in equilibrium with the meshed layers.
         layers: name of a seam -> its errors.
         goals: name of a goal -> its error.
-        traction, jump: as in `LayerError`, over all layers.
-        seconds: wall time of the estimate.
+        traction, jump: relative errors of traction and jump in the L2 norm, over all layers together, see `LayerError`.
+        seconds: wall time of the estimate, in seconds.
         inside: state of the meshed layers as they are between the bodies: for `Probe`, pictures, files.
         energy: bounds of the potential energy of u_0, with the layers meshed, above its minimum. The upper bound also
             holds for half the squared energy norm of the error in the bodies. None for linear laws, whose goals have
@@ -149,12 +151,15 @@ class Estimate:
 
     # ---------------------------------------------------------------- where
     def density(self, goal: str = "compliance") -> Array:
-        """Density on S of the change of a goal, whose integral is Q(u_1) - Q(u_0). Collective.
+        """Density on S, per area, of the change of a goal, whose integral is Q(u_1) - Q(u_0). Collective.
 
-        It is (m,) at the nodes of `Surface(estimate.better.model)`, a field for its `integral` and `along`.
+        It is an array (m,) at the m nodes of `Surface(estimate.better.model)`, whose `integral` and `along` take it.
 
-        For linear models and goals the integral is exact, otherwise to first order in the change. A warning is issued
+        If model and goal are linear the integral is exact, otherwise to first order in the change. A warning is issued
         if it is off by more than a fifth. The density is large where a mesh of the layer is needed.
+
+        Args:
+            goal: name of the goal.
 
         Raises:
             InputError: no such goal.
@@ -172,20 +177,27 @@ class Estimate:
         return density
 
     def by_seam(self, goal: str = "compliance") -> dict[str, float]:
-        """Name of a seam -> the change of a goal that its layer contributes; errors as in `density`. Collective."""
+        """Change of a goal that the layer of each seam contributes, by the seam's name. Collective.
+
+        Args:
+            goal: name of the goal.
+
+        Raises:
+            InputError: no such goal.
+        """
         surface = Surface(self.better.model)
         changes = surface.at_points(self.density(goal)) * surface.weights
         return {name: float(changes[surface.seams == name].sum()) for name in self.layers}
 
     def with_finer_ends(self, goal: str = "compliance", at_ends: float = 1 / 16) -> float:
-        """A goal's better value if the layer's cells are divided towards its free ends and junctions. Collective.
+        """Value of a goal with the layer meshed and its cells divided towards free ends and junctions. Collective.
 
         Its difference from `GoalError.better` is the error of the layer's own cells there, to second order. The bodies'
         cells stay the same.
 
         Args:
-            goal: its name.
-            at_ends: largest extent of the cells there, over the thickness, > 0, as in `Zoom`.
+            goal: name of the goal.
+            at_ends: largest extent of the cells at free ends and junctions, over the thickness, > 0.
 
         Raises:
             InputError: no such goal, or a goal without bounds; `at_ends` is no number > 0, or too small.
@@ -209,7 +221,7 @@ class Estimate:
     # ---------------------------------------------------------------- words
     @property
     def table(self) -> Table:
-        """A row for each quantity: values in the estimated state and with the layer meshed, relative error, bounds."""
+        """Table with a row for each quantity: estimated value, value with the layer meshed, relative error, bounds."""
         nan, rows = math.nan, []
         for name, error in self.layers.items():
             seam = f" {name}" if len(self.layers) > 1 else ""

@@ -23,9 +23,15 @@ ROUNDING_SHARES = (1e-11, 1e-9)
 
 
 def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: State) -> Array:
-    """(4,) squares of norms on a seam: t(u_1) - t(u_0), t(u_0), and likewise for the jumps [u]. Collective.
+    """Squares (4,) of L2 norms on a seam: of t(u_1) - t(u_0), t(u_0), [u_1] - [u_0] and [u_0]. Collective.
 
-    Norms of t(u_0) and [u_0] that are only rounding are zero. The tractions t(u_1) are taken from the meshed `layers`.
+    t is the traction, [u] the jump. Norms of t(u_0) and [u_0] that are only rounding are zero.
+
+    Args:
+        before: the estimated state u_0.
+        better: the state u_1 of the interface model with the bodies in equilibrium with the meshed layers.
+        seam_layer: the layer on the seam.
+        layers: state of the meshed layers, from which the tractions t(u_1) are taken.
     """
     surface = Surface(better.model, seam_layer.name)
     has_law = seam_layer.name in before.model.layers
@@ -39,18 +45,24 @@ def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: S
 
 
 def relative_errors(squares: Array) -> tuple[float, float]:
-    """Relative errors of traction and jump, from `squared_norms`; nan if not known."""
+    """Relative errors of traction and jump, from the squares of `squared_norms`; nan if not known."""
     of_t, t, of_w, w = (float(root) for root in np.sqrt(squares))
     errors = of_t / t if t else math.nan, of_w / w if w else math.nan
     return errors[0] * (errors[0] > ROUNDING_SHARES[1]), errors[1] * (errors[1] > ROUNDING_SHARES[1])
 
 
 def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyEquilibrium) -> Array:
-    """(m,) density, at the nodes of S, of the change of a goal from a state to a better state. Collective.
+    """Density (m,), per area at the m nodes of S, of the change of a goal from a state to a better state. Collective.
 
     It has three terms. The first is the work of the interface laws in the weights z, minus the work of the meshed
     layers with the state's face displacements. The second is the work of the residual of z in the change of the face
     displacements. The third, for the compliance, is the change of the work of loads on the layers.
+
+    Args:
+        iteration: the iteration from the interface model to the structure with meshed layers.
+        state: the estimated state.
+        better: the state with the bodies in equilibrium with the meshed layers.
+        z: the goal's adjoint solution.
     """
     model, layers = iteration.model, iteration.layers
     u, surface = displacements_of(state, model), SurfaceMesh(model)
@@ -78,7 +90,10 @@ def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyE
 
 
 def _add_nodal(sums: Array, model: Model, values: Array) -> None:
-    """Add values (m,) at displacements of this rank to `sums`, at the vertices of the entity of each node."""
+    """Add values (m,) at the displacements of this rank to sums at the vertices of the joint.
+
+    The value of a node is divided equally among the vertices of the edge, face or cell to which the node belongs.
+    """
     V, joint = model.V, model.domain.joint
     of_nodes = values.reshape(-1, V.dofmap.bs).sum(axis=1)
     dofs = np.asarray(V.dofmap.list)

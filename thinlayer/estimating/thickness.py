@@ -1,4 +1,4 @@
-"""`thin_enough`: the thickness below which a layer's mesh may be dropped."""
+"""The function `thin_enough`: the thickness below which an interface law may replace a layer's mesh."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ MAX_STEPS = 40  # largest number of steps in search of a thickness that is thin 
 
 @dataclass(frozen=True)
 class ThinEnough(FormerNames):
-    """The thickness below which a layer's mesh may be dropped.
+    """The thickness below which a layer's mesh may be dropped, the result of `thin_enough`.
 
     Attributes:
-        eps: the thickness; where the error stays below the tolerance, the largest thickness that was tried.
+        eps: the thickness. If the error stays below the tolerance, it is the largest thickness that was tried.
         tolerance: the relative error that is allowed.
-        quantity: "traction", "jump", or the name of a goal.
+        quantity: quantity whose error this is: "traction", "jump", or the name of a goal.
         table: a row for each thickness that was tried: eps, error (its upper bound, where there are bounds).
         at_tolerance: whether the error is equal to the tolerance at `eps`, to one percent of the thickness.
-        lacks: the caveats of the estimate.
-        bonded: whether the layer is ignored altogether.
+        lacks: limits of the estimate in words; "": none.
+        bonded: whether the layer is left out, its bodies being bonded, instead of replaced by its interface law.
     """
 
     former_names = {"found": "at_tolerance"}
@@ -84,26 +84,27 @@ def thin_enough(
 ) -> ThinEnough:
     """Search the thickness at which the estimated error of dropping a layer's mesh is equal to a tolerance. Collective.
 
-    The layer's material stays the same. Where goals have bounds, the largest error that they allow is taken. The search
-    takes ten to twenty thicknesses on one mesh. It begins with the largest thickness for which estimates hold, and ends
-    after five successive thicknesses with a smaller error.
+    The layer's material stays the same. If a goal has bounds, the largest error that they allow is taken. The search
+    takes ten to twenty thicknesses on one mesh. It begins with the height of the thinner body, and goes down until the
+    error is within the tolerance at five successive thicknesses.
 
     Args:
         structure: bodies, supports and loads.
         layer: the layer, one for all seams, or {name of a seam: its layer, bond or gap}.
         tolerance: relative error that is allowed, between 0 and 1.
-        goal: "traction" or "jump", on S; or a goal.
-        seam: name of the seam whose layer becomes thinner; the others stay as they are, and their errors are not
+        goal: quantity whose error counts: "traction" or "jump", both on S, or a goal such as `Reaction`.
+        seam: name of the seam whose layer becomes thinner; all other layers stay as they are, and their errors are not
             counted. "S": all seams, if they have the same layer.
-        t: time of the loads and supports, as in `solve`.
-        times: ends of time steps, as in `march`, for layers with a rate or a memory; t is then not used.
-        bonded: whether the layer is ignored altogether, instead of replaced by its law of order 0.
-        bodies: "kept" or "extended", as in `Structure.interface`.
-        options: PETSc options, as in `solve`.
+        t: time of the loads and supports.
+        times: ends of the time steps of a march, for layers with a rate or a memory; t is then not used.
+        bonded: whether the layer is left out, its bodies being bonded, instead of replaced by its law of order 0.
+        bodies: "kept": the bodies keep their shape, and a meshed layer moves them apart. "extended": the layer is cut
+            out of the bodies.
+        options: {name of a PETSc option without its prefix: value}, as in `solve`.
 
     Raises:
         InputError: arguments out of range; a layer that cannot be estimated; no thickness is thin enough.
-        SolveError: as in `solve`.
+        SolveError: a solve does not converge or has no unique solution.
 
     Example:
         >>> from forms import LinearElastic
@@ -153,7 +154,13 @@ def thin_enough(
 def _checked(
     structure: Structure, layer: Layers, tolerance: float, goal: str | Goal, seam: str, bonded: bool
 ) -> tuple[dict[str, SeamContent], ThinLayer]:
-    """Layer, bond or gap of each seam, and the layer that becomes thinner; raises InputError unless all suit."""
+    """Layer, bond or gap of each seam by its name, and the layer that becomes thinner.
+
+    The arguments are those of `thin_enough`.
+
+    Raises:
+        InputError: an argument is out of range.
+    """
     require(isinstance(structure, Structure), "thin_enough: the structure", structure, "it takes a Structure")
     with errors_on_all(structure.comm):
         on_seams: dict[str, SeamContent] = value_by_seam(structure.joint, layer, "layer")
@@ -171,7 +178,7 @@ def _checked(
 
 
 def _error(error_estimate: Estimate, quantity: str) -> float:
-    """The largest error of a quantity that the estimate allows; infinite where the layer has no traction or jump."""
+    """Largest relative error of a quantity that the estimate allows; infinite if the layer has no traction or jump."""
     if quantity in ESTIMATED_FIELDS:
         error = error_estimate.traction if quantity == "traction" else error_estimate.jump
         return error if math.isfinite(error) else math.inf
@@ -188,6 +195,11 @@ def _search(
 
     Errors may change their sign, and so be small at a thickness and large at smaller thicknesses. Therefore the search
     goes down from the thickest until errors are allowed at `ALLOWED_IN_TURN` successive thicknesses.
+
+    Args:
+        error: function of the thickness that returns the relative error.
+        thickest: the largest thickness that is tried.
+        tolerance: the relative error that is allowed.
     """
 
     rows: dict[float, float] = {}
@@ -217,7 +229,13 @@ def _search(
 
 
 def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
-    """Raise InputError if errors are not allowed, and no longer fall with the thickness."""
+    """Raise InputError if errors are too large, and no longer fall with the thickness.
+
+    Args:
+        errors: errors at the thicknesses that were tried, the largest thickness first.
+        low: the smallest of these thicknesses.
+        passed: number of successive thicknesses, up to this one, at which the error is allowed.
+    """
     least = STALLED_ERROR_RATIO * max(errors[-1 - FALLING_STEPS : -1], default=math.inf)
     if not passed and len(errors) > FALLING_STEPS and (errors[-1] > least or len(errors) > MAX_STEPS):
         what = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there, and hardly falls"
