@@ -58,7 +58,7 @@ def estimate(
 
     Args:
         state: a state of an interface model, or of a model with bonds, in which bodies are joined without any layer; or
-            a history of such states that `march` returned, with theta = 1.
+            a history of such states that `march` returned, with theta = 1 (backward Euler).
         layer: the layer that bonds leave out: one layer for all of them, or {name of a seam: its layer}; None if the
             model has no bonds.
         goals: quantities of interest, whose change is estimated.

@@ -94,9 +94,10 @@ class GoalBounds(NamedTuple):
     """Estimate and bounds of a goal with the layer meshed.
 
     Attributes:
-        estimate: its value, corrected by the residual on S times the weights.
-        lower, upper: its bounds.
-        rounding: change of the bounds by rounding of forces, as where bodies move far.
+        estimate: estimated value of the goal: its value in an iterate, corrected by the residual on S times the
+            weights.
+        lower, upper: bounds of the goal.
+        rounding: change of the bounds by rounding of forces, which is large if bodies move far.
     """
 
     estimate: float = math.nan
@@ -105,7 +106,7 @@ class GoalBounds(NamedTuple):
     rounding: float = 0.0
 
     def within(self, other: GoalBounds) -> GoalBounds:
-        """Intersection with earlier bounds; the estimate moves into it, as earlier bounds may be much better."""
+        """Intersection with earlier bounds, into which the estimate is moved, as earlier bounds may be much better."""
         lower, upper = max(self.lower, other.lower), min(self.upper, other.upper)
         return self._replace(estimate=min(max(self.estimate, lower), upper), lower=lower, upper=upper)
 
@@ -116,6 +117,8 @@ class GoalBounds(NamedTuple):
 
 class GlobalLocal:
     """Global-local iteration between an interface model and a subproblem of its layers.
+
+    Arrays (m,) are values at this rank's displacements of the interface model, arrays (n,) at the layers' unknowns.
 
     Args:
         adjoint: linear responses and adjoint solutions of the interface model at a state.
@@ -149,7 +152,7 @@ class GlobalLocal:
         return set_owned_values(fem.Function(self.model.V), u)
 
     def _missing_forces(self, u: Array) -> Array:
-        """Loads (m,) minus the forces of all parts except the layers' laws, at displacements u (m,)."""
+        """Nodal loads minus forces of all parts except the layers' laws, at displacements u; both (m,) on this rank."""
         others = self.adjoint.forces(self._others, self.state, self._field(u), self.adjoint.interval)
         return np.asarray(self._loads - others)
 
@@ -158,7 +161,7 @@ class GlobalLocal:
         return self.layers.on_free(self.layers.at_faces(forces))
 
     def _resistance(self, d: Array) -> Array:
-        """Forces (m,) of all parts except the layers' laws, linearised, at small displacements d (m,)."""
+        """Linearised forces of all parts except the layers' laws, at small displacements d; both (m,) on this rank."""
         self._x.array[:] = d
         out = self._x.duplicate()
         (self._K_b.multTranspose if self.adjoint.transposed else self._K_b.mult)(self._x, out)
@@ -274,7 +277,7 @@ class GlobalLocal:
         return old._replace(u=u, v=v, F=F, directions=directions, gained=gained)
 
     def _linearised(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """The iterate, after the layers have been linearised there."""
+        """The iterate, with the layers' tangent and loads linearised at its face displacements."""
         self.layers.equilibrate_dirichlet(iterate.v)
         return iterate._replace(load=self.layers.load, directions=())
 
@@ -299,7 +302,10 @@ class GlobalLocal:
         return self._dot(forces, constraints.unknowns(d))
 
     def newton_step(self, iterate: BodyEquilibrium) -> BodyEquilibrium:
-        """Newton step for layers with non-linear laws: conjugate steps with their tangent, then a line search."""
+        """Next iterate by a Newton step, for layers with non-linear laws.
+
+        Conjugate-gradient steps with the layers' tangent give its direction, and a line search its length.
+        """
         aim = self._equilibrate_bodies(iterate)
         for _ in range(MAX_CG_STEPS):
             before, aim = aim.gained, self.step(aim)

@@ -67,7 +67,7 @@ class Goal(ABC):
         return self.value(replace(state, u=fem.Function(model.V)), model)
 
     def in_layers(self, layers: DirichletLayers) -> tuple[Array, Array]:
-        """Weights q (n,) at the unknowns of the meshed layers, and motions g (n,) of their sides; by default zero."""
+        """Weights q at the unknowns of the meshed layers, and motions g of their sides, both (n,); by default zero."""
         return np.zeros_like(layers.load), np.zeros_like(layers.load)
 
     @abstractmethod
@@ -202,9 +202,9 @@ class Reaction(DirectedGoal):
 
 @dataclass(frozen=True)
 class MeanTraction(DirectedGoal):
-    """Mean traction on a seam along a direction: resultant of the bodies' reactions on S over the area of S.
+    """Mean traction on a seam along a direction: resultant of the bodies' nodal forces on S over the area of S.
 
-    Reactions at nodes that supports or plates constrain are left out, as they contain the forces of these.
+    Nodal forces at nodes that supports or plates constrain are left out, as they contain the forces of these.
 
     Attributes:
         direction: (d,) in d dimensions, not zero.
@@ -249,11 +249,11 @@ class MeanTraction(DirectedGoal):
         return adjoint.form_weights(works), adjoint.zero_vector()
 
     def _test(self, model: InterfaceModel) -> fem.Function:
-        """Displacements in which the work of the bodies' reactions on the seam is the mean traction.
+        """Displacements in which the work of the bodies' nodal forces on the seam is the mean traction.
 
         Each side of S contributes half of it. If a node of one side is constrained, or lies on another seam too, its
-        reaction contains other forces. Then the other side's node contributes all. If this holds for the nodes of both
-        sides, reactions at other nodes of the same facet replace theirs.
+        nodal force contains other forces. Then the other side's node contributes all. If this holds for the nodes of
+        both sides, the forces at other nodes of the same facet replace theirs.
         """
         e, W, v = self.unit(model), model.space(1), fem.Function(model.V)
         sides = {name: nodes_of_sides(model, W, name) for name in model.layers}
@@ -276,13 +276,13 @@ class MeanTraction(DirectedGoal):
 
 
 def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mixed: BoolArray) -> Array:
-    """Factors (nodes, d) by which nodal reactions enter the mean traction on a seam, negative on its upper side.
+    """Factors (nodes, d) of the bodies' nodal forces in the mean traction on a seam, negative on its upper side.
 
     Args:
         W: vector space of degree 1 on the mesh of the model.
-        upper: nodes of the facets of S on the upper side, (facets, nodes of a facet).
-        lower: the same on the lower side; empty on a rigid base.
-        mixed: (nodes, d) mask of reactions that contain other forces; their factors are zero.
+        upper: (facets, k) nodes of the facets of S on the upper side.
+        lower: (facets, k) nodes on the lower side; empty on a rigid base.
+        mixed: (nodes, d) mask of nodal forces that contain other forces; their factors are zero.
     """
 
     def facing(values: Array | BoolArray) -> Array:

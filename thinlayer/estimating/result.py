@@ -53,7 +53,7 @@ class GoalError(NamedTuple):
 
     @property
     def between(self) -> tuple[float, float]:
-        """Least and largest error |Q - Q(u_0)|/|Q| that the bounds allow."""
+        """Least and largest relative error |Q - Q(u_0)|/|Q| for values Q within the bounds."""
         errors = [abs(q - self.value) / abs(q) if q else math.inf for q in (self.lower, self.upper)]
         least = 0.0 if self.lower <= self.value <= self.upper else min(errors)
         return least, math.inf if self.lower < 0 < self.upper else max(errors)
@@ -93,7 +93,7 @@ class LayerError(NamedTuple):
 
     Attributes:
         layer: the layer as it was meshed.
-        traction: |t(u_1) - t(u_0)|/|t(u_0)| in the L2 norm on S; nan: it bears no traction.
+        traction: |t(u_1) - t(u_0)|/|t(u_0)| in the L2 norm on S; nan if the layer bears no traction.
         jump: |[u_1] - [u_0]|/|[u_0]| in the L2 norm on S; nan for bonded bodies.
     """
 

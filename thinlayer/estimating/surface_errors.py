@@ -45,7 +45,7 @@ def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: S
 
 
 def relative_errors(squares: Array) -> tuple[float, float]:
-    """Relative errors of traction and jump, from the squares of `squared_norms`; nan if not known."""
+    """Relative errors of traction and jump, from the squares of `squared_norms`; nan for a field that is zero."""
     of_t, t, of_w, w = (float(root) for root in np.sqrt(squares))
     errors = of_t / t if t else math.nan, of_w / w if w else math.nan
     return errors[0] * (errors[0] > ROUNDING_SHARES[1]), errors[1] * (errors[1] > ROUNDING_SHARES[1])

@@ -53,7 +53,7 @@ class StepSolution:
     Attributes:
         x: the unknowns; the vector belongs to the solver and is valid until the next `solve_step` or `close`.
         iterations: number of Newton steps; of Krylov iterations in a linear solve; of sweeps in a relaxation.
-        residual: norm of the residual relative to the forces.
+        residual: norm of the residual relative to the reference forces.
     """
 
     x: PETSc.Vec
@@ -312,7 +312,7 @@ class NewtonSolver(EquilibriumSolver):
         return max(_largest(x), scale.displacement, of_forces)
 
     def _relative(self, r: PETSc.Vec) -> float:
-        """Largest ratio, over the blocks of unknowns, of the norm of r to the forces.
+        """Largest ratio, over the blocks of unknowns (see `ForceScale`), of the norm of r to the reference force.
 
         r becomes zero at constrained unknowns.
         """

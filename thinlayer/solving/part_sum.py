@@ -109,7 +109,7 @@ class ForceScale:
         self.displacement = max(self.displacement, elastic)
 
     def update_stresses(self, stresses: Array | float) -> None:
-        """Update the forces with the norms (k,) of the forces of the stresses at a new residual."""
+        """Update the reference forces at a new residual, with norms (k,) of the nodal forces of its stresses."""
         rounding = ROUNDING_SHARE * self.stiffness * self.displacement
         self.least = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / STATE_TOLERANCE)
         self.forces: Array = np.fmax(self.least, stresses)
@@ -131,7 +131,7 @@ class ForceScale:
         return np.asarray(np.maximum(STATE_TOLERANCE * self.forces, self._support_rounding))
 
     def relative(self, norms: Array) -> float:
-        """Largest ratio, over all blocks, of the norm (k,) of a residual to the forces on the block."""
+        """Largest ratio, over all blocks, of the norm (k,) of a residual to the reference force of the block."""
         return float((norms / np.maximum(self.forces, MIN_DIVISOR)).max())
 
 
@@ -247,7 +247,8 @@ class PartSum:
         """Blocks of the tangent at the last evaluation.
 
         Args:
-            relative_residual: norm of the last residual over the forces, for tangents that may be singular; else 0.
+            relative_residual: norm of the last residual over the reference forces, if a tangent may be singular; else
+                0.
         """
         return [block for part in self.parts for block in part.tangents(relative_residual)]
 
@@ -255,7 +256,8 @@ class PartSum:
         """Blocks of the tangent, of the parts that resist rigid motions of bodies.
 
         Args:
-            relative_residual: norm of the last residual over the forces, for tangents that may be singular; else 0.
+            relative_residual: norm of the last residual over the reference forces, if a tangent may be singular; else
+                0.
             rounding: nodal forces that are not larger than these do not count as resistance.
         """
         parts = [part for part in self.parts if not part.traits.inner]
@@ -310,7 +312,7 @@ class PartSum:
         return self.norms(free)
 
     def relative(self, r: PETSc.Vec) -> float:
-        """Largest ratio, over all blocks of unknowns, of the norm of a residual to the forces on the block."""
+        """Largest ratio, over all blocks of unknowns, of the norm of a residual to the reference force of the block."""
         return self.scale.relative(self.residual_norms(r))
 
     def target(self, x: PETSc.Vec) -> Array:
@@ -322,7 +324,7 @@ class PartSum:
         return bool((self.residual_norms(r) <= self.target(x)).all())
 
     def require_equilibrium(self, r: PETSc.Vec) -> None:
-        """Raise SolveError unless a residual is small relative to the forces in each block.
+        """Raise SolveError unless a residual is small relative to the reference forces in each block.
 
         PETSc options do not change this test, so that it detects a solver that stopped too early.
         """

@@ -62,7 +62,7 @@ def default_options(options: Options, prefix: str = PREFIX) -> Iterator[None]:
 
 
 def options_set() -> dict[str, str]:
-    """Options in PETSc's database with the prefix of this package, {name without the prefix: value}."""
+    """Options in PETSc's database with this package's prefix "thinlayer_", {name without the prefix: value}."""
     options = PETSc.Options().getAll().items()
     return {name.removeprefix(PREFIX): value for name, value in options if name.startswith(PREFIX)}
 
@@ -79,7 +79,7 @@ def value_of(name: str, user_options: Options) -> str | None:
 
 
 def database_options() -> str:
-    """Options in PETSc's database with the prefix of this package, written as on a command line."""
+    """Options in PETSc's database with this package's prefix "thinlayer_", written as on a command line."""
     return " ".join(f"-{PREFIX}{name} {value}".rstrip() for name, value in sorted(options_set().items()))
 
 

@@ -47,7 +47,7 @@ CAVITATION_STRESS_RATIO = 2.5
 
 
 def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
-    """Warn once, before a solve, of elements that lock and of interface models outside their range. Collective.
+    """Warn once, before a solve, of elements that lock and of interface laws outside their range. Collective.
 
     Args:
         model: the model.

@@ -154,7 +154,7 @@ class WeakSprings:
     def _residual(self, x: Array) -> float:
         """Compute the residual with springs at x; return its norm.
 
-        In each block of unknowns (see `ForceScale`) it is relative to the forces at the start of the search.
+        In each block of unknowns (see `ForceScale`) it is relative to the reference forces at the start of the search.
         """
         equations = self.equations
         self._x.array[:] = x

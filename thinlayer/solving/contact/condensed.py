@@ -70,7 +70,7 @@ class CondensedContact(ContactSolver):
         return CondensedSystem(self._condensation.stiffness, self.pairs, x, lines)
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for x in place; return the number of Newton steps and the residual relative to the forces.
+        """Solve for x in place; return the number of Newton steps and the residual relative to the reference forces.
 
         Args:
             has_guess: whether the jumps of x are an initial guess; otherwise Newton's method starts from a coarser
@@ -99,7 +99,7 @@ class CondensedContact(ContactSolver):
         return len(residuals) - 1, relative
 
     def _relative(self, r: Array, forces: Array, u: Array) -> float:
-        """Largest ratio, over the blocks of unknowns (see `ForceScale`), of the norm of a residual to the forces.
+        """Largest ratio, over the blocks of unknowns (see `ForceScale`), of a residual's norm to the reference force.
 
         Args:
             r: (n d,) residual at the nodes in contact.

@@ -79,16 +79,16 @@ class ContactSolver(EquilibriumSolver):
 
     @abstractmethod
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for x in place; return the number of steps of the method, and the residual relative to the forces.
+        """Solve for x in place; return the number of steps, and the residual relative to the reference forces.
 
-        The initial values in x have the prescribed displacements.
+        The initial values in x have the prescribed displacements. What a step is depends on the method.
 
         Args:
             has_guess: whether the jumps of x are an initial guess; otherwise they are zero.
         """
 
     def relative_residual(self) -> float:
-        """Norm of the residual of the whole problem at x, relative to the forces."""
+        """Norm of the residual of the whole problem at x, relative to the reference forces."""
         self.equations.residual(self.x, self._r)
         return self.equations.relative(self._r)
 

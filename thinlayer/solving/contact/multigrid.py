@@ -77,7 +77,7 @@ class MultigridContact(ContactSolver):
         self._forces = equations.vector()
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for x in place; return the number of Newton steps and the residual relative to the forces.
+        """Solve for x in place; return the number of Newton steps and the residual relative to the reference forces.
 
         Args:
             has_guess: whether the jumps of x are an initial guess; otherwise Newton's method starts from bonded nodes.
@@ -121,7 +121,7 @@ class MultigridContact(ContactSolver):
         raise SolveError(f"Newton's method for contact failed {text}", residuals=tuple(history), advice=advice)
 
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
-        """Write the residual at u, zero at constrained dofs, into `out`; return its norm relative to the forces.
+        """Write the residual at u, zero at constrained dofs, into `out`; return its norm over the reference forces.
 
         It is scaled so that it is NEWTON_TOLERANCE where the rules of `ForceScale` let solvers stop.
         """
@@ -144,8 +144,13 @@ class MultigridContact(ContactSolver):
 class _NewtonRun:
     """One run of Newton's method (SNES) for a contact problem.
 
+    Args:
+        solver: the contact solver.
+        tangent: the tangent and its preconditioner.
+        reductions: factors by which the first and the later linear solves reduce the residual.
+
     Attributes:
-        residuals: residuals relative to the forces, before the first step and after each step.
+        residuals: residuals relative to the reference forces, before the first step and after each step.
     """
 
     def __init__(self, solver: MultigridContact, tangent: ContactTangent, reductions: Reductions) -> None:
@@ -204,7 +209,10 @@ class _NewtonRun:
         return Reason.CONVERGED_FNORM_ABS if self._relative <= NEWTON_TOLERANCE else False
 
     def _choose_sweeps(self, snes: PETSc.SNES, step: int) -> None:
-        """Choose sweeps before a Newton step if the last step changed the status or reduced the residual too little."""
+        """Choose sweeps before Newton step number `step` if the last step changed the contact status of a node.
+
+        They are also chosen if the last step reduced the residual too little.
+        """
         self._swept = False
         if step:
             jumps = self.nodes.separation(snes.getSolution())

@@ -77,7 +77,7 @@ class ContactPairs:
 
         Args:
             pairs: (pairs, 2) upper and lower node, as indices of `free`; -1: no node.
-            free: mask, of components of all nodes, that are not constrained.
+            free: (nodes, d) mask of the components that are not constrained.
         """
         self.nodes, place = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)
         self.nodes = self.nodes[1:]
@@ -165,8 +165,8 @@ class ContactPairs:
         Constrained components are fixed too.
 
         Args:
-            K: (n, n) blocks of the bodies' stiffness.
-            g: (n d,) forces.
+            K: (n, n) blocks (d, d) of the bodies' stiffness.
+            g: (n d,) forces on the bodies.
             u: (n d,) displacements.
             sweeps: number of sweeps.
             rest: (pairs, d) jumps where all u are zero; None: initial gaps.

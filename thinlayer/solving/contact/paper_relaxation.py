@@ -193,7 +193,7 @@ class ContactRelaxation(ContactSolver):
         return scipy.sparse.csr_matrix((np.concatenate(values), places), shape=(n, n))
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
-        """Solve for x in place; return the number of sweeps and the residual relative to the forces.
+        """Solve for x in place; return the number of sweeps and the residual relative to the reference forces.
 
         The sweeps are counted until the increments first meet their tolerance. More follow with smaller tolerances if
         the forces do not balance yet.
