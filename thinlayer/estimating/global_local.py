@@ -256,11 +256,11 @@ class GlobalLocal:
         return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.values)
 
     def residual(self, iterate: BodyEquilibrium) -> Array:
-        """Residual r = F - (E u - l) (n,) on the faces."""
+        """Residual r = F - (E u - l) (n,) of an iterate: forces on the faces that meshed layers do not balance."""
         return iterate.F - self.layers.dirichlet_reactions(iterate.v, iterate.load, iterate.values)
 
     def step(self, old: BodyEquilibrium) -> BodyEquilibrium:
-        """Iterate after a conjugate-gradient step towards the structure with meshed layers."""
+        """Next iterate, after one conjugate-gradient step from `old` towards the structure with meshed layers."""
         layers, r, no = self.layers, self.residual(old), np.zeros_like(old.v)
         d, F = self._displacements_under(r)
         new = self._with_couples(d, F, no, no)
@@ -348,11 +348,11 @@ class GlobalLocal:
         raise SolveError(f"{text}, at t = {self.state.t:g}", advice=MESH_REMEDY)
 
     def _dot(self, a: Array, b: Array) -> float:
-        """Scalar product of vectors (m,), over all ranks."""
+        """Scalar product of vectors a and b (m,), over all ranks."""
         return float(self.model.comm.allreduce(float(a @ b)))
 
     def _require_balance(self, iterate: BodyEquilibrium) -> None:
-        """Raise SolveError if forces on the layers have a resultant that is more than rounding."""
+        """Raise SolveError if the forces on the layers of an iterate have a resultant that is more than rounding."""
         left, least = self._resultant(iterate)
         if left > 2 * least:
             raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g}; allowed: {least:.2g}")

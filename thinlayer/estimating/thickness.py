@@ -178,7 +178,7 @@ def _checked(
 
 
 def _error(error_estimate: Estimate, quantity: str) -> float:
-    """Largest relative error of a quantity that the estimate allows; infinite if the layer has no traction or jump."""
+    """Largest relative error of a quantity that an estimate allows; infinite if the layer has no traction or jump."""
     if quantity in ESTIMATED_FIELDS:
         error = error_estimate.traction if quantity == "traction" else error_estimate.jump
         return error if math.isfinite(error) else math.inf
@@ -205,7 +205,7 @@ def _search(
     rows: dict[float, float] = {}
 
     def excess(eps: float) -> float:
-        """Logarithm of the error over the tolerance."""
+        """Logarithm of the error at the thickness `eps` over the tolerance."""
         if eps not in rows:
             rows[eps] = error(eps)
         return math.log(max(rows[eps], 1e-300) / tolerance)

@@ -186,7 +186,7 @@ class Equations(PartSum):
         return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=lost)
 
     def begin(self, interval: TimeStep) -> None:
-        """Begin a step: set its loads and prescribed displacements, and begin it in all parts.
+        """Begin the time step `interval`: set its loads and prescribed displacements, and begin it in all parts.
 
         Raises:
             InputError: loads, prescribed displacements or prescribed strains that are not finite at the times of the
@@ -215,7 +215,7 @@ class Equations(PartSum):
         self.external.aypx(-1.0, self.loads)
 
     def loads_at(self, t: float) -> PETSc.Vec:
-        """New vector of the nodal forces of the loads at a time, including loads on multi-point constraints.
+        """New vector of the nodal forces of the loads at time t, including loads on multi-point constraints.
 
         Raises:
             InputError: loads that are not finite, or that nothing balances in a periodic joint.
@@ -240,7 +240,12 @@ class Equations(PartSum):
         return self.on_unknowns(self.loads_at(t), [part.load_at(t) for part in self.with_own])
 
     def on_unknowns(self, forces: PETSc.Vec, part_loads: Sequence[Array] = ()) -> PETSc.Vec:
-        """New vector of forces on the unknowns, from nodal forces, and from loads on each part's own unknowns."""
+        """New vector of forces on the unknowns, from nodal forces, and from loads on the parts' own unknowns.
+
+        Args:
+            forces: nodal forces.
+            part_loads: for each part with own unknowns an array of loads on them; (): no loads.
+        """
         out = self.vector()
         self._put_forces(forces.array_r, part_loads, out)
         return out
@@ -380,7 +385,7 @@ class Equations(PartSum):
             self._data_at(t)
 
     def linear_in_time(self, start: float, end: float) -> bool:
-        """Whether loads, supports and parameters of laws are linear between two times; tested at a few times."""
+        """Whether loads, supports and parameters of laws are linear from time `start` to `end`, by a few samples."""
         first, last = self._data_at(start), self._data_at(end)
         for share in SAMPLE_FRACTIONS:
             now = self._data_at(start + share * (end - start))

@@ -190,7 +190,14 @@ class NewtonSolver(EquilibriumSolver):
         return self._newton(x)
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
-        """Compute the linear step d from unknowns x with the stiffness of an elastic layer; supports move by `move`."""
+        """Compute the linear step d from unknowns x with the stiffness of an elastic layer.
+
+        Args:
+            x: the unknowns of the old state.
+            r: work vector for the right-hand side.
+            d: the step; overwritten.
+            move: increments of the prescribed displacements, zero at all other unknowns.
+        """
         equations, homotopy_parameter = self.equations, self.equations.homotopy_parameter
         equations.residual(x, r)
         r.scale(-1.0)

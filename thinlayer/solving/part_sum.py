@@ -101,7 +101,7 @@ class ForceScale:
         self.update_stresses(0.0)
 
     def start(self, unbalanced: Array) -> None:
-        """Set the norms (k,) of the residual at the start of the step, which may be the only forces of the step."""
+        """Set norms (k,) of the residual at the start of the step, `unbalanced`, which may be its only forces."""
         self._unbalanced = np.where(np.isfinite(unbalanced), unbalanced, 0.0)
 
     def move(self, elastic: float) -> None:
@@ -176,11 +176,11 @@ class PartSum:
         self.depends_on_dt, self.failed = any(timed), 0
 
     def of_kind(self, kind: type[PartType]) -> list[PartType]:
-        """The parts that are instances of a class."""
+        """The parts that are instances of the class `kind`."""
         return [part for part in self.parts if isinstance(part, kind)]
 
     def names_with_trait(self, trait: str) -> list[str]:
-        """Names of the laws, and of parts without a law, for which a flag of `PartTraits` is set, given by its name."""
+        """Names of the laws, and of parts without a law, for which the flag `trait` of `PartTraits` is set."""
         return [name for part in self.parts for name, traits in part.named().items() if getattr(traits, trait)]
 
     def refuse(self, reasons: Mapping[str, str]) -> None:
@@ -357,11 +357,11 @@ class UnknownLayout:
         return PETSc.Vec().createMPI((int(self._ends[-1]), None), comm=self.comm)
 
     def split(self, values: Array) -> dict[str, Array]:
-        """Values of the unknowns of this rank by key of their field; the arrays are views."""
+        """Arrays of the values of this rank's unknowns, by key of their field; they are views of `values`."""
         return dict(zip(self.sizes, np.split(values, self._ends[:-1]), strict=True))
 
     def put(self, x: PETSc.Vec) -> None:
-        """Write a vector of unknowns into their functions, ghosts included."""
+        """Write a vector x of unknowns into their functions, ghosts included."""
         for key, values in self.split(x.array_r).items():
             set_owned_values(self.fields[key], values)
 
@@ -490,7 +490,10 @@ def block_matrix(blocks: Sequence[Sequence[PETSc.Mat | None]], comm: MPI.Intraco
 
 
 def _diagonal_matrix(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:
-    """Diagonal matrix with n rows on this rank; zeros are stored too, as `zeroRowsColumns` needs stored entries."""
+    """Diagonal matrix with n rows on this rank and equal entries `value`.
+
+    Zeros are stored too, as `zeroRowsColumns` needs stored entries.
+    """
     places = np.arange(n + 1, dtype=PETSc.IntType)
     csr = places, (comm.scan(n) - n + places[:-1]).astype(PETSc.IntType), np.full(n, value)
     return PETSc.Mat().createAIJ(((n, None), (n, None)), csr=csr, comm=comm)

@@ -127,7 +127,7 @@ def chosen_options(ours: Options, user_options: Options | None = None) -> Iterat
 
 @cache
 def c_function(name: str) -> Callable[..., int]:
-    """PETSc's C function with a name of `C_ARGUMENTS`.
+    """C function of PETSc, by its name, which must be in `C_ARGUMENTS`.
 
     Raises:
         ImportError: the library of this PETSc has no such function.

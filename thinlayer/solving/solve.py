@@ -75,9 +75,9 @@ def solve(
             methods. "newton" is Newton's method for all unknowns. "condensed" condenses the bodies to the nodes of S,
             on one rank. "multigrid" is Newton's method with a multigrid preconditioner. "relaxation" is the relaxation
             of the paper, for comparison, on one rank, for one seam without branches. The default is "newton" if a body
-            is not linear, for user-defined contact laws, inclined supports, rigid plates and periodic joints, and if
-            only some seams are in contact. In all other cases it is "condensed" on one rank if S has few nodes, else
-            "multigrid".
+            is not linear, or if only some seams are in contact. It is also "newton" for user-defined contact laws,
+            inclined supports, rigid plates and periodic joints. In all other cases it is "condensed" on one rank if S
+            has few nodes, else "multigrid".
         like: a state of an interface model of the same joint, for example with another load, thickness or law. Without
             contact laws Newton's method begins at its displacements. With them "condensed" and "multigrid" begin with
             its jumps on S, the other methods at rest. If the solve fails from there, it begins again at rest.
@@ -325,6 +325,10 @@ class Solver(AbstractContextManager["Solver"]):
         """Newton's solution from the displacements of `like`, with 0, its number of continuation solves; None: failed.
 
         None is also returned without `like`, for contact laws, and for other methods than Newton's.
+
+        Args:
+            attempt: method and options of the solve.
+            old: the state before the step.
         """
         if self._like is None or self.method != "newton" or self.model.contact:
             return None

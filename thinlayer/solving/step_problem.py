@@ -163,7 +163,7 @@ class StepProblem(PartSum):
         """Write the derivative of the residual into P, at the displacements where the residual was last evaluated.
 
         Rows of constrained dofs are rows of the identity times a stiffness, so that a Newton step reaches the
-        prescribed values. The matrix is therefore not symmetric.
+        prescribed values. The matrix is therefore not symmetric. The arguments are those of PETSc; x is not used.
         """
         self._matrix.fill(self.blocks()).zeroRows(self._constrained_rows, self._stiffness)
         if P.handle != self._tangent.handle:
@@ -227,7 +227,7 @@ class StepProblem(PartSum):
 
 
 def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
-    """Raise InputError if the space of u is continuous across the interior facets of a term. Collective."""
+    """Raise InputError if the displacement space V is continuous across the interior facets of a term. Collective."""
     if term.measure.integral_type() != "interior_facet":
         return
     sides = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in term.measure.subdomain_data())]).reshape(-1, 4)

@@ -1,7 +1,7 @@
 """Search for an equilibrium by weak springs at all nodes, where Newton's method fails.
 
-Springs of stiffness k between all nodes and their old places are added. With the residual R and the old displacements
-u_0, the equation R(u) + k (u - u_0) = 0 has a solution even above the limit load. Newton's method converges easily
+Springs of stiffness k between all nodes and their old places are added. R is the residual, u_0 the old displacements.
+Then the equation R(u) + k (u - u_0) = 0 has a solution even above the limit load. Newton's method converges easily
 while k is large. As k falls, u tends to the nearest equilibrium if there is one. Otherwise u grows without bound, in
 the end as 1/k. For a layer with associated flow this is a theorem. There R is monotone, |u - u_0| only grows as k
 falls, and no equilibrium is nearer (Brezis 1973, the regularisation of Yosida). For other layers it is an indication.
@@ -135,7 +135,7 @@ class WeakSprings:
         return math.sqrt(self.equations.comm.allreduce(float(moved @ moved)))
 
     def _shares(self, x: Array) -> dict[str, float]:
-        """Fraction of the squared jumps since the start that occurs on each seam, by its name, the largest first.
+        """Fraction of the squared jumps from the start to x that occurs on each seam, by its name, largest first.
 
         Only seams with laws that yield or release bodies count; jumps along S count half in layers that yield.
         """

@@ -230,6 +230,15 @@ def _upper_triangle(A: Rows, is_fixed: BoolArray, d: int, nodes: IntArray) -> Ro
     """Upper triangle (CSR) of the rows and columns of some nodes, in the order of `nodes`; MUMPS reads no more.
 
     The function in C takes 0.05 s of a contact solve of 2.4 s with 512 square cells; scipy.sparse would take 0.3 s.
+
+    Args:
+        A: row starts, columns and entries (CSR) of the whole stiffness, in d x d blocks of nodes.
+        is_fixed: mask of the constrained unknowns, of whose stiffness only the diagonal is taken.
+        d: number of dimensions.
+        nodes: (n,) the nodes.
+
+    Raises:
+        SolveError: the nonzero pattern is not symmetric, or not made of blocks.
     """
     indptr, indices, values = A
     n, lengths = len(nodes), np.diff(indptr)[nodes * d]

@@ -242,14 +242,23 @@ class CondensedSystem:
             u = u + (self._length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
 
     def _stalls(self, residuals: list[float], u: Array, forces: Array) -> bool:
-        """Whether the last residual hardly fell, and is as small as rounding allows, at displacements u."""
+        """Whether the last of the relative residuals hardly fell, and is as small as rounding allows.
+
+        Args:
+            residuals: relative residuals of all steps.
+            u: (n d,) displacements now.
+            forces: (n d,) contact forces now, for the size of rounding.
+        """
         if len(residuals) < 3 or residuals[-1] <= residuals[-2] / 2:
             return False
         share = self._rounding * float(np.abs(u).max(initial=0.0)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
         return residuals[-1] <= max(STALLED_TOLERANCE, min(share, STATE_TOLERANCE))
 
     def _length(self, u: Array, step: Array, g: Array) -> float:
-        """Length, at most 1, of a Newton step from u at which the residual does no work along it; by regula falsi."""
+        """Length, at most 1, of a Newton step from u under forces g at which the residual does no work along it.
+
+        It is found by regula falsi.
+        """
 
         def work(length: float) -> float:
             return float(step @ self._residual(u + length * step, g))

@@ -123,7 +123,7 @@ class MultigridContact(ContactSolver):
     def residual(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
         """Write the residual at u, zero at constrained dofs, into `out`; return its norm over the reference forces.
 
-        It is scaled so that it is NEWTON_TOLERANCE where the rules of `ForceScale` let solvers stop.
+        The norm is scaled to be NEWTON_TOLERANCE where the rules of `ForceScale` let solvers stop.
         """
         equations = self.equations
         equations.residual(u, out)
@@ -229,7 +229,7 @@ class _NewtonRun:
             self.tangent.sweep(u, self._f, self._turned)
 
     def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
-        """Set the tangents of a step, and the tolerance of its linear solve."""
+        """Set the tangents of a step at displacements u, and the tolerance of its linear solve."""
         first = not snes.getIterationNumber()
         tangents = self._begin(u, self._f) if first else self._go_on(u)
         rtol = self.reductions[0] if first else min(0.5, self._target / self._relative)
@@ -242,7 +242,7 @@ class _NewtonRun:
     def _begin(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
         """Tangents (n, d, d) of the first step, at the initial jumps or for bonded nodes.
 
-        The residual f is changed to that of a contact law linearised there.
+        The residual f at displacements u is changed to that of a contact law linearised there.
         """
         pairs, jumps, start = self.pairs, self.nodes.separation(u), self._start
         if start is None:
@@ -273,7 +273,7 @@ class _NewtonRun:
 
 # ---------------------------------------------------------------- nodes whose slip has reversed
 def sliding_state(pairs: ContactPairs, w: Array) -> SlidingState:
-    """Status (n,) of the nodes at jumps w (n, d), and their tangential jumps minus slip (n, d - 1)."""
+    """Status (n,) of n pairs at jumps w (n, d), and their tangential jumps minus slip (n, d - 1)."""
     return pairs.status(w), pairs.offsets(w)[:, :-1]
 
 

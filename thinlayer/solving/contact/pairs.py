@@ -97,7 +97,7 @@ class ContactPairs:
         self._by_node = [column.astype(np.int32) for column in (begins, *columns)]
 
     def _gathered(self, of_part: LawValues[Scalar], w: Array) -> npt.NDArray[Scalar]:
-        """Values (pairs, ...) of each pair's law, by a function of the law, jumps and slip, at jumps w (pairs, d)."""
+        """Values (pairs, ...) of the function `of_part` of each pair's law, jump and slip, at jumps w (pairs, d)."""
         parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
         return np.concatenate([of_part(part.now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
 

@@ -80,8 +80,8 @@ def relax(
 ) -> Relaxation:
     """Run the relaxation of section 8 of the paper: over-relaxed Gauss-Seidel, component by component over all N dofs.
 
-    A contact node has the area b and the threshold of friction rho. In the row of one of its components, A has the
-    diagonal entry a, and r is the right-hand side minus all other entries times u. The normal component becomes r / a
+    A contact node has the area b and the threshold of friction rho. In the row of one of its components, a is the
+    diagonal entry of A. The right-hand side minus all other entries times u is r. The normal component becomes r / a
     if that opens S, else r / (a + b K_N). The tangential component becomes r / (a + b K_T) if the node sticks, else
     (r -+ b rho) / a. In three dimensions both tangential components are computed together: their traction lies in a
     disc. Unlike in the paper thresholds follow the pressure within the sweeps, and contact nodes have a relaxation
