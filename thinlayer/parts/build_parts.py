@@ -25,9 +25,10 @@ from thinlayer.system.ranks import destroy
 
 
 def body_parts(model: Model) -> list[Part]:
-    """Parts of a model that depend only on its mesh and bodies, each with its own key. Collective.
+    """Parts of the balance of forces that come from a model's bodies, each with its own key. Collective.
 
-    The first part has a matrix with the nonzero pattern of the bodies.
+    They are the laws in UFL forms, the compiled laws, and the unknown mean strain of a periodic cell under a mean
+    stress. In a model with bodies, the matrix `K` of the first part has the nonzero pattern of the bodies' stiffness.
     """
     linear = LawFormPart("forms", model.V, model.bodies, model.layer_terms)
     parts: list[Part] = [linear, *_compiled_parts(model, model.bodies)]
@@ -37,12 +38,14 @@ def body_parts(model: Model) -> list[Part]:
 
 
 def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[Part]:
-    """Parts of a model's layers, each with its own key. Collective.
+    """Parts of the balance of forces that come from a model's layers, each with its own key. Collective.
+
+    They are the laws in UFL forms, the compiled laws, the pressures of incompressible layers, and contact.
 
     Args:
         model: the model.
-        bc_dofs: displacements of this rank that supports prescribe (local, unrolled).
-        bodies: the result of `body_parts`.
+        bc_dofs: local numbers of this rank's displacement components that supports prescribe.
+        bodies: the parts of the bodies, as `body_parts` returns them; their stiffness scales equations of pressures.
     """
     in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
     terms = {key: [p for p in in_forms if p.key == key] for key in dict.fromkeys(p.key for p in in_forms)}
@@ -59,7 +62,11 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
 
 
 def _largest_at_rest(model: Model, parts: Sequence[Part]) -> float:
-    """Largest diagonal entry of the tangents at rest of some parts. Collective."""
+    """Stiffness, force per displacement, with which equations of pressures are scaled to forces. Collective.
+
+    It is the largest diagonal entry of the parts' stiffness at rest if one of the parts is no `LawFormPart`. If all
+    are, or if that entry is 0, it is the largest `LawFormPart.largest_at_rest`.
+    """
     in_forms, largest = [part for part in parts if isinstance(part, LawFormPart)], 0.0
     if parts != in_forms:
         sums = fem.Function(model.V)  # must outlive its PETSc vector
@@ -73,7 +80,10 @@ def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
 
 
 def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
-    """Write into `out` the diagonal of K and of the tangents at rest of bodies that are not in K. Collective."""
+    """Write into `out` the diagonal of the stiffness at rest of some parts, and return `out`. Collective.
+
+    It is the sum of the diagonals of the matrices `Part.K` and of the vectors `Part.diagonal_at_rest`.
+    """
     out.set(0.0)  # a subproblem of layers alone has no bodies
     diagonals = [part.K.getDiagonal() for part in parts if part.K is not None]
     diagonals += [diagonal for part in parts if (diagonal := part.diagonal_at_rest()) is not None]
@@ -84,7 +94,11 @@ def diagonal_at_rest(parts: Sequence[Part], out: PETSc.Vec) -> PETSc.Vec:
 
 
 def _free_vertices(model: Model, term: Term) -> Array | None:
-    """Vertices (n, d) of S where the pressure of a layer of order 1 is zero; None for other terms."""
+    """Coordinates (n, d) of the vertices of S at free ends where a layer's pressure is set to zero.
+
+    None: the term is not an interface law of order 1 with a pressure. Ends with cells longer than the length over
+    which the pressure falls are left out.
+    """
     if not flows_along_surface(term):
         return None
     layer = next(layer for layer in model.layers.values() if layer.key == term.key)

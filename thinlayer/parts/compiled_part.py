@@ -1,4 +1,4 @@
-"""Part of the balance of forces of a compiled law at its quadrature points."""
+"""Forces of a compiled law at its quadrature points, as a part of the balance of forces."""
 
 from __future__ import annotations
 
@@ -31,14 +31,26 @@ SAMPLE_FRACTIONS = (0.21, 0.5, 0.83)  # fractions of a step at which parameters 
 
 
 def softening_law(points: CompiledTerm, e: Array, e_old: Array, memory: Array, response: Response) -> Softening | None:
-    """A law whose stress falls at e or between e_old and e; None: no law softens. Collective."""
+    """Class name of a layer's law if its stress falls in a step, and a text with the number of points. Collective.
+
+    None: the stress falls at no point.
+
+    Args:
+        points: the law with its quadrature points.
+        e, e_old: (points, m) strains at the end and at the beginning of the step.
+        memory: (points, values) internal variables at the beginning of the step.
+        response: response of the law in this step.
+    """
     term = points.term
     count = points.comm.allreduce(points.softening_points(e, e_old, memory, response))
     return (type(term.law.in_space).__name__, f"at {count} points of the {term.key or LAYER_KIND}") if count else None
 
 
 def prescribed_strains(points: CompiledTerm) -> Callable[[float], Array]:
-    """A function of the time that returns the prescribed strains (points, m) of a compiled term. Collective."""
+    """Function of the time that returns a term's prescribed strains at its quadrature points. Collective.
+
+    The function is collective, too. Its values (points, m) are the m Mandel components `points.slots`.
+    """
     time, strain = TimeLevel(), points.term.prescribed_strain
     if strain is None:
         return lambda t: np.zeros((points.count, len(points.slots)))
@@ -52,17 +64,17 @@ def prescribed_strains(points: CompiledTerm) -> Callable[[float], Array]:
 
 
 class CompiledPart(Part):
-    """Part of one compiled law.
+    """Forces, tangent, energies and memory of one compiled law in a body or a layer.
 
     Args:
-        key: key of the part.
+        key: name of the part in states and files.
         V: space of the displacements.
-        term: the term of the law.
-        origin: relation of the mesh to its joint, if there is one; files need it.
-        symmetric: whether solvers assume that the tangent is symmetric; the part then checks it.
+        term: virtual work of the law, with its strain and its measure.
+        origin: relation of the mesh to its joint, which files need; None: there is no joint.
+        symmetric: whether solvers assume that the tangent is symmetric; the part then checks it in each iteration.
 
     Attributes:
-        points: the compiled term, with the quadrature points.
+        points: the compiled law at its quadrature points.
         law: the law.
     """
 
@@ -132,9 +144,12 @@ class CompiledPart(Part):
         self.points.spread(np.einsum("pm,pm->p", self._response.stress, self.points.strain(z.x.petsc_vec)), out)
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        """As in `Part`; raise InputError if the tangent is declared symmetric and is not.
+        """Tangent matrices of the last evaluation; raise InputError if solvers need symmetric ones and they are not.
 
         Symmetric solvers read only half of the matrix.
+
+        Args:
+            relative_residual: norm of the last residual over the reference force; a regularisation grows with it.
         """
         if self._symmetric and (skew := self.comm.allreduce(self._response.skew, MPI.MAX)) > ASYMMETRY_TOLERANCE:
             raise InputError(ASYMMETRY_MESSAGE.format(type(self.law.in_space).__name__, skew))
@@ -143,7 +158,11 @@ class CompiledPart(Part):
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> StepOutcome:
-        """As in `Part`. The remainder comes from the law for constant parameters, and from the work if they vary."""
+        """Energies, memory and stresses at the end of the step, for the last evaluation.
+
+        The remainder of the energy balance is computed by the law. If parameters vary, it is instead the work, less the
+        change of stored energy and the dissipated energy.
+        """
         response, interval = self._response, self.interval
         before = interval.old.stored[self.key] if self.key in interval.old.stored else self._at_rest()
         after, dissipated, remainder = map(float, self.comm.allreduce(response.energies))
@@ -167,7 +186,10 @@ class CompiledPart(Part):
         return float(self.comm.allreduce(self.points.stored(self._e_old, self._memory, self.interval.dt)))
 
     def _stored_at(self, t: float) -> float:
-        """Stored energy of the last response with the parameters of time t; the present parameters are restored."""
+        """Stored energy of the last evaluated strains and memory, with the law's parameters at time t.
+
+        Afterwards the law has its present parameters again.
+        """
         t_old = self._t
         self.at_time(t)
         stored = self.points.stored(self._e, self._response.memory, self.interval.dt)
@@ -208,7 +230,7 @@ class CompiledPart(Part):
         return None
 
     def _change(self, times: Sequence[float]) -> Array:
-        """Whether the parameters of each sublayer change in time, sampled at `times` and between them. Collective."""
+        """Mask (sublayers,): whether a sublayer's parameters change, at `times` and samples between them. Collective."""
         points = self.points
         points.at_time(times[0])
         old = points.material.of_sublayers
@@ -234,7 +256,10 @@ class CompiledPart(Part):
 
     @property
     def file_order(self) -> FileOrder:
-        """By cell or facet. Points of a facet are sorted by position, as their local order depends on the side."""
+        """Order of the quadrature points in files: by the number of their cell or facet in the joint.
+
+        Points of a facet are sorted by position, as their local order depends on the cell from which it is seen.
+        """
         points = self.points
         if points.region.dim < points.dim:
             return FileOrder.by_place(points.original, points.cells, points.x)

@@ -1,4 +1,4 @@
-"""Part of the balance of forces of a contact law at the nodes of S."""
+"""Forces of a contact law at the nodes of S, as a part of the balance of forces."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ MIN_SPRING_SHARE = 1e-8  # limit of the springs' share in the homotopy law as it
 
 
 class ContactPart(Part):
-    """Part of one contact law; its memory is the slip at the nodes of this rank.
+    """Forces, tangent, energies and memory of one contact law; the memory is the slip at the nodes of this rank.
 
     Args:
         law: the law.
         surface: the facets where it acts.
-        bc_dofs: displacements of this rank that supports prescribe (local, unrolled); Gauss-Seidel sweeps need them.
-        key: key of the part.
+        bc_dofs: local numbers of this rank's displacement components that supports prescribe; Gauss-Seidel sweeps leave
+            them unchanged.
+        key: name of the part in states and files.
 
     Attributes:
         law: the law.
-        nodes: the nodes of S on this rank.
-        now: the active law: the law itself or its homotopy law.
-        slip: (n, d - 1) slip at the beginning of the step.
+        nodes: the n nodes of S on this rank.
+        now: the law in use: the law itself, or the law of the continuation that `set_homotopy` has selected.
+        slip: (n, d - 1) tangential slip at the beginning of the step, a length; d: number of dimensions.
     """
 
     def __init__(
@@ -69,12 +70,24 @@ class ContactPart(Part):
         return 0.0
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        """As in `Part`. While all jumps are zero the law has no tangent; bonded springs replace it."""
+        """Tangent matrix of the last evaluation.
+
+        While all jumps are zero, the law has no unique tangent. The springs of bonded sides, which neither open nor
+        slide, then replace it.
+        """
         C = self.now.tangent(self._w, self.slip) if self._moved else self.law.bonded(len(self._w), self.nodes.dim)
         return [Block(self.nodes.stiffness(C))]
 
     def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
-        """As in `Part`. A node resists opening (slip) only if its pressure (friction bound) exceeds rounding error."""
+        """Tangent matrix of the nodes whose contact forces exceed rounding error, to find loose bodies.
+
+        A node resists opening only if its pressure exceeds the rounding error. It resists slip only if its bound of
+        friction does. While all jumps are zero, all nodes resist.
+
+        Args:
+            relative_residual: norm of the last residual over the reference force.
+            rounding: rounding error of each component of the nodal forces.
+        """
         if not self._moved:
             return self.tangents(relative_residual)
         nodes, p, C = self.nodes, self.law.pressure(self._w), self.now.tangent(self._w, self.slip)

@@ -1,4 +1,4 @@
-"""Parts that are UFL forms, with a constant matrix or assembled anew: laws, springs and user-defined forms."""
+"""Parts of the balance of forces that are UFL forms: laws in UFL, springs and user-defined forms."""
 
 from __future__ import annotations
 
@@ -32,15 +32,17 @@ from thinlayer.system.ranks import communicator, destroy
 
 
 class FormPart(Part):
-    """Forces K mid + F(mid) + g: linear, non-linear and constant in the displacements `mid` at which forces balance.
+    """Nodal forces K u + F(u) + g of UFL forms: linear, non-linear and constant in the displacements u.
+
+    In a step u is u_old + theta (u_new - u_old), where forces balance.
 
     Args:
-        key: key of the part.
-        u: displacement function in the forms F and `energy`; the part writes values into it.
-        K: matrix of the linear forces, which the part destroys at the end; None: no linear forces.
+        key: name of the part in states and files.
+        u: displacement function in the forms `F` and `energy`; the part writes values into it.
+        K: matrix of the linear forces, which `destroy` frees; None: no linear forces.
         F: virtual work of the non-linear forces, a UFL form of u, linear in a test function; None: no such forces.
         energy: the stored energy of F and g, a UFL form of u; None: they have no energy.
-        kept: whether states keep the energy under the key.
+        kept: whether states store the part's energy under its key.
         g: virtual work of the constant forces, a UFL form that is linear in a test function; None: no such forces.
     """
 
@@ -64,7 +66,7 @@ class FormPart(Part):
             self._take(mid.x.petsc_vec)
 
     def _take(self, u: PETSc.Vec, into: fem.Function | None = None) -> None:
-        """Copy displacements u into the function of F and its energy, or into another function, ghosts included."""
+        """Copy displacements u, ghosts included, into a function: by default that of the forms F and `energy`."""
         target = into or self._u
         u.copy(target.x.petsc_vec)
         target.x.scatter_forward()
@@ -77,7 +79,10 @@ class FormPart(Part):
         return self._add(self._mid.x.petsc_vec, out)
 
     def _add(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
-        """Add the forces at displacements u, after `_take(u)`; return the larger of the norms of K u and F + g."""
+        """Add the nodal forces at displacements u; return the larger of the norms of K u and F(u) + g.
+
+        The function in the form F must already have the values u.
+        """
         size = 0.0
         if self.K is not None:
             self.K.mult(u, self._product)
@@ -127,7 +132,7 @@ class FormPart(Part):
         return StepOutcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
 
     def _supplied(self) -> float:
-        """Work of the stresses of the last evaluation in the growth of prescribed strains over the step."""
+        """Work of the last evaluation's stresses in the increments of prescribed strains; 0 without such strains."""
         return 0.0
 
     def _quadratic(self, u: PETSc.Vec) -> float:
@@ -142,7 +147,13 @@ class FormPart(Part):
         return [] if self._energy is None else compiled_summands(self._energy)
 
     def _stored(self, u: PETSc.Vec, interval: TimeStep, *, before: bool = False) -> float:
-        """Energy of F and g at displacements u, at the end of a step or `before` it; NaN if they have no energy."""
+        """Energy of the forces F and g at displacements u; NaN if they have no energy.
+
+        Args:
+            u: displacements at the beginning or at the end of a step.
+            interval: the step.
+            before: whether they are those at its beginning.
+        """
         if self._energy is None:
             return float("nan")
         self._take(u)
@@ -153,21 +164,22 @@ class FormPart(Part):
 
 
 def assemble_plain_matrix(form: Expr) -> PETSc.Mat:
-    """The assembled matrix of a bilinear form."""
+    """Assemble the matrix of a UFL bilinear form, without supports."""
     return assemble_matrix(compiled(form))
 
 
 class LawFormPart(FormPart):
-    """Part of the terms of bodies and layers whose laws are not compiled: linear laws in K, the others in F.
+    """Forces of the laws in UFL forms of bodies or layers: K u of linear laws, F(u) of the others.
 
-    If there are bodies but no linear law, K is zero with the nonzero pattern of the tangent. Prescribed strains of
-    linear laws cause constant forces g. Prescribed strains of all laws do work as they grow.
+    If there are bodies but no linear law, K is zero with the nonzero pattern of the bodies' tangent. Prescribed strains
+    of linear laws cause constant forces g. Prescribed strains of all laws do work as they grow.
 
     Args:
-        key: key of the part.
+        key: name of the part in states and files.
         V: space of the displacements.
-        terms: the terms; terms with compiled laws are left out.
-        other_terms: terms of other parts, whose nonzero pattern K includes.
+        terms: virtual works of the laws; those of compiled laws are left out.
+        other_terms: virtual works of other parts. The nonzero pattern of K includes those of laws between two bodies on
+            S that are not compiled.
     """
 
     def __init__(self, key: str, V: fem.FunctionSpace, terms: Sequence[Term], other_terms: Iterable[Term] = ()) -> None:
@@ -204,7 +216,7 @@ class LawFormPart(FormPart):
     # ---------------------------------------------------------------- prescribed strains
     @cached_property
     def _power(self) -> fem.Form:
-        """Form of the work of the last evaluation's stresses in the growth of prescribed strains over the step."""
+        """Compiled form of the work of the last evaluation's stresses in the increments of prescribed strains."""
         over, grown = self._over, [p for p in self._terms if p.prescribed_strain is not None]
         pairs = zip([stress(p, self._u) for p in _with_strains(grown, over.balanced)], grown, strict=True)
         return compiled(sum(ufl.inner(s, over.growth(p.prescribed_strain)) * p.weight * p.measure for s, p in pairs))
@@ -221,10 +233,11 @@ class LawFormPart(FormPart):
         return max(super().add_forces(out), self._opposing_force())
 
     def _opposing_force(self) -> float:
-        """Force scale of non-linear bodies with prescribed strains: a mean stress times the area of a side.
+        """Reference force of non-linear bodies with prescribed strains: a mean stress times V^(1 - 1/d).
 
-        The stress is the mean of the stress component along the prescribed strains; 0 if these are zero. Nodal forces
-        of uniform stresses cancel, and non-linear bodies have no stiffness in K from which a force scale would follow.
+        V is their volume, d the number of dimensions. The mean stress is |int stress : e|/sqrt(V int e : e), with the
+        prescribed strains e; 0 if these are zero. Nodal forces of uniform stresses cancel, and non-linear bodies have
+        no stiffness in K from which a reference force would follow.
         """
         if not self._opposing:
             return 0.0
@@ -246,7 +259,10 @@ class LawFormPart(FormPart):
         return super()._stored(u, interval, before=before)
 
     def largest_at_rest(self) -> float:
-        """Largest diagonal entry of the tangent at rest of non-linear laws; 1 unless it is finite, > 0. Collective."""
+        """Largest diagonal entry of the non-linear laws' tangent at rest, force per displacement. Collective.
+
+        1 if there is no non-linear law, or if the entry is not finite or not positive.
+        """
         self._u.x.array[:] = 0.0
         diagonals = [A.getDiagonal() for A in self._present_tangent()]
         largest = max((float(diagonal.max()[1]) for diagonal in diagonals), default=0.0)
@@ -255,9 +271,9 @@ class LawFormPart(FormPart):
 
     @cached_property
     def _softening(self) -> list[tuple[CompiledTerm, Callable[[float], Array]]]:
-        """Compiled terms, with prescribed strains, of the layers' laws that may soften.
+        """Compiled forms of the layers' laws that may soften, each with a function of the time: its prescribed strains.
 
-        Laws in a meshed layer with parameters that are functions are left out.
+        Laws with a parameter that is a function of the place are left out.
         """
         terms = [p for p in self._terms if p.n is not None and p.law.traits.may_soften and _is_uniform(p.law)]
         points = [CompiledTerm(self._u.function_space, replace(p, law=_compiled_law(p.law))) for p in terms]
@@ -279,41 +295,44 @@ class LawFormPart(FormPart):
 
 
 def _is_uniform(law: BulkLaw) -> bool:
-    """Whether all parameters of a law are numbers or Constants."""
+    """Whether all parameters of a law, or of its sublayers, are numbers or DOLFINx Constants."""
     parameters = [value for _, sublayer in law.sublayers for value in sublayer.parameters().values()]
     return all(isinstance(value, fem.Constant) or not isinstance(value, ufl.core.expr.Expr) for value in parameters)
 
 
 def _compiled_law(law: BulkLaw) -> BulkLaw:
-    """The law in compiled form, with the present values of its Constants as numbers."""
+    """A law in UFL as a compiled law, with the present values of its DOLFINx Constants as numbers."""
     return law.mapped(lambda value, _: np.asarray(getattr(value, "value", value), float)).for_points()
 
 
 def _form_traits(p: Term) -> PartTraits:
-    """Traits of a law in UFL forms: no homotopy, no regularised tangent, and `weakens` only in layers."""
+    """Traits of a law in UFL forms, without the traits that only compiled laws have.
+
+    Such a law has no homotopy, and its tangent is not regularised. In bodies the trait `weakens` is dropped.
+    """
     traits = PartTraits.of(p.law)
     weakens, unchecked = traits.weakens and p.n is not None, not p.proportional
     return replace(traits, singular=False, has_homotopy=False, weakens=weakens, unchecked=unchecked)
 
 
 def _with_strains(terms: Iterable[Term], change: Callable[[Expr], Expr]) -> list[Term]:
-    """The terms with `change` applied to their prescribed strains."""
+    """Copies of terms whose prescribed strains, if any, are replaced by `change` of them."""
     pairs = [(p, p.prescribed_strain) for p in terms]
     return [p if strain is None else replace(p, prescribed_strain=change(strain)) for p, strain in pairs]
 
 
 def _strain_work(p: Term, v: Expr) -> Expr:
-    """Virtual work of the stress of a term's prescribed strain alone, in the strains of v."""
+    """Virtual work, in the strains of v, of the stress that a term's prescribed strain causes without displacements."""
     return ufl.inner(p.law.stress(Step(p.prescribed_strain, p.n)), p.strain(v)) * p.weight * p.measure
 
 
 def _strain_energy(p: Term, u: fem.Function) -> Expr:
-    """Energy that a term's prescribed strain adds to the energy of the strains of u."""
+    """Energy, a UFL form, by which the prescribed strain of a linear law changes the energy of displacements u."""
     return _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
 
 
 def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
-    """Forms of the work of stresses in the prescribed strains, the integral of their squares, and the volume."""
+    """Compiled integrals over bodies with prescribed strains e: of stress : e, of e : e, and the volume."""
     unity = fem.Constant(u.function_space.mesh, 1.0)
     densities = [(ufl.inner(stress(p, u), e), ufl.inner(e, e), unity) for p in strained for e in [p.prescribed_strain]]
     rows = [[f * p.weight * p.measure for f in row] for p, row in zip(strained, densities, strict=True)]
@@ -323,7 +342,14 @@ def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.F
 def _linear_stiffness(
     V: fem.FunctionSpace, linear: Sequence[Term], bodies: Sequence[Term], other_terms: Iterable[Term]
 ) -> PETSc.Mat:
-    """Assembled matrix of the linear laws; without linear laws, zeros in the nonzero pattern of elastic bodies.
+    """Assemble the stiffness matrix of linear laws; without linear laws, zeros in the nonzero pattern of `bodies`.
+
+    Args:
+        V: space of the displacements.
+        linear: virtual works of the linear laws.
+        bodies: virtual works of all bodies' laws.
+        other_terms: further virtual works. The nonzero pattern includes those of laws between two bodies on S that are
+            not compiled.
 
     Raises:
         InputError: a law declares that it is linear and is not.

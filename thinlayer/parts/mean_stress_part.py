@@ -24,17 +24,18 @@ from thinlayer.system.ranks import destroy
 
 
 class MeanStressPart(FieldPart):
-    """Forces of the mean strain E on linear bodies, and the equation that the mean stress equals its prescribed value.
+    """Mean strain E of a periodic cell as unknowns, with the equation that the mean stress has its prescribed value.
 
-    The unknowns are E times the size of the cell, with shears 2 e_12, so that they are displacements. The rows of the
-    equation are forces: mean stress less prescribed mean stress, times the volume over the size.
+    The unknowns are the components of E times the size of the cell, which are lengths; shears are 2 E_12. The rows of
+    the equation are forces: mean stress minus prescribed mean stress, times the volume of the cell over its size.
 
     Args:
         V: space of the displacements.
-        bodies: terms of the bodies, with linear laws; their prescribed strains, from eigenstrains, are added to E.
+        bodies: virtual works of the bodies, with linear laws; their prescribed strains, from eigenstrains, are added to
+            E.
         mean_stress: the prescribed mean stress.
         volume: volume of the cell.
-        comm: the domain's communicator.
+        comm: communicator of the mesh.
     """
 
     key = MEAN_STRAIN
@@ -95,7 +96,7 @@ class MeanStressPart(FieldPart):
         return [Block(matrix, theta, row, column, kept=True) for matrix, row, column in matrices]
 
     def commit(self) -> StepOutcome:
-        """As in `Part`; the energy is the contribution of the mean strain to the energy of the bodies."""
+        """Energies of the accepted step: those that the mean strain adds to the bodies' energies."""
         now, old = self._u.x.petsc_vec, self.interval.old.u.x.petsc_vec
         difference = now - old
         self._change.array[:] = self.field.x.array[: self.own_size] - self._old.array_r
@@ -109,7 +110,13 @@ class MeanStressPart(FieldPart):
         return StepOutcome(before, after, 0.0, (2 * theta - 1) * of_change, kept=False, supplied=supplied)
 
     def _energy(self, u: PETSc.Vec, E: PETSc.Vec, forces: Array) -> float:
-        """Energy that a mean strain E adds at displacements u, with the own forces of prescribed strains."""
+        """Energy that the mean strain adds to the bodies' energy.
+
+        Args:
+            u: displacements.
+            E: the unknowns of the mean strain.
+            forces: forces of the bodies' prescribed strains in the equations of the mean strain.
+        """
         self.B.mult(E, self._forces)
         self.D.mult(E, self._more)
         return float(u.dot(self._forces)) + float(E.dot(self._more)) / 2 + self._product(forces, E)
@@ -121,9 +128,9 @@ class MeanStressPart(FieldPart):
     # ---------------------------------------------------------------- own unknowns
     @property
     def own_file_order(self) -> FileOrder:
-        """One row for the whole cell."""
+        """Order of the components in files: one row for the whole periodic cell."""
         return FileOrder(np.zeros(1, np.int64), np.arange(self._mean_stress.count)[None, :])
 
     def destroy(self) -> None:
-        """Free matrices and vectors."""
+        """Free the part's PETSc matrices and vectors."""
         destroy(self.B, self.D, self._turned, self._forces, self._own, self._more, self._mid, self._old, self._change)

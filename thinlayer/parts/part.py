@@ -29,7 +29,7 @@ MISSPELT_SIMILARITY = 0.9  # ratio of two names (difflib) from which on one coun
 
 @dataclass(frozen=True)
 class TimeStep:
-    """A time step from the configuration `old` to the time t = old.t + dt; forces balance at old.t + theta dt."""
+    """A time step from the configuration `old` to the time t = old.t + dt, with forces balanced at old.t + theta dt."""
 
     old: Configuration
     t: float
@@ -44,22 +44,23 @@ class TimeStep:
 
 @dataclass(frozen=True)
 class PartTraits:
-    """Properties of a part. Several parts together have a flag if one of them has it.
+    """Properties of a part of the balance of forces, as flags; `a | b` has the flags that a or b has.
 
     Attributes:
-        rate: the forces depend on velocities or strain rates: `march` begins at rest, and `solve` refuses the part.
+        rate: the forces depend on velocities or strain rates. `march` then begins at rest, and `solve` refuses the
+            part.
         remembers: the forces depend on the history before the step.
         nonlinear: the forces are not proportional to the displacements.
         bounded: stresses are bounded, so that loads may have a limit.
         softens: stresses fall as jumps grow, so that loads may have several equilibria.
-        weakens: the part may resist less than its tangent predicts: it flows, yields or softens, or its tangent may
-            vanish.
+        weakens: forces may grow less than the tangent predicts, as the part flows, yields or softens, or its tangent
+            vanishes.
         releases: the part may resist a body in one step and release it in the next, as contact does.
         singular: the tangent may be singular for some strains although there is an energy.
         saddle: the tangent, with supports applied, may have eigenvalues of both signs.
-        has_homotopy: the part has a homotopy law for continuation, which its method `set_homotopy` selects.
-        switches: phases are fixed while an equilibrium is computed, and change after it.
-        inner: rigid motions of a whole body cause no forces.
+        has_homotopy: the part has laws for homotopy continuation, which its method `set_homotopy` selects.
+        switches: points have phases, which are fixed while an equilibrium is computed, and change after it.
+        inner: the part acts within bodies alone, so that rigid motions of a whole body cause no forces.
         unchecked: stresses are not checked at each point; a NaN appears only in the summed forces.
     """
 
@@ -91,14 +92,15 @@ class PartTraits:
 
 @dataclass(frozen=True)
 class Block:
-    """A matrix that a part adds to the tangent.
+    """A matrix, times a factor, that a part adds to one block of the tangent.
 
     Attributes:
         matrix: the matrix.
-        factor: the block is `factor` times the matrix.
-        row: key of the equations: a part's key, or `DISPLACEMENT_KEY`.
-        column: key of the unknowns by which they are differentiated, likewise.
-        kept: True: the part keeps the matrix; False: the caller destroys it.
+        factor: number by which the matrix is multiplied.
+        row: key of the block's equations: `DISPLACEMENT_KEY` for the balance of nodal forces, or the key of the part
+            whose own equations they are.
+        column: key of the unknowns by which they are differentiated: `DISPLACEMENT_KEY`, or the key of a part.
+        kept: True: the part uses the matrix again; False: the caller destroys it.
     """
 
     matrix: PETSc.Mat
@@ -110,18 +112,18 @@ class Block:
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """Energies of a part over an accepted step (NaN if a law declares none), and its memory.
+    """Energies of a part over an accepted step, and its memory at the end. Energies that a law does not declare are NaN.
 
     Attributes:
         before, after: energy stored at the beginning and at the end of the step.
         dissipated: energy dissipated in the step.
-        remainder: work, `supplied` included, less the change of stored energy and less `dissipated`. It is caused by
-            the time scheme or by varying parameters.
-        memory: memory at the end of the step, as in `Part.rest`; None: the part has no memory.
+        remainder: work of the part's forces, `supplied` included, minus the change of stored energy and minus
+            `dissipated`. It is caused by the time scheme or by varying parameters.
+        memory: memory at the end of the step, of the type that `Part.rest` returns; None: the part has no memory.
         supplied: work done on the part by prescribed strains, in addition to the work of loads and supports.
-        stress: (n, components) stresses at the end of the step; None: the part keeps no stresses.
-        kept: whether the state keeps `after` under the part's key. False for parts whose energy the state computes
-            itself, as for bodies and layers with laws in UFL forms.
+        stress: (n, components) stresses at the n points of the memory at the end of the step; None: no stresses.
+        kept: whether the state stores `after` under the part's key. False if the state can compute the energy itself,
+            as for laws in UFL forms.
     """
 
     before: float = 0.0
@@ -136,12 +138,13 @@ class StepOutcome:
 
 @dataclass(frozen=True)
 class FileOrder:
-    """Order of values in files: by the number of their cell, facet or vertex in the joint.
+    """Order of a rank's n values in files: by the number of their cell, facet or vertex ("entity") in the joint.
 
     Attributes:
-        numbers: (cells,) numbers of the cells, facets or vertices in the joint.
-        order: (cells, k) local indices of each cell's values, in an order that does not depend on the distribution.
-        n_owned: this rank writes the values of the first `n_owned` cells; None: of all cells.
+        numbers: (entities,) numbers of this rank's entities in the joint.
+        order: (entities, k) positions of each entity's k values among the n values, in an order that does not depend on
+            the distribution of the mesh.
+        n_owned: this rank writes the values of its first `n_owned` entities; None: of all.
     """
 
     numbers: IntArray
@@ -150,21 +153,29 @@ class FileOrder:
 
     @property
     def width(self) -> int:
-        """Number of values per cell, k."""
+        """Number k of values of each cell, facet or vertex."""
         return int(self.order.shape[1])
 
     @classmethod
     def by_place(cls, numbers: IntArray, indices: IntArray, x: Array) -> FileOrder:
-        """Order the values of each cell by the projections of their points x (n, d) on `SORTING_DIRECTION`."""
+        """Order in which the values of each cell or facet are sorted by the positions of their points.
+
+        The points are sorted by their projections on the direction `SORTING_DIRECTION`.
+
+        Args:
+            numbers: (entities,) numbers of the cells or facets in the joint.
+            indices: (entities, k) positions of each one's values among this rank's n values, in any order.
+            x: (n, d) coordinates of the points of the values; d: number of dimensions.
+        """
         along = x @ np.array(SORTING_DIRECTION[: x.shape[1]])
         return cls(numbers, np.take_along_axis(indices, np.argsort(along[indices], axis=1), axis=1))
 
     def ordered(self, values: Array) -> Array:
-        """Values (n, v) as rows (cells, k v)."""
+        """Values (n, v) of this rank as rows (entities, k v), one for each cell, facet or vertex, as in files."""
         return values[self.order].reshape(len(self.numbers), self.width * values.shape[1])
 
     def put(self, out: Array, rows: Array) -> None:
-        """Fill `out` (n, v) from rows (cells, k v): the inverse of `ordered`."""
+        """Write rows (entities, k v), as `ordered` returns them, into the values `out` (n, v) of this rank."""
         out[self.order.ravel()] = rows.reshape(self.order.size, out.shape[1])
 
 
@@ -173,28 +184,29 @@ SORTING_DIRECTION = (0.5403023058681398, 0.2926817141205163, 0.7890437903507289)
 
 
 class Part(ABC):
-    """A part of the balance of forces. All methods are collective.
+    """A part of the balance of forces, such as bodies, a layer, springs or contact. All methods are collective.
 
     A step starts with `begin`. A solver then tries unknowns: it passes the displacements to `evaluate`, and all other
-    methods refer to the last evaluation. `commit` is called once, when the step is accepted. Four methods are
-    compulsory: `evaluate`, `add_forces`, `tangents` and `commit`. A part with the methods of `SwitchesPhases` or of
-    `MeasuresError` has this ability, too.
+    methods refer to this last evaluation. `commit` is called once, when the step is accepted. Four methods are
+    compulsory: `evaluate`, `add_forces`, `tangents` and `commit`. A part that defines the methods of `SwitchesPhases`
+    or of `MeasuresError` has this ability, too.
 
     Attributes:
         key: name of the part's memory, energy and unknowns, in states and in files.
         traits: properties of the part.
         failed: number of points on all ranks at which the last evaluation failed.
         K: matrix of the forces that are linear in the displacements; None: there is no such matrix.
-        field: own unknowns of a `FieldPart`; None for other parts.
-        distance: largest prescribed distance of bodies, such as an initial gap: displacements have rounding errors of
-            its size.
-        cancelling: norm of the diagonal of a stiffness that is not in K and acts on differences of displacements.
-        stress_width: number of stress components that states keep at each point of the memory.
+        field: unknowns of the part besides the displacements; None: it has none.
+        distance: largest prescribed distance between bodies, such as an initial gap. The rounding error of
+            displacements is at least that of this length.
+        cancelling: norm of the diagonal of a stiffness that acts on differences of displacements, such as jumps, and is
+            not in K; for the rounding error of forces.
+        stress_width: number of stress components that states store at each point of the memory.
         interval: the present step.
 
     Raises:
-        InputError: when a subclass is defined: a method's name is nearly that of an optional method, or only some
-            methods of an ability are defined.
+        InputError: when a subclass is defined: a method's name differs by little from that of an optional method, or
+            only some methods of an ability are defined.
     """
 
     key: str
@@ -222,39 +234,47 @@ class Part(ABC):
                 raise InputError(f"{cls.__name__} has {min(names - missing)!r} without {min(missing)!r}; define both")
 
     def begin(self, interval: TimeStep) -> None:
-        """Begin a step from the configuration `interval.old`."""
+        """Begin a time step; its initial data are the configuration `interval.old`."""
         self.interval = interval
 
     def add_fixed(self, out: PETSc.Vec) -> None:
-        """Add the nodal forces that do not depend on the unknowns of the step."""
+        """Add to `out` the nodal forces that do not depend on the unknowns of the step; by default none."""
 
     def at_time(self, t: float) -> None:
-        """Set the parameters to their values at time t; InputError: a parameter is out of range."""
+        """Set the part's parameters to their values at time t; raise InputError if one is out of range."""
 
     def parameters(self) -> list[Array]:
-        """The arrays on this rank that vary in time, at the time of the last `at_time`."""
+        """This rank's arrays of parameters that vary in time, at the time of the last `at_time`; by default none."""
         return []
 
     def set_homotopy(self, parameter: float) -> None:
-        """Set the law to the homotopy law of a continuation parameter: 0 is the law itself, 1 an elastic law."""
+        """Choose the law of a homotopy continuation: parameter 0 is the part's law itself, 1 an elastic law."""
 
     @abstractmethod
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
-        """Take the displacements u at the end of the step, and mid = old + theta (u - old), at which forces balance.
+        """Compute what the other methods need at trial displacements. The caller keeps u and mid unchanged meanwhile.
 
-        The caller owns both functions and leaves them unchanged until the next evaluation.
+        Args:
+            u: displacements at the end of the step.
+            mid: displacements old + theta (u - old) at which forces balance.
         """
 
     def failure(self) -> str:
-        """Text that says what failed in the last evaluation and where; "" if nothing failed."""
+        """Message with the first failure of the last evaluation and its place; "" if nothing failed."""
         return ""
 
     @abstractmethod
     def add_forces(self, out: PETSc.Vec) -> float:
-        """Add the nodal forces of the last evaluation; return their norm if it enters the force scale, else 0."""
+        """Add the nodal forces of the last evaluation to `out`, and return their norm for the reference force.
+
+        Residuals are compared with the reference force. Return 0 if the forces are not to count in it.
+        """
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
-        """Add the work of the last stresses in displacements z, distributed to nodes; by default nodal forces times z."""
+        """Add to `out` the work, distributed to nodes, of the last evaluation's stresses in displacements z.
+
+        By default it is each component of the nodal forces times that of z.
+        """
         forces = out.duplicate()
         forces.set(0.0)
         self.add_forces(forces)
@@ -263,102 +283,127 @@ class Part(ABC):
         forces.destroy()
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
-        """Add the nodal forces of the stresses of bodies in a state, for the error of a step."""
+        """Add to `out` the nodal forces of the bodies' stresses in a state, which error estimates compare.
+
+        By default none.
+        """
 
     @abstractmethod
     def tangents(self, relative_residual: float) -> list[Block]:
-        """Tangent blocks of the last evaluation: derivatives of the forces, and of the part's own equations.
+        """Blocks of the tangent of the last evaluation.
 
-        They are derivatives by the unknowns at the end of the step.
+        They are the derivatives of the nodal forces, and of the part's own equations, by the unknowns at the end of the
+        step.
 
         Args:
-            relative_residual: norm of the last residual divided by the forces; 0 unless a tangent may be singular.
+            relative_residual: norm of the last residual over the reference force; 0 unless a tangent may be singular.
+                Singular tangents are regularised in proportion to it.
         """
 
     def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
-        """Tangent blocks that resist rigid motions; a nodal force of at most `rounding` at its node counts as zero."""
+        """Blocks of the tangent with which loose bodies are found; by default those of `tangents`.
+
+        Args:
+            relative_residual: norm of the last residual over the reference force.
+            rounding: rounding error of each component of the nodal forces. Resistance of forces below it is left out.
+        """
         return self.tangents(relative_residual)
 
     @abstractmethod
     def commit(self) -> StepOutcome:
-        """Energies and memory at the end of the step, for the last evaluation."""
+        """Energies over the step, and memory at its end, for the last evaluation."""
 
     def undeclared_softening(self) -> Softening | None:
-        """A law whose stress falls in the last evaluation without the trait `softens`; None: there is no such law."""
+        """Name of a law whose stress falls in the last evaluation although it lacks the trait `softens`, and the place.
+
+        None: there is no such law.
+        """
         return None
 
     def rest(self) -> Memory | None:
-        """Memory at rest; None: the part has no memory.
+        """Initial memory, before the first step; None: the part has no memory.
 
-        It is an array (n, values) at entities such as points or vertices, which files keep in the `file_order`. Or it
-        is a mapping from names to functions on the model's mesh, such as velocities, which files keep cell by cell.
+        It is an array (n, values) with a row for each quadrature point or node, written to files in the `file_order`.
+        Or it maps names to functions on the model's mesh, such as velocities, which are written cell by cell.
         """
         return None
 
     @property
     def file_order(self) -> FileOrder | None:
-        """The order in files of a memory that is an array."""
+        """Order in files of the rows of a memory that is an array; None: the memory is none, or has no order."""
         return None
 
     def named(self) -> dict[str, PartTraits]:
-        """Traits by the names that error messages use: names of laws, or of the part itself."""
+        """Traits of the part's laws, or of the part itself, by the names that they have in error messages."""
         return {f"the part {self.key!r}": self.traits}
 
     def diagonal_at_rest(self) -> PETSc.Vec | None:
-        """Diagonal of the tangent at rest of bodies that are not in K, a scale of forces; the caller destroys it."""
+        """Diagonal of the tangent at rest of a body that is not in K, for the reference force; None: no such body.
+
+        The caller destroys the vector.
+        """
         return None
 
     def takes_time(self) -> str:
-        """Name of a law whose response depends on the length of the step; "" without such a law."""
+        """Name of a law that creeps or relaxes, so that its response depends on the length of the step; "": none."""
         return ""
 
     def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
-        """Name of a law with a non-linear instantaneous response; None: there is no such law.
+        """Name of a law whose instantaneous response is not linear, and whether changes of parameters are the reason.
 
-        The second value is whether parameters that vary in time are the reason.
+        None: there is no such law.
+
+        Args:
+            times: start and ends of the steps; changes of parameters are looked for at and between them.
         """
         return next(((name, False) for name, has in self.named().items() if has.nonlinear and not has.rate), None)
 
     def destroy(self) -> None:
-        """Free the matrices."""
+        """Free the part's PETSc objects."""
 
 
 @runtime_checkable
 class SwitchesPhases(Protocol):
-    """Ability of a part whose columns switch phases."""
+    """Ability of a part whose columns, the cells above each other through the layer, have phases that switch."""
 
     def excess(self) -> float:
-        """Largest gain of energy by a change of phase in a column."""
+        """Largest gain of energy that a change of phase in a column would bring, relative to a constant of the law.
+
+        Columns switch if it is > 0.
+        """
 
     def switch(self) -> bool:
-        """Change columns to the phases of lowest energy in the last evaluation; return whether any column changed."""
+        """Change columns to the phases of lowest energy in the last evaluation; return whether a column changed."""
 
 
 @runtime_checkable
 class MeasuresError(Protocol):
-    """Ability of a part to measure its strains or jumps, for the error of a step."""
+    """Ability of a part to give its strains or jumps, which error estimates of steps compare."""
 
     def error_measure(self, u: fem.Function) -> Array:
-        """Strains or jumps (n,) at u; the sum of their squares is an integral."""
+        """Values (n,) on this rank of strains or jumps at u, times square roots of quadrature weights.
+
+        The sum of their squares is the integral of the squared strains or jumps.
+        """
 
     def unit_jump_measure(self) -> float:
-        """Estimate of this sum for a unit jump across the layer."""
+        """Estimate, on all ranks, of the sum of squares of `error_measure` for a unit jump across the layer."""
 
 
 def _public_names(kind: type) -> set[str]:
-    """Public names that a class itself defines."""
+    """Public names in the body of a class, without inherited ones."""
     return {name for name in vars(kind) if not name.startswith("_")}
 
 
 class FieldPart(Part):
-    """A part with its own unknowns in addition to the displacements, such as a pressure or a mean strain.
+    """A part with its own unknowns and equations besides displacements, such as a pressure or a mean strain.
 
     Attributes:
-        field: the own unknowns, in the solver's units.
-        unit: value in states divided by value of the unknown.
-        load: prescribed forces (own_size,) in the part's own equations; `own_residual` subtracts them.
+        field: the own unknowns, scaled so that their equations have the size of forces.
+        unit: factor by which the own unknowns are multiplied in states.
+        load: (own_size,) forces prescribed in the part's own equations; `own_residual` subtracts them.
         on_S: whether the own unknowns are on S, so that block preconditioners suit them.
-        hint: clause for error messages that says how the part may make a linear solve fail; "" if it does not.
+        hint: clause of error messages with the reason why the part may make a linear solve fail; "": none.
     """
 
     field: fem.Function
@@ -375,35 +420,40 @@ class FieldPart(Part):
 
     @abstractmethod
     def own_residual(self) -> Array:
-        """Residual of the part's own equations on this rank, for the last evaluation."""
+        """Residual (own_size,) of the part's own equations on this rank, for the last evaluation."""
 
     def load_at(self, t: float) -> Array:
-        """Prescribed forces (own_size,) in the own equations at time t."""
+        """Forces (own_size,) prescribed in the part's own equations at time t; by default zero."""
         return np.zeros(self.own_size)
 
     def at_time(self, t: float) -> None:
-        """As in `Part`."""
+        """Set the time at which `parameters` gives the prescribed values."""
         self._t = t
 
     def parameters(self) -> list[Array]:
-        """Prescribed forces and prescribed own unknowns at the time of the last `at_time`."""
+        """Arrays of the prescribed forces and of the prescribed own unknowns at the time of the last `at_time`."""
         return [self.load_at(self._t), self.own_prescribed(self._t)[1]]
 
     def own_start(self, old: Configuration) -> Array:
-        """Own unknowns on this rank at the start of a step from `old`."""
+        """This rank's own unknowns (own_size,) at the start of a step from the configuration `old`."""
         values = old.fields.get(self.key)
         return np.zeros(self.own_size) if values is None else np.asarray((values.x.array / self.unit)[: self.own_size])
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
-        """Numbers of this rank's prescribed own unknowns, and their values at time t; 0 if t is None."""
+        """Local numbers of this rank's prescribed own unknowns, and their values at time t; zeros if t is None.
+
+        By default no own unknowns are prescribed.
+        """
         return np.empty(0, np.int64), np.empty(0)
 
     def _strain_forces(self, over: StepStrains, form: fem.Form | None) -> tuple[Array, Array]:
-        """Forces (own_size,) of prescribed strains in the own equations, at the end and at the start of the step.
+        """Forces of prescribed strains in the part's own equations, at the end and at the start of the step.
+
+        Both arrays have the shape (own_size,).
 
         Args:
-            over: the prescribed strains.
-            form: linear form of the strains `over.now`; None: there are none.
+            over: the prescribed strains over the step; the method sets the time of `over.now`.
+            form: linear form of the prescribed strains `over.now`; None: no strains are prescribed.
         """
         old = self.interval.old
         over.look_at(self.interval.t)
@@ -412,14 +462,14 @@ class FieldPart(Part):
         return new, assemble_values(form, self.own_size)
 
     def own_result(self) -> fem.Function:
-        """Own unknowns at the end of the step, in the units of the state, for the last evaluation."""
+        """Own unknowns at the end of the step for the last evaluation, multiplied by `unit` as in states."""
         values = self.field.copy()
         values.x.array[:] *= self.unit
         return values
 
     @property
     def own_size(self) -> int:
-        """Number of own unknowns of this rank."""
+        """Number of own unknowns that this rank owns."""
         dofmap = self.field.function_space.dofmap
         return int(dofmap.index_map.size_local * dofmap.index_map_bs)
 
