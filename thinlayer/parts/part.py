@@ -367,7 +367,7 @@ class SwitchesPhases(Protocol):
     """Ability of a part whose columns, the cells above each other through the layer, have phases that switch."""
 
     def excess(self) -> float:
-        """Largest gain of energy that a change of phase in a column would bring, relative to a constant of the law.
+        """Largest energy that a column would lose by a change of phase, over the energy of the transformation.
 
         Columns switch if it is > 0.
         """

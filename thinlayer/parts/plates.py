@@ -1,4 +1,4 @@
-"""Rigid plates on the boundary: their motions are unknowns, and the resultant forces on them are prescribed."""
+"""Rigid plates on the boundary: for each of their motions the motion or the resultant force is prescribed."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ ROTATION_NAMES = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z"
 
 
 def motion_names(d: int) -> list[str]:
-    """Names of the motions of a plate in d dimensions."""
+    """Names of a plate's translations and rotations in d dimensions, in the order of `motion_fields`."""
     return [*AXIS_NAMES[:d], *ROTATION_NAMES[d]]
 
 
 @dataclass(frozen=True, eq=False)
 class PlateMotion:
-    """The motion of a rigid plate.
+    """Displacement and rotation of a rigid plate; d: number of dimensions.
 
     Attributes:
-        translation: (d,) displacement of the point `about`.
-        rotation: small rotation: (3,), in 2D a number, > 0 from x to y.
-        about: (d,) reference point.
+        translation: (d,) displacement of the reference point.
+        rotation: small rotation in radians: (3,), in 2D a number, > 0 from x to y.
+        about: (d,) coordinates of the reference point.
     """
 
     translation: Array
@@ -56,21 +56,23 @@ class PlateMotion:
 class RigidPlate(PartDefinition):
     """A rigid plate, bonded to a facet set of the outer boundary and to the side of the layer that continues it.
 
-    Its nodes move as a rigid body, with small rotations. For each of its 3 motions (in 3D 6) either the motion is
-    prescribed, or the force or moment, by default zero. All values may be functions (x, t) of the time alone, or
-    `piecewise`. A support at one of its nodes constrains the motion of the whole plate.
+    Its nodes move as a rigid body, with small rotations. It has a translation along each of the d axes, and 1 rotation
+    in 2D, 3 in 3D. For each of these motions either the motion is prescribed, or its force or moment, by default zero.
+    Each value may also be a function (x, t) of the time alone, or `piecewise`. A support at one of its nodes constrains
+    the motion of the whole plate.
 
     Attributes:
         place: name of a facet set on the outer boundary.
-        force: (d,) resultant force on the plate; in 2D per unit thickness.
+        force: (d,) resultant force on the plate; in plane models per unit thickness.
         moment: resultant moment about the point `about`: a number in 2D (> 0 from x to y), (3,) in 3D.
-        motion: prescribed motions of this point: "x", "y", "z" a length, "rotation" (in 3D "rotation x", ...) an angle.
-        about: reference point (d,), in the coordinates of the model's mesh; by default the centroid of the place.
-        key: name of its unknowns, "plate NAME".
+        motion: name of a motion -> its prescribed value. "x", "y", "z": displacement of the point `about`, a length.
+            "rotation" (in 3D "rotation x", ...): a small angle in radians.
+        about: (d,) coordinates of the reference point in the model's mesh; None: the centroid of the facet set.
+        key: name of its unknowns, "plate NAME" with the name of the facet set.
 
     Raises:
-        InputError: when a model is made: an unknown or empty place, inner facets, values that are no numbers, a force
-            along a prescribed motion, nodes that belong to another plate too.
+        InputError: when a model is made: an unknown or empty facet set, inner facets, values that are no numbers, a
+            force along a prescribed motion, nodes that belong to another plate too.
 
     Example:
         >>> from forms import LinearElastic
@@ -97,7 +99,7 @@ class RigidPlate(PartDefinition):
         object.__setattr__(self, "key", f"plate {self.place}")
 
     def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
-        """Multi-point constraint of the plate's nodes, whose displacements follow its motions. Collective."""
+        """Multi-point constraint by which displacements of the plate's nodes follow its few motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
         scale = np.where(np.arange(motion_count(d)) < d, 1.0, size)
         keys, loads, at = self.prescribed_motions(model), self._resultants(model), self._motions(model)
@@ -114,10 +116,15 @@ class RigidPlate(PartDefinition):
         return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
 
     def _tie(self, model: HostModel, about: Array, size: float) -> scipy.sparse.csr_matrix:
-        """Sparse matrix (n, k) from the plate's motions to displacements of this rank. Collective.
+        """Matrix (n, k) from the k motions of the plate to the n displacement components of this rank. Collective.
 
-        Rotations are multiplied by `size`. A rotation shifts the bodies on both sides of a layer along S relative to
-        each other, with the layer's thickness as lever arm.
+        A rotation shifts the bodies on both sides of a layer along S relative to each other, with the layer's thickness
+        as lever arm.
+
+        Args:
+            model: the model.
+            about: (d,) reference point of the rotations.
+            size: size of the structure. The unknowns of rotations are angles times this length.
         """
         V, d = model.V, model.joint.dim
         owned = V.dofmap.index_map.size_local
@@ -147,7 +154,7 @@ class RigidPlate(PartDefinition):
         return f"plate on {self.place!r}"
 
     def check(self, model: HostModel) -> None:
-        """As in `PartDefinition`."""
+        """Raise InputError unless the plate's facet set and values fit the model. Collective."""
         boundary_values(model.domain, model.kinematics, self.place, self.what)
         d, names = model.joint.dim, motion_names(model.joint.dim)
         for name in self.motion:
@@ -160,28 +167,42 @@ class RigidPlate(PartDefinition):
             self._at(0.0, self._resultants(model), self.prescribed_motions(model), d)
 
     def _resultants(self, model: HostModel) -> dict[str, Coefficient]:
-        """The prescribed force and moment, by name, without values that are None."""
+        """The prescribed loads of the plate under the names "force" and "moment", without values that are None."""
         d, loads = model.joint.dim, (("force", self.force), ("moment", self.moment))
         shapes: dict[str, tuple[int, ...]] = {"force": (d,), "moment": () if d == 2 else (3,)}
         return {name: self._value(model, name, value, shapes[name]) for name, value in loads if value is not None}
 
     def _motions(self, model: HostModel) -> dict[int, Coefficient]:
-        """Number of each prescribed motion -> its value."""
+        """Position of each prescribed motion in `motion_names` -> its value."""
         names = motion_names(model.joint.dim)
         return {names.index(k): self._value(model, f"motion {k!r}", value, ()) for k, value in self.motion.items()}
 
     def _value(self, model: HostModel, name: str, value: Number | Vector, shape: tuple[int, ...]) -> Coefficient:
-        """Coefficient of a value that must be the same on the whole plate."""
+        """Convert a user's value to a `Coefficient` that may depend on the time, not on the place.
+
+        Args:
+            model: the model.
+            name: name of the value in messages.
+            value: the value.
+            shape: shape that it must have.
+        """
         coefficient: Coefficient = model.coordinates.coefficient(value, f"{self.what}: {name}", shape)
         return coefficient.once("the whole plate")
 
     @staticmethod
     def _prevented(model: HostModel) -> list[int]:
-        """Numbers of the motions that the model's kinematics exclude."""
+        """Positions in `motion_names` of the motions that the model's kinematics exclude, as axisymmetry does."""
         return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
 
     def _at(self, t: float, loads: Mapping[str, Coefficient], prescribed: Sequence[int], d: int) -> Array:
-        """Force and moment (k,) at time t; raise InputError if one of them acts along a prescribed motion."""
+        """Forces and moments (k,) on the k motions at time t; raise InputError if one is on a prescribed motion.
+
+        Args:
+            t: time.
+            loads: the prescribed loads under the names "force" and "moment".
+            prescribed: positions of the prescribed motions in `motion_names`.
+            d: number of dimensions.
+        """
         out, places = np.zeros(motion_count(d)), {"force": slice(d), "moment": slice(d, None)}
         for name, value in loads.items():
             out[places[name]] = value.at_time(t)
@@ -192,11 +213,17 @@ class RigidPlate(PartDefinition):
         return out
 
     def point(self, model: HostModel) -> Array:
-        """Reference point (d,) of motions and moments. Collective."""
+        """Coordinates (d,) of the reference point of rotations and moments. Collective.
+
+        By default it is the centroid of the facet set, in axisymmetry the projection of the centroid onto the axis.
+        """
         if self.about is not None:
             return require_point(self.about, model.joint.dim)
         return moment_centre(model.kinematics, centroid(model.domain, self.place))
 
     def prescribed_motions(self, model: HostModel) -> list[int]:
-        """Numbers of the prescribed motions; in axisymmetry these are all motions except translation along the axis."""
+        """Positions in `motion_names` of the motions that are prescribed or excluded by axisymmetry, ascending.
+
+        Axisymmetry excludes all motions except the translation along the axis.
+        """
         return sorted({*self._prevented(model), *(motion_names(model.joint.dim).index(name) for name in self.motion)})

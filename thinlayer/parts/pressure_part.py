@@ -36,31 +36,33 @@ VERTEX_TOLERANCE = 1e-9  # distance of two vertices, relative to the size of S, 
 
 
 class PressurePart(FieldPart):
-    """Pressure p of degree 1, with displacements of degree 2, from a weak equation for the change of volume.
+    """Pressure p of an incompressible or rubbery layer as a field of unknowns, with a weak equation for the volume.
 
-    The equation is int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all q of degree 1. The strain e is the sum
-    of the strain of the displacements and the prescribed strain, so that a free expansion causes no pressure. c is the
-    law's `volume_compliance`, and f the flow along S of an interface law of order 1 (`Term.flow`). If the law has this
-    flow, p is zero at its free ends.
+    p is positive in tension. The equation is int q (tr e - c p) - int_S f grad_S p . grad_S q = 0 for all q of degree
+    1. The strain e is the sum of the strain of the displacements and the prescribed strain, so that a free expansion
+    causes no pressure. c is the law's `volume_compliance`, and f = eps^3/(12 mu) (`Term.flow`) the flow along S of an
+    interface law of order 1; else f = 0. If the law has this flow, p is zero at free ends.
 
-    In the meshed layer this is the Taylor-Hood element. On S the pressure has degree 1 and the jumps have degree 2.
+    The pressure has degree 1, displacements and jumps have degree 2. In the meshed layer this is the Taylor-Hood
+    element.
 
     Args:
         V: space of the displacements.
-        term: term of the incompressible law.
+        term: virtual work of the incompressible law.
         stiffness: stiffness of the bodies at a node, force per displacement, > 0. It scales the rows of G to forces, so
             that the residuals of both equations have the same unit.
-        origin: relation of the mesh to its joint; on S of order 1 it gives the points of S, and files need it.
-        free: (n, d) vertices of S where p is zero.
-        masters: vertices of the joint with which periodic sides identify its vertices (`Joint.masters`); None: the
-            joint is not periodic.
+        origin: relation of the mesh to its joint. Files need it; for a law with flow it gives the points of S between
+            bodies that are apart. None: there is no joint.
+        free: (n, d) coordinates of the vertices of S where p is zero; None: there are none.
+        masters: (n_points,) for each point of the joint, the point with which periodic sides identify it
+            (`Joint.masters`); None: the joint is not periodic.
 
     Attributes:
-        key: key of the pressure in the fields of states: the term's key, with "pressure" in place of "layer".
-        region: the cells of the meshed layer, or S.
+        key: name of the pressure in `State.fields`: the term's key, with "pressure" in place of "layer".
+        region: the cells of the meshed layer, or S, as a mesh.
         unit: factor of G; `field` is the pressure divided by it.
         G: matrix of int q tr e(v) times `unit`; rows: pressures, columns: displacements.
-        C: matrix of int c p q and int_S f grad_S p . grad_S q, times the square of `unit`; None: both are zero.
+        C: matrix of int c p q + int_S f grad_S p . grad_S q, times the square of `unit`; None: c and f are zero.
     """
 
     traits = PartTraits(saddle=True, weakens=True)
@@ -96,7 +98,14 @@ class PressurePart(FieldPart):
         self._volume, self._squeezed, self._forces = G.createVecLeft(), G.createVecLeft(), G.createVecRight()
 
     def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
-        """The matrix C, or None if it is zero; parameters that are functions are evaluated at `points`. Collective."""
+        """Assemble the matrix C without the factor `unit`; None: it is zero. Collective.
+
+        Args:
+            space: space of the pressures.
+            term: virtual work of the law.
+            points: quadrature points where parameters that are functions of the place are evaluated; None: there are no
+                such parameters.
+        """
         region, law, measure = self.region, term.law, term.measure
         p, q = ufl.TrialFunction(space), ufl.TestFunction(space)
         forms = []
@@ -118,7 +127,7 @@ class PressurePart(FieldPart):
         return C
 
     def _means(self, f: Expr) -> fem.Function:
-        """Means of an expression on the facets or cells of the region, as a discontinuous function. Collective."""
+        """Piecewise constant function of the means of an expression over each facet or cell. Collective."""
         space = fem.functionspace(self.region.mesh, ("DG", 0))
         q, n_owned = self.region.side(ufl.TestFunction(space)), space.dofmap.index_map.size_local
         forms = [integrand * q * self.region.measure for integrand in (f, fem.Constant(self.region.parent_mesh, 1.0))]
@@ -126,12 +135,12 @@ class PressurePart(FieldPart):
         return set_owned_values(fem.Function(space), of_f / sizes)
 
     def _end(self) -> Array:
-        """Pressures (own_size,) at the end of the step, in the units of `field`."""
+        """Pressures (own_size,) at the end of the step, divided by `unit`, for the last evaluation."""
         theta, p = self.interval.theta, self._p.x.array[: self.own_size]
         return np.asarray(p if theta == 1 else (p - (1 - theta) * self.own_start(self.interval.old)) / theta)
 
     def _squeeze(self, C: PETSc.Mat, p: Array) -> tuple[Array, float]:
-        """C p and p . C p, for pressures of this rank. Collective."""
+        """C p on this rank and the sum p . C p over all ranks, for pressures p (own_size,). Collective."""
         v = self._squeezed.duplicate()
         v.array[:] = p
         C.mult(v, self._squeezed)
@@ -166,7 +175,7 @@ class PressurePart(FieldPart):
         return self._residual
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
-        """As in `FieldPart`: the pressure of a law with flow along S is zero at free ends."""
+        """Local numbers of the pressures at free ends, which a law with flow along S sets to zero, and these zeros."""
         return self._zero, np.zeros(len(self._zero))
 
     def tangents(self, relative_residual: float) -> list[Block]:
@@ -176,7 +185,7 @@ class PressurePart(FieldPart):
         return blocks
 
     def commit(self) -> StepOutcome:
-        """As in `Part`; the pressure does work in the growth of prescribed strains, and stores the energy p.C p/2."""
+        """Energies of the pressure over the step: it stores p.C p/2, and works in increments of prescribed strains."""
         self._volume.array[:] = self._growth
         supplied = float(self._volume.dot(self._p.x.petsc_vec))
         if self.C is None:
@@ -186,7 +195,7 @@ class PressurePart(FieldPart):
         return StepOutcome(before, after, remainder=(2 * self.interval.theta - 1) * lost, supplied=supplied)
 
     def own_result(self) -> fem.Function:
-        """The pressure at the end of the step; `field` is the pressure at old.t + theta dt."""
+        """Pressure at the end of the step, extrapolated from `field`, the pressure over `unit` at old.t + theta dt."""
         p, old, theta = super().own_result(), self.interval.old.fields.get(self.key), self.interval.theta
         if theta < 1 and (old is not None or self.C is not None):
             p.x.array[:] = (p.x.array - (1 - theta) * (0.0 if old is None else old.x.array)) / theta
@@ -207,12 +216,17 @@ class PressurePart(FieldPart):
 
 
 def flows_along_surface(term: Term) -> bool:
-    """Whether a term has a pressure with flow along S, as interface laws of order 1 have."""
+    """Whether a law's pressure drives a flow along S, as in interface laws of order 1 of incompressible layers."""
     return not isinstance(ufl.as_ufl(term.flow), Zero)
 
 
 def periodic_functions(region: MeasureRegion, masters: IntArray) -> fem.FunctionSpace:
-    """Space of degree 1 whose functions agree at vertices that periodic sides identify, `masters`. Collective."""
+    """Space of degree 1 whose functions have equal values at vertices that periodic sides identify. Collective.
+
+    Args:
+        region: the mesh of the functions.
+        masters: (n_points,) for each point of the joint, the point with which periodic sides identify it.
+    """
     mesh = region.mesh
     element = basix.ufl.element("Lagrange", mesh.basix_cell(), 1)
     corners = cell_nodes(mesh)[:, : element.basix_element.dim]
@@ -222,7 +236,7 @@ def periodic_functions(region: MeasureRegion, masters: IntArray) -> fem.Function
 
 
 def dofs_at_vertices(space: fem.FunctionSpace, places: Array) -> IntArray:
-    """Owned dofs of a space of degree 1 at the vertices with coordinates `places` (n, d). Collective."""
+    """Owned dofs of a space of degree 1 at vertices with coordinates `places` (n, d), to rounding. Collective."""
     x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, : places.shape[1]]
     ends = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
     low, high = (np.array(bounds) for bounds in zip(*ends, strict=True))

@@ -26,18 +26,20 @@ NEGATIVE_STIFFNESS_TOLERANCE = 1e-9  # size of a negative stiffness, over the la
 
 @dataclass(frozen=True)
 class Springs(PartDefinition):
-    """Springs between a facet set of the outer boundary and a base that does not move: t = -k_N u_N - k_T u_T.
+    """Springs between a facet set of the outer boundary and a base that does not move.
 
-    They push and pull: a foundation that only pushes is contact with a rigid base (`geometry.block`, a contact law). A
-    structure on springs needs no supports. The side of a meshed layer has another name, "NAME/LAYER", and gets springs
-    only under that name.
+    Their traction on the structure is -k_N u_N - k_T u_T, with the normal and the tangential displacement u_N and u_T.
+    Springs push and pull: a foundation that only pushes is contact with a rigid base (`geometry.block`, a contact law).
+    A structure on springs needs no supports. Where a facet set NAME meets a meshed layer, the layer's own side is the
+    facet set "NAME/LAYER", and gets springs only under that name.
 
     Attributes:
         place: name of a facet set on the outer boundary.
         normal, tangential: stiffness k_N across and k_T along the boundary, stress per length; >= 0, not both 0. A
-            number, or a function of the coordinates x before inflating. A function in UFL, x -> UFL scalar, is exact. A
-            function in numpy, x (d, n) -> (n,), is interpolated in each cell with degree 2.
-        key: name of their energy, "springs NAME".
+            number, or a function of the coordinates x in the joint as drawn, before S is opened to the layer's
+            thickness. A function in UFL, x -> UFL scalar, is exact. A function in numpy, x (d, n) -> (n,), is
+            interpolated in each cell with degree 2.
+        key: name of their energy in `State.energies`, "springs NAME" with the name of the facet set.
 
     Raises:
         InputError: no stiffness. When a model is made: an unknown or empty facet set, inner facets, or a stiffness that
@@ -79,23 +81,26 @@ class Springs(PartDefinition):
                 raise InputError(f"{stiffness.what} is {values[k]:.6g} at {at_place(x[k])}; allowed: finite, >= 0")
 
     def _stiffnesses(self, model: HostModel) -> list[Coefficient]:
-        """The normal and the tangential stiffness. Collective."""
+        """The normal and the tangential stiffness as coefficients of the place. Collective."""
         values, what = {"normal": self.normal, "tangential": self.tangential}, f"springs on {self.place!r}: "
         return [model.coordinates.coefficient(k, what + name, (), of_place=True) for name, k in values.items()]
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
-        """Virtual work of the springs, a UFL form."""
+        """Virtual work, a UFL form, of the springs' resistance to displacements u in the displacements v."""
         n = ufl.FacetNormal(model.V.mesh)
         normal, tangential = (stiffness.expression for stiffness in self._stiffnesses(model))
         work = (normal - tangential) * ufl.dot(u, n) * ufl.dot(v, n) + tangential * ufl.inner(u, v)
         return work * model.kinematics.factor * model.ds(model.domain.values(self.place))
 
     def reaction(self, model: HostModel, u: fem.Function) -> list[tuple[Place, Array]]:
-        """As in `PartDefinition`: the force and moment of the springs on the structure."""
+        """The facet set, with the springs' resultant force and moment on the structure at displacements u. Collective.
+
+        Moments are about `model.centre`.
+        """
         motion, v = motion_expression(model.domain.mesh, model.centre)
         return [(self.place, -per_unit(model.comm, self.work(model, u, v), motion))]
 
     def part(self, model: HostModel) -> FormPart:
-        """The springs as a part of a model's balance. Collective."""
+        """The springs as a part of a model's balance of forces. Collective."""
         u, v = ufl.TrialFunction(model.V), ufl.TestFunction(model.V)
         return FormPart(self.key, fem.Function(model.V), assemble_plain_matrix(self.work(model, u, v)), kept=True)

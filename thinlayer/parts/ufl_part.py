@@ -24,17 +24,17 @@ ASYMMETRY_TOLERANCE = 1e-12  # norm of a matrix less its transpose, relative to 
 
 @dataclass(frozen=True)
 class UflPart(PartDefinition):
-    """Forces defined by a UFL form of their virtual work or of their energy.
+    """Forces that a user defines by a UFL form of their virtual work or of their energy.
 
-    UFL computes the derivatives. The form is evaluated at the displacements at old.t + theta dt. If the forces have an
-    energy, define `energy`: the tangent is then symmetric, and the energy balance of a step contains the energy.
-    Otherwise the tangent counts as not symmetric, and the energy is NaN unless the forces are linear with a symmetric
-    matrix.
+    UFL computes the derivatives. In a step of length dt from time old.t, the form is evaluated at the displacements at
+    old.t + theta dt, where forces balance. If the forces have an energy, define `energy`: the tangent is then
+    symmetric, and the energy balance of a step contains the energy. Otherwise the tangent counts as not symmetric, and
+    the energy is NaN unless the forces are linear with a symmetric matrix.
 
     Attributes:
-        virtual_work: function (u, v, model) -> the virtual work at displacements u, a form linear in v; `model.dx` and
-            `model.ds` are measures, and `model.domain.values(name)` the tags of a boundary. In axisymmetry the model
-            adds the factor 2 pi r.
+        virtual_work: function (u, v, model) -> the virtual work at displacements u, a form linear in v. The measures
+            are `model.dx` and `model.ds`, and `model.domain.values(name)` are the tags of a facet set. In axisymmetry
+            the model adds the factor 2 pi r.
         energy: function (u, model) -> the stored energy, a form without v. Give either `virtual_work` or `energy`.
         key: name of the part in `State.energies`.
 
@@ -85,11 +85,11 @@ class UflPart(PartDefinition):
             raise InputError(f"the forces of {what} do not depend on u; loads are `tractions` and `body_force`")
 
     def _form(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
-        """The form that the user's function returns."""
+        """The form that the user's function returns at displacements u; v is not used by an energy."""
         return self.energy(u, model) if self.energy else self.virtual_work and self.virtual_work(u, v, model)
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
-        """Virtual work at displacements u, a form linear in v."""
+        """Virtual work at displacements u, a form linear in v; of an energy its derivative in the direction v."""
         if not self.energy:
             return whole_structure_form(self._form(model, u, v), model)
         unknown = fem.Function(model.V)
@@ -103,7 +103,7 @@ class UflPart(PartDefinition):
         return self.energy is not None
 
     def part(self, model: HostModel) -> FormPart:
-        """The form as a part of a model's balance. Collective."""
+        """The form as a part of a model's balance of forces. Collective."""
         return _UserFormPart(self, model)
 
 
@@ -127,7 +127,7 @@ class _UserFormPart(FormPart):
 
 @without_cycles()
 def has_arity(form: ufl.Form) -> bool:
-    """Whether a form is linear in each of its arguments, and each of its terms contains all of them."""
+    """Whether a UFL form is linear in each of its arguments, and each summand contains all of them."""
     try:  # derivatives of energies contain inner(u, v) and inner(v, u), which differ by a complex conjugate
         check_form_arity(remove_complex_nodes(apply_algebra_lowering(expand_derivatives(form))), form.arguments())
     except (ArityMismatch, ValueError):  # UFL raises ValueError for sums whose terms differ

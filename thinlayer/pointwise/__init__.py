@@ -1,1 +1,1 @@
-"""Compiled laws on arrays of quadrature points of the meshed layer and of S."""
+"""Compiled laws, evaluated on arrays of quadrature points of bodies, of the meshed layer and of S."""

@@ -20,13 +20,14 @@ from thinlayer.system.ranks import destroy
 
 
 class ColumnTerm(CompiledTerm):
-    """A law in the columns of a meshed layer, evaluated at the means of strains through the thickness, as on S.
+    """A softening law in a meshed layer, evaluated at means of the strains through the thickness.
 
+    The means are over columns, the cells above each other through the thickness, so that the layer behaves as one on S.
     If single rows of cells softened, they would unload the others: the fracture energy would depend on the number of
-    rows. The deviations of strains from their means are elastic, with the law's tangent at rest. Nodes in a broken
-    layer therefore keep a stiffness.
+    rows. The deviations of strains from their means are elastic, with the law's tangent C at rest. Nodes in a broken
+    layer therefore keep a stiffness. With the law's energy psi,
 
-        energy = int [psi(mean) + (e - mean) : C (e - mean)/2]
+        energy = int [psi(mean) + (e - mean) : C (e - mean)/2].
     """
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
@@ -38,7 +39,11 @@ class ColumnTerm(CompiledTerm):
 
     @cached_property
     def _mean(self) -> Projection:
-        """Projection on functions of the position on S: all functions in columns of tensor cells, else polynomials."""
+        """Projection of strains in each column on polynomials of the position along S, constant through the thickness.
+
+        In quadrilaterals and hexahedra the polynomials take any values at a column's positions of quadrature points on
+        S. In other cells they have the degree of the displacements.
+        """
         tensor = is_tensor(self.region.mesh.topology.cell_name())
         most = self.degree if tensor else self._V.ufl_element().basix_element.degree
         powers = [p for p in product(range(most + 1), repeat=self.dim - 1) if sum(p) <= most]
@@ -55,7 +60,10 @@ class ColumnTerm(CompiledTerm):
 
     @cached_property
     def _elastic(self) -> Array:
-        """Tangents (points, 6, m) of the law at rest, computed once for each distinct director or parameter value."""
+        """Tangents (points, 6, m) of the law at rest: all Mandel components of stress by the m of strain.
+
+        With uniform parameters they are computed once for each distinct director.
+        """
         law = self.term.law
         laws = list(law.at_places(self.joint_x)) if law.fields else repeat(law)
         n = self.n if law.fields or needs_director(law) else self.n[:1]
@@ -64,7 +72,16 @@ class ColumnTerm(CompiledTerm):
         return np.broadcast_to(C[at.ravel()][..., self.slots], (self.count, 6, len(self.slots)))
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
-        """As in `CompiledTerm`, for theta = 1. The stress is conjugate to the strains e, not to their means."""
+        """Response of the law to the strains' means over columns, with elastic deviations; only for theta = 1.
+
+        The stress is conjugate to the strains e, not to their means.
+
+        Args:
+            e, e_old: (points, m) strains at the end and at the beginning of the step.
+            memory: (points, values) internal variables at the beginning of the step.
+            dt: length of the step.
+            theta: fraction of the step after which forces balance.
+        """
         mean, old = self._mean(e), self._mean(e_old)
         response, rest = super().respond(mean, old, memory, dt, theta), e - mean
         elastic = np.einsum("pij,pj->pi", self._elastic, rest)
@@ -73,19 +90,31 @@ class ColumnTerm(CompiledTerm):
         return replace(response, whole=stress, stress=stress[:, self.slots], energies=energies)
 
     def _energy(self, rest: Array) -> float:
-        """Energy of the strains' deviations `rest` from their means, over this rank's points."""
+        """Elastic energy, over this rank's points, of strains (points, m): the deviations from means over columns."""
         return float(np.einsum("p,pi,pij,pj->", self.weights, rest, self._elastic[:, self.slots], rest) / 2)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
-        """As in `CompiledTerm`, with the energy of the strains' deviations from their means."""
+        """Stored energy on this rank: of the law at the strains' means, and of the strains' deviations from them.
+
+        Args:
+            e: (points, m) strains.
+            memory: (points, values) internal variables at the end of a step.
+            dt: length of the step.
+        """
         mean = self._mean(e)
         return super().stored(mean, memory, dt) + self._energy(e - mean)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
-        """Tangent matrix of the mean strains, without `constant`; arguments as in `CompiledTerm`."""
+        """Part of the tangent matrix that depends on the means of strains; `constant` has the elastic remainder.
+
+        Args:
+            tangent: (points, m, m) tangents of the law.
+            relative_residual: residual of the balance of forces over the reference force.
+            into: an earlier result, which is overwritten and whose nonzero pattern is used again; None: a new matrix.
+        """
         return self._product(self._regular(tangent, relative_residual), self._B_of_means, into)
 
     def destroy(self) -> None:
-        """Free the matrices."""
+        """Free the PETSc matrices and vectors."""
         super().destroy()
         destroy(self._B_of_means, *self.constant)

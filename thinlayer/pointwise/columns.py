@@ -1,4 +1,4 @@
-"""Columns of the layer: facets of S, and in the meshed layer the cells above each of them."""
+"""Columns of the layer: single facets of S or, in the meshed layer, cells above each other through the thickness."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ EXCESS_TOLERANCE = 1e-11  # largest excess (an energy over C) that counts as rou
 
 
 class Columns:
-    """Sums and means over columns. Collective, as all methods are.
+    """Sums and means of values at quadrature points over columns. Collective, as all methods are.
 
     Attributes:
         count: number of columns on all ranks.
-        of: (points,) column of each point of this rank.
+        of: (points,) number of the column of each point of this rank.
     """
 
     def __init__(self, comm: MPI.Intracomm, of: IntArray, count: int, weights: Array) -> None:
@@ -27,30 +27,42 @@ class Columns:
         self._total = self.sum_of(weights)
 
     def sum_of(self, values: Array) -> Array:
-        """Sums (columns,) of values at the points, the same on all ranks."""
+        """Sums (count,) over each column of values (points,), the same on all ranks."""
         # np.bincount gives integers if there are no points
         sums: Array = np.bincount(self.of, values, self.count).astype(float)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return sums
 
     def mean(self, values: Array) -> Array:
-        """Weighted means (columns,) of values at the points, the same on all ranks."""
+        """Means (count,) over each column of values (points,), by quadrature weights, the same on all ranks."""
         return self.sum_of(self._weights * values) / self._total
 
 
 @runtime_checkable
 class SwitchingLaw(Protocol):
-    """Methods of a law that switches, at the values (n,) of its `switching_variables`, the phase first."""
+    """Methods of a law with pure phases, each for n columns of a layer.
+
+    Their arguments are the law's `switching_variables`, (n,) each: the phase; the driving force, an energy per volume;
+    and its bound, the energy of the transformation.
+    """
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """(n,) energy of the phase less the least energy of other phases, over C; the phase switches if it is > 0."""
+        """Energies (n,) of the phases minus the least energy of other phases, over `bound`; columns > 0 switch."""
 
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """(n,) phases of lowest energy."""
+        """Phases (n,) of lowest energy."""
 
 
 class Switching:
-    """Phases of columns in the internal variables of a law that switches: their excess energies and their changes."""
+    """Reads and changes the phases of a layer's columns in the internal variables of a law with pure phases.
+
+    Args:
+        law: the law.
+        columns: the columns of the quadrature points; None: each point has a phase of its own.
+
+    Raises:
+        InputError: the law lacks the methods of `SwitchingLaw`.
+    """
 
     def __init__(self, law: BulkLaw, columns: Columns | None = None) -> None:
         if not isinstance(law, SwitchingLaw):
@@ -66,15 +78,23 @@ class Switching:
         return [np.rint(phase), drive, bound]  # a mean of equal numbers has rounding errors
 
     def excess(self, memory: Array) -> float:
-        """Largest excess of all columns: energy of the phase less the least energy of others, over C. Collective."""
+        """Largest energy that a column would lose by a change of phase, over the energy of the transformation.
+
+        Collective, with the same result on all ranks; > 0 if a column must switch.
+
+        Args:
+            memory: (points, values) internal variables.
+        """
         return float(self.law.excess(*self._of_columns(memory)).max(initial=-np.inf))
 
     def switched(self, memory: Array, old: Array) -> Array | None:
-        """Internal variables `old` with the new phases of columns that change; None if no column changes. Collective.
+        """Copy of the internal variables `old` with the phases of lowest energy. Collective.
+
+        None: no column changes its phase.
 
         Args:
-            memory: internal variables at the equilibrium with fixed phases.
-            old: internal variables at the beginning of the step, with the same phases.
+            memory: (points, values) internal variables at the equilibrium with fixed phases.
+            old: (points, values) internal variables at the beginning of the step, with the same phases.
         """
         before = self._of_columns(memory)
         after = np.where(self.law.excess(*before) > EXCESS_TOLERANCE, self.law.switched(*before), before[0])

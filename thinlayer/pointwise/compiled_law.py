@@ -1,4 +1,4 @@
-"""Compiled laws with real parameters, evaluated at arrays of points."""
+"""Compiled laws with numbers as parameters, evaluated at arrays of points."""
 
 from __future__ import annotations
 
@@ -23,11 +23,13 @@ C_SOURCE = Path(__file__).with_name("response.c")
 
 
 class CompiledLaw:
-    """A law with real parameters, compiled for evaluation at points. Collective.
+    """A law compiled to a function of arrays of points, with numbers as parameters. Collective.
 
     Attributes:
-        memory: number of internal values at a point.
-        parameters: (n,) real parameters of the sublayers, in turn; (points, n) if they vary along the layer.
+        memory: number of internal values at a point. They include values that solve for jumps of sublayers and for
+            strains out of a plane.
+        parameters: (n,) parameters of the first sublayer, then of the next ones; (points, n) if they vary in place or
+            time.
     """
 
     def __init__(self, comm: MPI.Intracomm, law: BulkLaw) -> None:
@@ -44,12 +46,12 @@ class CompiledLaw:
             _check_kernel(comm, sublayer.in_space)
 
     def take(self, law: BulkLaw) -> None:
-        """Set the parameters to the values of another law of the same kind, without compiling.
+        """Set the parameters to those of another law with the same compiled code.
 
-        Parameters that vary are set by the next `take_at`.
+        Parameters that vary in place or time are set by the next `take_at`.
 
         Raises:
-            InputError: a law of another kind, or parameters of another shape.
+            InputError: the law has another class or other choices in a sublayer, or parameters of another shape.
         """
         if _identities(law) != _identities(self.law) or [len(p) for p in _parameters(law)] != self._counts.tolist():
             raise InputError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
@@ -59,16 +61,20 @@ class CompiledLaw:
 
     @property
     def varies(self) -> bool:
-        """Whether parameters vary along the layer or in time."""
+        """Whether parameters vary in place or time, so that `take_at` must set them."""
         return self.law.traits.varies
 
     @property
     def of_sublayers(self) -> list[Array]:
-        """Parameters (n_k,) or (points, n_k) of each sublayer k."""
+        """List of the parameters of each sublayer k, (n_k,) or, if they vary, (points, n_k)."""
         return np.split(self.parameters, np.cumsum(self._counts)[:-1], axis=-1)
 
     def take_at(self, x: Array, t: float) -> None:
-        """Set the parameters to their values at time t and points x (d, points) in the joint before inflating.
+        """Set the parameters that vary to their values at points and a time.
+
+        Args:
+            x: (d, points) coordinates in the joint as drawn, before S is opened to the layer's thickness.
+            t: time.
 
         Raises:
             InputError: parameters out of range at one of the points, or of the wrong shape.
@@ -84,15 +90,22 @@ class CompiledLaw:
     def update(
         self, slots: Slots, e: Array, e_old: Array, q: Array, n: Array, dt: float, theta: float, *, fixed: bool = False
     ) -> tuple[Array, Array, Array, Array, int]:
-        """Stress (points, 6), tangent (points, m, m), internal values, energies (points, 3), number of failed points.
+        """Evaluate the law over a step at all points of this rank.
 
         Args:
-            slots: the m Mandel components of the strains e; the other components are zero.
+            slots: numbers of the m Mandel components of the strains e; the other components are zero.
             e, e_old: (points, m) strains at the end and the beginning of the step.
-            q: (points, memory) internal values at the beginning.
+            q: (points, memory) internal values at the beginning of the step.
             n: (points, 3) director.
-            dt, theta: length of the step, and fraction of it at which forces balance.
-            fixed: whether strains, also in sublayers, keep their values at the beginning; only energies are then set.
+            dt, theta: length of the step, and fraction of it after which forces balance.
+            fixed: whether strains, also in sublayers, keep their values at the beginning; only energies are then
+                computed.
+
+        Returns:
+            Stresses (points, 6) where forces balance; their derivatives (points, m, m) by the strains at the end;
+            internal values (points, memory) at the end; per volume the stored energy at the end, the energy dissipated
+            in the step and the remainder of the energy balance (points, 3); and the number of points where the law
+            failed.
         """
         components = np.array(list(slots), np.int32)
         points, m, varying = len(e), len(components), self.parameters.ndim == 2
@@ -113,9 +126,10 @@ _CHECKED_KERNELS: set[tuple[type[BulkLaw], bytes]] = set()  # classes and parame
 
 
 def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
-    """Raise InputError unless a user-defined KernelLaw depends on dt as its attribute `relaxes` declares.
+    """Raise InputError if a user-defined KernelLaw depends on the step length dt and `relaxes` is False, or vice versa.
 
-    The test calls its compiled function for strains, or jumps, of all sizes, and for steps of several lengths.
+    The test calls its compiled function for strains, or jumps, of many sizes, and for steps of several lengths. Laws of
+    this package and laws with the trait `rate` are not tested.
     """
     key = type(law), law.parameter_values().tobytes()
     if not isinstance(law, KernelLaw) or law_identity(law) is not None or law.traits.rate or key in _CHECKED_KERNELS:
@@ -132,7 +146,12 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
 
 
 def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
-    """Varying parameters of a law at points x (d, n) and time t: name -> (n,)."""
+    """Values (n,), by name, of a law's parameters that vary, at points x (d, n) and time t.
+
+    Raises:
+        InputError: the law's method `at` returns names that are no scalar parameters, or values that are not (n,) and
+            finite.
+    """
     asked = f"{type(law).__name__}.at(x, t), for x of shape {x.shape}"
     scalars = [name for name, value in law.parameters().items() if parameter_numbers(value).ndim == 0]
     varying = {name: np.asarray(value, float) for name, value in law.at(x.copy(), t).items()}
@@ -145,10 +164,10 @@ def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
 
 
 def _identities(law: BulkLaw) -> list[tuple[type[BulkLaw], str]]:
-    """Class and choices of each sublayer, which determine its compiled code."""
+    """Class of each sublayer and the text of its choices, which together determine its compiled code."""
     return [(type(sublayer), repr(sublayer.choices())) for _, sublayer in law.sublayers]
 
 
 def _parameters(law: BulkLaw) -> list[Array]:
-    """Parameters (n_k,) of each sublayer k."""
+    """List of the parameters (n_k,) of each sublayer k."""
     return [sublayer.parameter_values() for _, sublayer in law.sublayers]

@@ -31,14 +31,15 @@ MIN_REST_SHARE, MAX_REST_SHARE = 1e-6, 1e-3  # bounds of the share of the tangen
 
 @dataclass(frozen=True)
 class Response:
-    """Response of a law at the points of this rank.
+    """Stress, tangent, internal variables and energies of a law at this rank's points, after a step.
 
     Attributes:
-        whole: (points, 6) stress at t + theta dt, all Mandel components.
-        stress: (points, m) its components conjugate to the strains of the term.
+        whole: (points, 6) stress at old.t + theta dt, where forces balance; all Mandel components.
+        stress: (points, m) the m components of `whole` for which the term has strains.
         tangent: (points, m, m) derivative of `stress` by the strains at the end of the step.
-        memory: (points, values) internal values at the end of the step.
-        energies: stored, dissipated, remainder, integrated over this rank's points; NaN if the law declares no energy.
+        memory: (points, values) internal variables at the end of the step.
+        energies: (3,) stored energy at the end, energy dissipated in the step, and remainder of the energy balance,
+            integrated over this rank's points; NaN if the law declares no energy.
         failed: number of points of this rank where the law failed.
     """
 
@@ -51,7 +52,7 @@ class Response:
 
     @property
     def skew(self) -> float:
-        """Largest difference between the tangent at a point of this rank and its transpose, over its size."""
+        """Largest entry of tangent minus transpose, over the tangent's largest entry, of all points of this rank."""
         C = self.tangent
         asymmetry, size = np.abs(C - C.swapaxes(1, 2)).max(axis=(1, 2)), np.abs(C).max(axis=(1, 2))
         regular = np.isfinite(asymmetry) & (size > UNDERFLOW_LIMIT)
@@ -59,18 +60,18 @@ class Response:
 
 
 class CompiledTerm(Quadrature):
-    """A term whose compiled law is evaluated at quadrature points. Collective.
+    """A compiled law at the quadrature points of a measure: strains, stresses, nodal forces, tangents. Collective.
 
     Args:
         V: space of the displacements on the term's mesh.
-        term: the term.
-        origin: as in `Quadrature`.
+        term: virtual work of the law.
+        origin: relation of the mesh to its joint; None: there is no joint.
 
     Attributes:
-        B: matrix from displacements to strains at the points, m rows for each point.
+        B: matrix from displacements to strains at the points; m rows, one for each strain component, for each point.
         material: the compiled law.
         switching: phases of a law that are fixed in a solve and switch after it; None for other laws.
-        constant: constant matrices of the tangent, which `stiffness` leaves out.
+        constant: matrices of the tangent that do not change, which `stiffness` leaves out.
     """
 
     constant: tuple[PETSc.Mat, ...] = ()
@@ -92,42 +93,59 @@ class CompiledTerm(Quadrature):
         self._at_rest = self.tangent_at_rest() if term.law.traits.singular else None
 
     def form_of(self, strain: Expr) -> fem.Form:
-        """A form from which `values_of` computes the values of a strain (3, 3) at the points."""
+        """Compile a form from which `values_of` computes a strain's values at the points; `strain` is (3, 3) in UFL."""
         q = self.region.side(ufl.TestFunction(self._space((len(self.slots),))))
         return self.region.compiled(ufl.inner(mandel_vector(strain, self.slots), q) * self.measure)
 
     def values_of(self, form: fem.Form) -> Array:
-        """Strains (points, m) of a form of `form_of`, at the present values of its constants, projected for the law."""
+        """Values (points, m) of the strain of a form made by `form_of`, at the present values of its constants.
+
+        With B-bar their volume strains are means, as the law gets them.
+        """
         values = np.asarray(fem.assemble_vector(form).array).reshape(-1, len(self.slots))[: self.count]
         return self.projected(values / self._integrals[:, None])
 
     def projected(self, values: Array) -> Array:
-        """Strains (points, m) or stresses (points, 6) with mean volume strains, if the term has them (`MeanVolume`).
+        """Strains (points, m) or stresses (points, 6) whose traces are projected in each cell, if the term uses B-bar.
 
-        The work of projected stresses in strains is the work of the stresses in projected strains.
+        Without B-bar they are unchanged. The work of projected stresses in strains is the work of the stresses in
+        projected strains.
         """
         return self._volume(values) if self._volume else values
 
     def _vector(self, values: Array) -> PETSc.Vec:
-        """A vector over the rows of B."""
+        """PETSc vector of values on this rank, one for each row of B."""
         out = self.B.createVecLeft()
         out.array[:] = values
         return out
 
     def strain(self, u: PETSc.Vec) -> Array:
-        """Strains (points, m) of a displacement vector. Collective."""
+        """Strains (points, m) of displacements u, without prescribed strains. Collective."""
         self.B.mult(u, self._strain)
         return self._strain.array_r.reshape(self.count, len(self.slots)).copy()
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
-        """Response of the law to strains e, from strains e_old and internal values `memory` at the beginning."""
+        """Response of the law at this rank's points over a step.
+
+        Args:
+            e, e_old: (points, m) strains at the end and at the beginning of the step.
+            memory: (points, values) internal variables at the beginning of the step.
+            dt: length of the step.
+            theta: fraction of the step after which forces balance.
+        """
         s, C, new, energies, failed = self.material.update(self.slots, e, e_old, memory, self.n, dt, theta)
         s[:, self._none] = 0.0
         total = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
         return Response(s, s[:, self.slots], C, new, total, failed)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
-        """Stored energy at strains e and internal values after a step dt, on this rank's points; NaN if undeclared."""
+        """Stored energy, integrated over this rank's points; NaN if the law declares no energy.
+
+        Args:
+            e: (points, m) strains.
+            memory: (points, values) internal variables at the end of a step.
+            dt: length of the step.
+        """
         energies = self.material.update(self.slots, e, e, memory, self.n, REST_STEP_FRACTION * dt, 1.0, fixed=True)[3]
         return float(self.weights @ energies[:, 0]) if self.term.law.traits.has_energy else np.nan
 
@@ -143,10 +161,15 @@ class CompiledTerm(Quadrature):
         return f"the {what} of {type(law.in_space).__name__} is not finite at x = ({place}){why}"
 
     def softening_points(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
-        """Number of this rank's points where stresses fall as the layer opens or slips, at e or between e_old and e.
+        """Number of this rank's points where stresses fall, in a step, as the layer opens or slips.
 
         Stresses fall where the tangent is negative for the strain sym(v (x) n) of some jump v. For a law without memory
         they also fall where the change of stress does negative work on the change of strain.
+
+        Args:
+            e, e_old: (points, m) strains at the end and at the beginning of the step.
+            memory: (points, values) internal variables at the beginning of the step.
+            response: response of the law in this step.
         """
         law = self.term.law
         N = np.einsum("kij,pj->pik", MANDEL_BASIS[self.slots], self.n)[:, : self.dim]  # strains of unit jumps
@@ -163,7 +186,7 @@ class CompiledTerm(Quadrature):
         return int(np.count_nonzero(down))
 
     def set_homotopy(self, ease: float) -> None:
-        """Set the law to `BulkLaw.homotopy` with continuation parameter `ease`; 0: the law itself."""
+        """Use the law `BulkLaw.homotopy` for the continuation parameter `ease`: 0 is the law itself, 1 an elastic law."""
         self.material.take(self.term.law.homotopy(ease) if ease else self.term.law)
 
     def at_time(self, t: float) -> None:
@@ -178,13 +201,19 @@ class CompiledTerm(Quadrature):
                 self.material.take_at(places, t)
 
     def tangent_at_rest(self) -> Array:
-        """Tangents (points, m, m) at rest, with zero strain rates; collective if parameters vary."""
+        """Tangents (points, m, m) at rest, at time 0; of laws with rate at zero strain rates.
+
+        Sets varying parameters to their values at time 0, and is then collective.
+        """
         none = np.zeros((self.count, len(self.slots)))
         self.at_time(0.0)
         return self.respond(none, none, self.rest(), LONG_TIME_STEP if self.term.law.traits.rate else 0.0, 1.0).tangent
 
     def _regular(self, tangent: Array, relative_residual: float) -> Array:
-        """The tangents, plus a small share of the tangent at rest where they differ from it."""
+        """Regularise tangents (points, m, m) of laws that may have singular ones.
+
+        Where they differ from the tangent at rest, the fraction `relative_residual` of that is added, within bounds.
+        """
         if self._at_rest is None:
             return tangent
         share = min(max(relative_residual, MIN_REST_SHARE), MAX_REST_SHARE)
@@ -192,37 +221,46 @@ class CompiledTerm(Quadrature):
         return tangent + share * self._at_rest * (change > 1e-9 * size)[:, None, None]
 
     def rest(self) -> Array:
-        """Internal values (points, values) at rest."""
+        """Internal variables (points, values) at rest, zero."""
         return np.zeros((self.count, self.material.memory))
 
     def forces(self, stress: Array) -> PETSc.Vec:
-        """Nodal forces of stresses: int stress : e(v). The vector is overwritten by the next call. Collective."""
+        """Nodal forces int stress : e(v) of stresses (points, m). The next call overwrites the vector. Collective."""
         weighted = self._vector((stress * self.weights[:, None]).ravel())
         self.B.multTranspose(weighted, self._forces)
         weighted.destroy()
         return self._forces
 
     def spread(self, density: Array, out: PETSc.Vec) -> None:
-        """Add the integral of a density (points,) to displacement dofs of `out`, see `add_distributed`. Collective."""
+        """Add the integral of a density (points,) to the first component at the nodes of `out`. Collective.
+
+        It is distributed to the nodes by their shape functions.
+        """
         weighted = self.region.side(self.at_points(density)) * self.term.weight
         add_distributed(weighted, self._V, self.measure, out, self.region.maps)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Tangent matrix int e(v) : tangent : e(du) for Newton's method. Collective.
 
-        If the tangent may be singular (`Traits.singular`), a small share of the tangent at rest is added, which grows
-        with the residual (Levenberg-Marquardt). Without it the matrix is singular where cells through the meshed layer
-        can share a strain in several ways. The equilibrium does not change.
+        If the tangent may be singular (`Traits.singular`), a small multiple of the tangent at rest is added, which
+        grows with the residual (Levenberg-Marquardt). Without it the matrix is singular where the strains of cells
+        above each other in the meshed layer are not unique. The equilibrium does not change.
 
         Args:
-            tangent: (points, m, m).
-            relative_residual: residual of the balance of forces over the force scale.
-            into: an earlier result, which is overwritten and whose nonzero pattern is used again.
+            tangent: (points, m, m) derivatives of the stress by the strain.
+            relative_residual: residual of the balance of forces over the reference force.
+            into: an earlier result, which is overwritten and whose nonzero pattern is used again; None: a new matrix.
         """
         return self._product(self._regular(tangent, relative_residual), self.B, into)
 
     def _product(self, tangent: Array, B: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
-        """Matrix of int e(v) : tangent : e(du), with the strains of the matrix B. Collective."""
+        """Matrix of int e(v) : tangent : e(du), where the matrix B gives strains of displacements. Collective.
+
+        Args:
+            tangent: (points, c, m); with c > m rows only `B` of as many rows a point fits.
+            B: matrix from displacements to strains at the points.
+            into: an earlier result, which is overwritten; None: a new matrix.
+        """
         m, rows = len(self.slots), self.count * len(self.slots)
         first = B.getOwnershipRange()[0]
         indptr = np.arange(0, rows * m + 1, m, dtype=PETSc.IntType)
@@ -235,22 +273,22 @@ class CompiledTerm(Quadrature):
         return A
 
     def destroy(self) -> None:
-        """Free the matrices."""
+        """Free the PETSc matrices and vectors."""
         destroy(self.B, self._strain, self._forces)
 
 
 class Projection:
-    """L2 projection of strains at groups of quadrature points on functions in each group. Collective.
+    """L2 projection of strains or stresses on given functions, in each of many groups of quadrature points. Collective.
 
-    It is orthogonal in the product with a term's weights: the work of a stress in projected strains is the work of the
-    projected stress in the strains themselves.
+    It is orthogonal in the product with quadrature weights: the work of a stress in projected strains is the work of
+    the projected stress in the strains themselves.
 
     Args:
-        points: the quadrature points of a term.
-        bases: numbers (groups, q) of the points of groups, and values (groups, q, k) of the functions there, which need
-            not be independent.
-        part: (c, c) idempotent symmetric matrix that selects the projected part of the first c components. The
-            remaining part is unchanged.
+        points: the quadrature points.
+        bases: pairs of arrays, for groups of equal size: the numbers (groups, q) of the q points of each group, and the
+            values (groups, q, k) there of k functions, which need not be independent.
+        part: (c, c) symmetric matrix P = P P that acts on the first c Mandel components. The part P e of a strain e is
+            projected, and the remainder is unchanged.
     """
 
     def __init__(self, points: Quadrature, bases: Iterable[tuple[Array, Array]], part: Array) -> None:
@@ -266,12 +304,16 @@ class Projection:
             self._change += scipy.sparse.csr_matrix((change[kept], at), self._change.shape)
 
     def __call__(self, values: Array) -> Array:
-        """Projection of strains or stresses (points, m)."""
+        """Project strains or stresses (points, m)."""
         m = values.shape[1]
         return np.asarray(values + self._change @ values @ self._part[:m, :m])
 
     def matrix(self, B: PETSc.Mat) -> PETSc.Mat:
-        """Matrix from displacements to projected strains (m rows a point), for the matrix B to strains. Collective."""
+        """Matrix from displacements to projected strains, m rows for each point. Collective.
+
+        Args:
+            B: matrix from displacements to strains, m rows for each point.
+        """
         part, n_rows, first = self._part[: self._width, : self._width], B.getLocalSize()[0], B.getOwnershipRange()[0]
         M = scipy.sparse.kron(self._change, part, format="csr") + scipy.sparse.eye(n_rows, format="csr")
         csr = M.indptr.astype(PETSc.IntType), (first + M.indices).astype(PETSc.IntType), M.data
@@ -282,13 +324,13 @@ class Projection:
 
 
 class MeanVolume(Projection):
-    """Mean volume strains (B-bar): the projection of the traces of strains on polynomials in each cell.
+    """Projection of the traces of strains on polynomials in each cell (B-bar).
 
     It avoids volumetric locking: elements with too many independent volume strains resist isochoric deformation.
     Stiffnesses stay symmetric (Hughes 1980; Simo, Taylor and Pister 1985).
 
     Args:
-        points: the quadrature points of a term over cells; its slots start with 11, 22 and 33.
+        points: quadrature points in cells; the first components of their strains are 11, 22 and 33.
         degree: degree of the polynomials of the coordinates: 0, which gives means over cells, or 1.
 
     Raises:
