@@ -41,8 +41,8 @@ class ColumnTerm(CompiledTerm):
     def _mean(self) -> Projection:
         """Projection of strains in each column on polynomials of the position along S, constant through the thickness.
 
-        In quadrilaterals and hexahedra the polynomials take any values at a column's positions of quadrature points on
-        S. In other cells they have the degree of the displacements.
+        In quadrilaterals and hexahedra they have the quadrature degree, and thus represent any values at the points'
+        positions along S. In other cells they have the degree of the displacements.
         """
         tensor = is_tensor(self.region.mesh.topology.cell_name())
         most = self.degree if tensor else self._V.ufl_element().basix_element.degree

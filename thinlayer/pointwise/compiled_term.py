@@ -257,7 +257,7 @@ class CompiledTerm(Quadrature):
         """Matrix of int e(v) : tangent : e(du), where the matrix B gives strains of displacements. Collective.
 
         Args:
-            tangent: (points, c, m); with c > m rows only `B` of as many rows a point fits.
+            tangent: (points, m, m) derivatives of the stress by the strain.
             B: matrix from displacements to strains at the points.
             into: an earlier result, which is overwritten; None: a new matrix.
         """

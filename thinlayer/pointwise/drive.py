@@ -1,4 +1,4 @@
-"""An interface law at one point of S, driven along a path of jumps and tractions, without a mesh."""
+"""Response of an interface law at one point of S to prescribed jumps and tractions, without a mesh."""
 
 from __future__ import annotations
 
@@ -23,18 +23,23 @@ StepLengths = float | Sequence[float]  # one for all steps, or one for each
 
 @dataclass(frozen=True, eq=False)
 class PointHistory:
-    """Response of a law at a point, one row for each step; components in the frame of S, tangential components first.
+    """Response of an interface law at one point of S, one row for each step; d: number of dimensions.
+
+    Jumps and tractions have their components in the frame of S, tangential components first.
 
     Attributes:
-        n: (d,) unit normal.
+        n: (d,) unit normal of S.
         t: (steps,) time at the end of the step.
-        jumps: (steps, d) at the end of the step; divided by the thickness for laws of strains.
-        tractions: (steps, d) at t + theta dt, where forces balance.
-        stress: (steps, 3, 3) at t + theta dt, in the axes of n; with the in-plane components, which do not act on S.
-        memory: (steps, values) internal values at the end of the step, in the law's order (tensors in Mandel's).
-        energies: (steps, 3) per area of S, for laws of strains per volume of the layer: stored at the end, dissipated
-            in the step, error of the time scheme in the balance of the step; NaN if the law declares no energy.
-        parts: (steps,) number of parts that the step was divided into.
+        jumps: (steps, d) jumps at the end of the step; for laws of strains divided by the thickness, [u]/eps.
+        tractions: (steps, d) tractions where forces balance: after the fraction theta of the step.
+        stress: (steps, 3, 3) stress, where forces balance, in the coordinates of n; with the components along S, which
+            do not act on S.
+        memory: (steps, values) internal variables at the end of the step, in the law's order; tensors in Mandel's order
+            11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23.
+        energies: (steps, 3) energy stored at the end of the step, energy dissipated in the step, and error of the time
+            scheme in the step's energy balance. They are per area of S, or for laws of strains per volume of the layer;
+            NaN if the law declares no energy.
+        parts: (steps,) number of smaller steps into which the step was divided; 1 for a whole step.
     """
 
     n: Array
@@ -51,7 +56,10 @@ class PointHistory:
 
     @property
     def table(self) -> Table:
-        """Time, jumps (w_T, w_N; in 3D w_T1, w_T2, w_N), tractions (t_T, ...) and energies."""
+        """Table with the columns t, w_T, w_N (in 3D w_T1, w_T2, w_N), t_T, ..., stored, dissipated and remainder.
+
+        They are time, jumps, tractions and `energies`, one row for each step.
+        """
         names = COMPONENT_NAMES[len(self.n)]
         columns = ["t", *(f"w_{c}" for c in names), *(f"t_{c}" for c in names), "stored", "dissipated", "remainder"]
         values = np.column_stack([self.t, self.jumps, self.tractions, self.energies])
@@ -61,25 +69,28 @@ class PointHistory:
 def drive(
     law: Law, steps: Sequence[PathStep], n: Sequence[float] = (0.0, 1.0), *, dt: StepLengths = (), theta: float = 1.0
 ) -> PointHistory:
-    """Drive the interface law of a layer, of order 0, from rest along a path.
+    """Compute the response of an interface law of order 0, at one point of S, to prescribed jumps and tractions.
 
-    Each step prescribes for every component either the jump at its end or the traction at t + theta dt:
-    `[{"w_T": 0.01, "t_N": -1.0}, ...]`, in 3D with T1 and T2 for T, the axes of `Surface.frame`. A step that does not
-    converge is halved repeatedly.
+    The point starts from rest. Each step prescribes for every component either the jump at the end of the step or the
+    traction after the fraction theta of it: `[{"w_T": 0.01, "t_N": -1.0}, ...]`. In 3D T1 and T2, the tangents of
+    `Surface.frame`, replace T. A step that does not converge is halved repeatedly.
 
     Args:
-        law: any law of a layer, also a Stack. Jumps of a law of strains are divided by the layer's thickness, [u]/eps.
-        steps: the path.
-        n: normal of S from the lower to the upper body, (2,) or (3,); its length does not matter.
-        dt: length of the steps in time, one for all or one for each; 0 at a sudden load, which is taken with theta = 1.
-            Optional for laws that do not depend on it.
-        theta: 1 (backward Euler) down to 1/2 (midpoint rule): for laws that creep or relax. With other laws tractions
-            balance within the steps, and jumps at their ends oscillate about the path; `march` refuses that.
+        law: any law of a layer except contact and incompressible laws, also a Stack. Jumps of a law of strains are
+            divided by the layer's thickness, [u]/eps.
+        steps: for each step, the name of each component's jump or traction and its prescribed value.
+        n: normal of S from the lower to the upper body, (2,) or (3,), of any length.
+        dt: length of the steps in time, one number for all steps or one for each. 0: a sudden load, for which theta is
+            1. It may be omitted for laws that do not depend on it.
+        theta: fraction of a step after which tractions have their prescribed values, 1 (backward Euler) down to 1/2
+            (midpoint rule). Use values below 1 only for laws that creep or relax: with other laws jumps at the ends of
+            steps oscillate about the path, and `march` refuses them.
 
     Raises:
-        InputError: a path that prescribes nothing or both values for a component; no dt where the law depends on it;
-            other input out of range.
-        SolveError: tractions beyond the strength of the law; its attribute `history` has the previous steps.
+        InputError: a step that prescribes neither or both of jump and traction for a component; no dt where the law
+            depends on it; other input out of range.
+        SolveError: no jump has the prescribed traction, as beyond the law's strength; its attribute `history` has the
+            previous steps.
 
     Example:
         >>> from forms import MohrCoulomb
@@ -112,7 +123,7 @@ def drive(
     states, parts = [point.rest()], list[int]()
 
     def history() -> PointHistory:
-        """History of the steps so far; `states[0]` is the state at rest."""
+        """History of the steps so far, without the state at rest."""
         t, w, traction, _, stress, memory, energies = (np.array(column)[1:] for column in zip(*states, strict=True))
         energies = energies if law.traits.has_energy else np.full_like(energies, np.nan)
         return PointHistory(normal, t, w, traction, mandel_tensors(stress), memory, energies, np.array(parts, int))
@@ -129,7 +140,10 @@ def drive(
 
 
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
-    """Unit normal (d,) and axes (3, d) of S, as in `forms.tensors.layer_frame`."""
+    """Unit normal (d,) and frame (3, d) of S for a normal n of any length.
+
+    The columns of the frame are the tangents, then the normal; in 2D the tangent is (n_2, -n_1).
+    """
     if (normal := finite_values(n, (2,), (3,))) is None or not normal.any():
         raise InputError(f"the normal n is {n!r}; allowed: 2 or 3 numbers, not all zero")
     normal = normal / np.linalg.norm(normal)
@@ -142,7 +156,13 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
 
 
 def _read_step(step: PathStep, k: int, d: int) -> tuple[Array, Array]:
-    """(d,) whether each component of a step has a prescribed jump, and (d,) the prescribed values."""
+    """Check a step, and return its prescribed values (d,) after a mask (d,): True for jumps, False for tractions.
+
+    Args:
+        step: name of a jump or traction -> its prescribed value.
+        k: number of the step, from 0, for messages.
+        d: number of dimensions.
+    """
     names = COMPONENT_NAMES[d]
     allowed = ", ".join(f"w_{c} or t_{c}" for c in names)
     require(isinstance(step, Mapping), f"step {k + 1}", step, f"it must be a dictionary with {allowed}")

@@ -1,13 +1,15 @@
-"""Laws as compiled functions of one point.
+"""Laws compiled to C functions of one quadrature point.
 
 A law written in UFL is differentiated by UFL and compiled by FFCx; a `KernelLaw` is written in C. Each becomes a C
 function of two arrays of numbers,
 
     in:  e (6), e_old (6), q, n (3), dt, theta, parameters
-    out: stress (6), q_new, tangent (36), energies (3)
+    out: stress (6), q_new, tangent (36), energies (3).
 
-in Mandel's order. `response.c` calls it at each point, and solves the local problem of a `Stack`. Parameters are no
-part of the compiled code: a law is compiled once for all parameters and thicknesses.
+Here e and e_old are the strains, q_new and q the internal variables at the end and at the beginning of the step, n the
+director, dt the length of the step, and theta the fraction of it after which forces balance. Tensors are in Mandel's
+order. `response.c` calls the function at each point, and finds the strains of the sublayers of a `Stack`. Parameters
+are no part of the compiled code: a law is compiled once for all parameters and thicknesses.
 """
 
 from __future__ import annotations
@@ -34,15 +36,16 @@ C_KERNEL_SIGNATURE = "int{}(double *out, const void *, const double *in)"
 
 @dataclass(frozen=True)
 class Kernel:
-    """One law at one point, compiled.
+    """Compiled C function of one law, or of one sublayer of a `Stack`, at a quadrature point.
 
     Attributes:
         address: address of the C function.
-        memory: number of internal values of the function, without the three out-of-plane strains of `plane`.
-        parameters: real parameters, one after the other.
-        fraction: share of the thickness.
-        plane: whether the out-of-plane strains are solved for at each point, from zero out-of-plane stresses.
-        keep: objects that must live as long as the addresses are used.
+        memory: number of internal variables of the function, without the three out-of-plane strains of `plane`.
+        parameters: (n,) parameters of the law, one after the other.
+        fraction: fraction of the layer's thickness that the sublayer has; 1 for a whole layer.
+        plane: whether the law is in plane stress: its out-of-plane strains follow at each point from zero out-of-plane
+            stresses.
+        keep: objects that must live as long as the address is used.
     """
 
     address: int
@@ -54,10 +57,10 @@ class Kernel:
 
 
 def compile_kernels(comm: MPI.Intracomm, law: BulkLaw) -> list[Kernel]:
-    """The compiled functions of a law with real parameters, one for each sublayer. Collective.
+    """Compile a law whose parameters are numbers, to one function for each sublayer. Collective.
 
     Raises:
-        InputError: a law contradicts its declarations, see `forms.check`; all ranks raise it.
+        InputError: a law contradicts its declarations, such as that it is linear (`forms.check`); all ranks raise it.
         SourceError: a C source cannot be compiled.
     """
     check(law)
@@ -92,7 +95,14 @@ def _compiled_by_ffcx(comm: MPI.Intracomm, law: BulkLaw) -> tuple[int, object]:
 
 
 def _outputs(law: BulkLaw, point: SymbolicLaw) -> list[Expr]:
-    """Symbolic outputs of a law: stress (6,), internal values, and three energies, zero if they are not declared."""
+    """UFL expressions of a law's stress (6,), each internal variable's components, and three energies, in a list.
+
+    The energies are those stored, dissipated, and the remainder of the energy balance; zero if the law declares none.
+
+    Args:
+        law: the law.
+        point: the same law with symbols for strains, internal variables and parameters.
+    """
     ufl_law, step = point.law, point.step
     stress, new = mandel_vector(ufl_law.stress(ufl_law.own_step(step))), ufl_law.advance(step)
     memory = [value for name, shape in law.internal.items() for value in _packed_components(new[name], shape)]

@@ -1,4 +1,4 @@
-"""One law at one point of S: tractions from jumps, and jumps from tractions."""
+"""One law at one point of S: tractions for given jumps, and jumps for given tractions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,12 @@ TRACTION_TOLERANCE, STAGNATION_TOLERANCE = (1e-12, 1e-9)
 
 
 class MaterialPointState(NamedTuple):
-    """State at the end of a step: jump, traction and its tangent in the frame of S, stress (6,), memory, energies."""
+    """Response of a law at a point of S at the end of a step, or at rest; d: number of dimensions.
+
+    It has the time t, jump w (d,), traction (d,) and its derivative (d, d) by the jump, all in the frame of S, stress
+    (6,) in Mandel's order, and internal variables. Its three energies are stored, dissipated, and the remainder of the
+    energy balance. Tractions, stress and tangent are those after the fraction theta of the step.
+    """
 
     t: float
     w: Array
@@ -35,7 +40,14 @@ class MaterialPointState(NamedTuple):
 
 
 class MaterialPoint:
-    """A compiled law at one point of S."""
+    """Solver for the jumps and tractions of a compiled law at one point of S; d: number of dimensions.
+
+    Args:
+        law: the law, with numbers for parameters.
+        n: (d,) unit normal of S.
+        axes: (3, d) frame of S: its columns are the tangents, then the normal.
+        theta: fraction of a step after which forces balance.
+    """
 
     def __init__(self, law: BulkLaw, n: Array, axes: Array, theta: float) -> None:
         self.law, self.n, self.theta = law, n, theta
@@ -47,12 +59,12 @@ class MaterialPoint:
         self.stiffness = 0.0  # largest entry of a tangent so far
 
     def rest(self) -> MaterialPointState:
-        """The state at rest."""
+        """The state at rest, at time 0."""
         d = len(self.n)
         return MaterialPointState(0.0, *(np.zeros(shape) for shape in (d, d, (d, d), 6, self.material.memory, 3)))
 
     def _respond(self, old: MaterialPointState, w: Array, dt: float) -> MaterialPointState | None:
-        """The state after a step to the jump w; None if the law fails."""
+        """State after a step of length dt from `old` to the jump w (d,); None if the law fails."""
         e, e_old = (self.E @ w)[None], (self.E @ old.w)[None]
         step = (e, e_old, old.memory[None], self.n3[None], dt, self.theta if dt > 0 else 1.0)
         stress, C, memory, energies, failed = self.material.update(range(6), *step)
@@ -63,15 +75,18 @@ class MaterialPoint:
         return MaterialPointState(old.t + dt, w, self.E.T @ stress[0], tangent, stress[0], memory[0], energies[0])
 
     def advance(self, old: MaterialPointState, fixed: Array, goal: Array, dt: float) -> tuple[MaterialPointState, int]:
-        """The state after a step, and the number of parts it was divided into.
+        """Make a step, and return the state at its end and the number of smaller steps into which it was divided.
 
-        The dissipated energy and the remainder are sums over the parts.
+        The dissipated energy and the remainder are sums over the smaller steps.
 
         Args:
             old: the state before the step.
-            fixed: (d,) whether the jump of a component is prescribed; else its traction is.
+            fixed: (d,) for each component, whether its jump is prescribed; else its traction is.
             goal: (d,) prescribed jumps and tractions at the end of the step.
             dt: length of the step.
+
+        Raises:
+            SolveError: even a small fraction of the step has no solution.
         """
         start = np.where(fixed, old.w, old.traction)
         done, part, parts = 0.0, 1.0, 0
@@ -91,7 +106,14 @@ class MaterialPoint:
         return state._replace(energies=spent), parts
 
     def _settled(self, old: MaterialPointState, fixed: Array, aim: Array, dt: float) -> MaterialPointState | None:
-        """The state after a part of a step and all its changes of phase; None if Newton's method does not converge."""
+        """State after a step, solved again until no phase changes; None if Newton's method does not converge.
+
+        Args:
+            old: the state before the step.
+            fixed: (d,) for each component, whether its jump is prescribed; else its traction is.
+            aim: (d,) prescribed jumps and tractions.
+            dt: length of the step.
+        """
         state = self._solve(old, fixed, aim, dt)
         if state is None or self.switching is None:
             return state
@@ -108,10 +130,16 @@ class MaterialPoint:
         return f"no jump has the prescribed traction; {where}. Beyond the law's limit? Prescribe the jump there"
 
     def _solve(self, old: MaterialPointState, fixed: Array, goal: Array, dt: float) -> MaterialPointState | None:
-        """Solve by Newton's method for the jumps whose traction is prescribed; None if it does not converge.
+        """State after a step, by Newton's method for the jumps whose traction is prescribed; None if it diverges.
 
-        The tangent is singular at a limit, or where an open layer must close. There the jump moves in the direction of
-        the missing traction, by a distance that doubles in each iteration.
+        The tangent is singular at a limit load, or where an open layer must close. There the jump moves in the
+        direction of the missing traction, by a distance that doubles in each iteration.
+
+        Args:
+            old: the state before the step.
+            fixed: (d,) for each component, whether its jump is prescribed; else its traction is.
+            goal: (d,) prescribed jumps and tractions.
+            dt: length of the step.
         """
         free, farther = np.logical_not(fixed), 1.0
 
@@ -119,7 +147,7 @@ class MaterialPoint:
             return float(np.abs(goal - state.traction)[free].max(initial=0.0))
 
         def along(step: Array, most: float) -> MaterialPointState | None:
-            """Line search: the first halving of `step` whose traction error is at most `most`; None without success."""
+            """Line search: state after the first of step, step/2, ... with a traction error <= `most`; None: none."""
             whole = np.zeros(len(free))
             whole[free] = step
             tried = (self._respond(old, now.w + 0.5**shortening * whole, dt) for shortening in range(MAX_HALVINGS))

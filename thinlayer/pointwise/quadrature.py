@@ -1,4 +1,4 @@
-"""Quadrature points of one law in a UFL measure; assembly of matrices and nodal forces."""
+"""Quadrature points of a law in a UFL measure; assembly of matrices and nodal forces."""
 
 from __future__ import annotations
 
@@ -33,17 +33,21 @@ MEASURE_OF_INTEGRAL = {"cell": "dx", "exterior_facet": "ds", "interior_facet": "
 
 @dataclass(frozen=True, eq=False)
 class MeshOrigin:
-    """Relation of a mesh to the joint it was made from, before inflating and distributing.
+    """Relation of a model's mesh to the joint from which it was made; d: number of dimensions.
+
+    The joint is the undistributed mesh as drawn, in which S is not yet opened to the layer's thickness.
 
     Attributes:
-        comm: communicator for messages of the terms.
-        x: (d,) UFL coordinates in the joint.
-        numbers: function (dimension, local cells or facets) -> their numbers in the joint.
-        columns: function that returns the column of each cell (-1 outside the layer) or facet of the joint, and the
+        comm: communicator for the sums and messages of laws at quadrature points.
+        x: (d,) UFL coordinates in the joint as drawn.
+        numbers: function (topological dimension, local numbers of cells or facets) -> their numbers in the joint.
+        columns: function that returns two arrays. The first has the number of the column of each cell (-1 outside the
+            layer), or of each facet; columns are cells above each other through the thickness. The second has the
             centres (columns, d) of the columns.
-        x_on_s: (d,) UFL coordinates on S in the joint, to be restricted to a side; None: S lies on the facets of the
-            mesh, and `x` is used.
-        middle: (n_points, d) coordinates of the joint's points; points on S are midway between its sides.
+        x_on_s: (d,) UFL coordinates on S in the joint as drawn, to be restricted to a side; None: S lies on the facets
+            of the mesh, and `x` is used.
+        middle: (n_points, d) coordinates of the mesh's points, with points of S midway between its sides; None: S lies
+            on the facets.
     """
 
     comm: MPI.Intracomm
@@ -55,10 +59,10 @@ class MeshOrigin:
 
 
 class MeasureRegion:
-    """The part of a mesh over which a measure integrates, as a submesh. Collective.
+    """Submesh of the cells or facets over which a measure integrates. Collective.
 
     Attributes:
-        measure: dx, ds or dS, on all entities or on entities with some tags.
+        measure: dx, ds or dS, on all cells or facets, or on those with some tags.
         parent_mesh: the whole mesh.
         mesh: submesh of the cells or facets of the measure, ghosts included.
         dim: topological dimension of the submesh.
@@ -77,16 +81,20 @@ class MeasureRegion:
         self.mesh, self.maps, self.parent = create_submesh(mesh, self.dim, _entities(mesh, measure))
 
     def move(self, places: Array) -> None:
-        """Move the nodes of a submesh of S, whose sides may be distant, to `places` (n, d) of the joint's points."""
+        """Move the nodes of a submesh of S to other coordinates, as those midway between its sides.
+
+        Args:
+            places: (n, d) coordinates for all points of the undistributed mesh; d: number of dimensions.
+        """
         geometry = self.mesh.geometry
         geometry.x[:, : places.shape[1]] = places[np.asarray(geometry.input_global_indices, np.int64)]
 
     def compiled(self, form: Expr) -> fem.Form:
-        """Compile a UFL form with functions on `mesh` and on `parent_mesh`."""
+        """Compile a UFL form whose functions may live on `mesh` and on `parent_mesh`."""
         return compiled(form, self.maps)
 
     def side(self, f: Expr) -> Expr:
-        """A function on `mesh`, restricted as integrands of the measure require."""
+        """The function f, restricted to "+" if the measure is dS, else unchanged; on `mesh` both sides are equal."""
         return f("+") if self.measure.integral_type() == "interior_facet" else f
 
 
@@ -120,10 +128,11 @@ def _entities(mesh: Mesh, measure: ufl.Measure) -> Indices:
 
 
 def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
-    """Quadrature degree for laws of displacements in V: exact on straight cells, higher on curved cells.
+    """Quadrature degree for the virtual work of laws of displacements in V.
 
-    Quadrilaterals and hexahedra get one more point per direction. UFL would sum the degrees of all directions and of
-    the geometry, which needs many times more points without a gain in accuracy.
+    It is exact for linear laws on straight triangles and tetrahedra, and higher on curved cells. Quadrilaterals and
+    hexahedra get one more point per direction. UFL would sum the degrees of all directions and of the geometry, which
+    needs many times more points without a gain in accuracy.
     """
     mesh = V.mesh
     degree = V.ufl_element().basix_element.degree
@@ -134,20 +143,21 @@ def quadrature_degree(V: fem.FunctionSpace, measure: ufl.Measure) -> int:
 
 
 class Quadrature:
-    """Quadrature points of a term. Collective.
+    """Quadrature points of a law in its measure; d: number of dimensions. Collective.
 
     Attributes:
-        term: the law, its strain, weight and measure.
-        region: the cells or facets of the measure.
-        origin: relation of the mesh to its joint; None: no joint.
-        comm: communicator for messages.
-        degree: quadrature degree of the measure; if it has no degree, from `quadrature_degree` and the kinematics.
+        term: the law with its strain, weight and measure.
+        region: submesh of the cells or facets of the measure.
+        origin: relation of the mesh to its joint; None: there is no joint.
+        comm: communicator of the ranks.
+        degree: quadrature degree: that of the measure or, if it has none, `quadrature_degree` plus the degree that the
+            kinematics add.
         measure: the term's measure with this degree.
         count: number of points of this rank.
-        cells: (cells, points per cell) numbers of the points in the cells of the region that this rank owns.
+        cells: (cells, k) numbers of the k points in each cell of the region that this rank owns.
         x: (points, d) coordinates of the points.
         n: (points, 3) director; NaN in bodies, which have no director.
-        weights: (points,) quadrature weights.
+        weights: (points,) quadrature weights of integrals over cells or S, with the term's weight.
     """
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
@@ -173,12 +183,12 @@ class Quadrature:
 
     @property
     def dim(self) -> int:
-        """Number of coordinates."""
+        """Number d of dimensions."""
         return int(self.region.parent_mesh.geometry.dim)
 
     @cached_property
     def slots(self) -> list[int]:
-        """Mandel components that strains may have here; the others are zero."""
+        """Numbers of the Mandel components, ascending, that strains may have here; the other components are zero."""
         e_0, of_strains = self.term.prescribed_strain, self.term.kinematics.slots(self.dim)
         if self.term.volume is not None:
             of_strains = (*of_strains, *TRACE_SLOTS)
@@ -191,31 +201,45 @@ class Quadrature:
         return fem.functionspace(mesh, element)
 
     def _integrated(self, rows: Expr, q: Expr) -> Array:
-        """Values of m functions at the points, times the quadrature weights, (points, m)."""
+        """Values (points, m) of an expression at the points, times the quadrature weights.
+
+        Args:
+            rows: UFL vector (m,).
+            q: test function (m,) with one degree of freedom per component at each point.
+        """
         form = self.region.compiled(ufl.inner(rows, q) * self.measure)
         return np.asarray(fem.assemble_vector(form).array.reshape(-1, q.ufl_shape[0])[: self.count])
 
     def values(self, f: Expr) -> Array:
-        """Values (points, m) of a vector expression (m,), which is restricted as the measure requires. Collective."""
+        """Values (points, m) of a UFL vector (m,) at the points. Collective.
+
+        Functions in it must be restricted to a side if the measure is dS.
+        """
         q = self.region.side(ufl.TestFunction(self._space(f.ufl_shape)))
         return self._integrated(f, q) / self._integrals[:, None]
 
     def means(self, values: Array) -> Array:
-        """Means (cells, ...) of values (points, ...) over each cell or facet of the region that this rank owns."""
+        """Means (cells, ...) of values (points, ...), by `weights`, over each of this rank's cells of `region`."""
         of_cells, weights = values[self.cells], self.weights[self.cells]
         whole = weights.sum(axis=1).reshape(-1, *[1] * (values.ndim - 1))
         return np.asarray(np.einsum("cp,cp...->c...", weights, of_cells) / whole)
 
     @cached_property
     def joint_x(self) -> Array:
-        """Coordinates (d, points) of the points in the joint before inflating; without a joint in the mesh."""
+        """Coordinates (d, points) of the points in the joint as drawn, before S is opened to the layer's thickness.
+
+        Without a joint they are those in the mesh.
+        """
         on_s = self.origin.x_on_s if self.origin and self.region.dim < self.dim else None
         x = on_s if on_s is not None or self.origin is None else self.origin.x
         is_here = x is None or isinstance(x, ufl.SpatialCoordinate)
         return np.ascontiguousarray((self.x if is_here else self.values(self.region.side(x))).T)
 
     def function(self, values: Array) -> fem.Function:
-        """Function (m,) on the whole mesh, for `measure`, with `values` (points, m) in cells and zero elsewhere."""
+        """Function (m,) on the whole mesh with `values` (points, m) at the points of a cell measure, zero elsewhere.
+
+        It can be integrated with `measure`.
+        """
         width = values.shape[1]
         if width not in self._functions:
             self._functions[width] = self._space((width,), self.region.parent_mesh)
@@ -226,18 +250,23 @@ class Quadrature:
         return f
 
     def at_points(self, values: Array) -> fem.Function:
-        """Function on the region's mesh with values (n,) at the points, for measures of this degree. Collective."""
+        """Function on the region's mesh with values (points,) at the points. Collective.
+
+        It can be integrated with measures of the quadrature degree `degree`.
+        """
         return set_owned_values(fem.Function(self._space(())), values)
 
     @property
     def original(self) -> IntArray:
-        """Number in the joint of the cell or facet that each cell of `region.mesh` is which this rank owns."""
+        """Numbers (cells,) in the joint of the cells or facets of `region` that this rank owns."""
         assert self.origin is not None, "a mesh without a joint"
         return self.origin.numbers(self.region.dim, self.region.parent[: len(self.cells)])
 
     @cached_property
     def columns(self) -> Columns:
-        """Columns of the layer that contain the points; on S without a joint each facet is a column.
+        """Columns of the layer, with the points in them; on S each facet is a column.
+
+        In the meshed layer a column consists of the cells above each other through the thickness.
 
         Raises:
             InputError: a meshed layer without a joint.
@@ -272,7 +301,7 @@ def assemble_matrix(form: fem.Form) -> PETSc.Mat:
 
 
 def assemble_forces(first: fem.Form, *others: fem.Form) -> PETSc.Vec:
-    """Assemble the sum of linear forms as nodal forces; the caller destroys the vector."""
+    """Assemble the sum of linear forms as a vector of nodal forces, which the caller destroys."""
     b = dolfinx.fem.petsc.assemble_vector(first)
     for form in others:
         dolfinx.fem.petsc.assemble_vector(b, form)
@@ -297,7 +326,7 @@ def set_owned_values(f: fem.Function, values: Array) -> fem.Function:
 
 
 def assemble_values(form: fem.Form | None, count: int) -> Array:
-    """Assembled values (count,) of a linear form at this rank's dofs; zeros for None."""
+    """Assemble a linear form, and return its values (count,) at the dofs of this rank; zeros if the form is None."""
     if form is None:
         return np.zeros(count)
     b = assemble_forces(form)
@@ -309,9 +338,16 @@ def assemble_values(form: fem.Form | None, count: int) -> Array:
 def add_distributed(
     density: Expr, V: fem.FunctionSpace, measure: ufl.Measure, b: PETSc.Vec, maps: EntityMaps | None = None
 ) -> None:
-    """Add the integral of a density to the first displacement component at nodes, distributed by shape functions.
+    """Add the integral of a density to the first component at the nodes, distributed by their shape functions.
 
     On S these are the shape functions of the upper side. As they add up to one, the entries add up to the integral.
+
+    Args:
+        density: UFL scalar, restricted to a side if the measure is dS.
+        V: space of the displacements.
+        measure: measure of the integral.
+        b: vector of V to which the integral is added.
+        maps: entity maps for functions on submeshes; None: there are no such functions.
     """
     v = ufl.TestFunction(V)
     shape = v("+")[0] if measure.integral_type() == "interior_facet" else v[0]

@@ -1,4 +1,4 @@
-"""Points of laws in a state: stresses and internal variables in bodies, layers and on S, and shares of a layer's phases."""
+"""Stresses and internal variables of laws at quadrature points in a state, and volume fractions of a layer's phases."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ _QUADRATURES: WeakKeyDictionary[Model, list[Quadrature]] = WeakKeyDictionary()
 
 @dataclass(frozen=True, eq=False)
 class LawPoints:
-    """This rank's quadrature points of one term in a state.
+    """This rank's quadrature points of one law in a state, with stresses and internal variables there.
 
     Attributes:
         state: the state.
-        term: the term at the time of the state; its prescribed strain includes a mean strain under a mean stress.
-        quadrature: its points.
-        key: key of its compiled law in `State.memory`; "" for a law that is not compiled.
+        term: virtual work of the law at the time of the state. Under a mean stress its prescribed strain includes the
+            mean strain.
+        quadrature: the quadrature points of the law.
+        key: key of a compiled law in `State.memory`; "" for a law that is not compiled.
     """
 
     state: State
@@ -44,11 +45,11 @@ class LawPoints:
 
     @cached_property
     def entities(self) -> IntArray:
-        """Numbers in the joint of this rank's cells with points, or rows of the facets in the joint's table."""
+        """Numbers in the joint of this rank's cells with points, or of its facets (rows of `Joint.table`)."""
         return self.quadrature.original
 
     def stress(self) -> Array:
-        """Stresses (points, 3, 3), with the pressure of an incompressible law. Collective."""
+        """Stresses (points, 3, 3), which include the pressure of an incompressible law. Collective."""
         term, points = self.term, self.quadrature
         if term.law.traits.compiled:
             vectors = self.state.stresses.get(self.key, np.zeros((points.count, len(MANDEL_PAIRS))))
@@ -57,7 +58,7 @@ class LawPoints:
         return mandel_tensors(vectors) + self._pressure()[:, None, None] * np.eye(3)
 
     def _pressure(self) -> Array:
-        """Pressure (points,) of an incompressible law, a part of its stress; zero for other laws."""
+        """Pressure (points,) of an incompressible law, positive in tension; zero for other laws."""
         if not self.term.law.traits.constrained:
             return np.zeros(self.quadrature.count)
         region = self.quadrature.region
@@ -67,7 +68,10 @@ class LawPoints:
         return self.quadrature.values(ufl.as_vector([region.side(here)]))[:, 0]
 
     def internal(self) -> list[dict[str, Array]]:
-        """Internal variables by name, (points, *shape), for each sublayer from the lower to the upper face."""
+        """Internal variables (points, *shape) by name, in a list with one dictionary for each sublayer.
+
+        Sublayers are in order from the lower to the upper face; a law that is no `Stack` is one sublayer.
+        """
         sublayers = [law for _, law in self.term.law.sublayers]
         if not self.key:
             return [{} for _ in sublayers]
@@ -78,24 +82,32 @@ class LawPoints:
 
 
 def seams_with_shares(model: Model) -> list[str]:
-    """Names of the seams whose layers have `layer_shares`."""
+    """Names of the seams whose layers have phases or can break, so that `layer_shares` has numbers for them."""
     return [name for name, layer in model.layers.items() if share_columns(layer.law)]
 
 
 def share_columns(law: Law) -> tuple[str, ...]:
-    """Names of the numbers in `layer_shares` for a layer with this law."""
+    """Names of the numbers that `layer_shares` returns for a layer with this law; () if it has no phases or damage."""
     return tuple(dict.fromkeys(name for _, sublayer in law.sublayers for name in sublayer.share_columns))
 
 
 def layer_shares(state: State, seam: str) -> dict[str, float]:
-    """Shares of a layer's material in other states, in a state of a full or an interface model. Collective.
+    """Volume fractions of a layer's material in other phases, or broken, in a state of a model. Collective.
+
+    The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Any other value is a mixture with phase 0: its
+    absolute value is the volume fraction of phase 1 (or -1).
+
+    Args:
+        state: state of a full or an interface model.
+        seam: name of the layer's seam.
 
     Returns:
-        numbers by the names that the law declares (`share_columns`). Of a layer with phases: "plus", "minus", shares of
-        its sublayers with phases in phases 1 and -1. The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Any
-        other value is a mixture with phase 0: its size is the share of phase 1 (or -1). "boundary": thickness of phase
-        0 if the other phases lie above it, a length, the mean over S. For the bar of section 6.2 it is the position
-        eps S of the phase boundary, Eq. (47).
+        Numbers by the names that the law declares (`share_columns`). For a layer with phases they are:
+
+        - "plus", "minus": volume fractions of phases 1 and -1 in those sublayers that have phases;
+        - "boundary": mean thickness of phase 0 over S, a length: the height of the phase boundary above the lower face
+          if the other phases lie above it. For the bar of section 6.2 of the paper it is the position eps S of Eq.
+          (47), where S is a number.
     """
     model, layer, shares = state.model, state.model.layers[seam], dict[str, float]()
     eps = float(layer.thin_layer.eps) if layer.thin_layer else 0.0
@@ -117,7 +129,7 @@ def layer_shares(state: State, seam: str) -> dict[str, float]:
 
 
 def law_points(state: State) -> Iterator[LawPoints]:
-    """Yield the points of all laws of a state, bodies first, then layers, without contact laws. Collective."""
+    """Yield the `LawPoints` of each law in a state, first of bodies, then of layers; not of contact. Collective."""
     model = state.model
     keys = {id(q.term): key for key, q in model.quadratures.items()}
     if model not in _QUADRATURES:
@@ -128,7 +140,7 @@ def law_points(state: State) -> Iterator[LawPoints]:
 
 
 def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
-    """The internal variables of a law by name, (points, *shape), from the rows of its memory (points, values)."""
+    """Split a law's memory (points, values) into its internal variables (points, *shape) by name."""
     ends = np.cumsum([VARIABLE_SIZES[shape] for shape in law.internal.values()], dtype=int)
     if ends.max(initial=0) != memory.shape[1]:
         return {UNNAMED_MEMORY: memory}

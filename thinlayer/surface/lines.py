@@ -1,4 +1,4 @@
-"""Lines on S by arc length: the pieces of seams in 2D, and the cuts of seams by a plane in 3D."""
+"""Values along lines on S by arc length: the pieces of seams in 2D, and the cuts of seams by a plane in 3D."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ ARC_DEGREE = 8  # quadrature degree for the length of a curved facet
 
 @dataclass(frozen=True)
 class Line:
-    """Values along a line on S, the same on all ranks.
+    """Values at n points along a line on S, the same on all ranks; d: number of dimensions.
 
-    It has no branches, and ends at a tip, an end or a junction of its own seam. Where values jump, there are two rows
-    with the same s.
+    The line has no branches, and ends at a tip, an end or a junction of its own seam. Where values jump, there are two
+    points with the same arc length.
 
     Attributes:
         seam: name of the seam.
         s: (n,) arc length from the start of the line.
-        x: (n, d) coordinates.
-        values: (n,), or (n, components) of a vector.
-        closed: whether the line returns to its start; the last row then repeats the first one, at s = length.
+        x: (n, d) coordinates of the points.
+        values: (n,) values, or (n, components) of a vector.
+        closed: whether the line returns to its start; the last point is then the first one, at s = `length`.
     """
 
     seam: str
@@ -46,14 +46,17 @@ class Line:
         return float(self.s[-1])
 
     def crossings(self, level: float) -> Array:
-        """(k, d) points where values (n,) cross a level, such as the front of a phase or the end of a zone."""
+        """Coordinates (k, d) of the k points where scalar values cross a level, such as the end of a sliding zone."""
         above = self.values - level
         k = np.flatnonzero(above[:-1] * above[1:] < 0)
         share = above[k] / (above[k] - above[k + 1])
         return np.asarray(self.x[k] + share[:, None] * (self.x[k + 1] - self.x[k]))
 
     def table(self, name: str = "value") -> Table:
-        """Columns s, x, y (z) and `name`, or "name x", "name y", ... of a vector; `write` makes a csv file of it."""
+        """Table with a row for each point, for `Table.write` to a csv file.
+
+        Its columns are s, x, y, in 3D z, and `name`, or for vectors "name x", "name y", ...
+        """
         values = self.values.reshape(len(self.s), -1)
         names = [name] if values.shape[1] == 1 else [f"{name} {axis}" for axis in "xyz"[: values.shape[1]]]
         columns = ["s", *"xyz"[: self.x.shape[1]], *names]
@@ -62,10 +65,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Segments:
-    """m segments of lines, with two ends each.
+    """m segments of lines with values at their ends; d: number of dimensions.
 
     Attributes:
-        keys: (m, 2) numbers of the ends; segments are joined where they share a number.
+        keys: (m, 2) numbers of the ends; segments with the same number at an end are joined there.
         x: (m, 2, d) coordinates of the ends.
         values: (m, 2, components) values at the ends.
         lengths: (m,) lengths of the segments.
@@ -77,9 +80,14 @@ class Segments:
     lengths: Array
 
     def lines(self, seam: str, size: float) -> list[Line]:
-        """The lines that the segments form, ordered by their start points, then by their end points (`by_place`).
+        """Join the segments to lines, ordered by the coordinates of their start points, then of their end points.
 
-        A line starts at the lower of its ends. A closed line starts at its lowest point, towards the lower neighbour.
+        A line starts at the lower of its ends: the end with the smaller first coordinate or, if these are equal, the
+        smaller next one. A closed line starts at its lowest point, towards the lower of its neighbours.
+
+        Args:
+            seam: name of the seam.
+            size: size of the structure, for rounding errors of coordinates.
         """
         keys = np.unique(self.keys, return_inverse=True)[1].reshape(-1, 2)
         is_end = np.bincount(keys.ravel())[keys] != 2  # lines end where not exactly two segments meet
@@ -92,7 +100,15 @@ class Segments:
         return [lines[k] for k in by_place(both, size)]
 
     def _line(self, seam: str, segments: IntArray, ends: IntArray, x: Array, size: float) -> Line:
-        """The line of some segments, whose `ends` are numbers of the points x."""
+        """Join the segments of one line, in order.
+
+        Args:
+            seam: name of the seam.
+            segments: positions of the segments of the line.
+            ends: (m, 2) positions in x of the ends of all segments.
+            x: (n, d) coordinates of the distinct ends.
+            size: size of the structure, for rounding errors of coordinates.
+        """
         places, ends = np.unique(ends[segments], return_inverse=True)
         ends, closed = ends.reshape(-1, 2), len(places) == len(segments)
         position = np.argsort(along(x[places], ends, size))[ends]
@@ -112,14 +128,14 @@ class Segments:
 
 
 def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plane | None) -> list[Line]:
-    """Lines of values on a seam: its pieces in 2D, its cuts by a plane in 3D.
+    """Values along the pieces of a seam in 2D, or along its cuts by a plane in 3D.
 
     Args:
         joint: the joint.
         seam: name of the seam.
-        rows: (n,) positions of its facets in `joint.surface`.
-        values: (n, k) or (n, k, components) at the corners of the facets.
-        plane: in 3D the plane that cuts S.
+        rows: (n,) positions of the seam's facets in `joint.surface`.
+        values: values (n, k), or (n, k, components) of a vector, at the k corners of each facet.
+        plane: in 3D the plane that cuts S, as a point and a normal, ((x, y, z), (n_x, n_y, n_z)); None in 2D.
 
     Raises:
         InputError: a plane in 2D; in 3D no plane, or an invalid plane.
@@ -139,7 +155,17 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
 
 
 def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> Segments:
-    """Segments where a plane cuts facets in 3D; `nodes` (n, k) of facets, taken as straight; else as in `lines_on`."""
+    """Segments, with interpolated values at their ends, in which a plane cuts facets in 3D.
+
+    Args:
+        joint: the joint.
+        nodes: (n, a) nodes of the facets in the joint, corners first; curved facets are taken as straight.
+        values: (n, k, components) values at the k corners of each facet.
+        plane: a point and a normal of the plane, ((x, y, z), (n_x, n_y, n_z)).
+
+    Raises:
+        InputError: the plane is not two vectors of three finite numbers, or the normal is zero.
+    """
     if (both := finite_values(plane, (2, 3))) is None or not both[1].any():
         raise InputError(f"plane is {plane!r}; it must be (point, normal), three finite numbers each, not all zero")
     around = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]

@@ -1,4 +1,4 @@
-"""Search for the cells of a joint, or facets of S, that contain points."""
+"""Search for the cells of a joint, or the facets of S, in which given points lie."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ MAX_NEWTON_STEPS = 30  # limit of Newton iterations for reference coordinates in
 
 @dataclass(frozen=True)
 class LocatedPoints:
-    """Points, and all cells or facets that contain them; a point on a boundary lies in several.
+    """Pairs of a point and a cell or facet ("entity") that contains it; a point on a boundary is in several pairs.
 
     Attributes:
-        x: (n, d) coordinates of the points.
-        point: (m,) number of the point, ascending.
-        entity: (m,) number of a cell or facet that contains it.
-        X: (m, k) its coordinates in the reference entity.
+        x: (n, d) coordinates of the n points; d: number of dimensions.
+        point: (m,) number of the point in each of the m pairs, ascending.
+        entity: (m,) number of the cell or facet in each pair.
+        X: (m, k) coordinates of the point in the reference cell or facet of dimension k.
     """
 
     x: Array
@@ -39,12 +39,12 @@ class LocatedPoints:
 
     @classmethod
     def of(cls, kind: str, nodes: Array, x: npt.ArrayLike) -> LocatedPoints:
-        """Locate points (n, d), or one point (d,), in entities; a point outside all entities has no row.
+        """Find all cells or facets that contain points; a point outside all of them is in no pair.
 
         Args:
-            kind: type of the entities.
-            nodes: (m, a, d) coordinates of their nodes.
-            x: the points.
+            kind: type of the cells or facets, such as "triangle".
+            nodes: (entities, a, d) coordinates of their nodes.
+            x: coordinates (n, d) of points, or (d,) of one point.
 
         Raises:
             InputError: x is no array of finite numbers with such a shape.
@@ -68,10 +68,14 @@ class LocatedPoints:
 
     @classmethod
     def in_cells(cls, joint: Joint, x: npt.ArrayLike) -> LocatedPoints:
-        """Locate points in the cells of a joint, inflated or not.
+        """Find all cells of a joint that contain points; the joint may have S opened to the layer's thickness.
+
+        Args:
+            joint: the joint.
+            x: coordinates (n, d) of points, or (d,) of one point.
 
         Raises:
-            InputError: as in `of`; a point is in no cell.
+            InputError: x is no array of finite numbers with such a shape, or a point is in no cell.
         """
         located = cls.of(joint.cell_type, joint.cell_points, x)
         words = "{bad} of {all} places are in no cell of the mesh, the first at {at}"
@@ -83,17 +87,20 @@ class LocatedPoints:
 
     @property
     def missing(self) -> BoolArray:
-        """(n,) whether each point is in no entity."""
+        """Mask (n,) of the points that are in no cell or facet."""
         return ~np.isin(np.arange(len(self.x)), self.point)
 
     def mean(self, values: Array) -> Array:
-        """(n, ...) means of values (m, ...) over the entities that contain each point."""
+        """Means (n, ...) for each point of values (m, ...) in the cells or facets that contain it."""
         counts = np.bincount(self.point, minlength=len(self.x))
         return np.asarray(sum_by_number(self.point, values, len(self.x)) / counts.reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def _reference_points(kind: str, degree: int, nodes: Array, x: Array) -> Array:
-    """Reference coordinates of points x (n, d) in entities with nodes (n, a, d); beyond the entity for outer points."""
+    """Reference coordinates (n, k) of points x (n, d), each in one cell or facet with nodes (n, a, d).
+
+    A point outside its cell or facet gets coordinates outside the reference one.
+    """
     element = lagrange(kind, degree)
     X = np.tile(basix.geometry(basix.CellType[kind]).mean(axis=0), (len(x), 1))
     if not len(x):  # basix takes no empty arrays

@@ -1,4 +1,4 @@
-"""Stiffness of layers and sublayers, and the excess pressure of laws on S that let no material flow along S."""
+"""Stiffness of layers, and the errors of interface laws that let no material of a soft layer flow along S."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ MODULUS_TOLERANCE = 1e-3  # relative change of lmbda/mu in time that counts as z
 
 @dataclass(frozen=True)
 class RestingSublayer:
-    """Moduli of one sublayer of a layer whose law is a `Stack`, or of the whole layer.
+    """Moduli of a layer, or of one sublayer of a `Stack`, at rest or after loads of some duration.
 
     Attributes:
-        fraction: share of the layer's thickness.
-        lmbda, mu: Lame moduli at rest or, if lmbda/mu changes in time, after a duration of the loads; a stress.
-        along: modulus of the sublayer as a sheet in the plane of S; a stress.
-        when: words for a warning that state this duration; "" at rest.
+        fraction: fraction of the layer's thickness that the sublayer has; 1 for a whole layer.
+        lmbda, mu: Lame moduli at rest or, if lmbda/mu changes in time, after the duration; stresses.
+        along: modulus of the sublayer as a sheet in the plane of S with free faces, for isotropic laws E/(1 - nu^2); a
+            stress.
+        when: words of a warning with the duration, such as " under loads that last 5"; "" at rest.
     """
 
     fraction: float
@@ -46,22 +47,29 @@ class RestingSublayer:
 
     @property
     def nearly(self) -> bool:
-        """Whether the sublayer is nearly incompressible."""
+        """Whether the sublayer is nearly incompressible: `length` is more than half of its relative thickness."""
         return self.length > NEARLY_INCOMPRESSIBLE_LENGTH * self.fraction
 
     @property
     def length(self) -> float:
-        """Length over which the pressure falls to zero at a free end, over the layer's thickness; may be infinite."""
+        """Decay length of the pressure at a free end, relative to the layer's thickness; may be infinite."""
         return self.fraction * math.sqrt(max(self.lmbda, 0.0) / (12 * self.mu))
 
     @property
     def compliance(self) -> float:
-        """Compliance under a normal traction without strain along S, over the thickness of the layer."""
+        """Normal jump per normal traction and per layer thickness, without strain along S; 1 over a stress."""
         return self.fraction / (self.lmbda + 2 * self.mu)
 
     @classmethod
     def of(cls, fraction: float, law: BulkLaw, C: FloatArray, n: FloatArray) -> RestingSublayer | None:
-        """Make a sublayer from the tangent C of its law; None if the law does not resist shear."""
+        """Moduli of a sublayer from the tangent of its law; None if the law does not resist shear.
+
+        Args:
+            fraction: fraction of the layer's thickness that the sublayer has.
+            law: the law.
+            C: (6, 6) tangent of the law in Mandel's order.
+            n: (d,) normal of S.
+        """
         lmbda, mu = average_lame(C)
         if law.traits.constrained and not law.parameters().get("lmbda"):
             volumetric = isotropic_tensor(np.abs(C).max() * INCOMPRESSIBLE_BULK_RATIO, 0.0)
@@ -70,7 +78,12 @@ class RestingSublayer:
 
 
 def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer]:
-    """The sublayers of a layer after a duration dt of the loads (0: at rest); [] if tangents are unknown."""
+    """Moduli of the sublayers of a layer, after loads that last dt; [] if a tangent is unknown.
+
+    Args:
+        layer: the layer.
+        dt: duration of the loads; 0: at rest.
+    """
     n, sublayers = layer.initial_tangents.n, layer.initial_tangents.sublayers
     later = layer.initial_tangents.over(dt) if dt > 0 else [None] * len(sublayers)
     resting: list[RestingSublayer] = []
@@ -85,12 +98,15 @@ def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer
 
 
 def acts_as_springs(sublayers: list[RestingSublayer]) -> bool:
-    """Whether strains along S cause no stress, as in springs, so that the traction does not depend on the thickness."""
+    """Whether strains along S cause no stress in the layer, which then acts as separate springs between its faces."""
     return bool(sublayers) and all(sublayer.along <= NEGLIGIBLE_MODULUS_RATIO * sublayer.mu for sublayer in sublayers)
 
 
 def jump_stiffness(layer: SeamLayer) -> tuple[float, float]:
-    """Normal and least tangential stiffness of the layer at rest, per area; zeros if unknown."""
+    """Normal and least tangential stiffness of a layer at rest, traction per jump; (0, 0) if tangents are unknown.
+
+    Without shear stiffness the second number is 0, and the first one is not the stiffness of the layer.
+    """
     n, compliances = layer.initial_tangents.n, np.zeros(2)
     for fraction, _, C in layer.initial_tangents.sublayers:
         if C is None:
@@ -118,6 +134,8 @@ MIN_STIFFNESS_ERROR = 0.1  # relative error of a layer's stiffness above which t
 class FaceDisplacements:
     """Displacements of a layer's faces in a state, at the k corners of the n facets of its seam. Collective.
 
+    d is the number of dimensions, q the number of quadrature points on each facet.
+
     Attributes:
         surface: the mesh of the seam.
         state: state of an interface model.
@@ -135,39 +153,39 @@ class FaceDisplacements:
 
     @cached_property
     def sides(self) -> FloatArray:
-        """(2, d, n, k) displacements of the lower and of the upper face."""
+        """Displacements (2, d, n, k) of the lower face, then of the upper face."""
         return self.surface.sides(self.state.u, self.state.model, self.surface.corner_points)
 
     @property
     def rounding(self) -> float:
-        """Rounding error of jumps, a length."""
+        """Rounding error of jumps, a length in proportion to the largest displacement."""
         return JUMP_ROUNDING * float(np.abs(self.sides).max())
 
     @property
     def opening(self) -> FloatArray:
-        """(n, k) normal jump [u_N]."""
+        """Normal jumps [u_N], (n, k)."""
         return np.asarray(((self.sides[1] - self.sides[0]) * self.surface.corner_points.n).sum(axis=0))
 
     @property
     def slip_squared(self) -> FloatArray:
-        """(n, k) squared slip |w_T|^2 plus the square of the rounding error of jumps."""
+        """Squared tangential jumps |w_T|^2 plus the square of the rounding error of jumps, (n, k)."""
         slip = self.sides[1] - self.sides[0] - self.opening * self.surface.corner_points.n
         return np.asarray((slip**2).sum(axis=0) + self.rounding**2)
 
     @property
     def closing(self) -> FloatArray:
-        """(n, k) approach of the faces, relative to the thickness."""
+        """Approach of the faces, -[u_N], relative to the thickness of the layer, (n, k)."""
         return -self.opening / self.surface.thickness(self.layer, self.surface.corners)
 
     @property
     def mean_closing(self) -> float:
-        """Mean of `closing` over the seam; an opening counts as zero."""
+        """Mean over the seam of the relative approach `closing`; openings count as zero."""
         surface = self.surface
         return float(surface.integral(surface.between(np.maximum(self.closing, 0))) / surface.integral(1.0))
 
     @property
     def stretching(self) -> FloatArray:
-        """(n, q) div_S <u> of displacements that are linear between corners."""
+        """Surface divergence div_S <u>, (n, q), of the mean of both faces' displacements, linear between corners."""
         surface, mean = self.surface, self.sides.mean(axis=0)
         radius = self.state.model.kinematics.radius(surface.x.reshape(len(surface.x), -1).T)
         hoops = surface.between(mean[0]) / radius.reshape(surface.weights.shape)
@@ -176,12 +194,15 @@ class FaceDisplacements:
 
 @dataclass(frozen=True)
 class PressureExcess:
-    """Relative errors of a law whose pressure p_0 exceeds the layer's p because it lets no material flow along S.
+    """Relative errors of an interface law that lets no material flow along S, due to its too large pressure.
+
+    Let p_0 be the pressure of the law, p that of the layer, and wb = [u_N] + eps div_S <u> the layer's change of volume
+    per area of S.
 
     Attributes:
         opening: int (p_0 - p) wb/int p wb: the law is 1 + opening times too stiff against openings.
-        work: excess work of the law over the work of the layer including shear, int p wb + int mu/eps |w_T|^2.
-        traction: |p_0 - p| over the traction of the law, norms in L2(S).
+        work: int (p_0 - p) wb over the work of the layer including shear, int p wb + int mu/eps |w_T|^2.
+        traction: L2 norm of p_0 - p over S, divided by that of the law's traction.
     """
 
     opening: float = 0.0
@@ -190,12 +211,15 @@ class PressureExcess:
 
     @property
     def reported(self) -> float:
-        """The excess that warnings report: `opening`, or `work` if p_0 - p is small against the traction."""
+        """The error that warnings report: `opening` or, if `traction` is at most 0.1, `work`."""
         return self.opening if self.traction > MIN_STIFFNESS_ERROR else self.work
 
 
 def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
-    """Factor 1 + opening of `pressure_excess`, or 1 if the law has flow along S; None if not applicable. Collective."""
+    """Factor by which an interface law overestimates the layer's stiffness against the openings of a state. Collective.
+
+    It is 1 if the law lets material flow along S. None: the conditions of the comparison do not hold.
+    """
     if state.model.applicability[layer.name].why_not("excess of pressure"):
         return None
     if layer.has_pressure_flow:
@@ -204,10 +228,10 @@ def times_too_stiff(state: State, layer: SeamLayer) -> float | None:
 
 
 def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> PressureExcess:
-    """Compare the pressures of the law and of the layer under the same face displacements. Collective.
+    """Relative errors of an interface law by comparing its pressure with that of the layer, with equal displacements.
 
-    Let wb = [u_N] + eps div_S <u>. The pressure of the law is p_0 = lmbda wb/eps. The pressure p of the layer is
-    continuous, of degree 1, and solves
+    Collective. Let wb = [u_N] + eps div_S <u>. The pressure of the law is p_0 = lmbda wb/eps. The pressure p of the
+    layer is continuous, of degree 1, and solves
 
         (eps/lmbda) p - div_S(eps^3/(12 mu) grad_S p) = wb, p = 0 at free ends, no flow through other ends.
 
@@ -218,8 +242,12 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
     excess does not depend on h.
 
     On straight facets of a curved S, slip opens the layer at one end of a facet and closes it at the other. The law
-    resists this too. It is included in `work`; for `opening` and `traction`, p_0 is continuous like p. Openings as
-    small as the rounding error of displacements count as zero.
+    resists this too. `work` includes this resistance; for `opening` and `traction`, p_0 is continuous like p. Openings
+    as small as the rounding error of displacements count as zero.
+
+    Args:
+        faces: displacements of the layer's faces in a state of an interface model.
+        layer: moduli of the layer.
     """
     if not layer.lmbda:
         return PressureExcess()
@@ -257,17 +285,16 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
 
 # ---------------------------------------------------------------- warnings
 def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[RestingSublayer]]) -> Iterator[Remark]:
-    """Yield a remark if the pressure of a nearly incompressible layer falls to zero at free ends over a long distance.
+    """Yield a warning if the pressure of a nearly incompressible layer falls to zero at free ends over a long distance.
 
-    The distance is delta of `pressure_length`.
-
-    Interface laws do not contain this effect. Between rigid faces a strip of half-width l carries only the share
-    1 - tanh(l/delta) delta/l of the load of the law. The remark states the largest factor.
+    The distance is the decay length delta that `pressure_length` computes. Interface laws do not contain this effect.
+    Between rigid faces a strip of half-width l carries only the fraction 1 - tanh(l/delta) delta/l of the load that the
+    law predicts. The warning states the inverse of the smallest such fraction.
 
     Args:
         model: the interface model.
         seam_layer: the layer.
-        layers: the sublayers at several times.
+        layers: for each of several durations of the loads, the moduli of the layer's sublayers.
     """
     layers, rim = [s for s in layers if any(k.nearly for k in s)], model.applicability[seam_layer.name].neglected
     if not layers or not len(rim.vertices):
@@ -291,17 +318,17 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
 
 
 def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
-    """Length delta over which the pressure falls to zero at a free end of S, relative to the thickness of the layer.
+    """Decay length delta of the pressure at a free end of S, relative to the thickness of the layer.
 
-    All sublayers have the same normal traction t. The layer opens by w = c t - B t'': c is the sum of their
-    compliances, and B t'' is the flow along S that a slope of t drives in nearly incompressible sublayers. The flow
-    shears the other sublayers. It also stretches them, as strains along S grow in proportion to the distance. delta^2 =
-    B/c; for one sublayer delta is its `length`. B is the minimum of a quadratic form of displacements along S, of
-    degree 2 through each sublayer.
+    All sublayers have the same normal traction t. The layer opens by w = c t - B t'', with derivatives along S. c is
+    the sum of the compliances of the sublayers. B t'' is the flow along S that a slope of t drives in nearly
+    incompressible sublayers. The flow shears the other sublayers. It also stretches them, as strains along S grow in
+    proportion to the distance. Then delta^2 = B/c; for one sublayer delta is its `length`. B follows from displacements
+    along S, of degree 2 through each sublayer, with the least energy.
 
     Args:
-        sublayers: the sublayers, from the lower to the upper face.
-        width: length of the flow along S, relative to the thickness of the layer.
+        sublayers: moduli of the sublayers, from the lower to the upper face.
+        width: distance along S over which the material flows, relative to the thickness of the layer.
     """
     count = 2 * len(sublayers) + 1
     A, b = np.zeros((count, count)), np.zeros(count)
@@ -318,10 +345,15 @@ def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
 
 
 def stiffness_remark(seam_layer: SeamLayer, states: Sequence[State], start: float | None) -> Iterator[Remark]:
-    """Yield a remark if a law is too stiff for the openings of states, as the layer's pressure evens out along S.
+    """Yield a warning if an interface law is too stiff for the openings of states, as it lets no material flow along S.
 
     Two states are tested: the state with the largest opening, and the last state with at least half of it. The second
     test is needed because laws that creep or relax become nearly incompressible with time.
+
+    Args:
+        seam_layer: the layer.
+        states: states of an interface model, in the order of their times.
+        start: time at which the loads begin to act; None: the layer's moduli at rest are used.
     """
     has_column = not states[0].model.applicability[seam_layer.name].why_not("excess of pressure")
     if not (has_column or seam_layer.law.traits.compiled or any(k.nearly for k in resting_sublayers(seam_layer))):
