@@ -1,4 +1,4 @@
-"""S as a separate mesh: points, integrals, projections, lines, and values of functions on both sides, as arrays."""
+"""S as a separate mesh, with fields on S as arrays: integrals, projections, lines, values on both sides of S."""
 
 from __future__ import annotations
 
@@ -33,11 +33,18 @@ SIDE_NAMES = ("lower", "upper")
 
 
 class FacetPoints:
-    """q points on each of n facets of a surface.
+    """q points on each of n facets of a `SurfaceMesh`, with shape functions, normals and weights there.
+
+    d is the number of dimensions, k the number of corners of a facet.
+
+    Args:
+        surface: the surface.
+        rows: (n,) positions of the facets among those of the surface.
+        points: coordinates in the reference facet, (q, d - 1) for all facets or (n, q, d - 1).
+        weights: (q,) quadrature weights in the reference facet; 1 for points of no quadrature rule.
 
     Attributes:
-        rows: (n,) positions of the facets on the surface.
-        points: (q, d - 1) or (n, q, d - 1) coordinates in the reference facet.
+        rows, points: the arguments.
         shapes: (n, q, k) values of the shape functions of degree 1 of the corners.
         x, n: (d, n, q) coordinates, and unit normals from the lower to the upper side.
         weights: (n, q) weights of integrals over S; in axisymmetry over the whole revolution.
@@ -65,9 +72,15 @@ class FacetPoints:
 
 
 def tabulated(element: basix.finite_element.FiniteElement, points: Array, count: int, derivatives: int = 0) -> Array:
-    """Values (1, n, q, a) of an element's functions at points (q, t), or (n, q, t), of n entities.
+    """Values (1, n, q, a) of the a basis functions of an element at q points in each of n cells or facets.
 
-    With one derivative the result is (1 + t, n, q, a): values, then slopes.
+    With one derivative the result is (1 + t, n, q, a): values, then derivatives by the t reference coordinates.
+
+    Args:
+        element: the element.
+        points: reference coordinates, (q, t) for all cells or facets or (n, q, t).
+        count: the number n of cells or facets.
+        derivatives: 0 or 1.
     """
     table = element.tabulate(derivatives, points.reshape(-1, points.shape[-1]))[..., 0]
     table = table.reshape(len(table), *points.shape[:-1], -1)
@@ -75,25 +88,25 @@ def tabulated(element: basix.finite_element.FiniteElement, points: Array, count:
 
 
 class SurfaceMesh:
-    """S of a joint, or one of its seams, as a separate mesh, whole on every rank.
+    """The interface S of a joint, or one of its seams, as a separate mesh, whole on every rank.
 
-    A field is an array with a value at each of q quadrature points of each of n facets: (n, q), for vectors (d, n, q).
-    A field that is constant on facets is (n, 1). Values (m,) at the nodes represent the field that is linear between
-    them. A constant vector v must have the shape of `np.reshape(v, (-1, 1, 1))`: numpy broadcasts (d,) along the
-    points.
+    A field is an array with a value at each of q quadrature points of each of n facets: (n, q), for vectors (d, n, q)
+    in d dimensions. A field that is constant on facets is (n, 1). Values (m,) at the m nodes represent the scalar field
+    that is linear between them. A constant vector v must be given as `np.reshape(v, (-1, 1, 1))`, as numpy broadcasts
+    an array (d,) along the points.
 
     Args:
         model: a model of the joint.
         seam: name of a seam; "S": all seams.
 
     Attributes:
-        x, n: (d, n, q) quadrature points, and unit normals from the lower to the upper side.
+        x, n: (d, n, q) coordinates of the quadrature points, and unit normals from the lower to the upper side.
         weights: (n, q) weights of integrals: areas, in axisymmetry of the whole revolution.
         quadrature: the quadrature points; `rule` returns the points of other degrees.
         rows: (n,) positions of the facets in `joint.surface_rows`.
-        cells: (n, 2) numbers in the joint of the cells below (-1: a rigid base) and above.
-        corners: (n, k) vertices of the facets in the joint.
-        faces: (2, n, a, d) coordinates of the facets' nodes in the cells below and above.
+        cells: (n, 2) numbers in the joint of the cells below (-1: a rigid base) and above each facet.
+        corners: (n, k) numbers in the joint of the k corners of each facet.
+        faces: (2, n, a, d) coordinates of the a nodes of each facet, in the cells below, then in the cells above.
         seams: (n,) name of each facet's seam.
         points: (q, d - 1) quadrature points in the reference facet.
         shapes: (q, k) values at these points of the shape functions of degree 1 of the corners.
@@ -125,13 +138,18 @@ class SurfaceMesh:
         return f"{type(self).__name__}({self.model!r}, {self.seam!r})"
 
     def rule(self, degree: int) -> FacetPoints:
-        """The points of the quadrature rule of this degree on all facets."""
+        """Points of the quadrature rule of some polynomial degree on all facets."""
         if degree not in self._rules:
             self._rules[degree] = self.on_facets(*basix.make_quadrature(basix.CellType[self.kind], degree))
         return self._rules[degree]
 
     def on_facets(self, points: Array, weights: Array | float = 1.0) -> FacetPoints:
-        """The same points (q, d - 1) of the reference facet on all facets."""
+        """Points given in the reference facet, on all facets.
+
+        Args:
+            points: (q, d - 1) coordinates in the reference facet.
+            weights: (q,) quadrature weights there; 1 for points of no quadrature rule.
+        """
         return FacetPoints(self, np.arange(len(self.rows)), points, weights)
 
     @cached_property
@@ -141,24 +159,29 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- places
     def at(self, x: npt.ArrayLike) -> tuple[LocatedPoints, FacetPoints]:
-        """All facets that contain points x (n, d), or one point (d,), and the points on these facets.
+        """Find the facets on which points lie, a facet for each row of both results; at edges a point has several.
+
+        Args:
+            x: coordinates (n, d) of points, or (d,) of one point.
 
         Raises:
-            InputError: no finite numbers of this shape; points that are not on the surface.
+            InputError: x has another shape or numbers that are not finite, or a point is not on the surface.
         """
         located = LocatedPoints.of(self.kind, self.faces.mean(axis=0), x)
         refuse(located.missing, located.x, f"{{bad}} of {{all}} places are not on {self.seam}, the first at {{at}}")
         return located, FacetPoints(self, located.entity, located.X[:, None])
 
     def on_side(self, located: LocatedPoints, side: str) -> LocatedPoints:
-        """Keep, for points on the surface, only the cells on one side; other points keep all their cells.
+        """Leave out, for points that lie on the surface, the cells that are not on a given side of it.
+
+        Points off the surface keep all their cells.
 
         Args:
             located: points in cells of the joint.
             side: "lower" or "upper".
 
         Raises:
-            InputError: another side; a rigid base, which has no cells below.
+            InputError: another side, or a point where this side has no cells, as below S on a rigid base.
         """
         require(side in SIDE_NAMES, "side", side, "allowed: lower, upper")
         count, k = len(self.joint.cells) + 1, SIDE_NAMES.index(side)
@@ -172,14 +195,14 @@ class SurfaceMesh:
         return located[np.isin(located.point * count + located.entity, wanted) | ~np.isin(located.point, points)]
 
     def in_layer(self, x: npt.ArrayLike, height: npt.ArrayLike) -> Array:
-        """Points (n, d) in the meshed layer of a full model, at points x of S and heights between the faces.
+        """Coordinates (n, d) of points in the meshed layer of a full model, at positions on S and across the layer.
 
         Args:
-            x: points on S, (n, d).
-            height: from -1/2 at the lower to 1/2 at the upper face, one number or (n,).
+            x: (n, d) coordinates of points on S.
+            height: positions across the layer, from -1/2 at the lower to 1/2 at the upper face, one number or (n,).
 
         Raises:
-            InputError: the surface is not of a full model; points off S.
+            InputError: the model is not a full model, or a point is not on S.
         """
         if not isinstance(self.model, FullModel):
             raise InputError(f"the surface of a meshed layer is of a full model, not of {self.model!r:.80}")
@@ -198,7 +221,7 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- states, and functions of models
     def displacements(self, state: State) -> Array:
-        """(2, d, n, q) displacements of the lower and of the upper side; zero on a rigid base. Collective.
+        """Displacements (2, d, n, q) of the lower, then of the upper side of S; zero on a rigid base. Collective.
 
         Raises:
             InputError: not a state, or a state of another joint.
@@ -207,7 +230,7 @@ class SurfaceMesh:
         return self.sides(state.u, state.model, self.quadrature)
 
     def jump(self, state: State) -> Array:
-        """(d, n, q) jump [u] = u(upper) - u(lower). Collective."""
+        """Jump [u] = u(upper) - u(lower) of the displacements across S, (d, n, q). Collective."""
         lower, upper = self.displacements(state)
         return np.asarray(upper - lower)
 
@@ -218,7 +241,15 @@ class SurfaceMesh:
             raise InputError("this state's model has another joint than the surface; build both from the same one")
 
     def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
-        """(2, m, n, q) values of a model's function f (m,) below and above; zero on a rigid base. Collective."""
+        """Values (2, c, n, q) of a function on the lower, then on the upper side of S. Collective.
+
+        On a rigid base they are zero.
+
+        Args:
+            f: function with c components on the model's mesh.
+            model: the model of f.
+            at: q points on each of n facets.
+        """
         element = f.function_space.ufl_element().basix_element
         values = cell_values(f, model, self.cells[at.rows].clip(0))  # not used below S on a rigid base
         out = np.zeros((2, f.function_space.dofmap.bs, *at.weights.shape))
@@ -235,14 +266,18 @@ class SurfaceMesh:
 
     @cached_property
     def distance_to_ends(self) -> Array:
-        """(n, q) distances of the quadrature points from the ends of S, or of this seam; infinite if it is closed."""
+        """Distances (n, q) of the quadrature points from the ends of S, or of this seam; infinite without ends."""
         x = np.moveaxis(self.x, 0, -1)
         rim = Sheet(self.joint, self.seam).rim
         return rim.distance(self.joint.points, x.reshape(-1, len(self.x))).reshape(x.shape[:-1])
 
     # ---------------------------------------------------------------- integrals
     def _field(self, f: object) -> Array:
-        """Return f as a field (..., n, q); raise InputError if it is not a field."""
+        """Convert a number, a field or nodal values f to a field (..., n, q).
+
+        Raises:
+            InputError: f has another shape, or is no array of numbers.
+        """
         try:
             values = np.asarray(f, float)
             if values.shape == (len(self.numbers),):
@@ -257,7 +292,10 @@ class SurfaceMesh:
             raise InputError(message) from None
 
     def where(self, part: Where | float) -> Array:
-        """(n, q) weights of a part of S, from a field or a numpy function of the coordinates x (d, n, q).
+        """Factors (n, q) that select a part of S in integrals, 1 or True inside and 0 or False outside.
+
+        Args:
+            part: a field, or a numpy function of the coordinates x (d, n, q) that returns one.
 
         Raises:
             InputError: `part` is neither.
@@ -269,18 +307,24 @@ class SurfaceMesh:
             raise InputError(f"where is not a numpy function of coordinates such as {example}: {error}") from error
 
     def integral(self, f: npt.ArrayLike) -> Any:
-        """Integral over S of a field: a float, or an array (d,) for a vector field."""
+        """Integral of a field over S: a number, or an array (d,) for a vector field."""
         total = (self._field(f) * self.weights).sum(axis=(-2, -1))
         return total if total.ndim else float(total)
 
     def norm(self, f: npt.ArrayLike, where: Where | float = 1.0) -> float:
-        """L2 norm over S of a field, weighted with `where`."""
+        """L2 norm of a field over S, or over a part of S.
+
+        Args:
+            f: a scalar or a vector field.
+            where: factors that select the part, a field or a numpy function of the coordinates x (d, n, q).
+        """
         return float(np.sqrt((self._field(f) ** 2 * self.where(where) * self.weights).sum()))
 
     def frame(self, f: npt.ArrayLike) -> Array:
-        """(d, n, q) components of a vector field in the frame of S: tangential components, then the normal component.
+        """Components (d, n, q) of a vector field along the tangents of S, then along its normal.
 
-        The tangents are axes of `forms.tensors.layer_frame`: (n_2, -n_1) in 2D, the first and the third axis in 3D.
+        In 2D the tangent is (n_2, -n_1). In 3D the smallest rotation that takes the second coordinate axis to n takes
+        the first and the third axis to the tangents (`forms.tensors.layer_frame`).
         """
         values, n = self._field(f), self.n
         if values.shape != n.shape:
@@ -291,7 +335,7 @@ class SurfaceMesh:
     # ---------------------------------------------------------------- nodes
     @cached_property
     def _numbered(self) -> tuple[IntArray, IntArray, IntArray]:
-        """The values of `numbers`, `vertices` and `nodes`."""
+        """Values of the properties `numbers`, `vertices` and `nodes`, computed once."""
         of_table = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
         at = (of_table[:, None] == self.corners[..., None]).argmax(axis=2)
         codes = np.take_along_axis(self.joint.pairs[self.rows], at, axis=1)
@@ -303,39 +347,39 @@ class SurfaceMesh:
 
     @property
     def numbers(self) -> IntArray:
-        """(m,) numbers of the nodes (`Joint.pairs`): where seams meet, one for each pair of bodies at a vertex.
+        """Numbers (m,) that identify the nodes: a node is a vertex of S with a seam and the two bodies joined there.
 
-        In 2D they are ordered along S, piece after piece; in 3D by coordinates. Each piece of S has one pair at a
-        vertex.
+        So a vertex where seams or bodies meet has several nodes. The numbers are those of `Joint.pairs`. In 2D nodes
+        are ordered along S, piece after piece; in 3D by coordinates.
         """
         return self._numbered[0]
 
     @property
     def places(self) -> Array:
-        """(m, d) coordinates of the nodes."""
+        """Coordinates (m, d) of the nodes."""
         return self.joint.points[self.vertices]
 
     @property
     def vertices(self) -> IntArray:
-        """(m,) vertex of the joint at each node; the first of the vertices that periodic sides identify."""
+        """Numbers (m,) of the nodes' vertices in the joint; of vertices that periodic sides identify, the first one."""
         return self._numbered[1]
 
     @property
     def nodes(self) -> IntArray:
-        """(n, k) position in `numbers` of the node at each corner."""
+        """Positions (n, k) in `numbers` of the nodes at the k corners of each facet."""
         return self._numbered[2]
 
     def find(self, numbers: IntArray) -> IntArray:
-        """Positions in `numbers` of the nodes with these numbers."""
+        """Positions of some nodes in `self.numbers`, given their numbers."""
         order = np.argsort(self.numbers)
         return order[np.searchsorted(self.numbers[order], numbers)]
 
     def mass(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
-        """(m, m) mass matrix of the functions of degree 1, weighted with a field."""
+        """Mass matrix (m, m) of the functions of degree 1 on S, weighted with a scalar field f."""
         return self._matrix(np.einsum("fq,qa,qb->fab", self._field(f) * self.weights, self.shapes, self.shapes))
 
     def stiffness(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
-        """(m, m) products of the gradients along S of the functions of degree 1, weighted with a field."""
+        """Matrix (m, m) of int_S f grad_S p . grad_S q for the functions of degree 1 on S and a scalar field f."""
         slopes = self.quadrature.slopes
         return self._matrix(np.einsum("fq,fqad,fqbd->fab", self._field(f) * self.weights, slopes, slopes))
 
@@ -345,25 +389,31 @@ class SurfaceMesh:
         return scipy.sparse.csc_matrix((of_facets.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
     def sums(self, of_corners: Array) -> Array:
-        """(m, ...) sums at the nodes of values (n, k, ...) at the corners of facets."""
+        """Sums (m, ...) at each node of values (n, k, ...) at the corners of its facets."""
         return sum_by_number(self.nodes, of_corners, len(self.numbers))
 
     def moments(self, f: npt.ArrayLike) -> Array:
-        """(n, k) or (n, k, d) integrals of a field over each facet with the functions of degree 1 of its corners."""
+        """Integrals, over each facet, of a field times the function of degree 1 of each of its corners.
+
+        They are (n, k), for vector fields (n, k, d).
+        """
         return np.asarray(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
 
     def projected(self, moments: Array) -> Array:
-        """(m, ...) nodal values of the L2 projection, from moments (n, k, ...) with the functions of degree 1."""
+        """Nodal values (m, ...) of the L2 projection of a field to degree 1, from its `moments` (n, k, ...)."""
         total = self.sums(moments)
         return np.asarray(self._solver(total.reshape(len(total), -1))).reshape(total.shape)
 
     def lumped(self, moments: Array) -> Array:
-        """(m, ...) nodal values of moments by a lumped mass matrix, as contact laws define tractions."""
+        """Nodal values (m, ...) of a field from its `moments` (n, k, ...), by a lumped mass matrix.
+
+        Contact laws define tractions at nodes in this way.
+        """
         return np.asarray((self.sums(moments).T / self.areas).T)
 
     @cached_property
     def areas(self) -> Array:
-        """(m,) areas of S around the nodes."""
+        """Areas (m,) of S that belong to the nodes: integrals of their functions of degree 1."""
         return self.sums(self.moments(1.0))
 
     @cached_property
@@ -371,32 +421,37 @@ class SurfaceMesh:
         return scipy.sparse.linalg.splu(self.mass()).solve
 
     def nodal(self, f: npt.ArrayLike) -> Array:
-        """L2 projection (m,) or (m, d) of a field to degree 1, at the nodes (`numbers`, `places`)."""
+        """Nodal values (m,), for vectors (m, d), of the L2 projection of a field to degree 1, at `places`."""
         return self.projected(self.moments(f))
 
     def at_points(self, nodal: Array) -> Array:
-        """(n, q) or (d, n, q) field of nodal values (m,) or (m, d)."""
+        """Field (n, q), for vectors (d, n, q), that interpolates nodal values (m,) or (m, d) linearly."""
         return np.asarray(np.einsum("qa,fa...->...fq", self.shapes, nodal[self.nodes]))
 
     def between(self, of_corners: Array) -> Array:
-        """(..., n, q) field that is linear between values (..., n, k) at the corners of each facet."""
+        """Field (..., n, q) that interpolates values (..., n, k) at the corners of each facet linearly."""
         return np.asarray(of_corners @ self.shapes.T)
 
     def profile(self, f: npt.ArrayLike) -> tuple[Array, Array]:
-        """Coordinates (m, d) of the nodes, and nodal values (m,) or (m, d) of a field projected to degree 1."""
+        """Coordinates (m, d) of the nodes, and nodal values of a field that is L2-projected to degree 1.
+
+        The values are (m,), for vector fields (m, d).
+        """
         return self.places, self.nodal(f)
 
     def along(self, f: npt.ArrayLike, *, plane: Plane | None = None) -> list[Line]:
-        """Values of a field along the lines of S, by arc length: steps if it is constant on facets, else of degree 1.
+        """Values of a field along the lines of S, by arc length.
 
-        In 2D a line is a piece of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is the cut
-        of a seam by a plane. Lines are ordered by seam, then by their start points. A line starts at its lower end, by
-        the first coordinate, then by the next ones. A closed line starts at its lowest point, towards the lower of its
-        neighbours. Where values jump, as at a junction with another seam, there are two rows with the same s.
+        A field that is constant on facets gives steps. Other fields are projected to degree 1. In 2D a line is a piece
+        of a seam: it ends where the seam ends, branches or crosses itself. In 3D it is the cut of a seam by a plane.
+        Lines are ordered by seam, then by their start points. A line starts at the end with the smaller first
+        coordinate or, if these are equal, the smaller next one. A closed line starts at its lowest point in this sense,
+        towards the lower of its neighbours. Where values jump, as at a junction with another seam, a line has two
+        points with the same arc length.
 
         Args:
-            f: the field.
-            plane: in 3D a point of the plane and its normal, ((x, y, z), (n_x, n_y, n_z)).
+            f: a scalar or a vector field.
+            plane: in 3D a point of the plane and its normal, ((x, y, z), (n_x, n_y, n_z)); None in 2D.
 
         Raises:
             InputError: f is not a field; a plane in 2D; in 3D no plane, or a plane that does not cut S.
@@ -410,7 +465,10 @@ class SurfaceMesh:
         return lines
 
     def at_corners(self, f: npt.ArrayLike) -> Array:
-        """(n, k) or (n, k, d) values of a field at the corners of facets."""
+        """Values (n, k), for vector fields (n, k, d), of a field at the corners of each facet.
+
+        Fields that are not constant on facets are L2-projected to degree 1.
+        """
         values = self._field(f)
         if np.shape(f) == (len(self.numbers),):
             return np.asarray(f, float)[self.nodes]
@@ -420,17 +478,22 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- layers
     def thickness(self, layer: SeamLayer, vertices: IntArray) -> Array:
-        """Thickness (...) of a layer with a law of strains, at vertices (...) of the joint."""
+        """Thickness of a layer at vertices of the joint, in an array of the shape of `vertices`.
+
+        Args:
+            layer: a layer with a law of strains.
+            vertices: numbers of the vertices in the joint, in any shape.
+        """
         relative = self.joint.relative_thickness(layer.as_thin_layer.profile, layer.name)
         return np.asarray(layer.eps * relative[vertices])
 
     def lengths(self, rim: Rim) -> Array:
-        """(n,) lengths of the ridges of a part of the rim; in plane models 1, in axisymmetry the circumference."""
+        """Lengths (n,) of n ridges at ends of S; in plane models 1, in axisymmetry the circumference."""
         return np.asarray(rim.length * self.model.kinematics.factor_at(self.joint.points[rim.vertices].mean(axis=1)))
 
 
 def surface_of(model: Model, seam: str) -> SurfaceMesh:
-    """The `SurfaceMesh` of a model's seam, made once and stored in the model."""
+    """`SurfaceMesh` of a seam of a model, which is made once and then taken from the model."""
     kept: dict[str, SurfaceMesh] = vars(model).setdefault("surfaces", {})
     if seam not in kept:
         kept[seam] = SurfaceMesh(model, seam)

@@ -1,4 +1,4 @@
-"""The files from which a march is resumed, on any number of ranks."""
+"""Files of a march, from which it is resumed on any number of ranks."""
 
 from __future__ import annotations
 
@@ -33,13 +33,14 @@ JsonObject = dict[str, Any]  # a march, its mark or one of its states in march.j
 
 @dataclass
 class Pace:
-    """The values from which the length of the next step follows.
+    """Data of a march from which the length of its next step follows.
 
     Attributes:
         step: largest length of the next step; None: no limit.
-        largest: norms of displacements, jumps and forces to which errors of adaptive steps are relative. They are the
-            largest norms so far or, after rest, the norms at the end of the first step that was tried.
-        weight: weight 1/U^2 of displacements in the arc length of a path; 0 before its first step.
+        largest: three norms, of displacements, jumps and forces, to which errors of adaptive steps are relative. They
+            are the largest norms so far or, after rest, the norms at the end of the first step that was tried.
+        weight: factor 1/U^2 of squared displacements in the squared arc length of a path, with the unit U of
+            displacements; 0 before the first step.
     """
 
     step: float | None = None
@@ -48,16 +49,21 @@ class Pace:
 
 
 class Checkpoint:
-    """The files of a march in a folder: march.json with the table so far and the pace, its states, and table.csv.
+    """Writes and reads the files of a march in a folder. All methods are collective.
 
-    Values are ordered by the original numbers of their cells or facets of S, which do not depend on the distribution.
-    Files are replaced as a whole, and states before march.json, which has their hashes. So a killed run leaves valid
-    files. All methods are collective.
+    They are march.json with the table so far and the `Pace`, a file for each state, and table.csv. Values of states are
+    ordered by the numbers of their cells or facets in the joint, which do not depend on the distribution of the mesh.
+    Files are replaced as a whole, and those of states before march.json, which has their hashes. So a killed run leaves
+    valid files.
 
     Args:
         folder: folder of the files.
         equations: the equations of the model.
-        mark: JSON of the model's identity and of the choices of the march; only a march with the same mark is resumed.
+        mark: data for JSON that identify the march: the model's identity and arguments of the march. Only a march with
+            the same mark is resumed.
+
+    Raises:
+        InputError: the memory of a part is an array that has no order in files.
     """
 
     def __init__(self, folder: Path, equations: Equations, mark: JsonObject) -> None:
@@ -86,10 +92,16 @@ class Checkpoint:
 
     # ---------------------------------------------------------------- writing
     def write(self, table: Table, states: Mapping[int, State], pace: Pace, first: int) -> None:
-        """Write the states of the rows from `first` on, and replace the table.
+        """Write the states of the table's rows from `first` on, and replace the files of the table.
 
-        Files of states that are not in `states` are removed. If `first` is 0, the files of an earlier march are removed
+        Files of states that are not in `states` are removed. If `first` is 0, all files of an earlier march are removed
         before.
+
+        Args:
+            table: table of the march so far.
+            states: the states to be stored, by the numbers of their rows in the table.
+            pace: data from which the length of the next step follows.
+            first: number of the first row that has not been written yet.
 
         Raises:
             OSError: a file could not be written; on all ranks.
@@ -102,7 +114,7 @@ class Checkpoint:
         on_root(self.comm, lambda: self._write_table(table, states, pace))
 
     def _forget(self) -> None:
-        """Remove the files of an earlier march; the table first, as march.json says to which march it belongs."""
+        """Remove the files of an earlier march: table.csv first, as only march.json shows to which march it belongs."""
         for file in (self.folder / CSV_FILE, self.path, *self._files()):
             file.unlink(missing_ok=True)
 
@@ -129,20 +141,26 @@ class Checkpoint:
         on_root(self.comm, write)
 
     def _gather(self, order: FileOrder, values: Array) -> Array:
-        """The rows (number, values...) of all ranks on rank 0, sorted by number, without duplicates."""
+        """Gather values on rank 0, in rows of a cell's or facet's number and its values, sorted, without duplicates.
+
+        Args:
+            order: order of the values in files.
+            values: (n, v) values on this rank.
+        """
         rows = np.column_stack([order.numbers.astype(float), order.ordered(values)])
         rows = np.concatenate(self.comm.gather(rows[: order.n_owned]) or [rows[:0]])
         return rows[np.unique(rows[:, 0], return_index=True)[1]]
 
     # ---------------------------------------------------------------- reading
     def read(self, resume: Resume, last: int) -> tuple[Table, dict[int, State], Pace] | None:
-        """Table, states and pace of the march in the folder; None if there is none or `resume` is False.
+        """Read table, states by the numbers of their rows, and pace of the march in the folder.
 
-        With "anyway" it may be another march, which keeps its own mark.
+        None: there is no march, or `resume` is False.
 
         Args:
-            resume: as in `march`.
-            last: number of last states to read; 0: all.
+            resume: whether the march in the folder is to be resumed; "anyway": also if it is another march, by whose
+                mark the files remain identified.
+            last: how many states are read, counted from the end of the march; 0: all.
 
         Raises:
             InputError: the files belong to another march, or it is to be resumed and they are damaged.
@@ -157,7 +175,11 @@ class Checkpoint:
         return table, states, Pace(**content["pace"])
 
     def _content(self, resume: Resume) -> JsonObject | None:
-        """The content of march.json, on rank 0; None if there is no march or `resume` is False."""
+        """Content of march.json, if it may be resumed; None: there is no march, or `resume` is False. On rank 0 only.
+
+        Raises:
+            InputError: the files are of another march or version, or observe other columns.
+        """
         if not self.path.exists():
             if (self.folder / CSV_FILE).exists():
                 raise InputError(f"{self.folder / CSV_FILE} is not of a march; give another folder, or remove it")
@@ -201,7 +223,17 @@ class Checkpoint:
         return state
 
     def _wanted(self, row: int, rows: Array | None, numbers: IntArray, width: int) -> Array:
-        """Values (len(numbers), width) with these numbers on each rank, from rows (number, values...) on rank 0."""
+        """Values (cells, width) that belong to some cells or facets of each rank, from a state's file.
+
+        Args:
+            row: number of the state's row in the table, for messages.
+            rows: on rank 0 the content of the file: rows of a cell's or facet's number and its values; else None.
+            numbers: (cells,) numbers in the joint of the cells or facets of this rank.
+            width: number of values of each cell or facet.
+
+        Raises:
+            InputError: a value is missing.
+        """
         rows = rows if rows is not None and rows.shape[1] == width + 1 else np.empty((0, width + 1))
         values = carry_cell_values(self.comm, rows[:, 0].astype(np.int64), lambda at: rows[at, 1:], numbers)
         if self.comm.allreduce(int(not np.isfinite(values).all())):
@@ -215,13 +247,16 @@ def _copied(memory: Memory) -> Memory:
 
 
 def _state_functions(state: State) -> dict[str, fem.Function]:
-    """Functions of a state by their names in its file, except own unknowns of parts."""
+    """Functions of a state, by their names in its file: displacements, and memories of parts that are functions.
+
+    Unknowns of parts besides displacements are left out.
+    """
     kept = [(key, memory) for key, memory in state.memory.items() if isinstance(memory, Mapping)]
     return {"u": state.u, **{f"{MEMORY_PREFIX}{key}/{name}": f for key, memory in kept for name, f in memory.items()}}
 
 
 def _state_values(state: State) -> dict[str, Array]:
-    """Values (n, v) of a state by their names in its file; no copies."""
+    """Arrays (n, v) of a state's values, by their names in its file; not copies."""
     arrays = {name: f.x.array.reshape(-1, f.function_space.dofmap.bs) for name, f in _state_functions(state).items()}
     arrays |= {FIELD_PREFIX + key: f.x.array[:, None] for key, f in state.fields.items()}
     arrays |= {MEMORY_PREFIX + key: kept for key, kept in state.memory.items() if not isinstance(kept, Mapping)}

@@ -1,4 +1,4 @@
-"""The loop of all marches: a controller chooses length and attempts of each step, a journal keeps the states."""
+"""The loop of all marches: a controller chooses the length and the solution method of each step."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from thinlayer.time.journal import Journal
 
 
 class StepAttempt(NamedTuple):
-    """Description of one attempt at a step.
+    """One method by which a controller tries to make a step.
 
     Attributes:
-        name: name for the log.
-        make: length -> the states of the step from the last state. It sets the pace of the next step, and raises
-            SolveError if the step fails.
-        until: after a failed attempt, this attempt is made only if the step would be shortened to this length, or
-            below.
+        name: name in the log.
+        make: function of the step's length that returns the states of a step from the last state. It also sets the
+            largest length of the next step, and raises SolveError if the step fails.
+        until: length of a step. After another method has failed, this one is tried only if the step would otherwise be
+            shortened to this length or below.
     """
 
     name: str
@@ -38,21 +38,21 @@ class StepAttempt(NamedTuple):
 
 
 def is_divisible(start: float, end: float) -> bool:
-    """Whether a step is so long that its two halves are not lost in rounding."""
+    """Whether a step between two times can be halved, as its middle differs from both in floating point."""
     return start < (start + end) / 2 < end
 
 
 @dataclass(eq=False)
 class Controller(ABC):
-    """Controller of the steps of a march.
+    """Makes the steps of a march: chooses their lengths and methods, and shortens steps that fail.
 
     Attributes:
         solver: solver of the model.
-        journal: journal of the march.
-        targets: times at which steps must end.
+        journal: record of the accepted states.
+        targets: times at which steps must end, increasing.
         start: time of the first state.
         near: largest difference of times that count as equal.
-        smallest: length below which a step is not shortened further.
+        smallest: length below which a step is not shortened further, in the unit of `length`.
     """
 
     solver: Solver
@@ -73,7 +73,7 @@ class Controller(ABC):
 
     @property
     def done(self) -> bool:
-        """Whether the march has reached its end."""
+        """Whether the march has ended: the last state is at the last of `targets`, or after it."""
         return self._passed_times == len(self.targets)
 
     @property
@@ -87,32 +87,41 @@ class Controller(ABC):
 
     @abstractmethod
     def length(self) -> float:
-        """Length of the next step, in the controller's own unit."""
+        """Length of the next step: a time, or on a path the arc length relative to the first step."""
 
     @property
     @abstractmethod
     def attempts(self) -> list[StepAttempt]:
-        """Attempts at a step, in the order in which they are made."""
+        """Methods for a step, in the order in which they are tried."""
 
     def shorter(self, length: float, error: SolveError) -> float:
-        """The length to try after an error."""
+        """Length to try after a step of a given length has failed with an error; by default half of it."""
         return length / 2
 
     @abstractmethod
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
-        """The error of the march if the shortest step fails, made from the errors of its attempts."""
+        """Error with which the march ends if the shortest step fails.
+
+        Args:
+            length: length of the step.
+            errors: errors of the methods that were tried, in order.
+        """
 
     def error(self, what: str, advice: str = "") -> SolveError:
-        """A SolveError of the march, with its history."""
+        """SolveError of the march with a message, advice for the user, and the history of accepted states."""
         return SolveError(what, self.journal.history, advice=advice)
 
     # ---------------------------------------------------------------- the loop
     def run(self, resume: Resume = False, begun: Sequence[State] = ()) -> History:
-        """March to the end. Collective; errors as in `march`.
+        """Make all steps of the march, and return its history. Collective.
 
         Args:
-            resume: whether to continue the march in the journal's folder.
-            begun: initial state, with the previous state before it if that is known; (): from rest.
+            resume: whether to continue the march in the journal's folder; "anyway": also if it is another march.
+            begun: initial state, after the state before it if that is known; (): the march starts from rest.
+
+        Raises:
+            InputError: the folder has another march, damaged files, or a march that is already beyond the end.
+            SolveError: the first state, or the shortest step, cannot be computed.
         """
         with report("march") as tell:
             end = self.targets[-1]
@@ -131,7 +140,10 @@ class Controller(ABC):
         return self.journal.history
 
     def _begin(self) -> None:
-        """Compute the first state. A state at rest is written later, with the first step."""
+        """Add the first state to the journal: at rest if a part depends on rates, else under sudden loads.
+
+        A state at rest is written to files together with the first step.
+        """
         if self.solver.equations.traits.rate:
             self.journal.note(self.solver.rest(self.start))
             return
@@ -141,7 +153,7 @@ class Controller(ABC):
             raise self.error(f"the first state, under the sudden load at t = {self.start:g}: {error}") from error
 
     def _next(self) -> list[State]:
-        """The states of the next step, which is shortened until an attempt succeeds."""
+        """Make the next step, shortened until a method succeeds, and return its states."""
         length, t = self.length(), self.last.t
         while True:
             errors: list[SolveError] = []

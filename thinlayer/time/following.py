@@ -1,4 +1,4 @@
-"""Steps along an equilibrium path: to its end, even where loads turn back, or only as long as it leads on in time."""
+"""Controllers of steps along an equilibrium path by arc length, also where the load parameter t decreases."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ UNLIMITED_STEPS = 10**6
 
 @dataclass(eq=False)
 class ArcLengthController(Controller):
-    """Controller of steps by arc length. Lengths are relative to the length of the first step.
+    """Makes steps along an equilibrium path by arc length. Lengths of steps are relative to that of the first step.
 
     Attributes:
-        path: ends of the path and lengths of steps.
-        options: PETSc options of the linear solver; they override our defaults.
+        path: settings of the user: ends of the path and limits of the lengths of steps.
+        options: PETSc options of the linear solver, which override the package's defaults.
     """
 
     path: ArcLength
@@ -66,12 +66,19 @@ class ArcLengthController(Controller):
         return min(pace.step or 1.0, path.largest)
 
     def _aim(self, *, anew: bool = False) -> None:
-        """Compute the direction of the path at the last state; if `anew`, with t increasing."""
+        """Compute the direction of the path at the last state: away from the state before it, or along increasing t.
+
+        Args:
+            anew: whether t must increase along the direction.
+        """
         self._curve.weight, self._aimed = self.journal.pace.weight, self.last
         self._curve.aim(None if anew else self.journal.before, self.last)
 
     def _weight(self, before: State, last: State) -> float:
-        """Weight 1/U^2, with the change U of nodal displacements in a first step of full length."""
+        """Factor 1/U^2 of squared displacements in the squared arc length, from the first two states.
+
+        U is the norm of the change of nodal displacements in a first step of full length. Raise SolveError if U is 0.
+        """
         unit = float((last.u.x.petsc_vec - before.u.x.petsc_vec).norm()) * self.path.first / (last.t - before.t)
         if not unit:
             raise self.error(f"nothing moves from t = {before.t:g} to {last.t:g}: the path has no direction")
@@ -84,11 +91,15 @@ class ArcLengthController(Controller):
         return [ahead, corner] if self._curve.weight else [ahead]
 
     def _arc(self, length: float) -> float:
-        """Arc length of a step: sqrt(2) for the first step, 1 in u and 1 in t; only 1 in t until U is known."""
+        """Arc length of a step whose length is given relative to the first step.
+
+        The first step has the arc length sqrt(2): 1 from displacements over their unit U, and 1 from t. Until U is
+        known, it is only the 1 from t.
+        """
         return length * math.sqrt(2.0) if self._curve.weight else length
 
     def _ahead(self, length: float) -> list[State]:
-        """The state after a step along the path, or at the next target if that comes first."""
+        """State after a step along the path, or at the next of `targets` if the step would pass it, in a list."""
         last, target, arc = self.last, self.target, self._arc(length)
         state = None
         if last.t + arc * self._curve.slope >= target - self.near:
@@ -103,7 +114,13 @@ class ArcLengthController(Controller):
         return self._checked(self._curve.step(self.last, self._arc(length), turn=True), length)
 
     def _checked(self, state: State, length: float) -> list[State]:
-        """Compute the path's direction at a state; raise SolveError if it may not be the next state of the path."""
+        """Accept a state as the next one of the path, and return it in a list.
+
+        Computes the path's direction there, and sets the largest length of the next step, after a step of this length.
+
+        Raises:
+            SolveError: the path turns within the step, or the state seems to be on another path.
+        """
         self._curve.aim(self.last, state, check=True)
         factor = math.sqrt(WANTED_ITERATIONS / max(state.report.iterations, 1))
         self.journal.pace.step = length * min(max(factor, MIN_LENGTH_RATIO), MAX_LENGTH_RATIO)
@@ -116,11 +133,11 @@ class ArcLengthController(Controller):
 
 
 class PathToTimesController(ArcLengthController):
-    """Controller of steps to given times along an equilibrium path, until the path turns back in time.
+    """Makes steps to given times along an equilibrium path, and ends with an error where the path turns back in time.
 
-    Displacements of supports or loads control the path. Steps along it pass over no part of it, whereas a step in time
-    could end beyond a loop of the path. At break times of the data, which are targets, the path begins anew, with t
-    increasing.
+    Loads and displacements of supports are functions of the time t. Steps along the path follow each bend of it,
+    whereas a step in time could end beyond a loop of the path. At the break times of `piecewise` data a step ends, and
+    the path begins anew with t increasing.
     """
 
     _turned = False  # whether the path has turned back in the last step tried
@@ -132,7 +149,12 @@ class PathToTimesController(ArcLengthController):
         super()._aim(anew=self._breaks(self.last.t))
 
     def _checked(self, state: State, length: float) -> list[State]:
-        """Check as in `ArcLengthController`; raise SolveError if the path turns back in time up to this state."""
+        """Accept a state as the next one of the path, and return it in a list.
+
+        Raises:
+            SolveError: the path turns back in time up to this state, or within the step, or the state seems to be on
+                another path.
+        """
         states = super()._checked(state, length)
         self._turned = not (self._curve.slope > 0 and state.t > self.last.t)
         if self._turned:
