@@ -1,4 +1,4 @@
-"""Journal: adds rows to the history of a march, evaluates observing functions, writes and reads files."""
+"""Journal of a march: adds accepted states to its history, evaluates functions of users, writes and reads files."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class Journal:
 
     Attributes:
         equations: the equations of the model.
-        choices: arguments of the march that must be the same to resume it, "start" and "theta" among them.
-        observe: name of a column -> function of a state.
+        choices: arguments of the march, by name, that must be the same to resume it; with "start" and "theta".
+        observe: name of a column of the table -> function of a state that returns a number.
         keep: "all": keep all states; "last": keep only the last one.
         out: folder for the table and the files from which to resume; None: no files.
-        history: the accepted states.
-        pace: the pace of the next step; written with the states.
-        before: the state before the last, which gives the direction of a path.
+        history: table and states of the march so far.
+        pace: data from which the length of the next step follows; written with the states.
+        before: the state before the last one, from which the direction of a path follows; None: there is none.
         start: time of the first state.
     """
 
@@ -65,7 +65,10 @@ class Journal:
             self._files = Checkpoint(self.out, self.equations, mark)
 
     def read(self, resume: Resume) -> bool:
-        """Continue the march in the folder; return False if there is no march, or `resume` is False.
+        """Read the march in the folder `out`, to continue it; return whether there is one and it may be resumed.
+
+        Args:
+            resume: whether to continue it; "anyway": also if it is another march.
 
         Raises:
             InputError: the folder has another march, or damaged files that are to be resumed.
@@ -80,13 +83,16 @@ class Journal:
         return True
 
     def begin(self, states: Sequence[State]) -> None:
-        """Begin with the last of these states of another march; the state before it gives the direction of a path."""
+        """Take the last of some states of another march as the first state of this one.
+
+        The direction of a path follows from the state before it, if there is one.
+        """
         self.note(states[-1])
         self.history.begun = True
         self.before = states[-2] if len(states) > 1 else None
 
     def accept(self, states: Sequence[State]) -> None:
-        """Add states to the history and write them."""
+        """Add accepted states to the history, and write them to the files."""
         for state in states:
             self.note(state)
         if self._files:
@@ -98,7 +104,7 @@ class Journal:
         collect(self.equations.comm)
 
     def note(self, state: State) -> None:
-        """Add a row and a state to the history; the next `accept` writes them."""
+        """Add a state and its row of the table to the history; the next `accept` writes them to the files."""
         history, report = self.history, state.report
         self.before = history.last if history.states else None
         summary = state.t, report.method, report.iterations, report.residual
@@ -113,7 +119,11 @@ class Journal:
         history.states[len(history) - 1] = state
 
     def _observed(self, name: str, state: State) -> float:
-        """The value of an observing function on rank 0. InputError: the function fails, or ranks have other values."""
+        """Value of a function of `observe` at a state, from rank 0.
+
+        Raises:
+            InputError: the function fails, or returns different values on different ranks.
+        """
         place = f"observe[{name!r}] at t = {state.t:g}"
         try:
             with errors_on_all(self.model.comm):

@@ -1,4 +1,4 @@
-"""`march`: checks its arguments, chooses the controller of the steps, and estimates the errors of planned steps."""
+"""`march`, which solves a model step by step in time, and estimates of the errors of its steps."""
 
 from __future__ import annotations
 
@@ -46,63 +46,67 @@ def march(
 ) -> History:
     """Solve a model step by step in time, from rest just before `start` or from a state. Collective.
 
-    The loads may be sudden at `start`. If every law of the layer has an instantaneous response (elastic, Maxwell), the
-    first accepted state is this response, at `start`. Other laws and parts have a rate: Kelvin-Voigt, Norton, a stack
+    The loads may be sudden at `start`. If every law has an instantaneous response (elastic, Maxwell), the first
+    accepted state is this response, at `start`. Other laws and parts depend on rates: Kelvin-Voigt, Norton, a stack
     with one of them, user-defined parts such as inertia. With them the first state is at rest, and the response to
-    sudden loads is in the first step. A step that fails is halved. If a law or a part has a memory, steps also end at
-    the breaks of `piecewise` data, and the table has rows for them.
+    sudden loads is in the first step. A step that fails is halved. If a law or a part has a memory, depends on rates or
+    softens, steps also end at the break times of `piecewise` data, and the table has rows for them.
 
-    A layer whose stress falls as jumps grow (`softens`) is followed along its equilibrium path, as long as the path
-    leads on in time. Steps are as short as the path needs. So displacements of supports take the layer beyond the
-    largest load. Where the path turns back the march ends with a `TurningPoint`. It can be continued by
-    `march(error.history, ArcLength(...))`.
+    A model with a layer whose stress falls as jumps grow (trait `softens`) is followed along its equilibrium path, as
+    long as time increases along it. Steps are as short as the path needs. So displacements of supports take the layer
+    beyond the largest load. Where time would decrease along the path, the march ends with a `TurningPoint`. It can be
+    continued by `march(error.history, ArcLength(...))`.
 
-    A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows a local minimum of the energy. A step ends at the time
-    when one of its columns is no longer in the phase of lowest energy. Two states are kept at this t: before and after
-    the switch of this column and of all columns that follow it (`History.snaps`). If loads or temperatures are not
-    linear in time within a step, the march tests seven times within the step. Between two of them a column may leave
-    its phase of lowest energy and return unnoticed. Switches under a sudden load at `start` are not snaps: the first
-    state is the state after them. Let loads grow from zero to see these snaps.
+    A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows a local minimum of the energy. Each of its columns,
+    the cells above each other through the thickness or a facet of S, has one phase. A step ends at the time when one of
+    its columns is no longer in the phase of lowest energy. Two states are recorded at this time: before and after the
+    switch of this column and of all columns that switch as a consequence (`History.snaps`). If loads or temperatures
+    are not linear in time within a step, columns are tested at seven times within the step. Between two of these times
+    a column may leave its phase of lowest energy and return unnoticed. Switches under a sudden load at `start` are not
+    snaps: the first state is the state after them. Let loads grow from zero to see these snaps.
 
     Args:
-        begin: the model; or a history that keeps its last state, such as `error.history`; or a state of a solve or
-            march. From a history or a state the march continues, and its first row is this state.
-        times: ends of the steps, increasing, > start; or `Adaptive`; or `ArcLength`, to follow an equilibrium path. On
-            a path t is only the parameter of loads and supports, and may decrease. The path starts from the sudden load
-            at `start`; from a history in the direction of its last step.
+        begin: the model; or a history, such as `error.history`, or a state of a solve or march. From the state, or the
+            last state of the history, the march continues; this state is its first row.
+        times: ends of the steps, increasing, > start; or `Adaptive`, for steps by an estimate of their error; or
+            `ArcLength`, to follow an equilibrium path. On a path t is only the parameter of loads and supports, and may
+            decrease. A path from a model starts from the response to sudden loads at `start`; a path from a history
+            starts in the direction of its last step.
         start: time of the first state (default: 0). It must not be set for a state or a history, which has its own
             time.
-        theta: forces balance at t + theta dt. 1 is backward Euler, order 1; 1/2 is the midpoint rule, order 2. With
-            theta below 1, the first step from rest consists of two steps of backward Euler, which damp the oscillation
-            after a sudden load. Values below 1 are allowed for laws that creep or relax and whose response to a sudden
-            strain, if there is one, is linear. Parameters that vary in time are taken at t + theta dt.
-        observe: name of a column -> function of a state that returns a number, the same on all ranks; evaluated at
-            every accepted state.
+        theta: fraction of each step after which forces balance. 1 is backward Euler, of first order in the length of
+            the steps; 1/2 is the midpoint rule, of second order. With theta below 1, the first step from rest consists
+            of two steps of backward Euler, which damp the oscillation after a sudden load. Values below 1 are allowed
+            for linear laws, and for laws that creep or relax whose response to sudden strains, if any, is linear.
+            Parameters that vary in time are taken at the time of balance.
+        observe: name of a column of the table -> function of a state that returns a number, the same on all ranks;
+            evaluated at every accepted state.
         keep: "all": keep all states; "last": keep only the last one.
-        out: folder for table.csv and the files from which to resume, written at every accepted step. Only one march at
-            a time may use it, and no march that continues from a state.
-        resume: True: continue the march in `out`, if there is one; times may be added. Its numbers, names and mesh must
-            be the same, and no user's file with functions or laws may have changed. "anyway": continue it in spite of
-            such changes. False: the files of the same march are replaced; files of another march are an error.
-        **solver: options and method of the solver, see `solve`.
+        out: folder for table.csv and the files from which to resume, written at every accepted step; None: no files.
+            Only one march at a time may use the folder, and no march that continues from a history or a state.
+        resume: True: continue the march in `out`, if there is one; times may be added. The model's numbers, names and
+            mesh must be the same, and no user's file with functions or laws may have changed. "anyway": continue it in
+            spite of such changes. False: the files of the same march are replaced; files of another march are an error.
+        **solver: options and method of the solver, which are those of `solve`: `options` for PETSc and `method`.
 
     Warns:
-        RangeWarning: as in `solve`, once, at the end, for the states that are kept. Warnings of strains of bodies are
-            issued also if the march fails. Planned steps leave an estimated error above 2 % (`History.step_errors`)
-            under a law that is not linear and has a history (yield, friction, damage). For the estimate such marches
-            are repeated with half as many steps; fewer than eight steps are repeated as 8 to 14. Before the march:
-            planned steps are not well below a relaxation or retardation time of a law.
+        RangeWarning: a law or state is out of the range of validity that `solve` checks; issued once, at the end, for
+            the states that are kept. Warnings of strains of bodies are issued also if the march fails. Or steps that
+            end at given times leave an estimated error above 2 % (`History.step_errors`) under a law that is not linear
+            and has a memory (yield, friction, damage). For the estimate such marches are repeated with half as many
+            steps; fewer than eight steps are repeated as 8 to 14. Or, before the march: steps between given times are
+            not well below a relaxation or retardation time of a law.
 
     Raises:
         InputError: times, theta, names or loads out of range, before the first solve; theta < 1 with a contact law, or
-            a law that yields, has phases, or has a non-linear instantaneous response; files of another march in `out`;
-            an `out` that cannot be written, or that another march uses.
+            with a law that yields, has phases, or has a non-linear instantaneous response; files of another march in
+            `out`; a folder `out` that cannot be written, or that another march uses.
         OSError: a file could not be written; on all ranks.
-        SolveError: the shortest step fails, too; accepted states are in `out` and in the error's `history`.
-        TurningPoint: a layer softens, and the equilibria lead back in time.
-        LimitLoad: the shortest step fails for a layer that yields, or for contact. Loads change in this step, and
-            displacements grow without bound as weak springs at all nodes are softened. The error has the last loads
-            with an equilibrium.
+        SolveError: even the shortest step fails; accepted states are in `out` and in the error's `history`.
+        TurningPoint: a layer softens, and time would decrease along its equilibrium path.
+        LimitLoad: even the shortest step fails for a layer that yields, or for contact, and loads change in this step.
+            With weak springs at all nodes there are equilibria, but as the springs are softened the displacements grow
+            without bound. The error has the last loads with an equilibrium.
 
     Example:
         >>> from forms import LinearElastic, Maxwell
@@ -161,7 +165,13 @@ def march(
 
 
 def _initial_states(begin: object) -> tuple[Model, list[State]]:
-    """Model, and initial states of a march: the last state, with the previous state before it if that is kept."""
+    """Model and initial states of a march from `begin`: none from a model, else the last state of the history.
+
+    If the history keeps the state before the last one, it comes first.
+
+    Raises:
+        InputError: `begin` is no model, history or state.
+    """
     if isinstance(begin, History):
         return begin.model, [*filter(None, [begin.states.get(len(begin) - 2)]), begin.last]
     if isinstance(begin, State):
@@ -193,12 +203,17 @@ def _check(model: Model, theta: float, keep: str, out: object, resume: Resume, o
 
 # ---------------------------------------------------------------- errors of planned steps
 def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) -> None:
-    """Estimate the errors of planned steps at the end of a march, and warn of large errors. Collective.
+    """Estimate the errors that steps to given times leave at the end of a march, and warn if they are large. Collective.
 
-    Marches with laws that are not linear and have a history (yield, friction, damage) are repeated with half as many
-    steps. This adds half as many solves. Fewer than eight steps are repeated as 8 to 14. Breaks of the data remain ends
-    of steps. The difference gives the error of the whole march to leading order; one halved step would only give its
-    own error. A march that has dissipated nothing is not repeated.
+    The march is repeated with half as many steps, which adds half as many solves. Fewer than eight steps are repeated
+    as 8 to 14. Break times of `piecewise` data remain ends of steps. The difference of the final states gives the error
+    of the whole march to leading order; one halved step would only give its own error. A march that has dissipated
+    nothing is not repeated, and its errors are set to 0. The errors are stored in `History.step_errors`.
+
+    Args:
+        done: controller of the march, after it.
+        theta: fraction of each step after which forces balance.
+        begun: initial states from which the march continued; (): it started from rest.
     """
     solver, history, n = done.solver, done.journal.history, len(done.targets)
     dissipated, supplied = (np.abs(np.array(history.table[name], float)).sum() for name in ("dissipated", "supplied"))
@@ -226,7 +241,15 @@ def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) 
 
 
 def _halved_targets(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:
-    """Every second target, counted from the end, and breaks; if too few would be left, all steps divided into parts."""
+    """Times for a repeated march with half as many steps: every second target, counted from the end, and break times.
+
+    If that leaves too few steps, or hardly fewer, all steps are divided into equal parts instead.
+
+    Args:
+        targets: times at which the steps of the march ended.
+        start: time at which it started.
+        breaks: break times of `piecewise` data.
+    """
     last = len(targets) - 1
     coarse = [t for k, t in enumerate(targets) if (last - k) % 2 == 0 or t in breaks]
     if len(targets) >= MIN_HALVED_STEPS and 4 * len(coarse) <= 3 * len(targets):

@@ -1,15 +1,16 @@
-"""Steps along an equilibrium path: displacements and load parameter t, by arc length (Riks 1972, Wempner 1971).
+"""Steps by arc length along an equilibrium path of displacements u and load parameter t (Riks 1972, Wempner 1971).
 
-With residual R(u, t) a path has the direction (v, 1), where K v = -dR/dt and v follows the supports. A step of length s
-starts at the predictor P = (u, t) + s (direction). From there Newton's method leads to the equilibrium in the plane
-through P that is normal to the direction. The scalar product is du.dv/U^2 + dt ds/T^2, with units U of displacements
+With residual R(u, t) and stiffness K = dR/du, a path has the direction (v, 1). Here K v = -dR/dt, and at supports v is
+the rate of the prescribed displacements. A step of length s starts at the predictor P = (u, t) + s d, with the
+direction d scaled to length 1. From there Newton's method leads to the equilibrium in the plane through P that is
+normal to d. The scalar product of (u_1, t_1) and (u_2, t_2) is u_1.u_2/U^2 + t_1 t_2/T^2, with units U of displacements
 and T of t. Turning points of t need no special treatment: K is nearly singular there and indefinite beyond, and the
 factorisation allows both.
 
 Where the tangent of a law jumps (a kink of the law), the path has a corner. It may be sharp: beyond a peak the path may
 fall steeply and lead almost all the way back. The plane through P then misses the path, however short the step. A step
-that turns uses another plane instead. It is normal to the path's direction at P, which is the direction of the branch
-beyond the corner.
+through a corner uses another plane instead. It is normal to the solution of K v = -dR/dt at P, which is the direction
+of the branch beyond the corner.
 """
 
 from __future__ import annotations
@@ -43,20 +44,20 @@ FORCE_CHANGE_TOLERANCE = 1e-7  # change of forces in a step, relative to the for
 
 
 class EquilibriumPath:
-    """Successive equilibria of a model along a path. Collective.
+    """Computes successive equilibria of a model along a path, by steps of given arc length. Collective.
 
-    A point of the path, and a direction, is an array (n + 1,): the unknowns of this rank, then t. Laws with memory
-    start from a state `last`, whether t increases or decreases.
+    A point of the path, and a direction, is an array (n + 1,): the n unknowns of this rank, then the load parameter t.
+    Laws with memory start from the memory of the last state, whether t increases or decreases.
 
     Args:
         equations: the equations of the model.
-        unit: unit T of t in the arc length, > 0.
-        options: PETSc options of the linear solver, which override our defaults; options of SNES are ignored.
+        unit: unit T of t in the arc length sqrt(|du|^2/U^2 + dt^2/T^2), > 0.
+        options: PETSc options of the linear solver, which override the package's defaults; options of SNES are ignored.
 
     Attributes:
         weight: 1/U^2 of the arc length; 0 until U is known, so that the first step has a length in t only.
-        middle: middle of the interval of times at which loads and supports are evaluated; difference quotients step
-            towards it.
+        middle: a time between those at which loads and supports are evaluated. Difference quotients by t step towards
+            it, so that they stay between these times.
     """
 
     def __init__(self, equations: Equations, unit: float, options: Options) -> None:
@@ -70,7 +71,7 @@ class EquilibriumPath:
 
     @property
     def slope(self) -> float:
-        """Change of t over arc length along the direction of the path."""
+        """Change of t per arc length along the direction of the path."""
         return float(self._direction[-1])
 
     def _point(self, state: State) -> Array:
@@ -89,9 +90,13 @@ class EquilibriumPath:
 
     # ---------------------------------------------------------------- the balance of forces
     def _residual(self, last: State, point: Array) -> float | None:
-        """Compute the residual at a point; return its relative size in equilibrium, else None.
+        """Compute the residual at a point; return its size over the reference force if forces balance, else None.
 
-        The point gets the prescribed values at constrained unknowns, where the residual is zero.
+        The point's constrained unknowns are set to their prescribed values, and the residual there is zero.
+
+        Args:
+            last: the last state, with the memory of laws.
+            point: (n + 1,) unknowns and t.
 
         Raises:
             SolveError: a law fails, or loads or supports are not finite at t.
@@ -116,12 +121,16 @@ class EquilibriumPath:
             raise SolveError(self.equations.failure())
 
     def _linearise(self, last: State, t: float) -> tuple[Array, Array]:
-        """Newton step at fixed t, and tangent of the path per unit of t, at the point of the last residual.
+        """Newton step at fixed t, and derivative of the path's point by t, at the point of the last residual.
 
-        Derivatives by t are difference quotients.
+        Both are arrays (n + 1,). Derivatives by t are difference quotients.
+
+        Args:
+            last: the last state, with the memory of laws.
+            t: value of t at the point.
 
         Raises:
-            SolveError: as in `_residual`; or the matrix cannot be factorised.
+            SolveError: a law fails, loads or supports are not finite, or the matrix cannot be factorised.
         """
         equations, bc_dofs, dR, change = self.equations, self.equations.bc_dofs, self._dR, self._change
         prescribed, short = equations.prescribed, math.copysign(TIME_QUOTIENT_STEP * self.unit, self.middle - t)
@@ -152,10 +161,10 @@ class EquilibriumPath:
 
     # ---------------------------------------------------------------- direction
     def aim(self, before: State | None, last: State, *, check: bool = False) -> None:
-        """Compute the direction of the path at the state `last`.
+        """Compute the direction of the path at the last state.
 
-        It is tangent to the path and leads away from the state `before`. Without `before` t increases. If the tangent
-        is singular, the last increment is the direction.
+        It is tangent to the path and leads away from the state before; without such a state, t increases along it. If
+        the stiffness is singular, the direction is that from the state before to the last state.
 
         Args:
             before: the state before `last`; None: `last` is the first state.
@@ -163,7 +172,8 @@ class EquilibriumPath:
             check: whether to compare the direction with the direction at `before`.
 
         Raises:
-            SolveError: the path turns between the states, or `last` is on another path; the old direction stays.
+            SolveError: with `check`, the path turns between the states, or `last` is on another path; the old
+                direction is kept. Or the direction at the first state cannot be computed.
         """
         point = self._point(last)
         increment = None if before is None else point - self._point(before)
@@ -186,21 +196,21 @@ class EquilibriumPath:
         self._direction = direction
 
     def _crossing(self, last: State, direction: Array, length: float) -> float:
-        """Whether a direction must be reversed beyond a kink of a law: > 0 no, < 0 yes, 0 if there is no kink.
+        """Number that says whether a direction must be reversed beyond a kink of a law: < 0 if so, > 0 if not.
 
-        The angle with the last increment does not decide this at corners sharper than 90 degrees. By this angle
-        Crisfield (1981) chooses between two solutions, and `aim` chooses the sign of the direction. R is continuous at
-        a kink. So its derivatives A = [K, dR/dt] on the two branches differ by c n'. Here n is the normal of the
-        boundary between the branches. The direction d_1 at the state `last` (A_1 d_1 = 0) crosses this boundary. Let
-        d_2 be the direction of the last linearisation (A_2 d_2 = 0). The path continues along d_2 if d_2 crosses the
-        boundary in the same sense: (n.d_1)(n.d_2) > 0. As n is not known, the forces (A_2 - A_1) d = c (n.d) are
-        computed for both directions. The result is their scalar product, |c|^2 (n.d_1)(n.d_2). Forces as small as their
-        errors count as zero.
+        It is 0 if there is no kink. At corners sharper than 90 degrees the angle with the last increment, by which
+        `aim` and Crisfield (1981) choose a sign, does not decide this. R is continuous at a kink. So its derivatives
+        A = [K, dR/dt] on the branches 1 and 2 before and beyond the kink differ by a matrix c n^T of rank 1. Here n is
+        the normal of the boundary between the branches, and c is a vector of forces. The direction d_1 at the last
+        state, with A_1 d_1 = 0, crosses this boundary. Let d_2 be the direction of the last linearisation, with
+        A_2 d_2 = 0. The path continues along d_2 if d_2 crosses the boundary in the same sense: (n.d_1)(n.d_2) > 0. As
+        n is not known, the forces (A_2 - A_1) d = c (n.d) are computed for both directions. The result is their scalar
+        product, |c|^2 (n.d_1)(n.d_2). Forces as small as their errors count as zero.
 
         Args:
             last: the state before the kink.
-            direction: d_2, of the last linearisation.
-            length: length of the step.
+            direction: (n + 1,) d_2.
+            length: arc length of the step.
         """
         equations, short = self.equations, PATH_QUOTIENT_STEP * length
         along = self._dR  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0; and with A_2 (change, 1) = 0
@@ -222,17 +232,29 @@ class EquilibriumPath:
 
     # ---------------------------------------------------------------- steps
     def step(self, last: State, length: float, *, turn: bool = False) -> State:
-        """The equilibrium after a step of this length; with `turn`, after a step through a corner within this length.
+        """Equilibrium after a step along the path.
+
+        Args:
+            last: the last state.
+            length: arc length of the step.
+            turn: whether to look for the equilibrium on the branch beyond a corner of the path within this length.
 
         Raises:
-            SolveError: there is no equilibrium, or it is too far from the predictor.
+            SolveError: no equilibrium is found, or it is too far from the predictor, or there is no corner.
         """
         return self._find(last, self._point(last) + length * self._direction, self._direction, length, turn)
 
     def solve_at_time(self, last: State, beyond: State | None, t: float) -> State:
-        """The equilibrium at time t, between the states `last` and `beyond` (None: the predictor).
+        """Equilibrium of the path at a given value of t.
 
-        Errors as in `step`.
+        Args:
+            last: the last state.
+            beyond: state after a step beyond t, between which and `last` the predictor is interpolated; None: the
+                predictor is along the direction of the path.
+            t: value of t.
+
+        Raises:
+            SolveError: no equilibrium is found, or it is too far from the predictor.
         """
         point, at_t = self._point(last), np.zeros_like(self._direction)
         at_t[-1] = 1.0
@@ -243,7 +265,18 @@ class EquilibriumPath:
         return self._find(last, target, at_t, self._size(increment), turn=False)
 
     def _find(self, last: State, target: Array, row: Array, step: float, turn: bool) -> State:
-        """Solve for the equilibrium in the plane through `target` that is normal to `row`."""
+        """Solve by Newton's method for the equilibrium in a plane.
+
+        Args:
+            last: the last state.
+            target: (n + 1,) predictor, through which the plane goes.
+            row: (n + 1,) normal of the plane, of length 1 unless it is the direction of t.
+            step: arc length of the step.
+            turn: whether the plane is instead one beyond a corner of the path.
+
+        Raises:
+            SolveError: no equilibrium is found, or it is too far from the predictor, or there is no corner.
+        """
         begin, beyond, iterations, point = time.perf_counter(), 0.0, 0, target.copy()
         most, far = (MAX_TURN_STEPS, MAX_TURN_ERROR * step) if turn else (MAX_NEWTON_STEPS, MAX_PREDICTION_ERROR * step)
         while (residual := self._residual(last, point)) is None:
@@ -267,7 +300,18 @@ class EquilibriumPath:
         return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - begin))
 
     def _turned(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:
-        """Direction of the path at the predictor, beyond a corner, and distance of the plane normal to it."""
+        """Direction (n + 1,) of the branch beyond a corner, and the distance from the predictor of a plane normal to it.
+
+        The equilibrium of a step through the corner is looked for in this plane.
+
+        Args:
+            last: the state before the corner.
+            tangent: (n + 1,) derivative by t of the path's point, from the linearisation at the predictor.
+            length: arc length of the step.
+
+        Raises:
+            SolveError: the path has no corner here.
+        """
         row = self._unit_along(tangent)
         crossing = self._crossing(last, row, length)
         if crossing == 0:

@@ -1,4 +1,4 @@
-"""Plans of a march: times, adaptive steps, or a path by arc length; which models they suit, and their controllers."""
+"""Settings of the steps of a march: given times, adaptive steps, or an equilibrium path by arc length."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ NO_PATH_REASONS = {
 
 
 class Plan(ABC):
-    """Plan of the steps of a march. A new kind of steps is a plan with its controller.
+    """Settings of the steps of a march, which check that they suit a model, and make the controller of the steps.
 
     Attributes:
-        first: length of the first step; None: it ends at the first time.
-        tolerance: largest estimated error of a step, which then ends at breaks of data; None: a march in time estimates
-            the error of all its steps at the end.
-        is_path: whether steps follow an equilibrium path, for every model.
+        first: length of the first step; None: it ends at the first of the given times.
+        tolerance: largest estimated error of a step, for steps whose length follows from this error; they also end at
+            the break times of `piecewise` data. None: the length of steps does not follow from their error.
+        is_path: whether steps follow an equilibrium path for every model; else only for models that soften, or never.
     """
 
     first: float | None  # a value would become the default of fields
@@ -49,26 +49,49 @@ class Plan(ABC):
 
     @abstractmethod
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
-        """Times at which steps must end, with the breaks between them; InputError: they cannot follow `start`."""
+        """Times at which steps must end, increasing.
+
+        Args:
+            start: time of the first state.
+            breaks: further times at which steps must end, where slopes of data change.
+
+        Raises:
+            InputError: the times do not increase from `start`.
+        """
 
     @abstractmethod
     def check_model(self, equations: Equations, theta: float, method: str | None) -> None:
-        """Raise InputError if the plan does not suit the model, `theta` or the solver's `method`. Collective."""
+        """Raise InputError if the settings do not suit the model, `theta` or the solver's `method`. Collective.
+
+        Args:
+            equations: the equations of the model.
+            theta: fraction of each step after which forces balance.
+            method: method of the solver that the user chose; None: the default.
+        """
 
     @abstractmethod
     def controller(self, solver: Solver, journal: Journal, targets: list[float], options: Options) -> Controller:
-        """The controller of the steps; `options` are PETSc options of the linear solver."""
+        """Make the controller of the steps.
+
+        Args:
+            solver: solver of the model.
+            journal: record of the accepted states.
+            targets: times at which steps must end.
+            options: PETSc options of the linear solver.
+        """
 
 
 @dataclass(frozen=True)
 class PlannedTimes(Plan):
-    """Times at which steps end. A model with a layer that softens follows its equilibrium path to these times.
+    """Times at which steps end.
+
+    A model with a layer whose stress falls as jumps grow follows its equilibrium path to these times, in shorter steps.
 
     Attributes:
         times: the times, increasing.
 
     Raises:
-        InputError: they are not a sequence of numbers.
+        InputError: the times are not a sequence of numbers.
     """
 
     times: Sequence[float]
@@ -108,19 +131,19 @@ class PlannedTimes(Plan):
 
 @dataclass(frozen=True)
 class Adaptive(Plan):
-    """Steps whose length follows an estimate of their error.
+    """Steps in time whose length follows from an estimate of their error.
 
-    Each step is made once as a whole and once as two halves. The halves are accepted if displacements, the layer's
-    jumps and the bodies' forces differ by no more than the tolerance. Jumps of loads between these times are not
-    noticed: put the times at which functions jump into `at`. The breaks of `piecewise` loads are added to these times.
+    Each step is made once as a whole and once as two halves. The halves are accepted if the error that their
+    difference shows is at most the tolerance. Loads that jump within a step are not noticed: put the times at which
+    functions jump into `at`. The break times of `piecewise` data are added to these times.
 
     Attributes:
-        end: last time.
+        end: time at which the march ends.
         first: length of the first step.
-        tolerance: largest estimated error of a step. The error is the largest of three relative errors in L2 norms: of
-            nodal displacements, of jumps (in a meshed layer strains), and of nodal forces of the bodies' stresses, with
-            reactions and tractions on the layer. They are relative to the largest values so far or, after rest, to the
-            values at the end of the first step that is tried.
+        tolerance: largest estimated error of a step. The error is the largest of three relative errors in Euclidean
+            norms or, for jumps, L2 norms: of nodal displacements, of jumps (in a meshed layer strains), and of the
+            nodal forces of the bodies' stresses. These forces change with reactions and tractions on the layer. Errors
+            are relative to the largest norms so far or, after rest, to those at the end of the first step tried.
         at: times between start and end at which a step must end.
         smallest: length below which a step is not shortened further (default: first/1e6).
         largest: length of the longest step (default: no limit).
@@ -167,7 +190,15 @@ class Adaptive(Plan):
 
 
 def _require_numbers(plan: Plan, *positive: str, signed: tuple[str, ...]) -> None:
-    """Convert attributes to floats; raise InputError unless they are > 0, finite if in `signed`, or None by default."""
+    """Convert attributes of settings to floats; raise InputError if they are out of range.
+
+    Attributes with the default None may be None, and `largest` may be infinite.
+
+    Args:
+        plan: the settings.
+        *positive: names of attributes that must be finite and > 0.
+        signed: names of attributes that must be finite.
+    """
     for name in (*signed, *positive):
         value = getattr(plan, name)
         finite = is_finite(value) or (is_number(value) and name == "largest" and value == math.inf)
@@ -180,24 +211,25 @@ def _require_numbers(plan: Plan, *positive: str, signed: tuple[str, ...]) -> Non
 
 @dataclass(frozen=True)
 class ArcLength(Plan):
-    """An equilibrium path of a model, followed by arc length; t is the parameter of loads and may decrease.
+    """Steps by arc length along an equilibrium path, where t is a parameter of loads and supports and may decrease.
 
-    Supports depend on the parameter t too. The path starts at the state of t = start, with t increasing, and continues
-    in the direction of its last increment. Energies are not compared: stable and unstable equilibria are followed
-    alike. Steps should be short compared with the features of the path, as events within a step are not noticed.
+    The path starts at the state of t = start, with t increasing, and continues in the direction of its last step.
+    Energies are not compared: stable and unstable equilibria are followed alike. Steps should be short compared with
+    bends and loops of the path, as a step may pass over them.
 
-    The length of a step is sqrt(|du|^2/U^2 + dt^2/T^2). Here |du| is the L2 norm of the change of nodal displacements,
-    T is `first`, and U follows from the first step. Step lengths adapt to the number of Newton steps; steps that fail
-    are halved. `smallest` and `largest` are relative to the length of the first step.
+    The length of a step is sqrt(|du|^2/U^2 + dt^2/T^2). Here |du| is the Euclidean norm of the change of nodal
+    displacements, dt the change of t, T is `first`, and U is |du| of the first step. Step lengths adapt to the number
+    of Newton steps; steps that fail are halved.
 
     Attributes:
-        end: time > start at which the march ends; the last step ends there.
+        end: value of t > start at which the march ends; the last step ends there.
         first: change of t in the first step, > 0.
-        smallest: length below which a step is not shortened further (default: 1e-6).
-        largest: length of the longest step (default: 1; longer steps may pass over loops of the path).
-        steps: largest number of steps; a longer path raises a SolveError.
-        back: time < start below which the march ends, too. Without it a path that comes back to start - (end - start)
-            raises a SolveError. Loads and supports are evaluated at such times.
+        smallest: length, relative to the first step, below which a step is not shortened further (default: 1e-6).
+        largest: length of the longest step, relative to the first step (default: 1; longer steps may pass over loops of
+            the path).
+        steps: largest number of steps; if the path has not ended then, the march raises a SolveError.
+        back: value of t < start; the march ends, too, when t falls below it. None: t may fall to
+            start - (end - start), and the march raises a SolveError below. Loads and supports must be defined there.
 
     Raises:
         InputError: values out of range.
@@ -220,7 +252,7 @@ class ArcLength(Plan):
             raise InputError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
 
     def lowest(self, start: float) -> float:
-        """The time below which the march ends."""
+        """Value of t below which the march ends: `back` or, if that is None, with an error 2 start - end."""
         return 2 * start - self.end if self.back is None else float(self.back)
 
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
@@ -244,7 +276,14 @@ Times = Sequence[float] | Plan
 
 # ---------------------------------------------------------------- ends of steps
 def _targets(times: Sequence[float], start: float, breaks: Iterable[float]) -> list[float]:
-    """Times and the breaks between them; breaks that differ from times only by rounding are left out.
+    """Given times together with the break times between them, increasing.
+
+    Break times that differ from given times only by rounding are left out.
+
+    Args:
+        times: the given times.
+        start: time of the first state.
+        breaks: break times of data.
 
     Raises:
         InputError: no times, or times that are not finite or do not increase from `start`.
@@ -262,14 +301,15 @@ def _targets(times: Sequence[float], start: float, breaks: Iterable[float]) -> l
 
 # ---------------------------------------------------------------- what models allow
 def require_in_time(equations: Equations, theta: float, ends: list[float]) -> None:
-    """Raise InputError unless a model can be marched in time. Collective.
+    """Raise InputError unless a model can be marched in time with a value of theta. Collective.
 
-    With theta < 1, compiled laws that creep or relax may be non-linear. Other laws must declare `linear`, and
-    parameters of compiled laws must not change in time.
+    With theta = 1 all models can. With theta < 1, contact laws and laws that bound stresses or switch phases are
+    refused. Laws that creep or relax may be non-linear. Other laws must declare that they are linear, and their
+    parameters, if they are compiled, must not change in time.
 
     Args:
         equations: the equations of the model.
-        theta: as in `march`.
+        theta: fraction of each step after which forces balance.
         ends: start of the march, and the times at which steps end.
     """
     if theta == 1:
@@ -286,7 +326,15 @@ def require_in_time(equations: Equations, theta: float, ends: list[float]) -> No
 
 
 def _require_path(equations: Equations, theta: float, method: str | None) -> None:
-    """Raise InputError unless paths of the model can be followed: no part has a rate or bounds. Collective."""
+    """Raise InputError unless equilibrium paths of a model can be followed by arc length. Collective.
+
+    Refused are contact laws, incompressible laws, and laws that bound stresses, switch phases, creep or relax.
+
+    Args:
+        equations: the equations of the model.
+        theta: fraction of each step after which forces balance; it must be 1.
+        method: method of the solver that the user chose; None: the default.
+    """
     if theta != 1:
         raise InputError(f"theta is {theta}; forces on a path balance at t itself: theta = 1")
     require(method in (None, "newton"), "method", method, "a path is followed by Newton's method")

@@ -1,4 +1,4 @@
-"""Steps in time: planned, adaptive, or from snap to snap; they are shortened if they fail, and look for limit loads."""
+"""Controllers of steps in time, to given times, adaptive, or from snap to snap; and estimates of errors of steps."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ LIMIT_HINT = "no equilibrium was found, which need not be a limit of the loads: 
 
 @dataclass(eq=False)
 class PlannedStepsController(Controller):
-    """Controller of steps that end at the targets, or earlier if longer steps fail.
+    """Makes steps that end at given times, or earlier if longer steps fail, and finds limit loads.
 
     Attributes:
-        theta: forces balance at t + theta dt.
+        theta: fraction of each step after which forces balance.
     """
 
     def __post_init__(self) -> None:
@@ -66,7 +66,11 @@ class PlannedStepsController(Controller):
 
     @property
     def attempts(self) -> list[StepAttempt]:
-        """Attempts at a step; with a homotopy if no step has failed, after its use, and in the shortest step."""
+        """Methods for a step, in the order in which they are tried.
+
+        Newton's method continues with homotopy laws if it fails and no step has failed before, or if the last step
+        needed them, or in the shortest step. If loads may have a limit, weak springs at all nodes are tried last.
+        """
         thorough = self._failed_at == math.inf or self.last.report.homotopy_steps > 0
         first = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
         more = StepAttempt("Newton's method, with homotopy laws,", partial(self._step, thorough=True), self.smallest)
@@ -87,7 +91,7 @@ class PlannedStepsController(Controller):
         return bool((changes > LOAD_TOLERANCE * sizes).any())
 
     def _resultant(self, t: float) -> list[float]:
-        """Resultant (d,) of the loads on the bodies and on rigid plates at time t."""
+        """Resultant force (d,) of the loads on the bodies and on rigid plates at time t; d: number of dimensions."""
         model, loads = self.solver.model, self.solver.equations.loads_at(t)
         translations = [*model_motions(model, PLANE_STRAIN).values()][: model.joint.dim]
         return [float(loads.dot(motion.x.petsc_vec)) for motion in translations]
@@ -107,7 +111,14 @@ class PlannedStepsController(Controller):
         return states
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
-        """States of a step; in two halves if `theta` is not the march's, as in the first step from rest."""
+        """Solve a step, and return its states; in two halves if `theta` differs from the attribute `theta`.
+
+        Args:
+            old: the state before the step.
+            end: time at the end of the step.
+            theta: fraction of the step after which forces balance; 1 in the first step from rest.
+            thorough: whether homotopy laws are tried if Newton's method fails.
+        """
         return self._chain(old, [end] if theta == self.theta else [(old.t + end) / 2, end], theta, thorough)
 
     def _chain(self, old: State, ends: Sequence[float], theta: float, thorough: bool) -> list[State]:
@@ -115,14 +126,22 @@ class PlannedStepsController(Controller):
         return [*states][1:]
 
     def _set_pace(self, length: float, end: float) -> None:
-        """Set the largest length of the next step, after a step of a length that ended at the time `end`."""
+        """Set the largest length of the next step, after a step of a given length that ended at the time `end`."""
         if end >= self._failed_at:
             self._failed_at = math.inf
         grows = self._failed_at == math.inf or not self.solver.bounded
         self.journal.pace.step = None if end == self.target else length * (2 if grows else 1)
 
     def _regularised_step(self, length: float) -> list[State]:
-        """Make a step by weak springs, as long as possible. NoEquilibrium: displacements grew without bound."""
+        """Find an equilibrium, as late as possible in time, by weak springs at all nodes; return its states.
+
+        Args:
+            length: length of the step for which other methods have failed.
+
+        Raises:
+            NoEquilibrium: displacements grew without bound as the springs were softened.
+            SolveError: no equilibrium was found.
+        """
         old, end, t = self.last, self._end(length), self._farthest(length)
         failed = SolveError("weak springs have not led to an equilibrium")
         if old.t < self._run_away < t:
@@ -139,17 +158,20 @@ class PlannedStepsController(Controller):
             t = max(old.t + (t - old.t) / SPRING_STEP_RATIO, end)
 
     def _farthest(self, length: float) -> float:
-        """The latest time at which weak springs look for an equilibrium."""
+        """Latest time at which an equilibrium is looked for by weak springs, after a step of a length has failed."""
         return self.target
 
     def _regularised_state(self, state: State) -> list[State]:
-        """The states of a step by weak springs, from its last state; sets the pace."""
+        """Accept a state that was found by weak springs, in a list, and set the largest length of the next step."""
         self._set_pace(state.t - self.last.t, state.t)
         return [state]
 
 
 class _StepTooLarge(SolveError):
-    """The estimated error of a step is above the tolerance; `factor` times its length is expected to meet it."""
+    """Error of a step whose estimated error is above the tolerance.
+
+    A step of `factor` times its length is expected to meet the tolerance.
+    """
 
     def __init__(self, factor: float) -> None:
         super().__init__("its estimated error stays above the tolerance")
@@ -158,10 +180,12 @@ class _StepTooLarge(SolveError):
 
 @dataclass(eq=False)
 class AdaptiveController(PlannedStepsController):
-    """Controller of steps as long as their error allows. Each step is made as a whole and as two halves, its states.
+    """Makes steps that are as long as their estimated error allows.
+
+    Each step is made as a whole and as two halves. The states of the halves are kept.
 
     Attributes:
-        settings: tolerance and lengths.
+        settings: tolerance of the error, and limits of the lengths of steps.
     """
 
     settings: Adaptive
@@ -176,11 +200,22 @@ class AdaptiveController(PlannedStepsController):
         return length * error.factor if isinstance(error, _StepTooLarge) else super().shorter(length, error)
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
-        """The states of the two halves; raises _StepTooLarge if the estimated error is above the tolerance.
+        """Make a step as a whole and as two halves, and return the states of the halves.
 
-        After rest, errors are relative to the values at the end of the first step tried, accepted or not. Reason: a
+        Errors are relative to the largest norms of displacements, jumps and forces so far. For those that are at rest
+        before the step, they are relative to the norms at the end of the first step tried, accepted or not. Reason: a
         quantity that grows from zero as a power of time has a constant relative error in its first step, however short.
         A quantity is at rest if its norm is less than the tolerance times its norm at the end of the step.
+
+        Args:
+            old: the state before the step.
+            end: time at the end of the step.
+            theta: fraction of each step after which forces balance.
+            thorough: whether homotopy laws are tried if Newton's method fails.
+
+        Raises:
+            _StepTooLarge: the estimated error is above the tolerance.
+            SolveError: a step fails.
         """
         whole = self.solver.step(old, end, theta, thorough)
         halves = self._chain(old, [(old.t + end) / 2, end], theta, thorough)
@@ -198,7 +233,14 @@ class AdaptiveController(PlannedStepsController):
         return halves
 
     def _set_pace(self, length: float, end: float) -> None:
-        """Set the length that the error allows; a step that the target cuts short does not limit the next step."""
+        """Set the largest length of the next step to what the error of the last one allows.
+
+        A step that was shortened to end at one of `targets` does not limit the next one.
+
+        Args:
+            length: length of the last step.
+            end: time at its end.
+        """
         step, planned = length * self._factor, self.journal.pace.step or 0.0
         super()._set_pace(length, end)
         self.journal.pace.step = min(max(step, planned) if end == self.target else step, self.settings.largest)
@@ -211,18 +253,23 @@ class AdaptiveController(PlannedStepsController):
 
 
 class SnapController(PlannedStepsController):
-    """Controller of planned steps of a layer whose columns switch their phases."""
+    """Makes steps to given times, and finds the times between them at which columns of a layer switch their phases."""
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
-        """States of a step: at every snap the state just before it and the state after it, then the state at the end.
+        """States of a step: two at every snap, before and after it, then the state at the end. Collective.
 
         A snap has no duration: both its states have the same t. The energy that layer and bodies lose in it is
         `dissipated`. If loads, supports and parameters are linear in time within the step, the first switch is found
-        (steps end at the breaks of piecewise data). Otherwise a column that leaves its phase of lowest energy only for
-        a while may be missed, see `EXCESS_PROBES`. Collective; errors as in `solve`.
+        (steps end at the break times of `piecewise` data). Otherwise phases are tested at a few times within the step.
+        A column that leaves its phase of lowest energy only between two of them is missed.
+
+        Args:
+            old: the state before the step.
+            end: time at the end of the step.
+            theta, thorough: not used; forces balance at the end of the step.
 
         Raises:
-            SolveError: the methods `excess` and `switched` of a law disagree.
+            SolveError: an equilibrium is not found, or the methods `excess` and `switched` of a law disagree.
         """
         solver, states = self.solver, [old]
         while True:
@@ -253,12 +300,16 @@ class SnapController(PlannedStepsController):
                 return states[1:]
 
     def _at_fixed_phases(self, old: State, t: float) -> tuple[State, float]:
-        """The state at a time with the phases of `old`, and the excess of its columns above the tolerance."""
+        """State at a time with the phases of `old`, and how far its columns are beyond switching.
+
+        The number is > 0 if a column must switch. It is the largest energy that a column would lose by a change of
+        phase, over the energy of the transformation, minus a tolerance.
+        """
         state = self.solver.step(old, t, keep_phases=True)
         return state, self.solver.equations.excess - 2 * EXCESS_TOLERANCE
 
     def _first(self, old: State, end: float) -> float:
-        """The first time at which the excess is positive, to rounding; the excess is positive at `end`."""
+        """First time after the state `old` at which a column must switch, to rounding; at `end` one must."""
         from scipy.optimize import brentq  # not needed by most marches
 
         def excess(t: float) -> float:
@@ -274,13 +325,14 @@ class SnapController(PlannedStepsController):
 
 
 class ErrorEstimate:
-    """Error estimate that compares a step with its two halves. All methods are collective.
+    """Estimates the error of steps from the difference of two states that were reached by longer and shorter steps.
 
-    Three quantities are compared in L2 norms:
+    All methods are collective. Three quantities are compared, in Euclidean norms of nodal values or L2 norms of
+    strains:
 
     - the displacements of nodes;
-    - the strains of the layer at its points; on S these are jumps over the thickness, under a contact law jumps at
-      nodes;
+    - the strains of compiled laws at their quadrature points, on S jumps over the thickness; under a contact law jumps
+      at nodes;
     - the nodal forces of the bodies' stresses, which change with reactions of supports and tractions on the layer.
 
     Displacements are not enough: a layer may relax under bodies that hardly move, and a jump may be small compared with
@@ -297,7 +349,13 @@ class ErrorEstimate:
         self._unit = float(np.sqrt(sum(part.unit_jump_measure() for part in self._measuring)))
 
     def shares(self, other: State, state: State, largest: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
-        """Differences (3,) of two states in the quantities, over the norms in the second or, if larger, `largest`."""
+        """Relative differences (3,) of two states in displacements, jumps or strains, and forces.
+
+        Args:
+            other: the state from longer steps.
+            state: the state from shorter steps. Differences are relative to the norms in it or, if larger, `largest`.
+            largest: three norms, as `sizes` returns them.
+        """
         ends = [self._quantities(end_state) for end_state in (other, state)]
         differences = self._norms([b - a for a, b in zip(*ends, strict=True)])
         moved = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
@@ -306,11 +364,11 @@ class ErrorEstimate:
         return np.asarray(np.divide(differences, sizes, out=np.zeros(3), where=sizes > 0))
 
     def sizes(self, state: State) -> Array:
-        """Norms of the three quantities in a state."""
+        """Norms (3,) of displacements, jumps or strains, and forces in a state."""
         return self._norms(self._quantities(state))
 
     def _quantities(self, state: State) -> list[Array]:
-        """The three quantities in a state, on this rank."""
+        """Arrays of this rank's displacements, jumps or strains, and forces in a state."""
         u = state.u
         forces = u.x.petsc_vec.duplicate()
         forces.set(0.0)
