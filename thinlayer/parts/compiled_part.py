@@ -37,7 +37,7 @@ def softening_law(points: CompiledTerm, e: Array, e_old: Array, memory: Array, r
 
     Args:
         points: the law with its quadrature points.
-        e, e_old: (points, m) strains at the end and at the beginning of the step.
+        e, e_old: (points, m) strains at the end and at the beginning of the step, as m Mandel components.
         memory: (points, values) internal variables at the beginning of the step.
         response: response of the law in this step.
     """
@@ -230,7 +230,7 @@ class CompiledPart(Part):
         return None
 
     def _change(self, times: Sequence[float]) -> Array:
-        """Mask (sublayers,): whether a sublayer's parameters change, at `times` and samples between them. Collective."""
+        """Mask (sublayers,) of those whose parameters change in time, sampled at and between `times`. Collective."""
         points = self.points
         points.at_time(times[0])
         old = points.material.of_sublayers

@@ -98,7 +98,7 @@ class FormPart(Part):
         return blocks + [Block(J, theta, kept=True) for J in self._present_tangent()]
 
     def _present_tangent(self) -> list[PETSc.Mat]:
-        """List with the tangent matrix of F at the present displacements; empty without F."""
+        """List with the tangent matrix of the non-linear forces at the last displacements; [] without such forces."""
         if self._tangent is None:
             return []
         self._tangent.zeroEntries()

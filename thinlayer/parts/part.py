@@ -112,7 +112,7 @@ class Block:
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """Energies of a part over an accepted step, and its memory at the end. Energies that a law does not declare are NaN.
+    """Energies of a part over an accepted step, and its memory at the end; NaN for energies that a law lacks.
 
     Attributes:
         before, after: energy stored at the beginning and at the end of the step.
@@ -420,36 +420,36 @@ class FieldPart(Part):
 
     @abstractmethod
     def own_residual(self) -> Array:
-        """Residual (own_size,) of the part's own equations on this rank, for the last evaluation."""
+        """Residual of the part's own equations for the last evaluation, one entry for each own unknown of this rank."""
 
     def load_at(self, t: float) -> Array:
-        """Forces (own_size,) prescribed in the part's own equations at time t; by default zero."""
+        """Forces (own_size,) that are prescribed in the part's own equations at time t; by default zero."""
         return np.zeros(self.own_size)
 
     def at_time(self, t: float) -> None:
-        """Set the time at which `parameters` gives the prescribed values."""
+        """Set the time for which `parameters` returns prescribed forces and unknowns."""
         self._t = t
 
     def parameters(self) -> list[Array]:
-        """Arrays of the prescribed forces and of the prescribed own unknowns at the time of the last `at_time`."""
+        """Forces prescribed in the part's own equations, and values of its prescribed unknowns, at the set time."""
         return [self.load_at(self._t), self.own_prescribed(self._t)[1]]
 
     def own_start(self, old: Configuration) -> Array:
-        """This rank's own unknowns (own_size,) at the start of a step from the configuration `old`."""
+        """Values (own_size,) of the part's own unknowns, such as pressures, at the start of a step, on this rank."""
         values = old.fields.get(self.key)
         return np.zeros(self.own_size) if values is None else np.asarray((values.x.array / self.unit)[: self.own_size])
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
-        """Local numbers of this rank's prescribed own unknowns, and their values at time t; zeros if t is None.
+        """Local numbers of the part's own unknowns that are prescribed, and their values at time t.
 
-        By default no own unknowns are prescribed.
+        The values are zeros if t is None. By default no own unknowns are prescribed.
         """
         return np.empty(0, np.int64), np.empty(0)
 
     def _strain_forces(self, over: StepStrains, form: fem.Form | None) -> tuple[Array, Array]:
         """Forces of prescribed strains in the part's own equations, at the end and at the start of the step.
 
-        Both arrays have the shape (own_size,).
+        Each array has one entry for each own unknown of this rank.
 
         Args:
             over: the prescribed strains over the step; the method sets the time of `over.now`.
@@ -462,21 +462,21 @@ class FieldPart(Part):
         return new, assemble_values(form, self.own_size)
 
     def own_result(self) -> fem.Function:
-        """Own unknowns at the end of the step for the last evaluation, multiplied by `unit` as in states."""
+        """Function of the part's own unknowns at the end of the step, multiplied by `unit` as states store them."""
         values = self.field.copy()
         values.x.array[:] *= self.unit
         return values
 
     @property
     def own_size(self) -> int:
-        """Number of own unknowns that this rank owns."""
+        """Number of the part's unknowns, besides displacements, that this rank owns."""
         dofmap = self.field.function_space.dofmap
         return int(dofmap.index_map.size_local * dofmap.index_map_bs)
 
     @property
     @abstractmethod
     def own_file_order(self) -> FileOrder:
-        """Order of the own unknowns in files, ghosts included."""
+        """Order in files of the part's unknowns besides displacements, ghosts included."""
 
 
 __getattr__ = former_names(__name__, {"Interval": TimeStep, "Outcome": StepOutcome})

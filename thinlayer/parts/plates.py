@@ -213,7 +213,7 @@ class RigidPlate(PartDefinition):
         return out
 
     def point(self, model: HostModel) -> Array:
-        """Coordinates (d,) of the reference point of rotations and moments. Collective.
+        """Coordinates (d,), in d dimensions, of the reference point of rotations and moments. Collective.
 
         By default it is the centroid of the facet set, in axisymmetry the projection of the centroid onto the axis.
         """

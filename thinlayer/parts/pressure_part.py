@@ -135,12 +135,12 @@ class PressurePart(FieldPart):
         return set_owned_values(fem.Function(space), of_f / sizes)
 
     def _end(self) -> Array:
-        """Pressures (own_size,) at the end of the step, divided by `unit`, for the last evaluation."""
+        """This rank's pressures at the end of the step, divided by `unit`, for the last evaluation."""
         theta, p = self.interval.theta, self._p.x.array[: self.own_size]
         return np.asarray(p if theta == 1 else (p - (1 - theta) * self.own_start(self.interval.old)) / theta)
 
     def _squeeze(self, C: PETSc.Mat, p: Array) -> tuple[Array, float]:
-        """C p on this rank and the sum p . C p over all ranks, for pressures p (own_size,). Collective."""
+        """C p on this rank, and p . C p summed over all ranks, for this rank's pressures p. Collective."""
         v = self._squeezed.duplicate()
         v.array[:] = p
         C.mult(v, self._squeezed)

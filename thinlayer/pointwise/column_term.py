@@ -77,7 +77,7 @@ class ColumnTerm(CompiledTerm):
         The stress is conjugate to the strains e, not to their means.
 
         Args:
-            e, e_old: (points, m) strains at the end and at the beginning of the step.
+            e, e_old: (points, m) strains at the end and at the beginning of the step, as m Mandel components.
             memory: (points, values) internal variables at the beginning of the step.
             dt: length of the step.
             theta: fraction of the step after which forces balance.
@@ -97,7 +97,7 @@ class ColumnTerm(CompiledTerm):
         """Stored energy on this rank: of the law at the strains' means, and of the strains' deviations from them.
 
         Args:
-            e: (points, m) strains.
+            e: (points, m) strains, as m Mandel components.
             memory: (points, values) internal variables at the end of a step.
             dt: length of the step.
         """
@@ -108,7 +108,7 @@ class ColumnTerm(CompiledTerm):
         """Part of the tangent matrix that depends on the means of strains; `constant` has the elastic remainder.
 
         Args:
-            tangent: (points, m, m) tangents of the law.
+            tangent: (points, m, m) tangents of the law, for m Mandel components.
             relative_residual: residual of the balance of forces over the reference force.
             into: an earlier result, which is overwritten and whose nonzero pattern is used again; None: a new matrix.
         """

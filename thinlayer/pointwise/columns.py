@@ -40,21 +40,21 @@ class Columns:
 
 @runtime_checkable
 class SwitchingLaw(Protocol):
-    """Methods of a law with pure phases, each for n columns of a layer.
+    """Methods that a law with pure phases must have, each for n columns of a layer.
 
     Their arguments are the law's `switching_variables`, (n,) each: the phase; the driving force, an energy per volume;
     and its bound, the energy of the transformation.
     """
 
     def excess(self, phase: Array, drive: Array, bound: Array) -> Array:
-        """Energies (n,) of the phases minus the least energy of other phases, over `bound`; columns > 0 switch."""
+        """Energies (n,) of the phases minus the least energy of other phases, over `bound`; columns switch if > 0."""
 
     def switched(self, phase: Array, drive: Array, bound: Array) -> Array:
         """Phases (n,) of lowest energy."""
 
 
 class Switching:
-    """Reads and changes the phases of a layer's columns in the internal variables of a law with pure phases.
+    """Phases of a layer's columns, read from and changed in the internal variables of a law with pure phases.
 
     Args:
         law: the law.

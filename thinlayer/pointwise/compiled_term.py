@@ -52,7 +52,7 @@ class Response:
 
     @property
     def skew(self) -> float:
-        """Largest entry of tangent minus transpose, over the tangent's largest entry, of all points of this rank."""
+        """Largest entry of tangent minus transpose over that of the tangent; maximum over this rank's points."""
         C = self.tangent
         asymmetry, size = np.abs(C - C.swapaxes(1, 2)).max(axis=(1, 2)), np.abs(C).max(axis=(1, 2))
         regular = np.isfinite(asymmetry) & (size > UNDERFLOW_LIMIT)
@@ -98,9 +98,9 @@ class CompiledTerm(Quadrature):
         return self.region.compiled(ufl.inner(mandel_vector(strain, self.slots), q) * self.measure)
 
     def values_of(self, form: fem.Form) -> Array:
-        """Values (points, m) of the strain of a form made by `form_of`, at the present values of its constants.
+        """Values (points, m) of the strain in a form made by `form_of`, at the present values of its constants.
 
-        With B-bar their volume strains are means, as the law gets them.
+        They are the m Mandel components `slots`. With B-bar their traces are projected in each cell, as for the law.
         """
         values = np.asarray(fem.assemble_vector(form).array).reshape(-1, len(self.slots))[: self.count]
         return self.projected(values / self._integrals[:, None])
@@ -120,7 +120,10 @@ class CompiledTerm(Quadrature):
         return out
 
     def strain(self, u: PETSc.Vec) -> Array:
-        """Strains (points, m) of displacements u, without prescribed strains. Collective."""
+        """Strains (points, m) of displacements u, as the m Mandel components `slots`. Collective.
+
+        Prescribed strains are not included.
+        """
         self.B.mult(u, self._strain)
         return self._strain.array_r.reshape(self.count, len(self.slots)).copy()
 
@@ -128,7 +131,7 @@ class CompiledTerm(Quadrature):
         """Response of the law at this rank's points over a step.
 
         Args:
-            e, e_old: (points, m) strains at the end and at the beginning of the step.
+            e, e_old: (points, m) strains at the end and at the beginning of the step, as m Mandel components.
             memory: (points, values) internal variables at the beginning of the step.
             dt: length of the step.
             theta: fraction of the step after which forces balance.
@@ -142,7 +145,7 @@ class CompiledTerm(Quadrature):
         """Stored energy, integrated over this rank's points; NaN if the law declares no energy.
 
         Args:
-            e: (points, m) strains.
+            e: (points, m) strains, as m Mandel components.
             memory: (points, values) internal variables at the end of a step.
             dt: length of the step.
         """
@@ -167,7 +170,7 @@ class CompiledTerm(Quadrature):
         they also fall where the change of stress does negative work on the change of strain.
 
         Args:
-            e, e_old: (points, m) strains at the end and at the beginning of the step.
+            e, e_old: (points, m) strains at the end and at the beginning of the step, as m Mandel components.
             memory: (points, values) internal variables at the beginning of the step.
             response: response of the law in this step.
         """
@@ -186,7 +189,7 @@ class CompiledTerm(Quadrature):
         return int(np.count_nonzero(down))
 
     def set_homotopy(self, ease: float) -> None:
-        """Use the law `BulkLaw.homotopy` for the continuation parameter `ease`: 0 is the law itself, 1 an elastic law."""
+        """Choose the law of a homotopy continuation by its parameter `ease`: 0 is the law itself, 1 an elastic law."""
         self.material.take(self.term.law.homotopy(ease) if ease else self.term.law)
 
     def at_time(self, t: float) -> None:
@@ -201,7 +204,7 @@ class CompiledTerm(Quadrature):
                 self.material.take_at(places, t)
 
     def tangent_at_rest(self) -> Array:
-        """Tangents (points, m, m) at rest, at time 0; of laws with rate at zero strain rates.
+        """Tangents (points, m, m) at rest for m strain components, at time 0; of laws with rate at zero strain rates.
 
         Sets varying parameters to their values at time 0, and is then collective.
         """
@@ -210,7 +213,7 @@ class CompiledTerm(Quadrature):
         return self.respond(none, none, self.rest(), LONG_TIME_STEP if self.term.law.traits.rate else 0.0, 1.0).tangent
 
     def _regular(self, tangent: Array, relative_residual: float) -> Array:
-        """Regularise tangents (points, m, m) of laws that may have singular ones.
+        """Regularise tangents (points, m, m) for m strain components, of laws that may have singular ones.
 
         Where they differ from the tangent at rest, the fraction `relative_residual` of that is added, within bounds.
         """
@@ -225,7 +228,10 @@ class CompiledTerm(Quadrature):
         return np.zeros((self.count, self.material.memory))
 
     def forces(self, stress: Array) -> PETSc.Vec:
-        """Nodal forces int stress : e(v) of stresses (points, m). The next call overwrites the vector. Collective."""
+        """Nodal forces int stress : e(v) of stresses (points, m), given as the m Mandel components `slots`.
+
+        The next call overwrites the vector. Collective.
+        """
         weighted = self._vector((stress * self.weights[:, None]).ravel())
         self.B.multTranspose(weighted, self._forces)
         weighted.destroy()
@@ -247,7 +253,7 @@ class CompiledTerm(Quadrature):
         above each other in the meshed layer are not unique. The equilibrium does not change.
 
         Args:
-            tangent: (points, m, m) derivatives of the stress by the strain.
+            tangent: (points, m, m) derivatives of the stress by the strain, for m Mandel components.
             relative_residual: residual of the balance of forces over the reference force.
             into: an earlier result, which is overwritten and whose nonzero pattern is used again; None: a new matrix.
         """
@@ -257,7 +263,7 @@ class CompiledTerm(Quadrature):
         """Matrix of int e(v) : tangent : e(du), where the matrix B gives strains of displacements. Collective.
 
         Args:
-            tangent: (points, m, m) derivatives of the stress by the strain.
+            tangent: (points, m, m) derivatives of the stress by the strain, for m Mandel components.
             B: matrix from displacements to strains at the points.
             into: an earlier result, which is overwritten; None: a new matrix.
         """
@@ -304,7 +310,7 @@ class Projection:
             self._change += scipy.sparse.csr_matrix((change[kept], at), self._change.shape)
 
     def __call__(self, values: Array) -> Array:
-        """Project strains or stresses (points, m)."""
+        """Project strains or stresses (points, m), given as m Mandel components."""
         m = values.shape[1]
         return np.asarray(values + self._change @ values @ self._part[:m, :m])
 

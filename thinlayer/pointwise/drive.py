@@ -140,7 +140,7 @@ def drive(
 
 
 def _frame(n: Sequence[float]) -> tuple[Array, Array]:
-    """Unit normal (d,) and frame (3, d) of S for a normal n of any length.
+    """Unit normal (d,) and frame (3, d) of S in d dimensions, for a normal n of any length.
 
     The columns of the frame are the tangents, then the normal; in 2D the tangent is (n_2, -n_1).
     """

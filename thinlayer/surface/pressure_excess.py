@@ -68,7 +68,7 @@ class RestingSublayer:
             fraction: fraction of the layer's thickness that the sublayer has.
             law: the law.
             C: (6, 6) tangent of the law in Mandel's order.
-            n: (d,) normal of S.
+            n: (d,) unit normal of S; d: number of dimensions.
         """
         lmbda, mu = average_lame(C)
         if law.traits.constrained and not law.parameters().get("lmbda"):
@@ -153,7 +153,7 @@ class FaceDisplacements:
 
     @cached_property
     def sides(self) -> FloatArray:
-        """Displacements (2, d, n, k) of the lower face, then of the upper face."""
+        """Displacements (2, d, n, k) of the lower, then of the upper face at the k corners of n facets."""
         return self.surface.sides(self.state.u, self.state.model, self.surface.corner_points)
 
     @property
@@ -163,18 +163,18 @@ class FaceDisplacements:
 
     @property
     def opening(self) -> FloatArray:
-        """Normal jumps [u_N], (n, k)."""
+        """Normal jumps [u_N], (n, k), at the k corners of n facets."""
         return np.asarray(((self.sides[1] - self.sides[0]) * self.surface.corner_points.n).sum(axis=0))
 
     @property
     def slip_squared(self) -> FloatArray:
-        """Squared tangential jumps |w_T|^2 plus the square of the rounding error of jumps, (n, k)."""
+        """Squared tangential jumps, plus the squared rounding error of jumps, (n, k), at the k corners of n facets."""
         slip = self.sides[1] - self.sides[0] - self.opening * self.surface.corner_points.n
         return np.asarray((slip**2).sum(axis=0) + self.rounding**2)
 
     @property
     def closing(self) -> FloatArray:
-        """Approach of the faces, -[u_N], relative to the thickness of the layer, (n, k)."""
+        """Approach -[u_N] of the faces over the layer's thickness, (n, k), at the k corners of n facets."""
         return -self.opening / self.surface.thickness(self.layer, self.surface.corners)
 
     @property
@@ -185,7 +185,10 @@ class FaceDisplacements:
 
     @property
     def stretching(self) -> FloatArray:
-        """Surface divergence div_S <u>, (n, q), of the mean of both faces' displacements, linear between corners."""
+        """Surface divergence of the mean displacement of both faces, (n, q), at the q quadrature points of n facets.
+
+        The displacements are taken as linear between the corners.
+        """
         surface, mean = self.surface, self.sides.mean(axis=0)
         radius = self.state.model.kinematics.radius(surface.x.reshape(len(surface.x), -1).T)
         hoops = surface.between(mean[0]) / radius.reshape(surface.weights.shape)

@@ -66,7 +66,7 @@ class FacetPoints:
 
     @cached_property
     def slopes(self) -> Array:
-        """(n, q, k, d) gradients along S of the shape functions of degree 1 of the corners."""
+        """Gradients (n, q, k, d) along S, at q points of n facets, of the k corners' shape functions of degree 1."""
         to_x = np.linalg.pinv(np.moveaxis(self._along, 0, -1))
         return np.asarray(np.einsum("jfqa,fqjd->fqad", self._reference_slopes, to_x))
 
@@ -159,10 +159,12 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- places
     def at(self, x: npt.ArrayLike) -> tuple[LocatedPoints, FacetPoints]:
-        """Find the facets on which points lie, a facet for each row of both results; at edges a point has several.
+        """Find the facets on which points lie, and the points' positions there; at edges a point has several facets.
+
+        The rows of both results are pairs of a point and a facet, in the same order.
 
         Args:
-            x: coordinates (n, d) of points, or (d,) of one point.
+            x: coordinates (n, d) of points in d dimensions, or (d,) of one point.
 
         Raises:
             InputError: x has another shape or numbers that are not finite, or a point is not on the surface.
@@ -221,7 +223,9 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- states, and functions of models
     def displacements(self, state: State) -> Array:
-        """Displacements (2, d, n, q) of the lower, then of the upper side of S; zero on a rigid base. Collective.
+        """Displacements (2, d, n, q) of the lower, then of the upper side at the q quadrature points of n facets.
+
+        They are zero on a rigid base. Collective.
 
         Raises:
             InputError: not a state, or a state of another joint.
@@ -230,7 +234,7 @@ class SurfaceMesh:
         return self.sides(state.u, state.model, self.quadrature)
 
     def jump(self, state: State) -> Array:
-        """Jump [u] = u(upper) - u(lower) of the displacements across S, (d, n, q). Collective."""
+        """Jump [u] = u(upper) - u(lower) of displacements, (d, n, q), at the q points of n facets. Collective."""
         lower, upper = self.displacements(state)
         return np.asarray(upper - lower)
 
@@ -241,14 +245,14 @@ class SurfaceMesh:
             raise InputError("this state's model has another joint than the surface; build both from the same one")
 
     def sides(self, f: fem.Function, model: Model, at: FacetPoints) -> Array:
-        """Values (2, c, n, q) of a function on the lower, then on the upper side of S. Collective.
+        """Values (2, c, n, q) of a function on the lower, then on the upper side at given points of S. Collective.
 
         On a rigid base they are zero.
 
         Args:
             f: function with c components on the model's mesh.
             model: the model of f.
-            at: q points on each of n facets.
+            at: the points, q on each of n facets.
         """
         element = f.function_space.ufl_element().basix_element
         values = cell_values(f, model, self.cells[at.rows].clip(0))  # not used below S on a rigid base
@@ -266,14 +270,14 @@ class SurfaceMesh:
 
     @cached_property
     def distance_to_ends(self) -> Array:
-        """Distances (n, q) of the quadrature points from the ends of S, or of this seam; infinite without ends."""
+        """Distances (n, q), from the ends of S or of this seam, of q points on n facets; infinite without ends."""
         x = np.moveaxis(self.x, 0, -1)
         rim = Sheet(self.joint, self.seam).rim
         return rim.distance(self.joint.points, x.reshape(-1, len(self.x))).reshape(x.shape[:-1])
 
     # ---------------------------------------------------------------- integrals
     def _field(self, f: object) -> Array:
-        """Convert a number, a field or nodal values f to a field (..., n, q).
+        """Convert a number, a field or nodal values f to a field (..., n, q) at q points of n facets.
 
         Raises:
             InputError: f has another shape, or is no array of numbers.
@@ -292,7 +296,7 @@ class SurfaceMesh:
             raise InputError(message) from None
 
     def where(self, part: Where | float) -> Array:
-        """Factors (n, q) that select a part of S in integrals, 1 or True inside and 0 or False outside.
+        """Factors (n, q), 1 inside a part of S and 0 outside, at q points of n facets, which select it in integrals.
 
         Args:
             part: a field, or a numpy function of the coordinates x (d, n, q) that returns one.
@@ -321,7 +325,7 @@ class SurfaceMesh:
         return float(np.sqrt((self._field(f) ** 2 * self.where(where) * self.weights).sum()))
 
     def frame(self, f: npt.ArrayLike) -> Array:
-        """Components (d, n, q) of a vector field along the tangents of S, then along its normal.
+        """Components (d, n, q) of a vector field (d, n, q) along the tangents of S, then along its normal.
 
         In 2D the tangent is (n_2, -n_1). In 3D the smallest rotation that takes the second coordinate axis to n takes
         the first and the third axis to the tangents (`forms.tensors.layer_frame`).
@@ -356,30 +360,30 @@ class SurfaceMesh:
 
     @property
     def places(self) -> Array:
-        """Coordinates (m, d) of the nodes."""
+        """Coordinates (m, d) of the m nodes in d dimensions."""
         return self.joint.points[self.vertices]
 
     @property
     def vertices(self) -> IntArray:
-        """Numbers (m,) of the nodes' vertices in the joint; of vertices that periodic sides identify, the first one."""
+        """Numbers (m,) of the m nodes' vertices in the joint; where periodic sides identify several, of the first."""
         return self._numbered[1]
 
     @property
     def nodes(self) -> IntArray:
-        """Positions (n, k) in `numbers` of the nodes at the k corners of each facet."""
+        """Positions (n, k) in `numbers` of the nodes at the k corners of each of n facets."""
         return self._numbered[2]
 
     def find(self, numbers: IntArray) -> IntArray:
-        """Positions of some nodes in `self.numbers`, given their numbers."""
+        """Positions, in the property `numbers`, of nodes with given numbers."""
         order = np.argsort(self.numbers)
         return order[np.searchsorted(self.numbers[order], numbers)]
 
     def mass(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
-        """Mass matrix (m, m) of the functions of degree 1 on S, weighted with a scalar field f."""
+        """Mass matrix (m, m) of the functions of degree 1 at the m nodes, weighted with a scalar field f."""
         return self._matrix(np.einsum("fq,qa,qb->fab", self._field(f) * self.weights, self.shapes, self.shapes))
 
     def stiffness(self, f: npt.ArrayLike = 1.0) -> scipy.sparse.csc_matrix:
-        """Matrix (m, m) of int_S f grad_S p . grad_S q for the functions of degree 1 on S and a scalar field f."""
+        """Matrix (m, m) of int_S f grad_S p . grad_S q for functions of degree 1 at m nodes and a scalar field f."""
         slopes = self.quadrature.slopes
         return self._matrix(np.einsum("fq,fqad,fqbd->fab", self._field(f) * self.weights, slopes, slopes))
 
@@ -389,13 +393,13 @@ class SurfaceMesh:
         return scipy.sparse.csc_matrix((of_facets.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
     def sums(self, of_corners: Array) -> Array:
-        """Sums (m, ...) at each node of values (n, k, ...) at the corners of its facets."""
+        """Sums (m, ...), at each of m nodes, of values (n, k, ...) at the k corners of n facets."""
         return sum_by_number(self.nodes, of_corners, len(self.numbers))
 
     def moments(self, f: npt.ArrayLike) -> Array:
         """Integrals, over each facet, of a field times the function of degree 1 of each of its corners.
 
-        They are (n, k), for vector fields (n, k, d).
+        They are (n, k) for n facets with k corners, for vector fields (n, k, d).
         """
         return np.asarray(np.einsum("fq,qa,...fq->fa...", self.weights, self.shapes, self._field(f)))
 
@@ -413,7 +417,7 @@ class SurfaceMesh:
 
     @cached_property
     def areas(self) -> Array:
-        """Areas (m,) of S that belong to the nodes: integrals of their functions of degree 1."""
+        """Areas (m,) of S that belong to the m nodes: integrals of their functions of degree 1."""
         return self.sums(self.moments(1.0))
 
     @cached_property
@@ -421,19 +425,19 @@ class SurfaceMesh:
         return scipy.sparse.linalg.splu(self.mass()).solve
 
     def nodal(self, f: npt.ArrayLike) -> Array:
-        """Nodal values (m,), for vectors (m, d), of the L2 projection of a field to degree 1, at `places`."""
+        """L2 projection of a field to degree 1, as values (m,), for vectors (m, d), at the m nodes `places`."""
         return self.projected(self.moments(f))
 
     def at_points(self, nodal: Array) -> Array:
-        """Field (n, q), for vectors (d, n, q), that interpolates nodal values (m,) or (m, d) linearly."""
+        """Field (n, q), for vectors (d, n, q), at q points of n facets, from values (m,) or (m, d) at m nodes."""
         return np.asarray(np.einsum("qa,fa...->...fq", self.shapes, nodal[self.nodes]))
 
     def between(self, of_corners: Array) -> Array:
-        """Field (..., n, q) that interpolates values (..., n, k) at the corners of each facet linearly."""
+        """Field (..., n, q) at q points of n facets, linear between values (..., n, k) at their k corners."""
         return np.asarray(of_corners @ self.shapes.T)
 
     def profile(self, f: npt.ArrayLike) -> tuple[Array, Array]:
-        """Coordinates (m, d) of the nodes, and nodal values of a field that is L2-projected to degree 1.
+        """Coordinates (m, d) of the m nodes, and nodal values of a field that is L2-projected to degree 1.
 
         The values are (m,), for vector fields (m, d).
         """
@@ -465,7 +469,7 @@ class SurfaceMesh:
         return lines
 
     def at_corners(self, f: npt.ArrayLike) -> Array:
-        """Values (n, k), for vector fields (n, k, d), of a field at the corners of each facet.
+        """Values (n, k), for vector fields (n, k, d), of a field at the k corners of n facets.
 
         Fields that are not constant on facets are L2-projected to degree 1.
         """

@@ -49,7 +49,7 @@ class Pace:
 
 
 class Checkpoint:
-    """Writes and reads the files of a march in a folder. All methods are collective.
+    """Files of a march in a folder, with methods that write and read them. All methods are collective.
 
     They are march.json with the table so far and the `Pace`, a file for each state, and table.csv. Values of states are
     ordered by the numbers of their cells or facets in the joint, which do not depend on the distribution of the mesh.

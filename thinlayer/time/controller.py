@@ -44,7 +44,7 @@ def is_divisible(start: float, end: float) -> bool:
 
 @dataclass(eq=False)
 class Controller(ABC):
-    """Makes the steps of a march: chooses their lengths and methods, and shortens steps that fail.
+    """Base class of controllers, which choose length and method of each step of a march, and shorten failed steps.
 
     Attributes:
         solver: solver of the model.

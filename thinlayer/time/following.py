@@ -25,7 +25,7 @@ UNLIMITED_STEPS = 10**6
 
 @dataclass(eq=False)
 class ArcLengthController(Controller):
-    """Makes steps along an equilibrium path by arc length. Lengths of steps are relative to that of the first step.
+    """Controller of steps by arc length along an equilibrium path. Lengths are relative to that of the first step.
 
     Attributes:
         path: settings of the user: ends of the path and limits of the lengths of steps.
@@ -77,7 +77,8 @@ class ArcLengthController(Controller):
     def _weight(self, before: State, last: State) -> float:
         """Factor 1/U^2 of squared displacements in the squared arc length, from the first two states.
 
-        U is the norm of the change of nodal displacements in a first step of full length. Raise SolveError if U is 0.
+        U is the norm of the change of nodal displacements in the first step, scaled to a change `ArcLength.first` of t.
+        Raise SolveError if U is 0.
         """
         unit = float((last.u.x.petsc_vec - before.u.x.petsc_vec).norm()) * self.path.first / (last.t - before.t)
         if not unit:
@@ -133,7 +134,7 @@ class ArcLengthController(Controller):
 
 
 class PathToTimesController(ArcLengthController):
-    """Makes steps to given times along an equilibrium path, and ends with an error where the path turns back in time.
+    """Controller of steps to given times along an equilibrium path, with an error where time would decrease along it.
 
     Loads and displacements of supports are functions of the time t. Steps along the path follow each bend of it,
     whereas a step in time could end beyond a loop of the path. At the break times of `piecewise` data a step ends, and

@@ -203,7 +203,7 @@ def _check(model: Model, theta: float, keep: str, out: object, resume: Resume, o
 
 # ---------------------------------------------------------------- errors of planned steps
 def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) -> None:
-    """Estimate the errors that steps to given times leave at the end of a march, and warn if they are large. Collective.
+    """Estimate the errors that steps to given times leave at the end of a march; warn if they are large. Collective.
 
     The march is repeated with half as many steps, which adds half as many solves. Fewer than eight steps are repeated
     as 8 to 14. Break times of `piecewise` data remain ends of steps. The difference of the final states gives the error

@@ -44,7 +44,7 @@ FORCE_CHANGE_TOLERANCE = 1e-7  # change of forces in a step, relative to the for
 
 
 class EquilibriumPath:
-    """Computes successive equilibria of a model along a path, by steps of given arc length. Collective.
+    """Equilibrium path of a model, which is followed in steps of given arc length. Collective.
 
     A point of the path, and a direction, is an array (n + 1,): the n unknowns of this rank, then the load parameter t.
     Laws with memory start from the memory of the last state, whether t increases or decreases.
@@ -123,7 +123,7 @@ class EquilibriumPath:
     def _linearise(self, last: State, t: float) -> tuple[Array, Array]:
         """Newton step at fixed t, and derivative of the path's point by t, at the point of the last residual.
 
-        Both are arrays (n + 1,). Derivatives by t are difference quotients.
+        Both are arrays (n + 1,): the n unknowns of this rank, then t. Derivatives by t are difference quotients.
 
         Args:
             last: the last state, with the memory of laws.
@@ -209,7 +209,7 @@ class EquilibriumPath:
 
         Args:
             last: the state before the kink.
-            direction: (n + 1,) d_2.
+            direction: (n + 1,) d_2: the n unknowns of this rank, then t.
             length: arc length of the step.
         """
         equations, short = self.equations, PATH_QUOTIENT_STEP * length
@@ -269,8 +269,8 @@ class EquilibriumPath:
 
         Args:
             last: the last state.
-            target: (n + 1,) predictor, through which the plane goes.
-            row: (n + 1,) normal of the plane, of length 1 unless it is the direction of t.
+            target: (n + 1,) predictor, through which the plane goes: the n unknowns of this rank, then t.
+            row: (n + 1,) normal of the plane: the direction of the path, or that of t.
             step: arc length of the step.
             turn: whether the plane is instead one beyond a corner of the path.
 
@@ -300,7 +300,7 @@ class EquilibriumPath:
         return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - begin))
 
     def _turned(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:
-        """Direction (n + 1,) of the branch beyond a corner, and the distance from the predictor of a plane normal to it.
+        """Direction (n + 1,) of the branch beyond a corner, and distance from the predictor of a plane normal to it.
 
         The equilibrium of a step through the corner is looked for in this plane.
 

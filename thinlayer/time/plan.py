@@ -218,8 +218,8 @@ class ArcLength(Plan):
     bends and loops of the path, as a step may pass over them.
 
     The length of a step is sqrt(|du|^2/U^2 + dt^2/T^2). Here |du| is the Euclidean norm of the change of nodal
-    displacements, dt the change of t, T is `first`, and U is |du| of the first step. Step lengths adapt to the number
-    of Newton steps; steps that fail are halved.
+    displacements, and dt the change of t. T is `first`, and U is |du| of the first step, scaled to a change `first` of
+    t. Step lengths adapt to the number of Newton steps; steps that fail are halved.
 
     Attributes:
         end: value of t > start at which the march ends; the last step ends there.
@@ -252,7 +252,7 @@ class ArcLength(Plan):
             raise InputError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
 
     def lowest(self, start: float) -> float:
-        """Value of t below which the march ends: `back` or, if that is None, with an error 2 start - end."""
+        """Value of t below which the march ends: `back` or, if that is None and with an error, 2 start - end."""
         return 2 * start - self.end if self.back is None else float(self.back)
 
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
@@ -283,7 +283,7 @@ def _targets(times: Sequence[float], start: float, breaks: Iterable[float]) -> l
     Args:
         times: the given times.
         start: time of the first state.
-        breaks: break times of data.
+        breaks: times at which slopes of `piecewise` data change.
 
     Raises:
         InputError: no times, or times that are not finite or do not increase from `start`.

@@ -45,7 +45,7 @@ LIMIT_HINT = "no equilibrium was found, which need not be a limit of the loads: 
 
 @dataclass(eq=False)
 class PlannedStepsController(Controller):
-    """Makes steps that end at given times, or earlier if longer steps fail, and finds limit loads.
+    """Controller of steps that end at given times, or earlier if longer steps fail; it also finds limit loads.
 
     Attributes:
         theta: fraction of each step after which forces balance.
@@ -158,7 +158,7 @@ class PlannedStepsController(Controller):
             t = max(old.t + (t - old.t) / SPRING_STEP_RATIO, end)
 
     def _farthest(self, length: float) -> float:
-        """Latest time at which an equilibrium is looked for by weak springs, after a step of a length has failed."""
+        """Latest time at which weak springs look for an equilibrium, after a step of the given length has failed."""
         return self.target
 
     def _regularised_state(self, state: State) -> list[State]:
@@ -180,7 +180,7 @@ class _StepTooLarge(SolveError):
 
 @dataclass(eq=False)
 class AdaptiveController(PlannedStepsController):
-    """Makes steps that are as long as their estimated error allows.
+    """Controller of steps that are as long as their estimated error allows.
 
     Each step is made as a whole and as two halves. The states of the halves are kept.
 
@@ -253,7 +253,10 @@ class AdaptiveController(PlannedStepsController):
 
 
 class SnapController(PlannedStepsController):
-    """Makes steps to given times, and finds the times between them at which columns of a layer switch their phases."""
+    """Controller of steps to given times and to the times between them at which columns switch their phases.
+
+    A column is a facet of S, or the cells above each other through the thickness of a meshed layer.
+    """
 
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
         """States of a step: two at every snap, before and after it, then the state at the end. Collective.
@@ -325,7 +328,7 @@ class SnapController(PlannedStepsController):
 
 
 class ErrorEstimate:
-    """Estimates the error of steps from the difference of two states that were reached by longer and shorter steps.
+    """Estimate of the error of steps from the difference of two states, reached by longer and by shorter steps.
 
     All methods are collective. Three quantities are compared, in Euclidean norms of nodal values or L2 norms of
     strains:
