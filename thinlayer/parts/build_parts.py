@@ -45,7 +45,7 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
     Args:
         model: the model.
         bc_dofs: local numbers of this rank's displacement components that supports prescribe.
-        bodies: the parts of the bodies, as `body_parts` returns them; their stiffness scales equations of pressures.
+        bodies: the parts of the bodies, as `body_parts` returns them; equations of pressures are scaled by them.
     """
     in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
     terms = {key: [p for p in in_forms if p.key == key] for key in dict.fromkeys(p.key for p in in_forms)}
@@ -64,8 +64,8 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
 def _largest_at_rest(model: Model, parts: Sequence[Part]) -> float:
     """Stiffness, force per displacement, with which equations of pressures are scaled to forces. Collective.
 
-    It is the largest diagonal entry of the parts' stiffness at rest if one of the parts is no `LawFormPart`. If all
-    are, or if that entry is 0, it is the largest `LawFormPart.largest_at_rest`.
+    It is the largest diagonal entry of the parts' stiffness at rest if a part is no `LawFormPart`. If all are, or if
+    that entry is 0, it is the largest `LawFormPart.largest_at_rest`, which is 1 without non-linear laws in UFL.
     """
     in_forms, largest = [part for part in parts if isinstance(part, LawFormPart)], 0.0
     if parts != in_forms:

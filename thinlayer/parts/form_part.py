@@ -34,7 +34,7 @@ from thinlayer.system.ranks import communicator, destroy
 class FormPart(Part):
     """Nodal forces K u + F(u) + g of UFL forms: linear, non-linear and constant in the displacements u.
 
-    In a step u is u_old + theta (u_new - u_old), where forces balance.
+    In a step u is u_old + theta (u_new - u_old), at which forces balance.
 
     Args:
         key: name of the part in states and files.

@@ -205,8 +205,8 @@ class Part(ABC):
         interval: the present step.
 
     Raises:
-        InputError: when a subclass is defined: a method's name differs by little from that of an optional method, or
-            only some methods of an ability are defined.
+        InputError: when a subclass is defined: a method's name is that of an optional method misspelt, or only some
+            methods of an ability are defined.
     """
 
     key: str

@@ -71,8 +71,8 @@ class RigidPlate(PartDefinition):
         key: name of its unknowns, "plate NAME" with the name of the facet set.
 
     Raises:
-        InputError: when a model is made: an unknown or empty facet set, inner facets, values that are no numbers, a
-            force along a prescribed motion, nodes that belong to another plate too.
+        InputError: when a model is made: an unknown or empty facet set, inner facets, or values that are no numbers. Or
+            a force along a prescribed motion, or nodes that belong to another plate too.
 
     Example:
         >>> from forms import LinearElastic

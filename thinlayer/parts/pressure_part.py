@@ -49,8 +49,8 @@ class PressurePart(FieldPart):
     Args:
         V: space of the displacements.
         term: virtual work of the incompressible law.
-        stiffness: stiffness of the bodies at a node, force per displacement, > 0. It scales the rows of G to forces, so
-            that the residuals of both equations have the same unit.
+        stiffness: a nodal stiffness, force per displacement, > 0. It scales the rows of G to forces, so that the
+            residuals of both equations have the same unit.
         origin: relation of the mesh to its joint. Files need it; for a law with flow it gives the points of S between
             bodies that are apart. None: there is no joint.
         free: (n, d) coordinates of the vertices of S where p is zero; None: there are none.

@@ -42,8 +42,8 @@ class Springs(PartDefinition):
         key: name of their energy in `State.energies`, "springs NAME" with the name of the facet set.
 
     Raises:
-        InputError: no stiffness. When a model is made: an unknown or empty facet set, inner facets, or a stiffness that
-            is negative, or neither a number nor a function of the coordinates.
+        InputError: no stiffness. When a model is made: an unknown or empty facet set, or inner facets. Or a stiffness
+            that is negative, or neither a number nor a function of the coordinates.
 
     Example:
         >>> from forms import LinearElastic

@@ -286,13 +286,13 @@ class CompiledTerm(Quadrature):
 class Projection:
     """L2 projection of strains or stresses on given functions, in each of many groups of quadrature points. Collective.
 
-    It is orthogonal in the product with quadrature weights: the work of a stress in projected strains is the work of
+    It is orthogonal in the product with quadrature weights. So the work of a stress in projected strains is the work of
     the projected stress in the strains themselves.
 
     Args:
         points: the quadrature points.
-        bases: pairs of arrays, for groups of equal size: the numbers (groups, q) of the q points of each group, and the
-            values (groups, q, k) there of k functions, which need not be independent.
+        bases: for each size of groups, two arrays. The first has the numbers (groups, q) of the q points of each group,
+            the second the values (groups, q, k) there of k functions, which need not be independent.
         part: (c, c) symmetric matrix P = P P that acts on the first c Mandel components. The part P e of a strain e is
             projected, and the remainder is unchanged.
     """

@@ -36,9 +36,9 @@ class PointHistory:
             do not act on S.
         memory: (steps, values) internal variables at the end of the step, in the law's order; tensors in Mandel's order
             11, 22, 33, sqrt2 12, sqrt2 13, sqrt2 23.
-        energies: (steps, 3) energy stored at the end of the step, energy dissipated in the step, and error of the time
-            scheme in the step's energy balance. They are per area of S, or for laws of strains per volume of the layer;
-            NaN if the law declares no energy.
+        energies: (steps, 3) energies stored at the end of the step, dissipated in it, and the error of the time scheme
+            in its energy balance. They are per area of S, or for laws of strains per volume of the layer; NaN if the
+            law declares no energy.
         parts: (steps,) number of smaller steps into which the step was divided; 1 for a whole step.
     """
 
@@ -83,8 +83,8 @@ def drive(
         dt: length of the steps in time, one number for all steps or one for each. 0: a sudden load, for which theta is
             1. It may be omitted for laws that do not depend on it.
         theta: fraction of a step after which tractions have their prescribed values, 1 (backward Euler) down to 1/2
-            (midpoint rule). Use values below 1 only for laws that creep or relax: with other laws jumps at the ends of
-            steps oscillate about the path, and `march` refuses them.
+            (midpoint rule). Use values below 1 only for laws that creep or relax. With other laws jumps at the ends of
+            steps oscillate about the path, and `march` refuses such values.
 
     Raises:
         InputError: a step that prescribes neither or both of jump and traction for a component; no dt where the law

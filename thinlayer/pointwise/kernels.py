@@ -6,7 +6,7 @@ function of two arrays of numbers,
     in:  e (6), e_old (6), q, n (3), dt, theta, parameters
     out: stress (6), q_new, tangent (36), energies (3).
 
-Here e and e_old are the strains, q_new and q the internal variables at the end and at the beginning of the step, n the
+The strains are e at the end and e_old at the beginning of a step, the internal variables q_new and q. n is the
 director, dt the length of the step, and theta the fraction of it after which forces balance. Tensors are in Mandel's
 order. `response.c` calls the function at each point, and finds the strains of the sublayers of a `Stack`. Parameters
 are no part of the compiled code: a law is compiled once for all parameters and thicknesses.

@@ -105,9 +105,9 @@ def layer_shares(state: State, seam: str) -> dict[str, float]:
         Numbers by the names that the law declares (`share_columns`). For a layer with phases they are:
 
         - "plus", "minus": volume fractions of phases 1 and -1 in those sublayers that have phases;
-        - "boundary": mean thickness of phase 0 over S, a length: the height of the phase boundary above the lower face
-          if the other phases lie above it. For the bar of section 6.2 of the paper it is the position of the phase
-          boundary in Eq. (47), there called eps S.
+        - "boundary": mean thickness of phase 0 over S, a length. It is the height of the phase boundary above the lower
+          face if the other phases lie above phase 0. For the bar of section 6.2 of the paper it is the position of
+          the phase boundary in Eq. (47), there called eps S.
     """
     model, layer, shares = state.model, state.model.layers[seam], dict[str, float]()
     eps = float(layer.thin_layer.eps) if layer.thin_layer else 0.0

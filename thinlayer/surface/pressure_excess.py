@@ -199,8 +199,8 @@ class FaceDisplacements:
 class PressureExcess:
     """Relative errors of an interface law that lets no material flow along S, due to its too large pressure.
 
-    Let p_0 be the pressure of the law, p that of the layer, and wb = [u_N] + eps div_S <u> the layer's change of volume
-    per area of S.
+    Let p_0 be the pressure of the law, and p that of the layer. wb = [u_N] + eps div_S <u> is the layer's change of
+    volume per area of S.
 
     Attributes:
         opening: int (p_0 - p) wb/int p wb: the law is 1 + opening times too stiff against openings.

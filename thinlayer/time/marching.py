@@ -50,11 +50,11 @@ def march(
     accepted state is this response, at `start`. Other laws and parts depend on rates: Kelvin-Voigt, Norton, a stack
     with one of them, user-defined parts such as inertia. With them the first state is at rest, and the response to
     sudden loads is in the first step. A step that fails is halved. If a law or a part has a memory, depends on rates or
-    softens, steps also end at the break times of `piecewise` data, and the table has rows for them.
+    softens, steps also end at the break times of `piecewise` data.
 
-    A model with a layer whose stress falls as jumps grow (trait `softens`) is followed along its equilibrium path, as
-    long as time increases along it. Steps are as short as the path needs. So displacements of supports take the layer
-    beyond the largest load. Where time would decrease along the path, the march ends with a `TurningPoint`. It can be
+    A model with a layer whose stress falls as jumps grow (trait `softens`) follows its equilibrium path, as long as
+    time increases along it. Steps are as short as the path needs. So displacements of supports take the layer beyond
+    the largest load. Where time would decrease along the path, the march ends with a `TurningPoint`. It can be
     continued by `march(error.history, ArcLength(...))`.
 
     A layer of pure phases (`forms.NonMonotoneUnrelaxed`) follows a local minimum of the energy. Each of its columns,
@@ -92,8 +92,8 @@ def march(
     Warns:
         RangeWarning: a law or state is out of the range of validity that `solve` checks; issued once, at the end, for
             the states that are kept. Warnings of strains of bodies are issued also if the march fails. Or steps that
-            end at given times leave an estimated error above 2 % (`History.step_errors`) under a law that is not linear
-            and has a memory (yield, friction, damage). For the estimate such marches are repeated with half as many
+            end at given times leave an estimated error above 2 % (`History.step_errors`). It is estimated for laws that
+            are not linear and depend on history (yield, friction, damage, creep), by a repeated march with half as many
             steps; fewer than eight steps are repeated as 8 to 14. Or, before the march: steps between given times are
             not well below a relaxation or retardation time of a law.
 

@@ -199,13 +199,13 @@ class EquilibriumPath:
         """Number that says whether a direction must be reversed beyond a kink of a law: < 0 if so, > 0 if not.
 
         It is 0 if there is no kink. At corners sharper than 90 degrees the angle with the last increment, by which
-        `aim` and Crisfield (1981) choose a sign, does not decide this. R is continuous at a kink. So its derivatives
-        A = [K, dR/dt] on the branches 1 and 2 before and beyond the kink differ by a matrix c n^T of rank 1. Here n is
-        the normal of the boundary between the branches, and c is a vector of forces. The direction d_1 at the last
-        state, with A_1 d_1 = 0, crosses this boundary. Let d_2 be the direction of the last linearisation, with
-        A_2 d_2 = 0. The path continues along d_2 if d_2 crosses the boundary in the same sense: (n.d_1)(n.d_2) > 0. As
-        n is not known, the forces (A_2 - A_1) d = c (n.d) are computed for both directions. The result is their scalar
-        product, |c|^2 (n.d_1)(n.d_2). Forces as small as their errors count as zero.
+        `aim` and Crisfield (1981) choose a sign, does not decide this. The residual R is continuous at a kink. Let 1 be
+        the branch before the kink, and 2 the branch beyond it. Then the derivatives A = [K, dR/dt] of R on them differ
+        by a matrix c n^T. Here n is the normal of the boundary between the branches, and c is a vector of forces. The
+        direction d_1 at the last state, with A_1 d_1 = 0, crosses this boundary. Let d_2 be the direction of the last
+        linearisation, with A_2 d_2 = 0. The path continues along d_2 if d_2 crosses the boundary in the same sense:
+        (n.d_1)(n.d_2) > 0. As n is not known, the forces (A_2 - A_1) d = c (n.d) are computed for both directions. The
+        result is their scalar product, |c|^2 (n.d_1)(n.d_2). Forces as small as their errors count as zero.
 
         Args:
             last: the state before the kink.

@@ -140,10 +140,10 @@ class Adaptive(Plan):
     Attributes:
         end: time at which the march ends.
         first: length of the first step.
-        tolerance: largest estimated error of a step. The error is the largest of three relative errors in Euclidean
-            norms or, for jumps, L2 norms: of nodal displacements, of jumps (in a meshed layer strains), and of the
-            nodal forces of the bodies' stresses. These forces change with reactions and tractions on the layer. Errors
-            are relative to the largest norms so far or, after rest, to those at the end of the first step tried.
+        tolerance: largest estimated error of a step: the largest of three relative errors. They are those of nodal
+            displacements, of jumps (in a meshed layer strains), and of the nodal forces of the bodies' stresses, which
+            change with reactions and tractions on the layer. Norms are Euclidean or, for jumps, L2. Errors are relative
+            to the largest norms so far or, after rest, to those at the end of the first step tried.
         at: times between start and end at which a step must end.
         smallest: length below which a step is not shortened further (default: first/1e6).
         largest: length of the longest step (default: no limit).

@@ -68,8 +68,8 @@ class PlannedStepsController(Controller):
     def attempts(self) -> list[StepAttempt]:
         """Methods for a step, in the order in which they are tried.
 
-        Newton's method continues with homotopy laws if it fails and no step has failed before, or if the last step
-        needed them, or in the shortest step. If loads may have a limit, weak springs at all nodes are tried last.
+        Where Newton's method fails, homotopy laws are tried if no step has failed before, if the last step needed them,
+        or in the shortest step. If loads may have a limit, weak springs at all nodes are tried last.
         """
         thorough = self._failed_at == math.inf or self.last.report.homotopy_steps > 0
         first = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
@@ -202,8 +202,8 @@ class AdaptiveController(PlannedStepsController):
     def _states(self, old: State, end: float, theta: float, thorough: bool) -> list[State]:
         """Make a step as a whole and as two halves, and return the states of the halves.
 
-        Errors are relative to the largest norms of displacements, jumps and forces so far. For those that are at rest
-        before the step, they are relative to the norms at the end of the first step tried, accepted or not. Reason: a
+        Errors are relative to the largest norms of displacements, jumps and forces so far. For quantities at rest
+        before it, they are relative to the norms at the end of the first step tried, accepted or not. Reason: a
         quantity that grows from zero as a power of time has a constant relative error in its first step, however short.
         A quantity is at rest if its norm is less than the tolerance times its norm at the end of the step.
 
@@ -262,8 +262,8 @@ class SnapController(PlannedStepsController):
         """States of a step: two at every snap, before and after it, then the state at the end. Collective.
 
         A snap has no duration: both its states have the same t. The energy that layer and bodies lose in it is
-        `dissipated`. If loads, supports and parameters are linear in time within the step, the first switch is found
-        (steps end at the break times of `piecewise` data). Otherwise phases are tested at a few times within the step.
+        `dissipated`. Steps end at the break times of `piecewise` data. If loads, supports and parameters are linear in
+        time within the step, the first switch is found. Otherwise phases are tested at a few times within the step.
         A column that leaves its phase of lowest energy only between two of them is missed.
 
         Args:
@@ -338,7 +338,7 @@ class ErrorEstimate:
       at nodes;
     - the nodal forces of the bodies' stresses, which change with reactions of supports and tractions on the layer.
 
-    Displacements are not enough: a layer may relax under bodies that hardly move, and a jump may be small compared with
+    Displacements are not enough. A layer may relax under bodies that hardly move, and a jump may be small compared with
     the motion of a whole body.
 
     Args:
