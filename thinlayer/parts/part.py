@@ -334,7 +334,7 @@ class Part(ABC):
         return None
 
     def named(self) -> dict[str, PartTraits]:
-        """Traits of the part's laws, or of the part itself, by the names that they have in error messages."""
+        """Traits of the part's laws, or of the part itself, by their names in error messages."""
         return {f"the part {self.key!r}": self.traits}
 
     def diagonal_at_rest(self) -> PETSc.Vec | None:

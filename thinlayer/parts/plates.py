@@ -33,7 +33,7 @@ ROTATION_NAMES = {2: ("rotation",), 3: ("rotation x", "rotation y", "rotation z"
 
 
 def motion_names(d: int) -> list[str]:
-    """Names of a plate's translations and rotations in d dimensions, in the order of `motion_fields`."""
+    """Names of a plate's translations, then of its rotations, in d dimensions."""
     return [*AXIS_NAMES[:d], *ROTATION_NAMES[d]]
 
 

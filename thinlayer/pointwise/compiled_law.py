@@ -26,8 +26,8 @@ class CompiledLaw:
     """A law compiled to a function of arrays of points, with numbers as parameters. Collective.
 
     Attributes:
-        memory: number of internal values at a point. Besides internal variables they are 3 strains out of the plane for
-            each sublayer in plane stress, and 3 strains across the layer for each sublayer of a stack.
+        memory: number of internal values at a point. They are internal variables, 3 strains out of the plane for each
+            sublayer in plane stress, and 3 strains across each sublayer of a stack.
         parameters: (n,) parameters of the first sublayer, then of the next ones; (points, n) if they vary in place or
             time.
     """

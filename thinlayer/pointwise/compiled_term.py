@@ -291,8 +291,8 @@ class Projection:
 
     Args:
         points: the quadrature points.
-        bases: for each size of groups, two arrays. The first has the numbers (groups, q) of the q points of each group,
-            the second the values (groups, q, k) there of k functions, which need not be independent.
+        bases: for each size of groups, two arrays. The first has the numbers (groups, q) of the q points of each group.
+            The second has the values (groups, q, k) there of k functions, which need not be independent.
         part: (c, c) symmetric matrix P = P P that acts on the first c Mandel components. The part P e of a strain e is
             projected, and the remainder is unchanged.
     """

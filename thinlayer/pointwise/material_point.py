@@ -25,10 +25,10 @@ TRACTION_TOLERANCE, STAGNATION_TOLERANCE = (1e-12, 1e-9)
 class MaterialPointState(NamedTuple):
     """Response of a law at a point of S at the end of a step, or at rest; d: number of dimensions.
 
-    It has the time t, and in the frame of S the jump w (d,), the traction (d,) and its derivative (d, d) by the jump.
-    The stress (6,) is in Mandel's order, and `memory` are internal variables. The three energies are stored,
-    dissipated, and the remainder of the energy balance. Traction, stress and tangent are those after the fraction theta
-    of the step, where forces balance.
+    In the frame of S it has the jump w (d,), the traction (d,) and its derivative `tangent` (d, d) by the jump. The
+    stress (6,) is in Mandel's order, and `memory` are internal variables. The three energies are stored, dissipated,
+    and the remainder of the energy balance. Traction, stress and tangent are those after the fraction theta of the
+    step, where forces balance.
     """
 
     t: float

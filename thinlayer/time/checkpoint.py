@@ -52,7 +52,7 @@ class Checkpoint:
     """Files of a march in a folder, with methods that write and read them. All methods are collective.
 
     They are march.json with the table so far and the `Pace`, a file for each state, and table.csv. Values of states are
-    ordered by the numbers of their cells or facets in the joint, so that the distribution of the mesh does not matter.
+    ordered by the numbers of their cells or facets in the joint, whatever the distribution of the mesh is.
     Files are replaced as a whole, and those of states before march.json, which has their hashes. So a killed run leaves
     valid files.
 

@@ -141,9 +141,9 @@ class Adaptive(Plan):
         end: time at which the march ends.
         first: length of the first step.
         tolerance: largest estimated error of a step: the largest of three relative errors. They are those of nodal
-            displacements, of jumps (in a meshed layer strains), and of the nodal forces of the bodies' stresses, which
-            change with reactions and tractions on the layer. Norms are Euclidean or, for jumps, L2. Errors are relative
-            to the largest norms so far or, after rest, to those at the end of the first step tried.
+            displacements, of jumps (in a meshed layer strains), and of the nodal forces of the bodies' stresses. These
+            forces change with reactions and tractions on the layer. Norms are Euclidean or, for jumps, L2. Errors are
+            relative to the largest norms so far or, after rest, to those at the end of the first step tried.
         at: times between start and end at which a step must end.
         smallest: length below which a step is not shortened further (default: first/1e6).
         largest: length of the longest step (default: no limit).
@@ -252,7 +252,7 @@ class ArcLength(Plan):
             raise InputError(f"ArcLength: largest is {self.largest:g}; allowed: >= smallest = {self.smallest:g}")
 
     def lowest(self, start: float) -> float:
-        """Value of t below which the march ends: `back` or, if that is None and with an error, 2 start - end."""
+        """Value of t below which the march ends: `back`; if it is None, 2 start - end, with a SolveError."""
         return 2 * start - self.end if self.back is None else float(self.back)
 
     def targets(self, start: float, breaks: Iterable[float] = ()) -> list[float]:
