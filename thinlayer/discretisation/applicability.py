@@ -1,4 +1,4 @@
-"""Applicability: whether an interface law can replace a layer on its seam, or why not, and what to do instead."""
+"""Applicability of an interface law in place of a layer: conditions, reasons against it, and remedies."""
 
 from __future__ import annotations
 
@@ -36,39 +36,46 @@ BENDING_FACTOR = 44.0
 
 
 class Applicability:
-    """Range of validity of a layer's interface law, found from joint, layer and structure without a mesh or forms.
+    """Range of validity of a layer's interface law, which is checked before a model is built.
 
     Attributes:
         layer: the layer on its seam.
-        bodies: "kept" or "extended", as in the model.
+        bodies: "kept": bodies keep their shape. "extended": each gives up the room of its half of the layer.
     """
 
     def __init__(self, layer: SeamLayer, bodies: str = "kept") -> None:
         self.layer, self.bodies = layer, bodies
 
     def why_not(self, question: str) -> Violation | None:
-        """Return the first violated condition of a question, a key of `CONDITIONS_OF_USE`; None if all hold.
+        """Return the first violated condition for a use of the layer; None if all conditions hold.
 
         The result is the same on all ranks.
 
+        Args:
+            question: the use, a key of `CONDITIONS_OF_USE`, such as "interface law", or "mesh" for a meshed layer.
+
         Raises:
-            InputError: parameters out of range, or a bad profile.
+            InputError: a parameter of the law or the thickness profile is out of range, or the law does not exist in
+                the joint's dimension.
         """
         return next((refused for ask in CONDITIONS_OF_USE[question] for refused in ask(self)), None)
 
     def require(self, question: str, what: str = "") -> None:
-        """Raise InputError, with the prefix `what`, for the first violated condition of a question; see `why_not`."""
+        """Raise InputError for the first violated condition for a use of the layer; `what` begins the message.
+
+        `question` names the use: a key of `CONDITIONS_OF_USE`, such as "interface law" or "mesh".
+        """
         if refused := self.why_not(question):
             raise refused.error(what)
 
     @cached_property
     def law(self) -> BulkLaw:
-        """Law with real parameters, for the structure's kinematics."""
+        """The layer's law as a law of strains in the structure's `plane`, with numbers or functions as parameters."""
         return law_with_numbers(self.layer.layer, self.layer.structure.kinematics)
 
     @cached_property
     def curvature(self) -> str | None:
-        """Phrase for messages on how the layer is curved or varies in thickness; None if it is flat and uniform."""
+        """Phrase for messages: how the layer is curved or varies in thickness; None if it is flat and uniform."""
         if self.layer.thin_layer and self.layer.thin_layer.profile is not None:
             return "of a thickness that varies"
         if not self.layer.sheet.planar:
@@ -78,7 +85,10 @@ class Applicability:
 
     # ---------------------------------------------------------------- sides
     def rim(self, *kinds: str) -> Rim:
-        """Part of the seam's rim where the layer's side is of one of the given kinds, see `side_kinds`."""
+        """Return the ridges at which the seam ends and the layer's side is constrained in one of the ways `kinds`.
+
+        The ways are "free", "symmetric", "antisymmetric", "held" (clamped) and "oblique", see `side_kinds`.
+        """
         return self.layer.sheet.rim[np.isin(self._kinds, kinds)]
 
     @cached_property
@@ -87,22 +97,28 @@ class Applicability:
 
     @cached_property
     def free(self) -> Rim:
-        """Rim with the local field of a free end: the side is free along m and n, or constrained obliquely."""
+        """Ridges with the local field of a free end: the layer's side is free, or constrained oblique to S."""
         return self.rim("free", "oblique")
 
     @cached_property
     def loose(self) -> Rim:
-        """Rim where the side is not constrained along m: loads on it reach the layer, and a pressure falls to zero."""
+        """Ridges where the layer's side is not fixed outward along S.
+
+        Loads on the side reach the layer there, and a pressure in the layer falls to zero.
+        """
         return self.rim("free", "antisymmetric", "oblique")
 
     @cached_property
     def neglected(self) -> Rim:
-        """Free ends that the interface law does not correct: all of them, or none."""
+        """Ridges of the free ends that the interface law does not correct: all of them, or none."""
         return self.free[np.full(len(self.free.vertices), self.why_not("ends") is not None)]
 
     @cached_property
     def pressure_lengths(self) -> FloatArray:
-        """Decay lengths (n,) of a pressure of order 1 at `loose`, eps sqrt(lmbda/(12 mu)); may be inf."""
+        """Decay lengths (n,) of the pressure in a law of order 1 at the n ridges of `loose`: eps sqrt(lmbda/(12 mu)).
+
+        They are infinite for an incompressible law.
+        """
         thin, joint, at = self.layer.as_thin_layer, self.layer.sheet.joint, self.loose.vertices
         laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
         squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
@@ -112,19 +128,20 @@ class Applicability:
 
     @property
     def is_coarse(self) -> BoolArray:
-        """Mask (n,) of the ridges of `loose` whose cells are longer than `pressure_lengths`.
+        """Mask (n,) of the n ridges of `loose` at which cells of S are longer than the decay length of the pressure.
 
-        The pressure is not set to zero at these ridges, as it would be too small over a whole cell.
+        The pressure is not set to zero at these ridges, because it would then be too small over a whole cell.
         """
         return np.asarray(self.loose.depth > self.pressure_lengths)
 
     # ---------------------------------------------------------------- better laws
     def next_order(self) -> ThinLayer:
-        """Return the layer with the law of order 1 for error estimates, if the conditions of "estimate" hold.
+        """Return the same layer with an interface law of order 1, for error estimates.
 
-        A `LinearElastic` law with lmbda > 0 becomes `Rubber`, with a pressure, unless parameters are functions or the
-        structure is in plane stress. With loose sides this is done for large nu only: the end constants for smaller nu
-        need no fine mesh.
+        The layer must meet the conditions of the use "estimate" (`why_not`). A `LinearElastic` law with lmbda > 0
+        becomes `Rubber`, with a pressure, unless parameters are functions or the structure is in plane stress. If there
+        are ridges in `loose`, this is done for Poisson's ratios above `MAX_FREE_END_NU` only: for smaller ratios the
+        constants of free ends need no fine mesh.
         """
         law, loose = self.layer.as_thin_layer.law, len(self.loose.vertices) > 0
         in_sheet = self.layer.structure.plane == "stress"  # no pressure builds up there
@@ -142,12 +159,12 @@ class Applicability:
 
     @cached_property
     def strips(self) -> EndStrips | None:
-        """The `EndStrips` along free ends; None if they are not known for the law."""
+        """Strips along free ends in which the layer is weaker; None if they are not known for the law."""
         return self.law.end_strips()
 
     @cached_property
     def contrast(self) -> float:
-        """Least Young's modulus at rest of the bodies on the seam, over the layer's mu."""
+        """Least Young's modulus at rest of the bodies beside the seam, over the layer's shear modulus mu."""
         return softest_body(self.layer) / float(parameter_numbers(self.law.parameters()["mu"]))
 
     @property
@@ -157,7 +174,10 @@ class Applicability:
 
     @cached_property
     def all_weights(self) -> FacetWeights:
-        """Weights of the free ends on the facets, valid if the conditions of "ends" before "overlap" hold."""
+        """Weights of the free ends on the seam's facets, without a check that strips along several ends do not overlap.
+
+        All other conditions of the use "ends" must hold, see `why_not`.
+        """
         assert self.strips is not None
         strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING_FACTOR) ** (1 / 3)))
         sheet, eps = self.layer.sheet, self.layer.eps
@@ -165,12 +185,15 @@ class Applicability:
 
     @cached_property
     def weights(self) -> FacetWeights | None:
-        """Weights of the free ends on the facets; None without free ends, or if the law does not correct them."""
+        """Weights of the free ends on the seam's facets; None without free ends, or if these are not corrected."""
         return None if self.why_not("ends") or not len(self.free.vertices) else self.all_weights
 
 
 def softest_body(seam_layer: SeamLayer) -> float:
-    """Return the least Young's modulus at rest of the bodies on a seam, with moduli averaged over all directions."""
+    """Return the least Young's modulus at rest of the bodies beside a seam; infinite if no stiffness is known.
+
+    Moduli of anisotropic laws are averaged over all directions.
+    """
     joint, n, moduli = seam_layer.structure.joint, seam_layer.sheet.mean_normal, [np.inf]
     cells = np.unique(joint.surface_cells[seam_layer.sheet.facets])
     cells = cells[cells >= 0]
@@ -185,7 +208,7 @@ def softest_body(seam_layer: SeamLayer) -> float:
 
 # ---------------------------------------------------------------- conditions, in the order in which they are checked
 def _law_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for a law of order 0 and for a meshed layer."""
+    """Yield the violated conditions for an interface law of order 0, which a meshed layer must meet too."""
     seam_layer, structure, element = r.layer, r.layer.structure, r.layer.structure.element
     seam_layer.law.check_dimension(structure.joint.dim)
     if seam_layer.contact:
@@ -205,7 +228,7 @@ def _law_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for a law of order 1: first away from tips and junctions, then at them."""
+    """Yield the violated conditions for an interface law of order 1, those at tips and junctions of the seam last."""
     thin, structure, sheet = r.layer.thin_layer, r.layer.structure, r.layer.sheet
     if thin is None or thin.order == 0:
         return
@@ -245,7 +268,7 @@ def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _support_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for supports on the layer's side NAME/LAYER: the adjacent bodies must be supported there too."""
+    """Yield a violation if a support acts on the layer's own side ("NAME/LAYER") but not on the bodies beside it."""
     sheet, alone = r.layer.sheet, constrained_directions(r.layer) - constrained_directions(r.layer, of_layer=False)
     if len(at := sheet.rim.vertices[np.abs(alone).max(axis=(1, 2)) > FLAT_DIRECTION_SHARE]):
         reason = f"a support holds the side of {r.layer} alone, at {place_text(sheet.joint.points[at[0, 0]])}"
@@ -258,7 +281,10 @@ def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for an interface law of order 1 that corrects its free ends, or has no free ends."""
+    """Yield the violated conditions for an interface law of order 1 that corrects its free ends.
+
+    Without free ends the only condition is order 1.
+    """
     thin, joint = r.layer.as_thin_layer, r.layer.structure.joint
     if thin.order == 0:
         yield Violation("order 0", "the interface law is of order 0", "use order=1")
@@ -291,7 +317,10 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Violation]:
-    """Conditions for straight free ends of a flat layer between nearly rigid faces: large stiffness contrast."""
+    """Yield the violated conditions for straight free ends of a flat layer between much stiffer bodies.
+
+    `contrast` is Young's modulus of the softest body over the shear modulus of the layer.
+    """
     sheet = r.layer.sheet
     if r.curvature:
         yield Violation("bent", f"free ends are not known of a layer {r.curvature}")
@@ -308,7 +337,10 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
 
 
 def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for a known excess of the pressure (`thinlayer.surface.pressure_excess`)."""
+    """Yield the violated conditions for estimating the excess pressure of a law that lets no material flow along S.
+
+    See `thinlayer.surface.pressure_excess`.
+    """
     seam_layer = r.layer
     if seam_layer.thin_layer and seam_layer.thin_layer.eigenstrain is not None:
         yield Violation("eigenstrain", "the layer has an eigenstrain")
@@ -329,7 +361,7 @@ def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for solving the layer as a subproblem with prescribed face displacements."""
+    """Yield the violated conditions for solving the meshed layer by itself, with displacements prescribed on faces."""
     traits, kind = r.layer.law.traits, r.layer.kind
     if traits.phases or traits.softens:
         first = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
@@ -341,7 +373,7 @@ def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for solving the layer as a subproblem with forces on its faces: no strain may be free of stress."""
+    """Yield a violation if the layer cannot be solved with forces on its faces, because a strain causes no stress."""
     slots = r.layer.structure.kinematics.slots(r.layer.structure.joint.dim)
     tangents = [C for s in r.layer.samples for _, _, C in s.initial_tangents.sublayers if C is not None]
     for C in (C[np.ix_(slots, slots)] for C in tangents):
@@ -352,20 +384,23 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for an estimate from bonded bodies: the meshed layer must shift each body rigidly."""
+    """Yield a violation if bonded bodies allow no estimate: only flat, uniform layers shift them rigidly."""
     if r.curvature:
         reason = f"bonded bodies meet on S, where {r.layer} {r.curvature} leaves them in no place"
         yield Violation("moved", reason, f"solve structure.full(layer, bodies='extended'), {GOALS_REMEDY}")
 
 
 def _rate_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for evaluating the law in a state, which has no strain rates."""
+    """Yield a violation if the stress depends on strain rates, which a state does not have."""
     if r.layer.law.traits.rate:
         yield Violation("rate", f"{r.layer.kind} has a rate, of which a state does not know", "mesh the layer")
 
 
 def _corner_conditions(r: Applicability) -> Iterator[Violation]:
-    """Conditions for singular stresses at corners of free ends: a wedge of 90 degrees on a rigid face, plane strain."""
+    """Yield the violated conditions for known exponents of the singular stresses at the corners of free ends.
+
+    The exponents are those of a wedge of 90 degrees on a rigid face in plane strain.
+    """
     if not r.layer.law.traits.linear:
         yield Violation("not linear", f"exponents are known of linear laws, not of {r.layer.kind}")
     sublayers, n = r.law.sublayers, r.layer.sheet.mean_normal

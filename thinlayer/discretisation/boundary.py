@@ -26,12 +26,15 @@ NORMAL_COMPONENT_TOLERANCE = 1e-12  # a component of a unit normal that counts a
 
 
 def nodes_on_axis(kinematics: Kinematics, joint: Joint) -> BoolArray:
-    """Mask (n,) of the points of a joint that lie on the axis of revolution."""
+    """Mask (n,) of the n points of a joint that lie on the axis of revolution; all False without such an axis."""
     return np.asarray(np.abs(kinematics.radius(joint.points)) <= AXIS_TOLERANCE * joint.size)
 
 
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
-    """Raise InputError unless a joint has r >= 0, no seam on the axis of revolution, and no period across the axis."""
+    """Raise InputError if a joint cannot be revolved: it has x < 0, a seam on the axis, or a period across the axis.
+
+    A joint for other kinematics than axisymmetric ones always passes.
+    """
     r, on = kinematics.radius(joint.points), nodes_on_axis(kinematics, joint)
     message = f"plane={kinematics.name!r}: x is the distance from the axis of revolution, and {{bad}} points have x < 0"
     refuse((r < 0) & ~on, joint.points, f"{message}, the first at {{at}}; allowed: x >= 0")
@@ -45,13 +48,16 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
 
 
 def lies_across_axis(kinematics: Kinematics, normals: Array) -> bool:
-    """Whether translations along normals (n, d) of S are rigid motions; in axisymmetry only across the axis."""
+    """Whether translations along the n normals (n, d) of S, in d dimensions, are rigid motions.
+
+    In axisymmetry this holds only for normals along the axis, so that S lies across it.
+    """
     radial = np.delete(normals, kinematics.translations(normals.shape[1]), axis=1)
     return bool(np.abs(radial).max(initial=0.0) <= RIGID_NORMAL_TOLERANCE)
 
 
 def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
-    """Raise InputError unless bodies can move apart along the normals of S without strain (bodies="kept")."""
+    """Raise InputError unless bodies can move apart along the normals of S without strain, as for bodies="kept"."""
     if not lies_across_axis(kinematics, joint.interface_normals.reshape(-1, joint.dim)):
         reason = "bodies='kept' moves them along the normal of S; a body of revolution cannot move away from its axis"
         raise InputError(f"plane={kinematics.name!r}: {reason}; use bodies='extended', or an S across the axis")
@@ -60,18 +66,18 @@ def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
 def boundary_values(
     domain: Domain, kinematics: Kinematics, name: str, what: str, *, inside: bool = False, side: bool = False
 ) -> tuple[int, ...]:
-    """Return the facet tag values of a named place on the outer boundary.
+    """Return the values in `domain.facet_tags` of a named facet set on the outer boundary.
 
     Args:
-        domain: the mesh.
+        domain: the distributed mesh, with the joint's names.
         kinematics: kinematics of the mesh.
-        name: the name as the user wrote it.
-        what: first words of errors.
-        inside: whether the place may lie inside the bodies, or on the axis, but not on S.
-        side: whether it may be the side of a layer that is not meshed, which has no facets.
+        name: name of the facet set as the user wrote it.
+        what: first words of error messages.
+        inside: whether the facets may lie inside the bodies, or on the axis of revolution, but not on S.
+        side: whether "NAME/LAYER" is allowed if the layer is not meshed, so that its side has no facets.
 
     Raises:
-        InputError: the place is not allowed, not known, or empty.
+        InputError: no facet set has this name, it has no facets, or its facets are not allowed here.
     """
     joint = domain.joint
     base = joint.band.base if joint.band else joint
@@ -92,7 +98,7 @@ def boundary_values(
 
 
 def refuse_periodic(joint: Joint, name: str, what: str) -> None:
-    """Raise InputError if a periodic side has this name: it is no boundary of the periodic structure."""
+    """Raise InputError if `name` is a periodic side, where the structure continues; `what` begins the message."""
     if joint.periods and FacetName.parse(name).whole in joint.periods.names:
         remedy = "a periodic cell is loaded by a mean strain, Structure(..., strain=...)"
         raise InputError(f"{what}: this side is identified with another one, the structure goes on there; {remedy}")
@@ -101,7 +107,7 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
 def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntArray, Array]:
     """Return outer normals of facets at their nodes, weighted so that their sum at a vertex of a sphere is radial.
 
-    The side of a layer gets the normals of the body side that it continues: its own facets may be oblique where bodies
+    Facets of a layer's side get the normals of the bodies' side that they continue: they may be oblique where bodies
     made room for the layer.
 
     The weight is sin(angle)/(product of lengths) of the facet's two edges at a vertex, in 2D 1/length. The sum then has
@@ -111,10 +117,11 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
     Args:
         domain: the domain.
         V: a space of nodal displacements.
-        place: name of facets on the outer boundary; ghosts are left out.
+        place: name of a facet set on the outer boundary; facets of ghost cells are left out.
 
     Returns:
-        Local numbers (n,) of blocks owned by this rank, one for each facet around a node, and normals (n, d).
+        Local numbers (n,) of nodes (blocks of V) that this rank owns, and weighted normals (n, d) in d dimensions. A
+        node occurs once for each facet around it.
     """
     mesh, d = domain.mesh, domain.joint.dim
     kind, points, layout = basix.CellType[domain.joint.cell_type], interpolation_points(V), V.dofmap.dof_layout
@@ -141,7 +148,10 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
 
 
 def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
-    """Mean outer unit normals (n, d) of a named facet set at ridges given by vertices (n, k); NaN where it has none."""
+    """Mean outer unit normals (n, d), in d dimensions, of a named facet set at n ridges; NaN where it has no facet.
+
+    `ridges` has the vertices of each ridge, (n, k), as numbers in the joint; they may repeat.
+    """
     rows, kind = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
     cells = joint.table.cells[joint.table.index(rows), 0]
     inward = joint.points[joint.corners[cells]].mean(axis=1) - joint.points[rows].mean(axis=1)
@@ -156,7 +166,10 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
 
 
 def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
-    """Outer unit normals (n, d), before inflating, of the side that a layer's facets continue; NaN for other facets."""
+    """Outer unit normals (n, d) of the bodies' side that each of n facets of a layer's side continues; else NaN.
+
+    They are those in the joint as drawn, before S is opened to the layer's thickness.
+    """
     joint, band, name = domain.joint, domain.joint.band, FacetName.parse(place).whole
     out = np.full((len(facets), joint.dim), np.nan)
     if band is None or name not in band.base.facets or not len(facets):
@@ -171,7 +184,7 @@ def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
 
 
 def _weights(x: Array, k: int) -> Array:
-    """Weights (n,) of facets with corners (n, m, 3) at their k-th corner."""
+    """Weights (n,) of the normals of n facets at their k-th corner, see `node_normals`; x (n, m, 3) are all corners."""
     adjacent = [k ^ 1, k ^ 2] if x.shape[1] == 4 else [j for j in range(x.shape[1]) if j != k]
     edges = x[:, adjacent] - x[:, k : k + 1]
     squares = (edges**2).sum(axis=2)
@@ -181,7 +194,10 @@ def _weights(x: Array, k: int) -> Array:
 
 
 def _at_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Array) -> tuple[IntArray, Array]:
-    """Send rows of local blocks to the ranks that own the blocks; return those received. Collective."""
+    """Send rows (n, m) of numbers, one for each local node `blocks` (n,), to the nodes' owners. Collective.
+
+    Returns the local numbers of the nodes, and the rows, that this rank receives.
+    """
     imap = V.dofmap.index_map
     owners = np.concatenate([np.full(imap.size_local, domain.comm.rank), imap.owners])[blocks]
     numbers = imap.local_to_global(blocks.astype(np.int32)).astype(float)
@@ -190,10 +206,10 @@ def _at_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Arr
 
 
 def smooth_surfaces(normals: Array) -> tuple[IntArray, Array]:
-    """Group facet normals (n, d) at a node; return numbers (n,) of smooth surfaces, and their unit normals (k, d).
+    """Return the number (n,) of the smooth surface of each of n facets around a node, and unit normals (k, d).
 
-    Facets whose normals differ by less than `CORNER_ANGLE_DEGREES` form one surface with their mean normal. Others meet
-    in a corner.
+    The k normals are those of the surfaces. Facets whose normals (n, d) differ by less than `CORNER_ANGLE_DEGREES`
+    form one surface with their mean normal. Other facets meet in a corner.
     """
     unit = normals / np.linalg.norm(normals, axis=1)[:, None]
     facet, other = np.nonzero(unit @ unit.T > np.cos(np.deg2rad(CORNER_ANGLE_DEGREES)))

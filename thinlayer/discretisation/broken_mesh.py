@@ -45,19 +45,20 @@ class BrokenMesh:
         facet_tags: tags of facets.
         S: values of `facet_tags` where bodies may separate, each with a rule that chooses its upper side:
 
-            - a vector, such as (0, 1): the side to which it points; for plane joints of many bodies, bed or head joints
+            - a vector, such as (0, 1): the side to which it points; for flat joints between many bodies, as in masonry
             - a value of `bodies`, or a set of values: the side of these bodies; for an S of any shape
             - None, or values without a mapping: the side of the body with the larger value.
 
             The upper side decides the sign of reported jumps and tractions, and which sublayer of a `Stack` is the
             lower one. S on the boundary of the mesh is a rigid base, and the body is above it.
-        plane: "strain", "stress" or "axisymmetric", see `Structure`. With this object as `mesh`, the term of a body is
-            `forms.work.body(mesh.kinematics.law(law), measure, mesh.kinematics)`. Multiply loads by
-            `mesh.kinematics.factor`, and prescribe u_x = 0 on the axis of revolution.
+        plane: "strain" (plane strain, and 3D), "stress" (plane stress) or "axisymmetric" (x is the distance from the
+            axis of revolution). With this object as `broken`, the term of a body's law is
+            `forms.work.body(broken.kinematics.law(law), measure, broken.kinematics)`. Multiply loads by
+            `broken.kinematics.factor`, and prescribe u_x = 0 on the axis of revolution.
 
     Attributes:
         mesh, bodies, facet_tags: the arguments.
-        kinematics: strains of displacements, and the factor of measures.
+        kinematics: strains of displacements, and the factor of measures: 2 pi r in axisymmetry, else 1.
         dS: measure of the facets between bodies, dS(value); "+" is the upper side. DOLFINx allows one set of tags for
             all dS integrals of a form: use this measure also for its other terms on facets of S.
 
@@ -148,11 +149,12 @@ class BrokenMesh:
             tag: tag of the facets.
             layer: law and thickness, or a law of jumps (`TractionLaw`), which has no thickness.
 
-        The law of order 1 requires a flat S.
+        The interface law of order 1 requires a flat S.
 
         Raises:
             InputError: a contact law (see `contact_surface`), or a law with a pressure field; order 1 with a thickness
-                that varies, or with a law that locks; an eigenstrain, or edges="free".
+                that varies, or with lmbda/mu so large that the law locks; a layer with an eigenstrain, or with
+                edges="free".
         """
         allowed = "allowed: ThinLayer, TractionLaw; a ContactLaw is for ContactPart"
         require(isinstance(layer, ThinLayer | TractionLaw), "layer", layer, allowed)
@@ -203,20 +205,23 @@ class BrokenMesh:
             raise InputError(f"S has no tag {tag}; there are {', '.join(map(str, self._tags))}")
 
     def _require_no_locking(self, tag: int, law: BulkLaw) -> None:
-        """Raise InputError if a law of order 1 would lock somewhere."""
+        """Raise InputError if lmbda/mu is so large somewhere on the facets with a tag that the law of order 1 locks."""
         with errors_on_all(self.comm):
             for local_law in law.at_places(self._at_vertices(tag)[2]) if law.fields else [law]:
                 if refused := InitialTangents(local_law, np.eye(self._dim)[-1]).locks():
                     raise refused.error()
 
     def _at_vertices(self, tag: int) -> tuple[fem.Function, Indices, Array]:
-        """Return a function of degree 1, its dofs on the facets with a tag, and their coordinates (d, n)."""
+        """Return a function of degree 1, its n dofs on the facets with a tag, and coordinates (d, n) of these dofs."""
         f = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))
         dofs = fem.locate_dofs_topological(f.function_space, self._dim - 1, self.facet_tags.find(tag))
         return f, dofs, f.function_space.tabulate_dof_coordinates()[dofs, : self._dim].T
 
     def _law_on(self, tag: int, law: BulkLaw) -> BulkLaw:
-        """The law with function parameters as expressions on S, linear between vertices, and others as Constants."""
+        """The law on the facets with a tag, with parameters in UFL.
+
+        Parameters that are functions become expressions on S, linear between vertices, and numbers become Constants.
+        """
         on_s = {}
         for name in law.fields:
             f, dofs, x = self._at_vertices(tag)
@@ -233,7 +238,7 @@ class BrokenMesh:
         return np.sort(facets[facets < self.mesh.topology.index_map(self._dim - 1).size_local])
 
     def _bodies(self) -> Indices:
-        """Body of each local cell, ghosts included."""
+        """Tag of the body of each local cell, ghosts included, (n_cells,)."""
         imap = self.mesh.topology.index_map(self._dim)
         body, owned = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
         body.array[self.bodies.indices[owned]] = self.bodies.values[owned]
@@ -264,7 +269,10 @@ class BrokenMesh:
             raise InputError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in first)})")
 
     def _oriented(self, tag: int, facets: Indices, upper: Upper) -> Indices:
-        """Rows (n, 4) of facets between bodies: upper cell, local facet, lower cell, local facet."""
+        """Rows (n, 4) for n facets between bodies: upper cell, facet's number in it, lower cell, facet's number in it.
+
+        `upper` is the rule that chooses the upper side, see `BrokenMesh`.
+        """
         rows = interior_facet_entities(self.mesh, facets)
         first, second = rows[:, 0], rows[:, 2]
         if upper is None:
@@ -280,7 +288,7 @@ class BrokenMesh:
         return rows
 
     def _points_to(self, cells: Indices, tag: int, facets: Indices, direction: Array) -> BoolArray:
-        """Mask (n,) of the cells that lie on the side of their facet to which a direction points."""
+        """Mask (n,) of the cells, one for each of n facets, that lie on the side to which `direction` (d,) points."""
         if direction.shape != (self._dim,) or not np.linalg.norm(direction) > 0:
             raise InputError(f"S: the upper side of {tag} is {direction}; allowed: {self._dim} numbers, not all 0")
         normals = cpp.mesh.cell_normals(self.mesh._cpp_object, self._dim - 1, facets)[:, : self._dim]

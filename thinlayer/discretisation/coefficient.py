@@ -50,15 +50,18 @@ NUMPY_HINT = (
 
 @dataclass(frozen=True)
 class Coordinates(FormerNames):
-    """Arguments of users' functions: the time and the place, for kept bodies in the joint before inflating.
+    """Place and time as arguments of users' functions.
+
+    For kept bodies the place is that in the joint as drawn, before S is opened to the layer's thickness.
 
     Attributes:
         mesh: the mesh.
-        x: (d,) UFL coordinates.
-        clock: clock of the model.
-        places: (n, d) some vertices of the joint, among them those with extreme coordinates.
+        x: (d,) UFL coordinates in d dimensions.
+        clock: clock of the model, which holds the time.
+        places: (n, d) coordinates of n vertices of the joint where functions are tested, extreme ones among them.
         cache: coefficients made so far.
-        planned: break times that the last march has read; empty before the first march.
+        planned: list with the set of break times that the last march has read; empty before the first march. At a break
+            time a coefficient changes its slope.
     """
 
     former_names = {"given": "coefficient"}
@@ -71,7 +74,10 @@ class Coordinates(FormerNames):
 
     @classmethod
     def of(cls, domain: Domain) -> Self:
-        """Make the coordinates and the clock of a domain; for kept bodies x excludes the rigid shifts by inflating."""
+        """Make the coordinates and the clock of a distributed mesh.
+
+        Where kept bodies have moved apart to make room for a meshed layer, x is the place before this motion.
+        """
         mesh, band = domain.mesh, domain.joint.band
         x, points = ufl.SpatialCoordinate(mesh), (band.base if band else domain.joint).points
         chosen = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
@@ -89,13 +95,21 @@ class Coordinates(FormerNames):
         return changed(self, cache={}, planned=[])
 
     def moved(self, x: Expr) -> Self:
-        """A copy with other coordinates x (d,)."""
+        """A copy with other UFL coordinates x (d,)."""
         return changed(self, x=x)
 
     def coefficient(self, value: object, what: str, *shapes: Shape, of_place: bool = False) -> Coefficient:
-        """Return the coefficient of a value, made and checked once. Collective.
+        """Return the coefficient of a user's value, made and checked once. Collective.
 
-        Arguments and errors are as in `Coefficient`. New break times after a march has begun also raise InputError.
+        Args:
+            value: numbers, a table of components, a function (x, t), a UFL expression or a DOLFINx function.
+            what: first words of error messages.
+            shapes: allowed shapes: () a number, (d,) components, (d, d) a table.
+            of_place: whether functions have the argument x alone.
+
+        Raises:
+            InputError: another shape, or numbers that are not finite; a function that fails; a new break time, where
+                the slope changes, after a march has begun.
         """
         key = (id(value), what, shapes, id(self.x))
         if key not in self.cache:
@@ -106,32 +120,36 @@ class Coordinates(FormerNames):
         return self.cache[key]
 
     def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
-        """Traction (d,) in UFL on facets with the outward normal n; errors as in `coefficient`."""
+        """Traction (d,) in UFL of a load on facets with the outward unit normal n; `what` begins error messages.
+
+        Raises:
+            InputError: the load does not have d finite components, or a function fails.
+        """
         if isinstance(load, Pressure):
             return -self.coefficient(load.p, what, ()).expression * n
         return self.coefficient(load, what, (self.mesh.geometry.dim,)).expression
 
     @property
     def breaks(self) -> set[float]:
-        """Break times of all coefficients made so far."""
+        """Times at which coefficients made so far change their slope; once read, no new times are allowed."""
         self.planned[:] = [set[float]().union(*(coefficient.breaks for coefficient in self.cache.values()))]
         return self.planned[0]
 
 
 class Coefficient:
-    """A value of place and time: numbers, a table, a function (x, t), a UFL expression or a field.
+    """A user's value of place and time: numbers, a table, a function (x, t), a UFL expression or a DOLFINx function.
 
-    A function is called with the place and the clock's constant as symbols. It must give the same values for plain
+    A function is called with UFL symbols for the place x and the time t. It must give the same values for plain
     numbers, which is tested at some places and times: Python's == and `in` are always False for symbols. Functions on
     other meshes, such as computed temperatures, are interpolated on this mesh.
 
     Args:
         value: value as the user wrote it.
         what: first words of errors, such as "traction on 'TOP'".
-        shapes: allowed shapes: () a number, (d,) components, (d, d) a table.
+        shapes: allowed shapes in d dimensions: () a number, (d,) components, (d, d) a table.
         at: coordinates and time.
         of_place: whether functions have the argument x alone. A function that fails for symbols is then called with
-            places (d, n), and interpolated in each cell with degree 2.
+            n places (d, n), and interpolated in each cell with degree 2.
 
     Attributes:
         shape: shape of the value, one of `shapes`.
@@ -139,7 +157,7 @@ class Coefficient:
         varies: False if all components are numbers.
 
     Raises:
-        InputError: another shape; a component that is not a finite real number; a function that fails for symbols or that
+        InputError: another shape; a component that is not a finite real number; a function that fails for symbols or
             compares them.
     """
 
@@ -157,7 +175,7 @@ class Coefficient:
         return self.value(x) if self._of_place else self.value(x, t)
 
     def _of_function(self) -> Components:
-        """Return the components that a function gives for symbols; its values for plain numbers must agree."""
+        """Return the components of the user's function for symbols; its values for plain numbers must agree."""
         try:
             content = self._called(self.at.x, self.at.t)
         except Exception as error:
@@ -170,7 +188,7 @@ class Coefficient:
         return components
 
     def _interpolated(self) -> fem.Function:
-        """Interpolate a numpy function of places (d, n). Collective."""
+        """Return the interpolant, of degree 2 in each cell, of a numpy function of n places (d, n). Collective."""
         f = fem.Function(fem.functionspace(self.at.mesh, ("DG", NUMPY_DEGREE)))
         x = places_in_cells(f.function_space, self.at.x).reshape(-1, self.at.mesh.geometry.dim)
         try:
@@ -193,7 +211,7 @@ class Coefficient:
         return InputError(f"{self.what} is {self.value!r:.90}; it needs {need}, or a function (x, t) that gives that")
 
     def _read(self, content: Nested) -> Components:
-        """Return the components of nested numbers and UFL expressions; raises InputError if they are not allowed."""
+        """Return the components of nested numbers and UFL expressions; raises InputError if they do not fit."""
         try:
             shape = _shape_of(content)
         except Exception:  # of any user's object
@@ -227,7 +245,7 @@ class Coefficient:
         return components
 
     def _compare(self, components: Components) -> None:
-        """Raise InputError if the function gives other values for plain numbers than for symbols."""
+        """Raise InputError if the function gives other values for plain numbers than for symbols (`components`)."""
         if any(map(_fields, components.flat)):
             return
         places, (first, *later) = self.at.places, COMPARISON_TIMES
@@ -251,7 +269,7 @@ class Coefficient:
         return ufl.as_tensor(self.components.tolist()) if self.shape else ufl.as_ufl(self.components[()])
 
     def in_space(self, V: fem.FunctionSpace) -> fem.Function:
-        """Interpolate a scalar value in a scalar space. Collective."""
+        """Return the interpolant of this scalar value in a scalar space V. Collective."""
         f, on_mesh = fem.Function(V), self.expression + fem.Constant(self.at.mesh, 0.0)
         interpolate(f, fem.Expression(on_mesh, interpolation_points(V)))
         return f
@@ -263,7 +281,10 @@ class Coefficient:
         return set[float]().union(*(reading.breaks for c in components for reading in time_constants(c)))
 
     def once(self, body: str) -> Coefficient:
-        """Return this coefficient; raises InputError if it depends on the place, as one value must hold for `body`."""
+        """Return this coefficient; raises InputError if it depends on the place.
+
+        `body` names in the message what needs a single value, such as "the whole cell".
+        """
         if any(depends_on_place(c) for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)):
             raise InputError(f"{self.what} depends on the place x; it is one for {body}")
         return self
@@ -307,7 +328,9 @@ class Pressure:
 
 
 def values_by_body(values: T | Mapping[str, T], joint: Joint, what: str = "", more: Sequence[str] = ()) -> dict[str, T]:
-    """Map names of bodies to values, from one value for all bodies or a mapping, in the same order on all ranks.
+    """Return the value of each body by name, from one value for all bodies or a mapping, in the joint's order.
+
+    Bodies that the mapping does not name are left out. It may also have the names in `more`, which are left out too.
 
     Raises:
         InputError: a name that is neither a body nor in `more`; the message begins with `what`.
@@ -320,7 +343,7 @@ def values_by_body(values: T | Mapping[str, T], joint: Joint, what: str = "", mo
 
 # ---------------------------------------------------------------- content
 def _shape_of(content: Nested) -> Shape:
-    """Return the shape of nested sequences of numbers and UFL expressions; -1 where rows differ."""
+    """Return the shape of nested sequences of numbers and UFL expressions; it ends with -1 if rows differ."""
     if isinstance(content, ufl.core.expr.Expr):
         return tuple(content.ufl_shape)
     if isinstance(content, np.ndarray):
@@ -347,7 +370,7 @@ def _fields(component: Expr) -> list[fem.Function]:
 
 
 def evaluate_component(component: Expr, t: float, place: Sequence[float] = ()) -> float:
-    """Evaluate a number or a UFL scalar at a time and a place; NaN where it has no value."""
+    """Return the value of a number or a UFL scalar at a time and a place (d,); NaN where it has none."""
     if not isinstance(component, ufl.core.expr.Expr):
         return float(component)
     values = {c: c.at(t) if isinstance(c, TimeConstant) else c.value for c in extract_constants(component)}

@@ -1,4 +1,4 @@
-"""Constraints: displacements u = T y under supports and multi-point constraints; y has the size of u."""
+"""Constraints: displacements u = T y under supports and multi-point constraints, from as many unknowns y."""
 
 from __future__ import annotations
 
@@ -34,10 +34,11 @@ class MultiPointConstraint:
     Attributes:
         key: name in messages.
         names: names of the motions in messages.
-        R: (n, m) sparse, with a row for each displacement of this rank, empty unless it is a slave; q are lengths.
-        motion: number of each prescribed motion -> function of the time that returns its value.
-        resultant: function of the time that returns the prescribed forces (m,) conjugate to q, zero for prescribed
-            motions.
+        R: (n, m) sparse matrix, for the n displacements of this rank and m motions q, which are lengths. Only rows of
+            slaves have entries.
+        motion: position in `names` of each prescribed motion -> function of the time that returns its value.
+        resultant: function of the time that returns the prescribed forces (m,) conjugate to q; they are zero for
+            prescribed motions.
     """
 
     key: str
@@ -54,10 +55,10 @@ class MultiPointConstraint:
 
 @dataclass(frozen=True)
 class _ConditionGroup:
-    """Conditions N y = c that share unknowns, and an orthonormal frame (k, k) of these unknowns.
+    """Group of r conditions N y = c on k common unknowns y, and an orthonormal frame (k, k) of these unknowns.
 
-    The conditions constrain the first `rank` columns of the frame. `rows` are positions among the grouped conditions of
-    all ranks, `columns` are global numbers of unknowns.
+    N is (r, k). The conditions constrain the components of y along the first `rank` columns of the frame. `rows` (r,)
+    are positions in the list of the grouped conditions of all ranks. `columns` (k,) are global numbers of unknowns.
     """
 
     rows: np.ndarray
@@ -68,35 +69,35 @@ class _ConditionGroup:
 
     @cached_property
     def inverse(self) -> Array:
-        """Matrix from right-hand sides c to the values (rank,) of the constrained unknowns."""
+        """Matrix (rank, r) that maps right-hand sides c to the constrained components of the unknowns."""
         return np.asarray(np.linalg.pinv(self.N @ self.frame[:, : self.rank], rcond=INDEPENDENCE_TOLERANCE))
 
     def residual(self, c: Array) -> Array:
-        """Residual |N y - c| of each condition at the constrained values."""
+        """Residuals |N y - c| (r,) of the conditions for right-hand sides c (r,), at the constrained components."""
         return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ (self.inverse @ c) - c))
 
     @cached_property
     def shares(self) -> Array:
-        """Matrix from forces on the unknowns to the least-norm forces of the conditions that balance them."""
+        """Matrix (r, k) from forces on the unknowns to the least-norm forces of the conditions that balance them."""
         return np.asarray(np.linalg.pinv(self.N.T, rcond=INDEPENDENCE_TOLERANCE))
 
 
 class Constraints:
     """Constraints on the displacements of a model: supports and multi-point constraints. All methods are collective.
 
-    Multi-point constraints give u = T0 y. In y the motions q of each constraint replace its first slave displacements,
-    and are their masters. Entries of y at its other slaves are constrained to zero.
+    Multi-point constraints give u = T0 y. The unknowns y are the displacements, in which the motions q of each
+    constraint (the masters) take the places of its first slaves. Entries of y at its other slaves are zero.
 
-    Supports and prescribed motions are conditions A T0 y = c. Conditions that share unknowns form a group, whose frame
-    separates constrained from free combinations: y = Q z and T = T0 Q. The unknowns are then z, which methods call y. T
-    is None if it is the identity, as where conditions only select displacements.
+    Supports A u = c are conditions A T0 y = c, and so are prescribed motions. Conditions that share unknowns form a
+    group, whose frame separates constrained from free combinations: y = Q z and T = T0 Q. The final unknowns are z,
+    which methods call y. T is None if it is the identity, as where conditions only select displacements.
 
     Args:
         prescribed: conditions of supports, at nodes.
         ties: the multi-point constraints.
 
     Attributes:
-        bc_dofs: (h,) local numbers, increasing, of the constrained unknowns, those at slaves included.
+        bc_dofs: (h,) local numbers, increasing, of the h constrained unknowns of this rank, those at slaves included.
 
     Raises:
         InputError: two multi-point constraints share a node; one has fewer displacements than motions; conditions with
@@ -131,7 +132,7 @@ class Constraints:
         return slaves
 
     def _slots_of(self, tie: MultiPointConstraint) -> np.ndarray:
-        """Global numbers (m,) of the unknowns that are the motions of a multi-point constraint: its first slaves."""
+        """Global numbers (m,) of the unknowns that are the m motions of a constraint, in place of its first slaves."""
         rows = self.first + np.flatnonzero(np.diff(tie.R.indptr))
         least = np.sort(np.concatenate(self.comm.allgather(rows[: tie.count])))[: tie.count]
         if len(least) < tie.count:
@@ -139,7 +140,7 @@ class Constraints:
         return least
 
     def _tie(self) -> PETSc.Mat | None:
-        """Matrix T0 from the unknowns, which include motions, to displacements; None for the identity."""
+        """Matrix T0 that maps unknowns y, motions among them, to displacements; None for the identity."""
         if not self.comm.allreduce(len(self.slaves) + len(self.mpcs)):
             return None
         free = np.setdiff1d(np.arange(self.n), self.slaves)
@@ -148,9 +149,9 @@ class Constraints:
         return self._matrix((free, self.first + free, np.ones(len(free))), *entries)
 
     def _matrix(self, *entries: tuple[np.ndarray, np.ndarray, Array]) -> PETSc.Mat:
-        """Make a PETSc matrix (n, n) from local rows, global columns and values of entries, which add up.
+        """Make a square PETSc matrix from lists of entries: local rows, global columns and values, which add up.
 
-        The diagonal is stored, as products need it.
+        The diagonal is stored even where it is zero, as matrix products need it.
         """
         diagonal = np.arange(self.n), self.first + np.arange(self.n), np.zeros(self.n)
         i, j, v = map(np.concatenate, zip(*entries, diagonal, strict=True))
@@ -159,7 +160,7 @@ class Constraints:
 
     # ---------------------------------------------------------------- conditions
     def _conditions(self) -> Sparse:
-        """This rank's conditions (r, N) on y: supports, then prescribed motions, which are on rank 0."""
+        """Coefficients (r, N) of this rank's r conditions on all N unknowns; prescribed motions are last, on rank 0."""
         rows = self.prescribed.conditions
         on_y = rows.data, self.first + rows.indices, rows.indptr  # unknowns that are displacements
         conditions = scipy.sparse.csr_matrix(on_y, (rows.shape[0], self._total))
@@ -178,17 +179,17 @@ class Constraints:
         return conditions
 
     def of_supports(self, forces: Array, motions: Callable[[IntArray], Array]) -> Array:
-        """Work (entries, k) of the supports' forces in k motions, by number of the support; not summed over ranks.
+        """Work (s, k) of the forces of each of s supports in k motions, from this rank's conditions alone.
 
         Args:
-            forces: (r,) forces of this rank's conditions, see `support_forces`.
-            motions: function of local numbers (n,) of displacements that returns the motions there, (n, k).
+            forces: (r,) forces of this rank's r conditions, see `support_forces`.
+            motions: function of local numbers (n,) of displacements that returns the k motions there, (n, k).
         """
         works = forces[:, None] * self._along_conditions(motions)
         return sum_by_number(self.prescribed.entry, works, len(self.prescribed.supports.entries) + 1)[:-1]
 
     def _values_of_rows(self, t: float) -> Array:
-        """Prescribed values (r,) of this rank's conditions at a time."""
+        """Prescribed values (r,) of this rank's r conditions at a time."""
         return np.concatenate([self.prescribed.values(t), [value(t) for _, _, value in self._motions]])
 
     # ---------------------------------------------------------------- constrained unknowns
@@ -213,7 +214,7 @@ class Constraints:
         self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, self._slots - self.first)).astype(np.int32)
 
     def _frames(self) -> PETSc.Mat | None:
-        """Matrix Q of the groups' frames; None for the identity."""
+        """Matrix Q of the groups' frames, which maps final unknowns z to y = Q z; None for the identity."""
         turned = [group for group in self._groups if not np.array_equal(group.frame, np.eye(len(group.columns)))]
         if not turned:
             return None
@@ -226,18 +227,18 @@ class Constraints:
         return self._matrix(*entries)
 
     def _owned(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions of the global numbers that this rank owns, and their local numbers."""
+        """Positions in `columns`, global numbers, of those that this rank owns, and their local numbers."""
         owned = np.flatnonzero((columns >= self.first) & (columns < self.first + self.n))
         return owned, columns[owned] - self.first
 
     def _assign(self, y: Array, columns: np.ndarray, values: Array) -> None:
-        """Set those entries of y (n,) that have some global numbers."""
+        """Set the entries of y (n,) with global numbers `columns` to `values`, as far as this rank owns them."""
         owned, places = self._owned(columns)
         y[places] = values[owned]
 
     # ---------------------------------------------------------------- values
     def values(self, t: float) -> Array:
-        """Values (h,) of the unknowns `bc_dofs` at a time. Collective.
+        """Values (h,) of the h constrained unknowns `bc_dofs` at a time. Collective.
 
         Raises:
             InputError: two conditions prescribe different values of a displacement, or a value is not finite.
@@ -253,12 +254,15 @@ class Constraints:
         return y[self.bc_dofs]
 
     def _with_values(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
-        """Pair each group with the values of its conditions, from values c (r,) of this rank's conditions."""
+        """Pair each group with the prescribed values of its conditions; c (r,) are those of this rank's conditions."""
         every = np.concatenate(self.comm.allgather(c[self._grouped]))
         return [(group, every[group.rows]) for group in self._groups]
 
     def _by_rows(self, of_groups: Sequence[Array]) -> Array:
-        """Collect numbers (r,) of this rank's conditions from arrays of the groups; zero for conditions in no group."""
+        """Return one number for each of this rank's r conditions (r,), zero for conditions in no group.
+
+        `of_groups` has an array for each group, with a number for each of its conditions.
+        """
         out, every = np.zeros(self._rows.shape[0]), np.zeros(sum(len(group.rows) for group in self._groups))
         for group, numbers in zip(self._groups, of_groups, strict=True):
             every[group.rows] = numbers
@@ -267,7 +271,7 @@ class Constraints:
         return out
 
     def _require_agreement(self, c: Array, when: str = "") -> None:
-        """Raise InputError if values (r,) of conditions contradict each other."""
+        """Raise InputError if the prescribed values c (r,) contradict each other; `when` is added to the message."""
         residual = self._by_rows([group.residual(values) for group, values in self._with_values(c)])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
         limit, message = max(AGREEMENT_TOLERANCE * largest, LENGTH_TOLERANCE * self.prescribed.extent), ""
@@ -277,7 +281,7 @@ class Constraints:
             raise InputError(f"{messages[0]}; where supports overlap, their values must agree")
 
     def _contradiction(self, row: int, c: Array) -> str:
-        """Message about a condition that contradicts others on the same unknowns."""
+        """Message about the condition `row`, which contradicts others on its unknowns; c (r,) are prescribed values."""
         of_entries, columns = self._rows.nonzero()
         touched = np.unique(of_entries[np.isin(columns, self._rows[row].indices)])
         where = self.prescribed.place_of(int(touched[0])) if touched[0] < len(self.prescribed.entry) else None
@@ -293,11 +297,11 @@ class Constraints:
 
     # ---------------------------------------------------------------- displacements and forces
     def displacements(self, y: Array) -> Array:
-        """Return displacements u = T y (n,) of this rank."""
+        """Return this rank's displacements u = T y (n,) from its unknowns y (n,)."""
         return self._times(self.T, y)
 
     def unknowns(self, u: Array) -> Array:
-        """Return unknowns y (n,) of displacements u (n,), projected onto the multi-point constraints."""
+        """Return the unknowns y (n,) of displacements u (n,); u is projected onto the multi-point constraints."""
         y = u.copy()
         y[self.slaves] = 0.0
         for mpc in self.mpcs:
@@ -305,7 +309,7 @@ class Constraints:
         return self._times(self.Q, y, transposed=True)
 
     def forces(self, f: Array) -> Array:
-        """Return the forces T'f (n,) on the unknowns for nodal forces f (n,)."""
+        """Return the forces T^T f (n,) on this rank's unknowns, from its nodal forces f (n,)."""
         return self._times(self.T, f, transposed=True)
 
     def _times(self, matrix: PETSc.Mat | None, values: Array, *, transposed: bool = False) -> Array:
@@ -320,20 +324,23 @@ class Constraints:
         return np.asarray(product)
 
     def motion(self, tie: MultiPointConstraint, u: Array) -> Array:
-        """Motions (m,) of a multi-point constraint by least squares from displacements u (n,), on every rank."""
+        """Motions (m,) of a multi-point constraint that fit displacements u (n,) by least squares, on every rank."""
         return self._solved(tie, self.comm.allreduce(tie.R.T @ u))
 
     def loads_at(self, t: float) -> Array:
-        """Least-norm nodal forces (n,) with the prescribed resultants of the multi-point constraints at a time."""
+        """Least-norm nodal forces (n,) that have the prescribed resultants of the multi-point constraints at a time."""
         return sum((mpc.R @ self._solved(mpc, mpc.resultant(t)) for mpc in self.mpcs), np.zeros(self.n))
 
     def _solved(self, tie: MultiPointConstraint, b: Array) -> Array:
-        """Solve R'R x = b with the rows of R of all ranks."""
+        """Solution x (m,) of R^T R x = b (m,), where the R of a multi-point constraint has the rows of all ranks."""
         return np.asarray(np.linalg.lstsq(self.comm.allreduce((tie.R.T @ tie.R).toarray()), b, rcond=None)[0])
 
     # ---------------------------------------------------------------- reactions
     def support_forces(self, r: Array) -> Array:
-        """Least-norm forces (k,) along the directions of the supports' conditions that balance nodal forces r (n,)."""
+        """Least-norm forces (k,) of this rank's k support conditions, along their directions, that balance r (n,).
+
+        r are nodal forces on this rank's n displacements.
+        """
         f = self._times(self._T0, r, transposed=True)
         columns = np.concatenate([np.empty(0, np.int64), *(group.columns for group in self._groups)])
         owned, places = self._owned(columns)
@@ -345,20 +352,31 @@ class Constraints:
         return out[: len(self.prescribed.entry)]
 
     def _shifts(self, holders: Sequence[int], direction: Array) -> dict[str, Array]:
-        """Motions (m,) of each multi-point constraint in a unit translation along `direction`; zero if no holder."""
+        """Motions (m,) of each multi-point constraint, by key, in a unit translation along `direction` (d,).
+
+        They are zero unless the constraint is among `holders`: numbers of supports, then of multi-point constraints.
+        """
         first, shift = len(self.prescribed.supports.entries), np.tile(direction, self.n // self.d)
         return {tie.key: self.motion(tie, shift) * (first + k in holders) for k, tie in enumerate(self.mpcs)}
 
     def prescribed_resultant(self, holders: Sequence[int], direction: Array, t: float) -> float:
-        """Prescribed force at a time, along a direction (d,), on the multi-point constraints among some holders."""
+        """Sum of the prescribed forces on chosen multi-point constraints at a time, along a direction (d,).
+
+        Args:
+            holders: chosen positions in `Model.holders`: supports come first, which add nothing, then the constraints.
+            direction: the direction, (d,).
+            t: the time.
+        """
         shifts = self._shifts(holders, direction)
         return float(sum(shifts[tie.key] @ tie.resultant(t) for tie in self.mpcs))
 
     def dual_to_resultant(self, holders: Sequence[int], direction: Array) -> Array:
-        """Return g (n,) such that g . T'r plus `prescribed_resultant` is the force of some holders along a direction.
+        """Return weights g (n,) of forces on the unknowns in the force of chosen supports along a direction.
+
+        For nodal forces r this force is g . T^T r plus `prescribed_resultant`.
 
         Args:
-            holders: numbers of supports, then of multi-point constraints, as in `Model.holders`.
+            holders: chosen positions in `Model.holders`: supports come first, then multi-point constraints.
             direction: the direction, (d,).
         """
         prescribed, shifts = self.prescribed, self._shifts(holders, direction)
@@ -377,11 +395,11 @@ class Constraints:
         """Return motions with constrained unknowns set to zero, and the Gram matrix of the constraint violations.
 
         Args:
-            motions: (n, c) sparse, with a row for each displacement of this rank.
+            motions: (n, c) sparse matrix of c motions, for the n displacements of this rank.
 
         Returns:
-            Displacements (n, c + m): of the c motions, and of the m motions of all multi-point constraints. The Gram
-            matrix (c + m, c + m) is zero for a motion that the constraints admit.
+            Displacements (n, c + m): of the c motions, then of the m motions of all multi-point constraints. The
+            quadratic form of the Gram matrix (c + m, c + m) is zero for a motion that the constraints admit.
         """
         c, m = motions.shape[1], sum(mpc.count for mpc in self.mpcs)
         first = dict(zip(self.masters, np.cumsum([0, *(mpc.count for mpc in self.mpcs)]).tolist(), strict=False))
@@ -398,9 +416,10 @@ class Constraints:
         return distributed_product(self.T, z), self.comm.allreduce(gram)
 
     def resistance(self, motions: Callable[[IntArray], Array]) -> Array:
-        """Gram matrix (c, c) of the constraint violations of c motions, least over motions of multi-point constraints.
+        """Gram matrix (c, c) of the violations of all constraints by c motions.
 
-        `motions` is a function of local numbers (n,) of displacements that returns the motions there, (n, c).
+        It is the least one over the motions of multi-point constraints: the Schur complement of these motions.
+        `motions` is a function of local numbers (n,) of displacements that returns the c motions there, (n, c).
         """
         if self._T0 is None:
             rows = self._along_conditions(motions)
@@ -410,13 +429,19 @@ class Constraints:
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 
     def _along_conditions(self, motions: Callable[[IntArray], Array]) -> Array:
-        """Values (r, k) of k motions along the supports' conditions of this rank."""
+        """Values (r, k) of k motions in the directions of this rank's r support conditions.
+
+        `motions` is a function of local numbers (n,) of displacements that returns the k motions there, (n, k).
+        """
         dofs = np.unique(self.prescribed.conditions.indices)
         return np.asarray(self.prescribed.conditions[:, dofs] @ motions(dofs))
 
 
 def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed: bool = False) -> Sparse:
-    """This rank's rows of a matrix, or of its transpose, times sparse columns (n, c) of all ranks; None: identity."""
+    """This rank's rows of a matrix, or of its transpose, times c sparse columns (n, c), of which each rank has n rows.
+
+    The matrix None is the identity.
+    """
     if matrix is None:
         return columns
     wide = create_aij(columns, matrix.comm, ((columns.shape[0], None), (None, columns.shape[1])))
@@ -434,7 +459,7 @@ def _without_rows(A: Sparse, rows: np.ndarray) -> Sparse:
 
 
 def _connected_rows(A: Sparse) -> list[_ConditionGroup]:
-    """Group the rows of A that share columns, directly or through other rows."""
+    """Group the conditions, rows of A, that share unknowns (columns), directly or through other conditions."""
     columns, local = np.unique(A.indices, return_inverse=True)
     if not len(columns):
         return []
@@ -457,7 +482,11 @@ def _rows_by_label(labels: np.ndarray) -> list[np.ndarray]:
 
 
 def create_aij(A: Sparse, comm: MPI.Intracomm, sizes: object = None) -> PETSc.Mat:
-    """Make a PETSc matrix with the rows A (CSR) on this rank; `sizes` as in PETSc, by default the shape of A."""
+    """Make a PETSc matrix with the rows A (CSR) on this rank.
+
+    `sizes` is ((local rows, rows), (local columns, columns)), in which PETSc computes sizes that are None. By default
+    it is the shape of A.
+    """
     csr = (*(places.astype(PETSc.IntType, copy=False) for places in (A.indptr, A.indices)), A.data)
     return PETSc.Mat().createAIJ(sizes or A.shape, csr=csr, comm=comm)
 

@@ -1,4 +1,4 @@
-"""Nodes of S under a contact law: displacements on both sides, areas and frames."""
+"""Nodes of S under a contact law: displacements on both sides, areas and local axes."""
 
 from __future__ import annotations
 
@@ -25,9 +25,11 @@ NO_NODES = np.empty(0, np.int32)
 
 
 def body_pairs(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArray, IntArray]:
-    """Return index of the node and number of the body pair for each vertex that is adjacent to a node of a seam.
+    """Return, for each vertex adjacent to a node of a seam, the node's index and the number of the vertex's body pair.
 
-    A node at a vertex has this vertex only. `file_numbers` are `ContactNodes.file_numbers`.
+    A node at a vertex is adjacent to this vertex only. A node inside an edge or a facet is adjacent to the vertices of
+    the edge or facet. The pair is the bodies on the two sides of S. `file_numbers` (n,) identify the n nodes, see
+    `ContactNodes`.
     """
     here = joint.seam_numbers == list(joint.seams).index(seam)
     rows, facets = joint.surface_rows[here], joint.pairs[here]
@@ -43,7 +45,7 @@ class ContactSurface:
     Attributes:
         V: displacement space, P1, Q1, Q2 or, in 2D, P2, broken across S.
         comm: communicator for messages.
-        facets: (n,) local numbers, ascending.
+        facets: (n,) local numbers of the facets, ascending.
         upper: (n,) local cells on the upper side.
         lower: (n,) local cells on the lower side; None on a rigid base.
         rows: (n,) numbers of the facets in the joint, for files; empty without a joint.
@@ -60,7 +62,7 @@ class ContactSurface:
 
     @classmethod
     def of(cls, model: Model, name: str) -> ContactSurface:
-        """Make the surface of a seam of an interface model."""
+        """Return the facets of a seam of an interface model, and the cells on their two sides."""
         domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
         facets = domain.facets(name)
         facets = np.sort(facets[facets < mesh.topology.index_map(d - 1).size_local])
@@ -71,17 +73,17 @@ class ContactSurface:
 
 @dataclass(eq=False)
 class NodePairs:
-    """Nodes of S as pairs of an upper and a lower displacement, with what contact laws need there.
+    """Nodes of S, each with an upper and a lower displacement, its area, local axes and initial gap.
 
     A rank has the nodes whose upper displacement it owns.
 
     Attributes:
-        surface: facets that the nodes belong to; of several seams, the facets of one.
+        surface: facets that the nodes belong to; if the nodes are of several seams, the facets of one of them.
         upper: (n,) local number of the node of V on the upper side.
         lower_numbers: (n,) global number of the node of V on the lower side; -1 on a rigid base.
         x: (n, d) coordinates.
-        weights: (n,) areas (lengths in 2D).
-        frames: (n, d, d) rows are the axes of the node's frame: tangents as in `Surface.frame`, then the normal.
+        weights: (n,) areas of S around the nodes (lengths in 2D).
+        frames: (n, d, d) local axes of the nodes in d dimensions, as rows: unit tangents of S, then its unit normal.
         gap: (n,) initial gap between the sides; < 0: interference.
     """
 
@@ -99,7 +101,7 @@ class NodePairs:
 
     @staticmethod
     def joined(several: Sequence[NodePairs]) -> NodePairs:
-        """Concatenate the nodes of several seams."""
+        """Return the nodes of several seams as one object."""
         surface = next((nodes.surface for nodes in several if nodes.surface.lower is not None), several[0].surface)
         of_seams = ((s.upper, s.lower_numbers, s.x, s.weights, s.frames, s.gap) for s in several)
         return NodePairs(surface, *map(np.concatenate, zip(*of_seams, strict=True)))
@@ -110,7 +112,7 @@ class NodePairs:
         return np.column_stack([self._first + self.upper.astype(np.int64), self.lower_numbers])
 
     def shared(self) -> IntArray:
-        """Local numbers of this rank's nodes of V that are the lower side of a pair of another rank. Collective."""
+        """Local numbers of this rank's nodes of V that are the lower node in a pair of another rank. Collective."""
         if self.lower is None:
             return np.empty(0, np.int64)
         each, count = self.lower.createVecLeft(), self.zero()
@@ -134,7 +136,7 @@ class NodePairs:
 
     @cached_property
     def lower(self) -> PETSc.Mat | None:
-        """Matrix (n d, N) that selects the displacements of the lower side; None on a rigid base."""
+        """Matrix (n d, N) that selects the lower side's displacements from all N of them; None on a rigid base."""
         if self.surface.lower is None:
             return None
         n, d, there = len(self.upper), self.dim, self.lower_numbers >= 0
@@ -154,17 +156,20 @@ class NodePairs:
         return values
 
     def jump(self, u: PETSc.Vec) -> Array:
-        """Jumps (n, d) of displacements u in the nodes' frames."""
+        """Jumps (n, d) of displacements u, as components along the nodes' local axes."""
         return np.einsum("nij,nj->ni", self.frames, u.array_r.reshape(-1, self.dim)[self.upper] - self.lower_side(u))
 
     def separation(self, u: PETSc.Vec) -> Array:
-        """Separations (n, d) of the sides in the nodes' frames: jumps, plus the initial gap in the normal component."""
+        """Separations (n, d) of the sides along the nodes' local axes: jumps, plus the initial gap along the normal."""
         w = self.jump(u)
         w[:, -1] += self.gap
         return w
 
     def add_forces(self, t: Array, out: PETSc.Vec) -> None:
-        """Add to `out` the nodal forces of tractions t (n, d) in the nodes' frames."""
+        """Add to `out` the nodal forces of tractions t (n, d), which are components along the nodes' local axes.
+
+        Their virtual work is that of the tractions in the jump: forces along t on the upper side, -t on the lower.
+        """
         forces = np.einsum("nji,nj->ni", self.frames, t * self.weights[:, None])
         np.add.at(out.array.reshape(-1, self.dim), self.upper, forces)  # where S branches, nodes share an upper side
         if self.lower is not None:
@@ -175,7 +180,7 @@ class NodePairs:
             destroy(sent, there)
 
     def stiffness(self, tangent: Array) -> PETSc.Mat:
-        """Stiffness matrix over all displacements for tangents (n, d, d) of the law in the nodes' frames."""
+        """Stiffness matrix over all displacements, from derivatives (n, d, d) of tractions by jumps in local axes."""
         d, size = self.dim, self._size * self.dim
         sides = self.pairs[:, :1] if self.lower is None else self.pairs
         dofs = (sides[:, :, None] * d + np.arange(d)).reshape(-1, sides.shape[1] * d).astype(PETSc.IntType)
@@ -203,8 +208,8 @@ class ContactNodes(NodePairs):
 
     Attributes:
         file_numbers: (n,) unique number of each node, also where several nodes share a vertex; the same on any number
-            of ranks. The last k bits mark which of the k sorted vertices of a facet are adjacent to the node. The other
-            bits are the facet's number.
+            of ranks. The lowest k bits mark which of the k sorted vertices of a facet are adjacent to the node. The
+            other bits are the facet's number in the joint.
         is_fixed: (n, d) mask of the components of the jump (global axes) that supports prescribe.
         is_fixed_upper: (n, d) mask of the components of the upper side's displacement that supports prescribe.
     """
@@ -214,8 +219,8 @@ class ContactNodes(NodePairs):
 
         Args:
             surface: the facets.
-            bc_dofs: displacements of this rank that supports prescribe (local, unrolled).
-            gap: function of places (d, n) that returns the initial gaps (n,).
+            bc_dofs: local numbers (unrolled) of this rank's displacements that supports prescribe.
+            gap: function of n places (d, n) that returns the initial gaps (n,), lengths.
         """
         V, comm, d = surface.V, surface.comm, surface.V.mesh.topology.dim
         imap, rows = V.dofmap.index_map, _corners(surface)
@@ -247,7 +252,7 @@ class ContactNodes(NodePairs):
 
     @property
     def lines(self) -> IntArray:
-        """Pairs (m, 2) of neighbouring nodes along S, on one rank; empty in three dimensions."""
+        """Indices (m, 2) of m pairs of this rank's nodes that are neighbours along S; empty in three dimensions."""
         number, node = self._corners_of
         along = np.array([0, 0, 2, 1])[number & 3]  # first end, second end, middle
         order = np.lexsort((along, number >> 2))[: len(number) if self.dim == 2 else 0]
@@ -262,8 +267,8 @@ def _global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
 def _corners(surface: ContactSurface) -> Array:
     """Return a row for each node of each facet of S that this rank owns.
 
-    Columns: node on the upper side (local), node on the lower side (global; -1 on a rigid base), area, area times
-    normal (d), number as in `file_numbers`.
+    Columns: local number of the node on the upper side, global number of the node on the lower side (-1 on a rigid
+    base), area, area times unit normal (d components), number of the node as in `ContactNodes.file_numbers`.
     """
     V, facets, upper, lower = surface.V, surface.facets, surface.upper, surface.lower
     mesh, topology, d = V.mesh, V.mesh.topology, V.mesh.topology.dim
@@ -301,13 +306,13 @@ def _corners(surface: ContactSurface) -> Array:
 
 
 def _entities(mesh: Mesh, a: int, b: int) -> Indices:
-    """Entities (n, m) of dimension b of each local entity of dimension a."""
+    """Local numbers (n, m) of the m entities of dimension b of each of the n local entities of dimension a."""
     connectivity = mesh.topology.connectivity(a, b)
     return np.asarray(connectivity.array.reshape(connectivity.num_nodes, -1))
 
 
 def _nodes(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> Indices:
-    """Local nodes of V at entities (n, k) of dimension e of cells (n,)."""
+    """Local numbers (n, k) of the nodes of V at k entities (n, k), of dimension e, of each of n cells (n,)."""
     of_cells = _entities(V.mesh, V.mesh.topology.dim, e)[cells]
     which = (of_cells[:, None, :] == entities[:, :, None]).argmax(axis=2)
     places = np.array([V.dofmap.dof_layout.entity_dofs(e, k)[0] for k in range(of_cells.shape[1])])
@@ -315,7 +320,10 @@ def _nodes(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> I
 
 
 def _vertex_areas(corners: Array) -> tuple[Array, Array]:
-    """Area shares (n, k) of the vertices of facets (n, k, d), and unit normals (n, d) of either sign."""
+    """Areas (n, k) around the k vertices of each of n facets, which add up to the facet's, and unit normals (n, d).
+
+    `corners` (n, k, d) are the vertices' places in d dimensions. Normals have either sign.
+    """
     if corners.shape[2] == 2:
         along = corners[:, 1] - corners[:, 0]
         length = np.linalg.norm(along, axis=1)
@@ -329,7 +337,10 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
 
 
 def normal_frames(n: Array) -> Array:
-    """Axes (n, d, d) of S at normals (n, d), tangents first, equal to the axes of `forms.tensors.layer_frame`."""
+    """Local axes (n, d, d) of S at n unit normals (n, d), as rows: unit tangents, then the normal.
+
+    They are equal to the axes of `forms.tensors.layer_frame`.
+    """
     if n.shape[1] == 2:
         return np.stack([np.column_stack([n[:, 1], -n[:, 0]]), n], axis=1)
     e = np.eye(3)

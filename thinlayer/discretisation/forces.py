@@ -32,14 +32,16 @@ BodyForce = Load | Mapping[str, Load]
 
 @dataclass(frozen=True)
 class LoadRegion:
-    """Where a load acts: in cells or on facets of bodies, in a layer's volume, or on its side.
+    """Region where a load acts: cells or facets of bodies, the volume of a layer, or a layer's side.
 
     Attributes:
         measure: measure of the cells or facets; for a layer on S that of its seam.
-        weight: factor of the measure, times the thickness on S.
-        value: maps the load's expression to its value in the region, as on one side of S.
-        mean: maps a displacement to the one in which the load does work; for a layer on S the mean over the thickness.
-        base_test: maps motions that also move a rigid base to the base's share of this mean; None without a base.
+        weight: factor of the measure (2 pi r in axisymmetry, else 1), for a layer on S times its thickness.
+        value: function of the load's UFL expression that returns its value in the region, as on one side of S.
+        mean: function of a displacement that returns the one in which the load does work. For a layer on S it is the
+            mean over the thickness.
+        base_test: function of a motion that also moves a rigid base: it returns the base's contribution to this mean.
+            None: there is no rigid base.
     """
 
     measure: ufl.Measure
@@ -50,20 +52,20 @@ class LoadRegion:
 
 
 class Forces:
-    """The loads on a domain.
+    """All loads of a model, with their virtual work as UFL forms and their nodal forces.
 
     Args:
-        domain: the domain.
-        kinematics: kinematics of the mesh; all measures have their factor.
+        domain: the distributed mesh, with the joint's names.
+        kinematics: kinematics of the mesh, with the factor of all measures (2 pi r in axisymmetry).
         points: makes forms of loads at points and along lines.
         structure: the structure, for tractions, body force, and loads at points and along lines.
 
     Attributes:
-        at: coordinates for loads that are functions.
-        user_loads: description of kind and place -> the load as the user wrote it.
+        at: place and time for loads that are functions.
+        user_loads: label, such as "traction on 'TOP'" -> the load as the user wrote it.
 
     Raises:
-        InputError: unknown names, a traction on S or inside the bodies, loads that are no vectors.
+        InputError: an unknown name, a traction on S or inside the bodies, a load that is no vector.
     """
 
     def __init__(self, domain: Domain, kinematics: Kinematics, points: ConcentratedForms, structure: Structure) -> None:
@@ -103,7 +105,7 @@ class Forces:
 
         Args:
             name: name of its seam.
-            load: the force.
+            load: the force per volume, (d,) in d dimensions, constant or a function (x, t).
             place: region of the layer.
             at: coordinates in the layer, with the time of the other loads.
         """
@@ -112,7 +114,14 @@ class Forces:
         self.add_weighted(name, what, at.coefficient(load, what, (self.domain.joint.dim,)).expression, place)
 
     def add_weighted(self, name: str, what: str, force: Expr, place: LoadRegion) -> None:
-        """Add a force, a UFL vector, in a region; `name` is the seam of a layer's load, "" for loads on bodies."""
+        """Add a force per volume or area, a UFL vector (d,), in a region.
+
+        Args:
+            name: name of the seam of a layer's load; "" for loads on bodies.
+            what: label of the load in error messages.
+            force: the force.
+            place: the region.
+        """
         self._loads.append((what, place.value(force) * place.weight, place, name))
 
     def _add(self, what: str, load: Load | Pressure, measure: ufl.Measure | None) -> None:
@@ -122,7 +131,7 @@ class Forces:
             self.add_weighted("", what, checked, LoadRegion(measure, self._kinematics.factor))
 
     def _warn_of_gaps(self, name: str) -> None:
-        """Warn if a gap ends on a loaded facet set: bodies gave up a part of their loaded faces to it."""
+        """Warn if a gap, a seam without a layer, ends on the loaded facet set `name`: it made these faces smaller."""
         band, whole = self.domain.joint.band, FacetName.parse(name).whole
         if band is None or band.bodies == "kept" or whole not in band.base.facets:
             return
@@ -133,9 +142,10 @@ class Forces:
                 warn("end of a gap", what, self.domain.comm)
 
     def _share(self, name: str) -> float:
-        """Share of a traction on bodies that also acts on the layer's side, for the room that these bodies gave up.
+        """Fraction of a traction on bodies that also acts on the layer's side, for the room that these bodies gave up.
 
-        It is 0 for kept bodies. With it the full and the interface model have the same total load.
+        `name` is the facet set of the traction. The fraction is 0 for kept bodies. With it the full and the interface
+        model have the same total load.
 
         Raises:
             InputError: the layer has no cells, so its side has no facets.
@@ -161,13 +171,19 @@ class Forces:
         return sum(bool(some.all()) for some in covered) / len(covered)
 
     def work(self, v: Expr, *, layers: bool = False) -> Expr:
-        """Virtual work of all loads, or of loads on layers only: a UFL form linear in v that reads the clock."""
+        """Virtual work of all loads in v, or with `layers` of loads on layers only.
+
+        It is a UFL form, linear in v, that takes its time from the model's clock.
+        """
         form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
         loads = [entry for entry in self._loads if entry[3] or not layers]
         return sum((ufl.inner(load, region.mean(v)) * region.measure for _, load, region, _ in loads), form)
 
     def work_on_bases(self, v: Expr) -> dict[str, Expr]:
-        """Virtual work of loads that act directly on rigid bases, by seam, in motions v that move them; see `work`."""
+        """Virtual work, by seam, of loads that act directly on rigid bases, in motions v that also move the bases.
+
+        The UFL forms are linear in v and take their time from the model's clock.
+        """
         works: dict[str, Expr] = {}
         for _, load, region, name in self._loads:
             if region.base_test:
@@ -175,10 +191,12 @@ class Forces:
         return works
 
     def nodal_at(self, V: fem.FunctionSpace, t: float, *, layers: bool = False) -> PETSc.Vec:
-        """Nodal forces in V of all loads, or of loads on layers only; the caller destroys the vector. Collective.
+        """Nodal forces in V of all loads at a time, or with `layers` of loads on layers only. Collective.
+
+        The caller destroys the vector.
 
         Raises:
-            InputError: loads that are not finite.
+            InputError: a load is not finite at this time.
         """
         if self._form is None or self._form[0] is not V:
             self._form = V, compiled(self.work(ufl.TestFunction(V)))

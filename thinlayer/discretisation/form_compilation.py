@@ -1,4 +1,4 @@
-"""Compiled forms over tagged and untagged measures; quadrature points: origin, parameters of laws, keys."""
+"""Compilation of forms over tagged and untagged measures, and of laws with parameters at quadrature points."""
 
 from __future__ import annotations
 
@@ -45,6 +45,11 @@ TAGS_OF_INTEGRAL = {"dx": "model.domain.cell_values(name)", "dS": "dS(k + 1) is 
 def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> ufl.Form:
     """Check a user's form on a model's mesh, and return it with the factor 2 pi r in axisymmetry. Collective.
 
+    Args:
+        form: the form.
+        model: the model.
+        what: first words of error messages.
+
     Raises:
         InputError: an object that is no form, or a form that depends on the time; numbers that are not finite or not
             real; a tag that no cell or facet has.
@@ -70,7 +75,11 @@ def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> 
 
 
 def _tags(data: MeshTags | Iterable[tuple[object, Array]] | None, kind: str, model: Model) -> set[object]:
-    """Tags on this rank of the cells or facets that a measure integrates over; for ds of outer facets only."""
+    """Tags of the cells or facets on this rank that a measure can integrate over.
+
+    `data` are the measure's subdomain data, `kind` is its type of integral in UFL. For "exterior_facet" (ds) only outer
+    facets count.
+    """
     if data is None:
         return set()
     if not isinstance(data, MeshTags):
@@ -84,12 +93,12 @@ def _tags(data: MeshTags | Iterable[tuple[object, Array]] | None, kind: str, mod
 
 
 def compiled_summands(form: Expr) -> list[fem.Form]:
-    """Compile a form as summands, one for each set of tags, so that equal laws of several seams share code."""
+    """Return a form compiled as summands, one for each set of tags, so that equal laws of several seams share code."""
     return [compiled(ufl.Form(integrals)) for integrals in by_domain(form).values()]
 
 
 def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
-    """Zero matrix with the sparsity pattern of bilinear forms over the cells and facets of a form."""
+    """Zero matrix with the sparsity pattern of bilinear forms on V over the same cells and facets as a form."""
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     same, across = ufl.inner(u, v), ufl.inner(u("+") + u("-"), v("+") + v("-"))
     parts = {}
@@ -103,7 +112,7 @@ def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
 
 
 def compiled_scalars(form: Expr) -> list[fem.Form]:
-    """Compile a form without arguments as summands, each with a single quadrature rule.
+    """Return a form without arguments compiled as summands, each with a single quadrature rule.
 
     FFCx confuses the points of two quadrature rules where both are in the integrand of a form without arguments.
     """
@@ -118,7 +127,10 @@ def compiled_scalars(form: Expr) -> list[fem.Form]:
 
 
 def per_unit(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Array:
-    """Values (k,) of a UFL form without arguments, linear in `constant` (k,), for its k unit values. Collective."""
+    """Values (k,) of a UFL form without arguments, for each of the k unit vectors as `constant` (k,). Collective.
+
+    The form is linear in the constant.
+    """
     forms, values = compiled_scalars(form), np.zeros(len(constant.value))
     for k in range(len(values)):
         constant.value[:] = np.eye(len(values))[k]
@@ -128,7 +140,7 @@ def per_unit(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Array:
 
 @without_cycles()
 def _degree(integral: ufl.Integral) -> object:
-    """Quadrature degree that UFL estimates; "" if the metadata have it, the integrand itself if UFL cannot."""
+    """Quadrature degree that UFL estimates; "" if the metadata have it, the integrand itself if UFL fails."""
     if "quadrature_degree" in integral.metadata():
         return ""
     try:
@@ -138,7 +150,7 @@ def _degree(integral: ufl.Integral) -> object:
 
 
 def origin_of(domain: Domain) -> MeshOrigin:
-    """Return the relation of a domain's mesh to the joint that it was made from."""
+    """Return the relation of a distributed mesh to its joint: numbers of cells and facets, and coordinates."""
     joint, x = domain.joint, Coordinates.of(domain).x
     columns = partial(column_numbers, joint)
     if joint.parted is None:
@@ -148,10 +160,15 @@ def origin_of(domain: Domain) -> MeshOrigin:
 
 
 def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:
-    """Return a term whose parameters that are functions have been checked at its quadrature points. Collective.
+    """Return a term after a check of its law's parameters at the quadrature points. Collective.
 
-    For a law in UFL forms these parameters become a function with values at the points. Compiled laws evaluate them
-    themselves.
+    Only parameters that are functions of the place are checked. For a law in UFL forms they become a function with
+    values at the points. Compiled laws evaluate them by themselves.
+
+    Args:
+        term: the term.
+        V: displacement space.
+        origin: relation of the mesh to the joint, in whose coordinates parameters are functions.
 
     Raises:
         InputError: a function fails, or a value is out of range. The message has the place. Raised on all ranks.
@@ -171,14 +188,15 @@ def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:
 
 
 def law_with_expressions(law: BulkLaw, mesh: Mesh, values: Mapping[str, Expr]) -> BulkLaw:
-    """Return a law with UFL expressions for the parameters that are functions, and Constants for the others."""
+    """Return a law with UFL expressions for the parameters named in `values`, and Constants for the others."""
     return law_with_constants(law.with_parameters(dict.fromkeys(values, 1.0)), mesh).with_parameters(values)
 
 
 def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
-    """Map keys to the terms with compiled laws; a key is that of the layer or body, or "layer" or "body".
+    """Return the terms with compiled laws by key, such as "layer", "layer BED" or "body STEEL".
 
-    Terms with the same key are numbered in order (sublayers from below): "layer 1", "layer 2", ..., "layer BED/1", ...
+    Terms with the same key are numbered in their order (sublayers from the lower face): "layer 1", "layer 2", ..., or
+    with the name of a seam "layer BED/1", "layer BED/2", ...
     """
     by_key: dict[str, list[Term]] = {}
     for p in terms:

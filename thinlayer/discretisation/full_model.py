@@ -36,10 +36,10 @@ MAX_THICKNESS = 1e6  # largest thickness over the bodies' size: beyond it coordi
 
 
 class FullModel(Model):
-    """The model whose layers are meshed.
+    """Model of a structure whose layers are meshed.
 
     Attributes:
-        inflated: the joint with the layers' cells.
+        inflated: the joint after S was opened to the layers' thickness, with the layers' cells.
     """
 
     name = "full"
@@ -90,7 +90,10 @@ class FullModel(Model):
         self._check_junctions(band_of(self.domain.joint))
 
     def _check_junctions(self, band: InflatedBand) -> None:
-        """Raise InputError if the law of a junction needs columns or a normal of S, which its cells do not have."""
+        """Raise InputError if the law of a junction needs what its cells do not have: a normal of S, or columns.
+
+        Columns are cells above each other through the thickness.
+        """
         for region, name in band.junctions.items():
             law = self.applicability[name].law
             why = "depends on the normal of S, which is not defined where layers meet"
@@ -122,7 +125,7 @@ class FullModel(Model):
         return LoadRegion(self.dx(self.domain.cell_values(*regions)), self.kinematics.factor)
 
     def _shared(self, name: str) -> list[str]:
-        """Regions of junctions whose cells have the law of a seam."""
+        """Names of the junctions' cell regions that have the law of the seam `name`."""
         return [region for region, seam in band_of(self.domain.joint).junctions.items() if seam == name]
 
 
@@ -141,7 +144,7 @@ class LayerModel(FullModel):
         at_ends: largest length along S of cells at ends, over the thickness; None: the length of the facets of S there.
 
     Raises:
-        InputError: `at_ends` is not a number > 0, or so small that nodes would coincide.
+        InputError: `at_ends` is not a number > 0, or so small that nodes would coincide; these seams meet others.
     """
 
     name = "layer"
@@ -180,7 +183,7 @@ class LayerModel(FullModel):
 
     @property
     def surface_identity(self) -> object:
-        """As in `Model`; fields on S of cells that are refined fit this model alone."""
+        """Object that models share (`is`) if fields on S fit each other; with refined cells the model itself."""
         return super().surface_identity if self._at_ends is None else self
 
     def require_supported(self) -> None:
@@ -188,7 +191,7 @@ class LayerModel(FullModel):
 
 
 def meeting_layers(joint: Joint, seams: Iterable[str]) -> Violation | None:
-    """Return why layers on these seams cannot be taken alone, if they meet other seams; None if they do not."""
+    """Return why the layers on `seams` cannot be solved without others; None if they meet no other seam."""
     vertices = {name: joint.masters[joint.table.vertices[joint.rows_of(name)]] for name in joint.seams}
     mine = np.concatenate([vertices[name].ravel() for name in seams])
     others = [name for name in joint.seams if name not in seams and np.isin(vertices[name], mine).any()]

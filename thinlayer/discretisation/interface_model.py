@@ -43,7 +43,7 @@ END_DEGREE_INCREASE = 2  # increase of the quadrature degree where weights of fr
 
 
 class InterfaceModel(Model):
-    """The model whose layers are replaced by their interface laws on S, or by bonds."""
+    """Model of a structure whose layers are replaced by their interface laws on S, or by bonds."""
 
     name = "interface"
     broken = True
@@ -107,7 +107,7 @@ class InterfaceModel(Model):
 
     @cached_property
     def dS(self) -> ufl.Measure:
-        """Measure of the seams between bodies; dS(k + 1) is seam k of `joint.seams`, from 0, and "+" its upper side."""
+        """Measure of the seams between bodies; dS(k) is the k-th of `joint.seams`, from 1, and "+" its upper side."""
         between = [(k, name) for k, name in enumerate(self.joint.seams, 1) if name not in self.joint.base_seams]
         entities = [(k, seam_entities(self.domain, name).ravel()) for k, name in between]
         return ufl.Measure("dS", domain=self.domain.mesh, subdomain_data=entities)
@@ -132,7 +132,7 @@ class InterfaceModel(Model):
 
     @cached_property
     def sides(self) -> Interface:
-        """The two sides of S."""
+        """The two sides of all seams: normal, jump, values on either side, and the measure."""
         return self.sides_of(S)
 
     def _layer_terms(self) -> list[forms.Term]:
@@ -149,7 +149,11 @@ class InterfaceModel(Model):
         return [f"free ends of {r.layer}: {r.free_end_text}" for r in of_order_1]
 
     def shifts(self) -> FloatArray | None:
-        """Shifts as in `Model`, by layers of order 1 between bodies that meet on S; other laws ignore the thickness."""
+        """Translations (n_cells, d) that the joint's cells would have if the layers were meshed.
+
+        None: they are zero or not known. Only layers of order 1 between bodies that meet on S cause them, because other
+        interface laws ignore the thickness.
+        """
         eps = np.zeros(len(self.joint.surface_rows))
         for layer in self.layers.values():
             if layer.thin_layer and layer.thin_layer.order:
@@ -202,7 +206,7 @@ class InterfaceModel(Model):
         return super()._data() | ({"free ends": names} if names else {})
 
     def _place_of(self, layer: SeamLayer) -> LoadRegion:
-        """Region of a layer on S, where each side carries half of its load; a rigid base carries the lower half."""
+        """Region on S of a layer's loads: each side carries half of a load; a rigid base carries the lower half."""
         sides = self.sides_of(layer.name)
 
         def on_base(v: Expr) -> Expr:  # the base moves and rotates as the facets of the body above it do
@@ -214,7 +218,10 @@ class InterfaceModel(Model):
 
 
 def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:
-    """The law with function parameters as expressions on S, linear between vertices, and others as Constants."""
+    """The law on the seam `name`, with parameters in UFL.
+
+    Parameters that are functions become expressions on S, linear between vertices, and numbers become Constants.
+    """
     on_s, vertices = {}, np.unique(joint.table.vertices[joint.rows_of(name)])
     for key, vertex_values in law.fields_at(joint.points[vertices].T).items():
         values = np.full(len(joint.points), vertex_values[0])  # values elsewhere have no meaning

@@ -9,10 +9,10 @@ LAYER_KIND, CONTACT_KIND, BODY_KIND, PRESSURE_KIND = "layer", "contact", "body",
 
 @dataclass(frozen=True)
 class Key:
-    """A key, as text "KIND", "KIND NAME" or "KIND NAME/PART". States and files have the texts.
+    """Key of a law's memory, energy or pressure: in states and files a text "KIND", "KIND NAME" or "KIND NAME/PART".
 
     Attributes:
-        kind: what it is the key of, such as `LAYER_KIND`.
+        kind: "layer", "contact", "body" or "pressure"; or the key of a user-defined part.
         name: name of the seam or body. In joints with one seam it is "", or the number of a sublayer as in "layer 1".
         part: number of a sublayer as in "layer BED/1", or "forms" for the laws in UFL forms; "": all.
     """
@@ -23,7 +23,7 @@ class Key:
 
     @classmethod
     def parse(cls, text: str) -> Key:
-        """Return the key with a text."""
+        """Return the key for a text, such as "layer BED/1"."""
         whole, _, part = text.partition("/")
         kind, _, name = whole.partition(" ")
         return cls(kind, name, part)
@@ -33,13 +33,13 @@ class Key:
 
     @property
     def pressure(self) -> Key:
-        """Key of the pressure in a layer."""
+        """Key of the pressure in the layer, from that of its law."""
         return replace(self, kind=PRESSURE_KIND)
 
     def numbered(self, k: int) -> Key:
-        """Return the key of sublayer k, counted from the lower face, or of the k-th of several laws."""
+        """Return the key of the k-th sublayer, counted from 1 at the lower face, or of the k-th of several laws."""
         return Key(self.kind, str(k)) if self in (Key(LAYER_KIND), Key(BODY_KIND)) else Key.parse(f"{self}/{k}")
 
     def belongs_to(self, layer: Key) -> bool:
-        """Whether it is the key of a layer, of one of its sublayers or forms, or of its pressure."""
+        """Whether this is the key `layer` of a layer, or that of a sublayer, of its UFL forms or of its pressure."""
         return self == layer.pressure or (self.kind == layer.kind and layer.name in ("", self.name))

@@ -58,9 +58,10 @@ class ThinLayer:
         profile: shape of a thickness that varies along S, a numpy function of coordinates x (d, n) that returns n
             numbers > 0: the thickness at the vertices of S is eps * profile(x), linear in between. The law's parameters
             do not vary with it.
-        eigenstrain: strain that the layer would have without stress, as for bodies, see `Structure`; uniform through
-            the thickness. On S it is subtracted from the strain [u] (x) n/eps, so it enters the tractions of a soft
-            layer at order eps. It changes the limit only if it has the size of [u]/eps.
+        eigenstrain: strain that the layer would have without stress, uniform through the thickness: a number times the
+            identity, a symmetric table, a function (x, t), `ThermalExpansion`, `Prestress`, or a list of these. On S it
+            is subtracted from the strain [u] (x) n/eps, so it enters the tractions of a soft layer at order eps. It
+            changes the limit only if it has the size of [u]/eps.
         edges: correction of the interface law of order 1 for the lower stiffness near straight free ends of S
             (`forms.ends.weights`). With it the error is O(eps^2) away from these ends too. It exists for
             `LinearElastic` with nu from 0 to 0.45, `Rubber` and `Incompressible`, between much stiffer bodies. None:
@@ -107,12 +108,12 @@ class ThinLayer:
 
     @property
     def material(self) -> BulkLaw:
-        """The law with its parameters at the layer's thickness."""
+        """The law with the parameters that hold at the thickness eps, scaled from those at the thickness `at`."""
         return self.law.scaled(1.0 if self.at is None else float(self.eps) / float(self.at))
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Thickness fractions of the sublayers, from the lower to the upper face; () for a single layer."""
+        """Fractions of the thickness of the sublayers, from the lower to the upper face; () for a single layer."""
         return tuple(a for a, _ in self.law.sublayers if a != 1)
 
 
@@ -174,12 +175,12 @@ def _check_thickness(what: str, eps: float) -> None:
 
 
 def law_with_numbers(layer: Layer, kinematics: Kinematics) -> BulkLaw:
-    """Return a layer's law for these kinematics; a law of jumps becomes a law of strains."""
+    """Return a layer's law, with numbers or functions as parameters, as a law of strains for these kinematics."""
     return kinematics.law(layer.material) if isinstance(layer, ThinLayer) else layer.as_bulk_law()
 
 
 def law_with_constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
-    """Return a law whose parameters are Constants, so that forms are compiled once for all their values.
+    """Return a law whose parameters are DOLFINx Constants, so that forms are compiled once for all their values.
 
     A law with parameters that are functions is returned unchanged: `checked_term` evaluates them.
     """
@@ -187,20 +188,23 @@ def law_with_constants(law: BulkLaw, mesh: Mesh) -> BulkLaw:
 
 
 def law_of_terms(law: BulkLaw, mesh: Mesh) -> BulkLaw:
-    """Return a law as terms on S use it: a compiled law with numbers, or in UFL forms a law with Constants."""
+    """Return a law as integrals over S use it: a compiled law keeps its numbers, a law in UFL forms gets Constants.
+
+    A law with parameters that are functions becomes a compiled law.
+    """
     return law.for_points() if law.fields else law if law.traits.compiled else law_with_constants(law, mesh)
 
 
 class InitialTangents:
-    """Tangents of a layer's law, or of the laws of its sublayers, under small strains from rest.
+    """Tangents (derivatives of stress by strain) of the laws of a layer's sublayers, under small strains from rest.
 
     Args:
-        law: law of the layer, with real parameters.
-        n: mean normal of S, (d,).
+        law: law of the layer, with numbers as parameters.
+        n: mean unit normal of S, (d,) in d dimensions.
 
     Attributes:
-        sublayers: (share of the thickness, law, tangent at rest) of each sublayer, or of the layer if it has none. The
-            tangent is (6, 6), or None if it is not known.
+        sublayers: (fraction of the thickness, law, tangent at rest) of each sublayer, or of the layer if it has none.
+            The tangent is a matrix (6, 6) in Mandel's notation, or None if it is not known.
     """
 
     def __init__(self, law: BulkLaw, n: Array) -> None:
@@ -208,20 +212,26 @@ class InitialTangents:
         self.sublayers = [(a, material, declared_or_computed_tangent(material, n)) for a, material in law.sublayers]
 
     def over(self, dt: float) -> list[Array | None]:
-        """Tangents of the sublayers under loads that have lasted dt > 0; None if unknown, or the tangent at rest."""
+        """Tangents (6, 6) of the sublayers after small strains have lasted for a time dt > 0.
+
+        An entry is None if the tangent is not known, or if it does not differ from that at rest.
+        """
         if dt not in self._over:
             laws = [law for _, law, _ in self.sublayers]
             self._over[dt] = [tangent_over(law, self.n, dt) if law.traits.compiled else None for law in laws]
         return self._over[dt]
 
     def require_stable(self) -> None:
-        """Raise InputError if a stiffness at rest is negative: equilibria would be unstable."""
+        """Raise InputError if the stiffness of a sublayer at rest is negative: equilibria would be unstable."""
         for _, law, C in self.sublayers:
             if is_checked_at_rest(law):
                 require_stable(law, C, self.n)
 
     def locks(self) -> Violation | None:
-        """Return why the law of order 1 locks, as displacements are linear through the layer; None if it does not."""
+        """Return why the interface law of order 1 locks (is much too stiff); None if it does not.
+
+        It locks if lmbda/mu of a sublayer is large, because displacements are linear through the layer.
+        """
         largest = min(station.largest_ratio for station in self.law.stations())
         for _, law, C in self.sublayers:
             lmbda, mu = (0.0, 1.0) if C is None else average_lame(C)
@@ -235,7 +245,7 @@ class InitialTangents:
 
 
 class SeamLayer:
-    """A layer, or a law of jumps or of nodes, on a seam.
+    """A layer on its seam, or a law of jumps or of nodes there.
 
     Attributes:
         name: name of the seam.
@@ -244,7 +254,7 @@ class SeamLayer:
         law: the law as the user wrote it.
         kind: name of the law's class.
         thin_layer: the layer if it has a law of strains; else None.
-        contact: the law if it is a contact law; else None.
+        contact: the law if it is a contact law, which acts at nodes; else None.
         remembers: whether the law depends on its history, and may dissipate energy.
         has_pressure_flow: whether the interface law is of order 1 and has a pressure, which causes a flow along S.
         key: key of the law's memory and stored energy; it contains the seam's name if the joint has several seams.
@@ -273,28 +283,31 @@ class SeamLayer:
         return f"the layer {self.name!r}" if len(self.structure.joint.seams) > 1 else "the layer"
 
     def owns_key(self, key: str) -> bool:
-        """Whether a key belongs to a term of this layer, or to its pressure."""
+        """Whether a key of a memory or an energy belongs to a law of this layer, or to its pressure."""
         return Key.parse(key).belongs_to(Key.parse(self.key))
 
     @property
     def as_thin_layer(self) -> ThinLayer:
-        """The layer, which must have a law of strains."""
+        """The layer as a `ThinLayer`; only for a layer that has a law of strains."""
         assert self.thin_layer is not None
         return self.thin_layer
 
     @property
     def eps(self) -> float:
-        """Thickness of a layer with a law of strains; if it varies, the thickness that its profile multiplies."""
+        """Thickness of a layer with a law of strains; if it varies, the length that its profile multiplies."""
         return float(self.as_thin_layer.eps)
 
     @cached_property
     def sheet(self) -> Sheet:
-        """The seam as a sheet of straight simplices."""
+        """The seam as straight segments in 2D, or as triangles in 3D."""
         return Sheet(self.structure.joint, self.name)
 
     @property
     def samples(self) -> list[SeamLayer]:
-        """The layer itself; if parameters are functions, with their numbers where one is least or largest along S."""
+        """Copies of the layer with numbers as parameters: their values where one of them is least or largest along S.
+
+        If no parameter is a function, the list has the layer itself.
+        """
         return self._samples if self.thin_layer and self.thin_layer.law.fields else [self]
 
     @cached_property
@@ -305,11 +318,14 @@ class SeamLayer:
 
     @cached_property
     def initial_tangents(self) -> InitialTangents:
-        """Tangents at rest of a layer without a contact law, whose parameters must be numbers, see `samples`."""
+        """Tangents at rest of the layer's law; this is no contact law and has numbers as parameters (`samples`)."""
         return InitialTangents(law_with_numbers(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
     def prescribed_strain(self, at: Coordinates) -> Expr | None:
-        """Return the strain (3, 3) to add to that of the displacements: minus the eigenstrain; None without one."""
+        """Return the strain (3, 3) to add to that of the displacements: minus the eigenstrain; None without one.
+
+        `at` has the place and the time as arguments of functions.
+        """
         if self.thin_layer is None:
             return None
         kinematics, n = self.structure.kinematics, self.sheet.mean_normal
@@ -318,7 +334,7 @@ class SeamLayer:
 
     @property
     def profile(self) -> object:
-        """Description of the profile, as JSON; None: the thickness is uniform."""
+        """Description of the thickness profile, as JSON; None: the thickness is uniform."""
         profile = self.thin_layer.profile if self.thin_layer else None
         return describe(self.structure.joint.relative_thickness(profile, self.name)) if profile else None
 
@@ -336,7 +352,7 @@ class SeamLayer:
 
 
 def loads_of_layers(model: Model) -> dict[str, Load]:
-    """Map names of a model's seams to forces per volume of their layers, from its body forces; bonds are left out.
+    """Return the forces per volume of a model's layers by name of the seam; seams with bonds are left out.
 
     Raises:
         InputError: a load on a seam whose layer has no thickness, or that has no layer.
@@ -351,9 +367,9 @@ def loads_of_layers(model: Model) -> dict[str, Load]:
 
 
 def seam_entities(domain: Domain, name: str) -> Indices:
-    """Rows (n, 4) of owned facets of a seam between bodies: upper cell, local facet, lower cell, local facet.
+    """Rows (n, 4) for n owned facets of a seam: upper cell, facet's number in it, lower cell, facet's number in it.
 
-    Rows are in the order of the local facets. Collective.
+    The seam lies between bodies. Rows are in the order of the facets' local numbers. Collective.
     """
     joint, mesh = domain.joint, domain.mesh
     create_connectivity(mesh, joint.dim - 1)
@@ -367,9 +383,10 @@ def seam_entities(domain: Domain, name: str) -> Indices:
 
 
 def nodes_of_sides(model: Model, V: fem.FunctionSpace, name: str) -> tuple[IntArray, IntArray]:
-    """Local nodes (n, k) of a space at this rank's facets of a seam, on the upper and on the lower side. Collective.
+    """Local numbers (n, k) of the k nodes of V on n facets of a seam, for the upper and the lower side. Collective.
 
-    On a rigid base the lower array is empty. In a space of degree 1 nodes in the same column face each other.
+    Facets are those of this rank. On a rigid base the lower array is empty. In a space of degree 1, nodes at the same
+    position of both arrays face each other.
     """
     domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
     based, layout = name in model.joint.base_seams, V.dofmap.dof_layout

@@ -31,7 +31,10 @@ INWARD_SHARE = 1e-6  # shift of a place towards the middle of its cell, to one s
 
 
 def cellwise_function(domain: Domain, element: Element, values: Array) -> fem.Function:
-    """Make a function from its dofs on each cell of the joint, (n_cells, dofs per cell, components)."""
+    """Return a function from its dofs on each cell of the joint.
+
+    `values` are these dofs, (n_cells, dofs per cell, components); `element` is that of the function's space.
+    """
     f = fem.Function(fem.functionspace(domain.mesh, element))
     dofs = f.function_space.dofmap.list
     f.x.array.reshape(-1, values.shape[2])[dofs.ravel()] = domain.on_cells(values).reshape(-1, values.shape[2])
@@ -39,13 +42,16 @@ def cellwise_function(domain: Domain, element: Element, values: Array) -> fem.Fu
 
 
 def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.Function:
-    """Thickness profile on a seam, or on S, as a function of degree 1; its values elsewhere have no meaning."""
+    """Return the thickness over eps on a seam, or on all of S, as a function of degree 1, from the user's profile.
+
+    Values elsewhere have no meaning.
+    """
     joint = domain.joint
     return cellwise_function(domain, ("Lagrange", 1), joint.relative_thickness(profile, name)[joint.corners][..., None])
 
 
 def band_of(joint: Joint) -> InflatedBand:
-    """How layers were meshed in an inflated joint."""
+    """Return how S was opened to meshed layers, for a joint with such layers."""
     assert joint.band is not None
     return joint.band
 
@@ -60,20 +66,23 @@ def director(domain: Domain) -> Expr:
 
 
 def inflation_shift(domain: Domain) -> fem.Function:
-    """Displacement (d,) of each place by inflating: rigid for the bodies, away from S for the layer."""
+    """Displacement (d,) of each place when S was opened to the layer's thickness.
+
+    It is rigid for kept bodies. Places in the layer are displaced from the place on S from which they came.
+    """
     joint = domain.joint
     shifts = (joint.points - joint.reference)[joint.cells]
     return cellwise_function(domain, ("Lagrange", joint.degree, (joint.dim,)), shifts)
 
 
 class MidSurface:
-    """S as the mid-surface between the faces of extended bodies.
+    """S as the mid-surface between the faces of extended bodies, without cells for the layer.
 
     Args:
-        domain: the mesh.
+        domain: the distributed mesh.
 
     Attributes:
-        offset: (d,) vector to S from the facets of the mesh on either side.
+        offset: (d,) UFL vector from places on the face of either body to S, in d dimensions.
     """
 
     def __init__(self, domain: Domain) -> None:
@@ -81,17 +90,20 @@ class MidSurface:
         self.offset = cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
 
     def thickness(self, sides: Interface) -> Expr:
-        """Distance of the bodies along n, with S in the middle."""
+        """Thickness of the layer in UFL: distance between the bodies' faces along the normal n of S."""
         return -2 * ufl.dot(sides.upper(self.offset), sides.n)
 
     def slope(self, sides: Interface) -> Expr:
-        """(d,) gradient of the thickness along S."""
+        """Gradient (d,) of the thickness along S, in UFL."""
         slope = -2 * ufl.dot(sides.n, sides.upper.gradient(self.offset))
         return slope - ufl.dot(slope, sides.director) * sides.n
 
 
 def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Function:
-    """Interpolate on this mesh a function on another mesh, from its values at UFL places x (d,). Collective.
+    """Return the interpolant on this mesh of a function on another mesh. Collective.
+
+    x (d,) are UFL coordinates on this mesh: at a place with coordinates x the interpolant takes the function's value
+    at x in the other mesh.
 
     Values are accurate to 1e-6 of the function's change in a cell.
 
@@ -111,7 +123,7 @@ def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Fun
 
 
 def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
-    """Values (cells, n, d) of UFL places x (d,) at the interpolation points of a space in the cells of this rank."""
+    """Values (cells, n, d) of UFL coordinates x (d,) at the n interpolation points of V in each cell of this rank."""
     mesh, d = V.mesh, V.mesh.geometry.dim
     cells = np.arange(len(V.dofmap.list), dtype=np.int32)
     points = fem.Expression(x + fem.Constant(mesh, np.zeros(d)), interpolation_points(V))
@@ -119,7 +131,7 @@ def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
 
 
 def _values(f: fem.Function, x: Array) -> Array:
-    """Values (n, m) of a function of m components at places (n, d), from all ranks of its mesh; NaN outside it.
+    """Values (n, m) of a function of m components at n places (n, d), from all ranks of its mesh; NaN outside it.
 
     Every rank gets the places and values of all ranks, so its memory grows with the total number of cells.
     """
@@ -144,7 +156,7 @@ class SharedDofs:
     Attributes:
         whole: the ordinary continuous space.
         keys: (n,) keys of the dofs, the same on all ranks, in the order of the dofs of `whole`.
-        meeting: (n,) rank that collects which ranks use the key, the same on all ranks.
+        meeting: (n,) for each key the rank that collects which ranks use it, the same on all ranks.
         of_cells: (cells, dofs per cell) positions in `keys`.
     """
 
@@ -155,14 +167,17 @@ class SharedDofs:
 
     @classmethod
     def of_components(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, components: EntityKeys) -> SharedDofs:
-        """Make keys from dofs of the continuous space and components; the dof's owner is the meeting rank. Collective.
+        """Return dofs that are shared by cells of one component around a vertex, edge or facet. Collective.
+
+        A component is one of the pieces into which cuts separate the cells around such an entity. Keys combine the
+        number of a dof of the continuous space with that of the component; the dof's owner is the meeting rank.
 
         Args:
             comm: the domain's communicator.
             mesh: the mesh, with ghost cells across shared facets.
             element: a basix.ufl element.
-            components: for each dimension below that of the mesh, (local cells, entities of a cell), ghosts included:
-                number >= 0 of the cell's component around each of its entities, the same on all ranks.
+            components: for each dimension of entities below that of the mesh an array (local cells, entities of a
+                cell), ghosts included: number >= 0 of the cell's component around each entity, the same on all ranks.
         """
         whole = fem.functionspace(mesh, element)
         base_map, component = whole.dofmap.index_map, _of_unknowns(whole, components, 0)
@@ -178,11 +193,14 @@ class SharedDofs:
 
     @classmethod
     def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, keys: EntityKeys) -> SharedDofs:
-        """Make keys from numbers of entities of local cells, for elements with at most one dof per entity. Collective.
+        """Return dofs that are shared by entities with the same number, with at most one dof per entity. Collective.
 
         Args:
-            comm, mesh, element: as in `of_components`.
-            keys: for each dimension, (local cells, entities of a cell) numbers >= 0, different in each dimension.
+            comm: the domain's communicator.
+            mesh: the mesh.
+            element: a basix.ufl element, with at most one dof for each vertex, edge, facet or cell.
+            keys: for each dimension of entities an array (local cells, entities of a cell) of numbers >= 0. Entities of
+                different dimensions have different numbers.
         """
         whole = fem.functionspace(mesh, element)
         distinct, positions = np.unique(_of_unknowns(whole, keys, -1), return_inverse=True)
@@ -195,7 +213,10 @@ class SharedDofs:
 
 
 def _of_unknowns(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: int) -> IntArray:
-    """Values (cells, dofs per cell) of the entities to which the dofs of each local cell belong."""
+    """Values (cells, dofs per cell) of the mesh entity to which each dof of a local cell belongs.
+
+    `of_entities` has for each dimension the values (cells, entities of a cell); dofs of others get `otherwise`.
+    """
     out = np.full(np.shape(whole.dofmap.list), otherwise, np.int64)
     for dim, values in enumerate(of_entities):
         for entity in range(values.shape[1]):
@@ -204,7 +225,7 @@ def _of_unknowns(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: i
 
 
 def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace:
-    """Make a function space with one dof for each key. Collective."""
+    """Return the function space with one dof for each key of `unknowns`. Collective."""
     rank, whole, keys, meeting = comm.rank, unknowns.whole, unknowns.keys, unknowns.meeting
     n_cells = whole.mesh.topology.index_map(whole.mesh.topology.dim).size_local
     used = np.zeros(len(keys), np.int64)
@@ -228,7 +249,8 @@ def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace
 def _elect_owners(questions: IntArray, source: IntArray, rank: int) -> IntArray:
     """Owner of each key that meets here: this rank if a local or ghost cell has it, else the lowest rank that uses it.
 
-    Both sides of S then belong to one rank at nearly all places, as contact solvers need.
+    `questions` has rows (key, 1 if a cell that the asking rank owns has it, else 0), `source` the asking ranks. Both
+    sides of S then belong to one rank at nearly all places, as contact solvers need.
     """
     key, used = questions[:, 0], (questions[:, 1] == 1) | (source == rank)
     candidate, votes = key[used], np.where(source[used] == rank, -1, source[used])
@@ -240,11 +262,11 @@ def _elect_owners(questions: IntArray, source: IntArray, rank: int) -> IntArray:
 
 
 def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fem.FunctionSpace:
-    """Make a space of vector functions (d,) on a domain. Collective.
+    """Return a space of vector functions, with d components in d dimensions, on a domain. Collective.
 
     Args:
-        domain: the domain.
-        cut: where its mesh is cut.
+        domain: the distributed mesh.
+        cut: components of the mesh that is cut where the functions may jump.
         degree: polynomial degree.
         family: basix family.
     """
@@ -260,7 +282,7 @@ def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fe
 
 
 def cut_at_faces(joint: Joint) -> Splitting:
-    """The joint's mesh, cut along S, or at both faces of the meshed layer."""
+    """Components of the joint's mesh that is cut along S, or at both faces of the layer if this is meshed."""
     if joint.band is None:
         return joint.split_mesh
     facets = [joint.facets[name] for name in joint.band.faces]

@@ -96,7 +96,7 @@ class Freeable(Protocol):
     """Matrices and factors that a solver passes on to the next solver."""
 
     def free(self) -> None:
-        """Free them."""
+        """Free the matrices and factors."""
 
 
 @dataclass
@@ -130,14 +130,16 @@ class Model(ABC):
 
     Attributes:
         structure: the structure, shared with other models.
-        joint: the joint before inflating.
-        plane, element, body_laws: as in the structure.
+        joint: the joint as drawn, before S is opened to the layers' thickness.
+        plane: "strain", "stress" or "axisymmetric".
+        element: name of the finite element of displacements, such as "P2".
+        body_laws: name of a body -> its law.
         on_seams: name of a seam -> its content: a layer, a `Bond`, a `Gap` or None.
         layers: name of a seam -> its layer, in the joint's order.
         bonds: names of the seams whose bodies are bonded.
         gaps: name of a seam -> its `Gap`; open seams without a width are left out.
         contacts: name of a seam -> its contact law.
-        contact: a contact law, if a layer has one.
+        contact: the first of these laws; None if there is none.
         applicability: name of a seam -> whether an interface law can replace its layer, or why not.
         domain: the distributed mesh.
         comm: the domain's communicator.
@@ -157,11 +159,12 @@ class Model(ABC):
         constraints: the supports as conditions at the nodes of V, and the multi-point constraints.
         forces: tractions, body forces, and loads at points and along lines.
         strain, stress: prescribed mean strain and mean stress of a periodic cell; None: not prescribed.
-        parts: definitions of further parts of the balance of forces.
-        origin: relation of the mesh to the joint, for compiled laws: numbers, places and columns.
+        parts: definitions of further parts of the balance of forces, such as springs.
+        origin: relation of the mesh to the joint, for compiled laws: numbers of cells and facets, coordinates, and
+            columns (cells above each other through the thickness).
         kinematics: strains of displacements on the mesh, and the factor of all measures.
         coordinates: place and time as arguments of users' functions, and the clock.
-        centre: (d,) mean of the mesh's points; for bodies of revolution its place on the axis.
+        centre: (d,) mean of the mesh's points in d dimensions; in axisymmetry its projection onto the axis.
         broken: whether displacements jump across S.
         data_hash: hash of the data, equal on all ranks.
         issued_warnings: keys of the warnings issued so far, each with its subject, such as a seam.
@@ -210,13 +213,16 @@ class Model(ABC):
         self.description = self._data()
 
     def warn(self, key: str, message: str, *of: Hashable) -> None:
-        """Issue a RangeWarning, once for each subject `of`, such as a seam and a time. Collective."""
+        """Issue a RangeWarning of the kind `key`, once for each subject `of`, such as a seam and a time. Collective."""
         if (key, *of) not in self.issued_warnings:
             warn(key, message, self.comm)
             self.issued_warnings.add((key, *of))
 
     def require_supported(self) -> None:
-        """Raise InputError if the structure can move as a rigid body; first anchor translations of periodic joints."""
+        """Raise InputError if the structure can move as a rigid body.
+
+        In a periodic joint translations that nothing prevents are first fixed at one vertex.
+        """
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
             of_parts = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
             if self.joint.periods:
@@ -225,7 +231,7 @@ class Model(ABC):
             require_support([*scaled_motions(self.domain.joint, self.kinematics)], resistance_matrices(self, of_parts))
 
     def _lay(self, data: Layers, check: Callable[[], T]) -> T:
-        """Set the layers of the seams and return the result of a check of them. Collective."""
+        """Set the layers of the seams from a user's `data`, and return the result of `check()` on them. Collective."""
         structure = self.structure
         with errors_on_all(structure.comm):
             self.on_seams: dict[str, SeamContent] = value_by_seam(self.joint, data, "layer")
@@ -252,7 +258,10 @@ class Model(ABC):
         return layer.prescribed_strain(self.coordinates)
 
     def _terms_of_bodies(self) -> list[forms.Term]:
-        """Terms of the bodies: one for each compiled law of a body, one for all others with one law and eigenstrain."""
+        """Terms of the bodies' laws: one for each body with a compiled law.
+
+        Bodies with the same other law and the same eigenstrain have one term together.
+        """
         groups: dict[tuple[int, int], list[str]] = {}
         for name, law in self.body_laws.items():
             groups.setdefault((id(law), id(self.structure.eigenstrains.get(name))), []).append(name)
@@ -286,15 +295,18 @@ class Model(ABC):
         return forces
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
-        """Coordinates at the places of the layers."""
+        """Coordinates and time where layers act, from those of the mesh (`at`)."""
         return at
 
     @abstractmethod
     def _place_of(self, layer: SeamLayer) -> LoadRegion:
-        """Region of a layer's volume, for its loads."""
+        """Region over which the loads of a layer per volume act."""
 
     def require(self, question: str, what: str = "") -> None:
-        """Raise InputError, with the prefix `what`, if a layer violates a condition of a question (`Applicability`)."""
+        """Raise InputError if a layer violates a condition for a use of layers; `what` begins the message.
+
+        `question` names the use, such as "interface law" or "mesh": a key of `applicability.CONDITIONS_OF_USE`.
+        """
         for applicability in self.applicability.values():
             applicability.require(question, what)
 
@@ -316,22 +328,26 @@ class Model(ABC):
         """Return this model with other layers, sharing mesh, space, supports, loads and bodies' matrix. Collective.
 
         Args:
-            layer: as in `Structure.full` or `Structure.interface`, with bonds on the same seams. In a full model layers
-                and gaps must have the thickness, profile and fractions of the mesh.
+            layer: one layer for all seams, or name of a seam -> its layer or other content, as for `Structure.full` and
+                `Structure.interface`. Bonds must be on the same seams. In a full model layers and gaps must have the
+                thickness, profile and sublayers of the mesh.
 
         Raises:
-            InputError: as in these methods; a meshed layer of another shape.
+            InputError: the layer does not suit the model; a meshed layer of another shape.
         """
         return self._relative()._replace_layers(self, layer)
 
     def improved(self, layers: Mapping[str, ThinLayer]) -> Self:
-        """Return this model with better laws of some layers, as `with_layer` does; issued warnings are not repeated."""
+        """Return this model with better interface laws of some layers; issued warnings are not repeated.
+
+        `layers`: name of a seam -> its new layer. The models share mesh, space, supports, loads and bodies' matrix.
+        """
         new = self._relative()
         new.issued_warnings = self.issued_warnings
         return new._replace_layers(self, {**self.on_seams, **layers})
 
     def _replace_layers(self, other: Self, layer: Layers) -> Self:
-        """Set the layers of this copy of another model, and return it. Collective."""
+        """Set the layers of this model, a copy of the model `other`, and return it. Collective."""
         self._lay(layer, partial(self._check_compatible, other))
         with errors_on_all(self.comm):
             self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
@@ -349,10 +365,13 @@ class Model(ABC):
 
     @abstractmethod
     def _check_compatible(self, other: Self) -> None:
-        """Raise InputError unless the layers suit the mesh of another model."""
+        """Raise InputError unless the layers of this model suit the mesh of the model `other`."""
 
     def _require_shapes(self, other: Self) -> None:
-        """Raise InputError unless layers and gaps have the shapes for which another model's bodies have made room."""
+        """Raise InputError unless layers and gaps have the thickness and profile of those of the model `other`.
+
+        Meshed layers must also have the same sublayers.
+        """
         count = 2 if self.broken else 3  # sublayers have cells in meshed layers only
         shapes = ({name: layer.shape[:count] for name, layer in model.layers.items()} for model in (self, other))
         needed, made = (model.gaps | shape for model, shape in zip((self, other), shapes, strict=True))
@@ -371,11 +390,13 @@ class Model(ABC):
         """Return this model under other loads; it shares mesh, space, matrices and their factorisation. Collective.
 
         Args:
-            tractions, body_force, loads: as in `Structure`; None: unchanged.
+            tractions: name of a facet set -> traction (d,) in d dimensions, or `Pressure`; None: unchanged.
+            body_force: force per volume (d,), or name of a region or seam -> this force; None: unchanged.
+            loads: list of `PointLoad` and `LineLoad`; None: unchanged.
             supports: other values at the same places and components; None: unchanged.
 
         Raises:
-            InputError: as in `Structure`; supports of other places or components.
+            InputError: a load or support that `Structure` refuses; supports of other places or components.
         """
         with errors_on_all(self.comm):
             checked = None if loads is None else check_loads(loads)
@@ -416,7 +437,7 @@ class Model(ABC):
         return new
 
     def _relative(self) -> Self:
-        """Return a copy of the same family that has issued no warnings, without cached properties that laws change."""
+        """Return a copy that shares mesh, space and matrices, without issued warnings and without values that laws change."""
         self.family.several = True
         new = copied(self, keep=CACHES_OF_MESH)
         new.issued_warnings = set()
@@ -428,13 +449,13 @@ class Model(ABC):
         return []
 
     def shifts(self) -> FloatArray | None:
-        """Shifts (n_cells, d) of the joint's cells by layers that have no cells; None if zero or unknown."""
+        """Translations (n_cells, d) that cells of the joint would have if layers were meshed; None: zero or not known."""
         return None
 
     # ---------------------------------------------------------------- spaces
     @cached_property
     def split_mesh(self) -> Splitting:
-        """The joint's mesh, cut where displacements jump."""
+        """Components of the joint's mesh that is cut where displacements jump."""
         return self.domain.joint.split_along(np.empty(0, np.int64))
 
     @cached_property
@@ -446,7 +467,7 @@ class Model(ABC):
         return np.asarray(f.x.array.reshape(-1, d))
 
     def space(self, degree: int, *, family: str | None = None, broken_at_faces: bool = False) -> fem.FunctionSpace:
-        """A vector space on the model's mesh with the jumps of its displacements. Collective.
+        """Return a space of vector functions on the model's mesh, with the jumps of its displacements. Collective.
 
         Args:
             degree: polynomial degree.
@@ -458,16 +479,16 @@ class Model(ABC):
 
     # ---------------------------------------------------------------- where laws act
     def _rule(self, measure: ufl.Measure, *, always: object = False) -> dict[str, dict[str, int]]:
-        """Metadata for the measures of laws: `quadrature_degree` on quadrilaterals and hexahedra, else UFL's choice.
+        """Metadata of a law's measure: the quadrature degree on quadrilaterals and hexahedra, else none, as UFL chooses.
 
-        With `always` it is `quadrature_degree` on all cells, for laws of which UFL would estimate a high degree.
+        With `always` they have a degree on all cells, for laws of which UFL would estimate a high degree.
         """
         if not (always or is_tensor(self.joint.cell_type) or self.kinematics.degree):
             return {}
         return {"metadata": {"quadrature_degree": quadrature_degree(self.V, measure) + self.kinematics.degree}}
 
     def volume_degree(self, law: BulkLaw) -> int | None:
-        """Degree to which the volume strain is projected in each cell of a body with isochoric flow (`Term.volume`).
+        """Polynomial degree onto which the volume strain is projected in each cell of a body with isochoric flow.
 
         It is one below the degree of the displacements. Straight triangles and tetrahedra have this degree anyway, and
         need no projection (None). Other elements have more modes of volume strain, which the flow would have to keep at
@@ -477,7 +498,7 @@ class Model(ABC):
         return self.structure.degree - 1 if law.traits.isochoric and not straight else None
 
     def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
-        """Return the terms with the prescribed mean strain of a periodic cell added, except on S."""
+        """Return terms with the prescribed mean strain of a periodic cell added to their strains; terms on S are unchanged."""
         on_s = any(p.measure.integral_type() != "cell" for p in terms)
         return forms.with_added_strain(terms, self.strain.expression) if self.strain and not on_s else terms
 
@@ -505,7 +526,7 @@ class Model(ABC):
 
     @cached_property
     def surfaces(self) -> dict[str, object]:
-        """The meshes of S made so far, by the name of the seam, see `thinlayer.surface.surface_mesh.surface_of`."""
+        """The meshes of S made so far (`SurfaceMesh`), by the name of the seam."""
         return {}
 
     @cached_property
@@ -514,12 +535,12 @@ class Model(ABC):
         return {key: Quadrature(self.V, p, self.origin) for key, p in compiled_terms(self.terms).items()}
 
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Sum values of layers, given by key (`SeamLayer.key`), for each seam; empty if there is one seam only."""
+        """Return sums of values, given by the key of a law, for the layer of each seam; empty if there is one seam only."""
         several = self.layers if len(self.joint.seams) > 1 else {}
         return {name: sum(v for key, v in values.items() if layer.owns_key(key)) for name, layer in several.items()}
 
     def bc_dofs_in(self, V: fem.FunctionSpace) -> Indices:
-        """Degrees of freedom of a space (local, unrolled, with ghosts) on which supports and plates act. Collective.
+        """Dofs of a space (local, unrolled, with ghosts) on which supports and multi-point constraints act. Collective.
 
         Dofs that are only fixed to a rigid base are left out.
         """
@@ -527,37 +548,43 @@ class Model(ABC):
         return np.unique(np.concatenate([self.supports.bc_dofs_in(V, clamped=False), *part_dofs]))
 
     def holder_rows(self, place: Place) -> list[int]:
-        """Positions in `holders` of a place and of its parts."""
+        """Positions in `holders` of a place, and of its parts such as "NAME/REGION" of "NAME"."""
         return [k for k, name in enumerate(self.holders) if is_part(name, place)]
 
     @property
     def holders(self) -> list[Place]:
-        """Places of the rows of `Configuration.reactions`: supports, clamped facets, plates, bases below layers."""
+        """Places that support the structure, one for each row of `Configuration.reactions`.
+
+        In this order: supports, clamped facets, places of multi-point constraints, rigid bases below layers on S.
+        """
         based = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
         plates = [part.place for part in self.parts if part.ties_nodes]
         return [*(place for place, _ in self.supports.entries), *plates, *based]
 
     def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Sum values as `by_seam` does, and under "bodies" those of bodies if their laws have memory or rate."""
+        """Return sums of values, given by the key of a law, by seam, and under "bodies" for all bodies.
+
+        With one seam there is no sum for its layer; "bodies" is there only if a body's law has memory or rate.
+        """
         of_bodies = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
         remember = any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
         return self.by_seam(values) | ({BODIES: of_bodies} if remember else {})
 
     @cached_property
     def linear(self) -> bool:
-        """Whether all laws and all `parts` are linear."""
+        """Whether all laws and all further parts of the balance (`parts`) are linear."""
         of_laws = not self.contact and all(p.law.traits.linear for p in self.terms)
         return of_laws and all(part.is_linear(self) for part in self.parts)
 
     @cached_property
     def symmetric(self) -> bool:
-        """Whether all laws and all `parts` have symmetric tangents."""
+        """Whether all laws and all further parts of the balance (`parts`) have symmetric tangents."""
         laws = [p.law for p in self.terms] + list(self.contacts.values())
         return all(law.traits.symmetric for law in laws) and all(part.is_symmetric(self) for part in self.parts)
 
     @property
     def break_times(self) -> set[float]:
-        """The break times of all loads, supports and temperatures of the model."""
+        """Times at which a load, support, eigenstrain or parameter of a law changes its slope; steps should end there."""
         coordinates = (self.coordinates, self.forces.at, self.supports.at)
         return set().union(*(at.breaks for at in coordinates), *(p.law.break_times for p in self.terms))
 
@@ -566,7 +593,7 @@ class Model(ABC):
         return TimeLevel(t).of(self.forces.work(v))
 
     def applied(self, t: float) -> Resultant:
-        """Resultant of all loads at a time, about `centre`. Collective."""
+        """Resultant force of all loads at a time, with its moment about `centre`. Collective."""
         loads = resultants_of_loads(self, t, lambda v: {"": self.forces.work(v), **self.forces.work_on_bases(v)})
         return reduce(add, loads.values())
 
@@ -576,11 +603,11 @@ class Model(ABC):
         return compiled(form)
 
     def added_work(self, u: Expr, v: Expr) -> Expr:
-        """Virtual work of `parts` at displacements u, a UFL form linear in v."""
+        """Virtual work of the forces of `parts`, such as springs, at displacements u: a UFL form linear in v."""
         return sum((part.work(self, u, v) for part in self.parts), ufl.Form([]))
 
     def added_work_in(self, state: State, v: Expr) -> Expr:
-        """Virtual work of `parts` in a state, a UFL form linear in v."""
+        """Virtual work of the forces of `parts`, such as springs, in a state: a UFL form linear in v."""
         return sum((part.work_in(self, state, v) for part in self.parts), ufl.Form([]))
 
     # ---------------------------------------------------------------- identity
