@@ -437,7 +437,7 @@ class Model(ABC):
         return new
 
     def _relative(self) -> Self:
-        """Return a copy that shares mesh, space and matrices, without issued warnings and without values that laws change."""
+        """Return a copy that shares mesh, space and matrices, without issued warnings and without caches of laws."""
         self.family.several = True
         new = copied(self, keep=CACHES_OF_MESH)
         new.issued_warnings = set()
@@ -449,7 +449,7 @@ class Model(ABC):
         return []
 
     def shifts(self) -> FloatArray | None:
-        """Translations (n_cells, d) that cells of the joint would have if layers were meshed; None: zero or not known."""
+        """Translations (n_cells, d) of the joint's cells that meshed layers would cause; None: zero or not known."""
         return None
 
     # ---------------------------------------------------------------- spaces
@@ -479,7 +479,7 @@ class Model(ABC):
 
     # ---------------------------------------------------------------- where laws act
     def _rule(self, measure: ufl.Measure, *, always: object = False) -> dict[str, dict[str, int]]:
-        """Metadata of a law's measure: the quadrature degree on quadrilaterals and hexahedra, else none, as UFL chooses.
+        """Metadata of a law's measure: the quadrature degree on quadrilaterals and hexahedra; else none, UFL chooses.
 
         With `always` they have a degree on all cells, for laws of which UFL would estimate a high degree.
         """
@@ -498,7 +498,7 @@ class Model(ABC):
         return self.structure.degree - 1 if law.traits.isochoric and not straight else None
 
     def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
-        """Return terms with the prescribed mean strain of a periodic cell added to their strains; terms on S are unchanged."""
+        """Return the terms with the prescribed mean strain of a periodic cell added; terms on S are unchanged."""
         on_s = any(p.measure.integral_type() != "cell" for p in terms)
         return forms.with_added_strain(terms, self.strain.expression) if self.strain and not on_s else terms
 
@@ -535,7 +535,7 @@ class Model(ABC):
         return {key: Quadrature(self.V, p, self.origin) for key, p in compiled_terms(self.terms).items()}
 
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return sums of values, given by the key of a law, for the layer of each seam; empty if there is one seam only."""
+        """Return the sum of values, given by keys of laws, for the layer of each seam; empty if there is one seam."""
         several = self.layers if len(self.joint.seams) > 1 else {}
         return {name: sum(v for key, v in values.items() if layer.owns_key(key)) for name, layer in several.items()}
 
@@ -584,7 +584,7 @@ class Model(ABC):
 
     @property
     def break_times(self) -> set[float]:
-        """Times at which a load, support, eigenstrain or parameter of a law changes its slope; steps should end there."""
+        """Times at which a load, support, eigenstrain or parameter of a law changes its slope; steps end there."""
         coordinates = (self.coordinates, self.forces.at, self.supports.at)
         return set().union(*(at.breaks for at in coordinates), *(p.law.break_times for p in self.terms))
 

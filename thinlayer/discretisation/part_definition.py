@@ -1,4 +1,4 @@
-"""Definitions of further parts of a model besides bodies, layers, supports and loads: springs, users' UFL forms."""
+"""Definitions of parts of a model besides bodies, layers, supports and loads, such as springs and users' UFL forms."""
 
 from __future__ import annotations
 
@@ -56,16 +56,16 @@ class PartDefinition(FormerNames):
 
     @property
     def ties_nodes(self) -> bool:
-        """Whether displacements follow motions of the part: it defines a method `multi_point_constraint`."""
+        """Whether the part has a multi-point constraint: its class defines the method `multi_point_constraint`."""
         return type(self).multi_point_constraint is not PartDefinition.multi_point_constraint
 
     @property
     def has_work(self) -> bool:
-        """Whether the part defines `work`, its forces from displacements alone, or has a multi-point constraint."""
+        """Whether the part has a multi-point constraint, or defines `work`, with forces from displacements alone."""
         return self.ties_nodes or type(self).work is not PartDefinition.work
 
     def check(self, model: HostModel) -> None:
-        """Raise InputError unless the definition fits the model; by default it does. Collective.
+        """Raise InputError unless the definition fits the model; by default nothing is checked. Collective.
 
         Pass values that vary in time to `model.coordinates` here, so that steps of marches end at their break times.
         """
@@ -83,7 +83,7 @@ class PartDefinition(FormerNames):
         return ufl.Form([])
 
     def work_in(self, model: HostModel, state: State, v: Expr) -> Expr:
-        """Virtual work of the part's forces in a state, for computing tractions on S; by default as in `work`.
+        """Virtual work of the part's forces in a state, for tractions on S; by default `work` at its displacements.
 
         Raises:
             InputError: the part defines neither method, so that its forces would be missing in tractions.
@@ -94,7 +94,7 @@ class PartDefinition(FormerNames):
         return self.work(model, state.u, v)
 
     def resistance(self, model: HostModel, motions: Sequence[fem.Function]) -> Array:
-        """Stiffness (m, m) of the part against m rigid motions of the structure. Collective.
+        """Stiffness (m, m) of the part against m rigid motions of the structure, given as displacements. Collective.
 
         Entry (i, j) is the work in motion j of the part's forces under motion i. Supports and parts together must
         resist every rigid motion.
@@ -113,9 +113,10 @@ class PartDefinition(FormerNames):
         return stiffness
 
     def reaction(self, model: HostModel, u: fem.Function) -> list[tuple[Place, Array]]:
-        """Return places that the part supports, with force and moment (k,) about `model.centre` at displacements u.
+        """Return the places that the part supports, each with its reaction at displacements u. Collective.
 
-        Collective. By default there are none: forces of user-defined parts are no reactions.
+        A reaction is an array (k,): d components of the force in d dimensions, then the moment about `model.centre`. By
+        default there are none: forces of user-defined parts are no reactions.
         """
         return []
 
@@ -132,20 +133,20 @@ class PartDefinition(FormerNames):
         return np.unique(blocks[:, None] * d + np.array(axes, int)).astype(np.int32)
 
     def multi_point_constraint(self, model: HostModel) -> MultiPointConstraint:
-        """Return the multi-point constraint of displacements that follow motions of the part. Collective."""
+        """Return the multi-point constraint with which displacements follow motions of the part. Collective."""
         raise NotImplementedError
 
     def load_work(self, model: HostModel, state: Configuration) -> float:
         """Work of prescribed forces of the part, as of loads, in the displacements of a configuration. Collective.
 
-        By default the work of the resultants of its multi-point constraint.
+        By default it is the work of the prescribed resultants of its multi-point constraint.
         """
         constraints, u = model.constraints, state.u.x.array[: model.constraints.n]
         ties = [tie for tie in constraints.mpcs if tie.key == self.key]
         return sum((float(tie.resultant(state.t) @ constraints.motion(tie, u)) for tie in ties), 0.0)
 
     def part(self, model: HostModel) -> Any:
-        """Return the part, a `thinlayer.parts.part.Part` with this key; None if it has no forces. Collective."""
+        """Return the `thinlayer.parts.part.Part` with this key that adds forces, or None without forces. Collective."""
         return None
 
 

@@ -26,13 +26,13 @@ EDGE_GAUSS_POINTS = 4  # Gauss points on an edge: exact for degree 7
 
 @dataclass(frozen=True)
 class LoadNodes:
-    """Places at which a load acts, each in one cell.
+    """Places at which a load acts, k in each of n cells.
 
     Attributes:
-        cells: (n,) numbers of cells of the joint.
-        points: (n, k, d) places in the reference cell.
-        along: (n, k, d) vectors in the reference cell, whose length in space is the weight of the load; None: all
-            weights are 1.
+        cells: (n,) numbers of the cells in the joint.
+        points: (n, k, d) places in the reference cell, in d dimensions.
+        along: (n, k, d) vectors in the reference cell, whose length in space is the weight of the load at the place;
+            None: all weights are 1.
     """
 
     cells: IntArray
@@ -40,7 +40,10 @@ class LoadNodes:
     along: Array | None = None
 
     def in_space(self, joint: Joint, cell_points: Array) -> tuple[Array, Array]:
-        """Map places (n, k, d) and `along`, zero if None, to space; `cell_points` are places of the cells' nodes."""
+        """Return the places in space (n, k, d), and the vectors `along` in space (zero if there are none).
+
+        `cell_points` (n_cells, m, d) are the places of the m nodes of each cell of the joint.
+        """
         kind = basix.CellType[joint.cell_type]
         element = basix.create_element(basix.ElementFamily.P, kind, joint.degree, basix.LagrangeVariant.equispaced)
         places, along = np.zeros_like(self.points), np.zeros_like(self.points)
@@ -57,7 +60,8 @@ class PointLoad:
     """A force at a vertex of the mesh.
 
     Attributes:
-        place: (d,) coordinates of the vertex, before inflating.
+        place: (d,) coordinates of the vertex in d dimensions, in the joint as drawn, before S is opened to the layer's
+            thickness.
         force: (d,) force, in 2D per unit thickness, constant or a function (x, t). In axisymmetry it is the sum over
             the ring of the vertex: y is the total force along the axis, x the total of the radial forces.
         body: region whose node is loaded; needed where S separates bodies, because each has a node there.
@@ -84,7 +88,11 @@ class PointLoad:
         return f"point load at {self.place!r}"
 
     def nodes(self, joint: Joint) -> LoadNodes:
-        """Return where the load acts; raises InputError if there is no such place, or it has several nodes."""
+        """Return the vertex in a cell where the load acts.
+
+        Raises:
+            InputError: there is no vertex at the place, or several bodies have a node there.
+        """
         vertex = joint.nearest_point(self.place)
         same = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
         cells, corners = np.nonzero(same[joint.corners])
@@ -114,7 +122,11 @@ class LineLoad:
         return f"line load between {self.first!r} and {self.second!r}"
 
     def nodes(self, joint: Joint) -> LoadNodes:
-        """Return where the load acts; raises InputError if there is no such place, or it has several nodes."""
+        """Return the Gauss points on edges of cells where the load acts.
+
+        Raises:
+            InputError: the facet sets have no edge in common, or several bodies have this edge.
+        """
         if joint.dim != 3:
             raise InputError(f"{self.what}: lines are edges of solids; in two dimensions give a PointLoad")
         for name in (self.first, self.second):
@@ -142,7 +154,11 @@ class LineLoad:
 
 
 def _in_one_body(joint: Joint, cells: IntArray, components: Indices, load: ConcentratedLoad) -> int:
-    """Position of the first cell of one body around a load; raises InputError if this place has several nodes."""
+    """Return the position in `cells`, the cells around a load, of the first cell of the loaded body.
+
+    `components` (n,) are the numbers of the nodes that the cells have at the place. Raises InputError if the loaded
+    cells have several nodes there.
+    """
     regions, body, what = joint.region[cells], load.body, load.what
     kept: IntArray = np.arange(len(cells))
     if body is not None:
@@ -172,13 +188,15 @@ def check_loads(loads: Iterable[ConcentratedLoad]) -> tuple[ConcentratedLoad, ..
 
 
 class ConcentratedForms:
-    """Virtual work of loads at points as UFL forms: sum over cells of int F . v g dX = F . v at the load's place.
+    """Loads at points and along lines as forces per volume that do the same virtual work.
 
-    On the reference cell g is the polynomial of the element for which this holds for all displacements v of the cell.
+    For a force F at a place of a cell, the integral of F . v g over the reference cell is F . v at this place. g is the
+    polynomial of the element for which this holds for all displacements v of the cell.
 
     Args:
-        domain: the domain.
-        joint: the joint before inflating, whose cells are the first cells of the domain's joint.
+        domain: the distributed mesh.
+        joint: the joint as drawn, before S is opened to the layer's thickness; its cells are the first cells of the
+            domain's joint.
         degree: degree of the displacements.
         at: coordinates and time.
     """
@@ -195,7 +213,7 @@ class ConcentratedForms:
         self._jacobian = abs(ufl.JacobianDeterminant(domain.mesh))
 
     def terms(self, load: ConcentratedLoad) -> list[tuple[Expr, ufl.Measure]]:
-        """Return pairs of a load per volume (d,) and its measure. Collective."""
+        """Return forces per volume (d,) that add up to a load, each with the measure of its integral. Collective."""
         nodes, d, joint, terms = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
         lengths = np.ones(nodes.points.shape[:2])
         if nodes.along is not None:
@@ -216,14 +234,17 @@ class ConcentratedForms:
         return terms
 
     def _densities(self, nodes: LoadNodes, weights: Array) -> Array:
-        """Dofs (n_cells, m, 1) of g times weights (n, k), summed over the nodes of each cell."""
+        """Dofs (n_cells, m, 1), m in each cell, of the polynomials g times weights (n, k), see the class.
+
+        The polynomials of the k places in each of n cells are summed.
+        """
         phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
         g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
         return sum_by_number(nodes.cells, np.einsum("nk,nkm->nm", weights, g), len(self.domain.joint.cells))[..., None]
 
 
 def _disjoint_groups(cells: IntArray) -> Iterable[IntArray]:
-    """Group rows of nodes so that each cell occurs at most once in a group."""
+    """Group positions in `cells` so that each cell occurs at most once in a group."""
     order = np.argsort(cells, kind="stable")
     turn = np.arange(len(cells)) - np.searchsorted(cells[order], cells[order])
     return [order[turn == k] for k in range(int(turn.max(initial=-1)) + 1)]

@@ -36,15 +36,15 @@ SINGULARITY_TOLERANCE = 1e-12
 
 
 class MeanStrain:
-    """A prescribed mean strain as a function of time.
+    """Prescribed mean strain of a periodic cell, as a function of time.
 
     Args:
-        value: (d, d) symmetric numbers, or a function (x, t) that returns them and does not depend on x.
+        value: (d, d) symmetric numbers in d dimensions, or a function (x, t) of the time alone that returns them.
         at: coordinates and time.
         joint: the periodic joint.
 
     Attributes:
-        size: largest extent of the cell along an axis.
+        size: largest extent of the periodic cell along an axis.
 
     Raises:
         InputError: the joint is not periodic; the value is not (d, d) finite numbers, not symmetric, or depends on the
@@ -62,22 +62,29 @@ class MeanStrain:
             self.at(0.0)
 
     def at(self, t: float) -> Array:
-        """The strain (d, d) at a time; raises InputError if it is not finite or not symmetric."""
+        """The prescribed tensor (d, d) at a time; raises InputError if it is not finite or not symmetric."""
         strain = self._coefficient.at_time(t)
         require_symmetric(strain, f"{self.what} at t = {t:g}")
         return strain
 
     @property
     def expression(self) -> Expr:
-        """The strain (3, 3) as an expression of the time."""
+        """The prescribed tensor (3, 3) as a UFL expression of the time."""
         return three_dimensional(self._coefficient.expression)
 
 
 class MeanStress(MeanStrain):
-    """A mean stress as a function of time; the mean strain is unknown. Arguments and errors as in `MeanStrain`.
+    """Prescribed mean stress of a periodic cell, as a function of time; its mean strain is unknown.
+
+    Args:
+        value: (d, d) symmetric numbers in d dimensions, or a function (x, t) of the time alone that returns them.
+        at: coordinates and time.
+        joint: the periodic joint.
+        bodies: terms of the bodies and of meshed layers.
 
     Raises:
-        InputError: sides of the cell are free, or bodies are not linear or have a stress at rest.
+        InputError: the value or the joint is not allowed for a `MeanStrain`; the cell is not periodic in all
+            directions; a law of `bodies` is not linear, or has a stress at rest.
     """
 
     what = "the mean stress"
@@ -93,16 +100,16 @@ class MeanStress(MeanStrain):
 
     @property
     def count(self) -> int:
-        """Number of components."""
+        """Number of independent components: 3 in two dimensions, 6 in three."""
         return self._dim * (self._dim + 1) // 2
 
     def components(self, t: float) -> Array:
-        """Components (k,) of the stress at a time, in the order of `voigt_strain`."""
+        """Components (k,) of the stress at a time in Voigt's order: 11, 22, 12, or 11, 22, 33, 23, 13, 12."""
         return self.at(t)[tuple(np.array(VOIGT_PAIRS_OF_DIM[self._dim]).T)]
 
 
 def voigt_strain(e: Expr) -> Expr:
-    """Return the strain (d, d) of a UFL vector in Voigt's order, whose shears are twice the tensor's components."""
+    """Return the strain (d, d) for a UFL vector e in Voigt's order; shears in e are twice the tensor's components."""
     d = {3: 2, 6: 3}[e.ufl_shape[0]]
     positions = VOIGT_POSITIONS_OF_DIM[d].tolist()
     return ufl.as_tensor([[e[positions[i][j]] / (1 if i == j else 2) for j in range(d)] for i in range(d)])
@@ -113,9 +120,9 @@ class EigenstrainContext:
     """Data of a body or a layer on which its eigenstrain depends.
 
     Attributes:
-        name: name in messages.
-        law: its law, with real parameters, for these kinematics.
-        n: the mean normal of S, (d,).
+        name: name of the body or layer in messages.
+        law: its law for these kinematics, with numbers or functions as parameters.
+        n: the mean unit normal of S, (d,) in d dimensions.
         kinematics: strains of displacements.
         at: coordinates and time.
     """
@@ -127,7 +134,9 @@ class EigenstrainContext:
     at: Coordinates
 
     def rows(self, value: object, what: str) -> Rows:
-        """Return the components of a tensor, (d, d) or (3, 3); a number becomes a multiple of the identity (3, 3).
+        """Return the rows of a user's tensor, (d, d) or (3, 3); a number becomes a multiple of the identity (3, 3).
+
+        `what` names the tensor in messages.
 
         Raises:
             InputError: another shape, components that are not finite numbers, or a table that is not symmetric.
@@ -146,7 +155,7 @@ class EigenstrainContext:
 
 
 def require_symmetric(rows: Rows | Array, what: str) -> None:
-    """Raise InputError if a table is not symmetric; UFL expressions must be equal as they are written."""
+    """Raise InputError if a table is not symmetric; components in UFL must be the same expression."""
     numbers = [abs(c) for row in rows for c in row if isinstance(c, float)]
     for i, j in combinations(range(len(rows)), 2):
         a, b = rows[j][i], rows[i][j]
@@ -160,7 +169,7 @@ class Eigenstrain(ABC):
 
     @abstractmethod
     def components(self, matter: EigenstrainContext) -> Rows:
-        """Return the strain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the body or layer."""
+        """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +179,7 @@ class PrescribedEigenstrain(Eigenstrain):
     value: object
 
     def components(self, matter: EigenstrainContext) -> Rows:
-        """As in `Eigenstrain`."""
+        """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
         rows = matter.rows(self.value, "the eigenstrain")
         return [[rows[i][j] if max(i, j) < len(rows) else 0.0 for j in range(3)] for i in range(3)]
 
@@ -219,7 +228,7 @@ class ThermalExpansion(Eigenstrain):
             require(callable(value) or is_finite(value), name, value, "allowed: a finite number or a function (x, t)")
 
     def components(self, matter: EigenstrainContext) -> Rows:
-        """As in `Eigenstrain`."""
+        """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
         T, factor = matter.scalar(self.T, "the change of temperature T"), matter.scalar(self.factor, "the factor of T")
         T, alpha = factor * T, np.array(self.alpha, float)
         table = alpha if alpha.ndim == 2 else np.diag(np.broadcast_to(alpha, 3))
@@ -255,7 +264,7 @@ class Prestress(Eigenstrain):
     sigma: Tensor
 
     def components(self, matter: EigenstrainContext) -> Rows:
-        """As in `Eigenstrain`."""
+        """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
         sigma = matter.rows(self.sigma, "the prestress")
         if matter.kinematics.name == "stress":
             out = [sigma[i][2] for i in range(3)] if len(sigma) == 3 else []
@@ -273,7 +282,7 @@ class Prestress(Eigenstrain):
         return strain
 
     def _compliance(self, matter: EigenstrainContext, slots: Sequence[int]) -> Array:
-        """Compliance (strain per stress) in the Mandel components `slots`, with zero strain in the other components."""
+        """Compliance (k, k), strain per stress, in the k Mandel components `slots`; strains in the others are zero."""
         law = matter.law
 
         def refused(why: str) -> InputError:
@@ -305,7 +314,7 @@ EigenstrainInput = Tensor | Eigenstrain | Sequence[Tensor | Eigenstrain]
 
 
 def eigenstrains(eigenstrain: EigenstrainInput) -> list[Eigenstrain]:
-    """Return the eigenstrains, which add up, of a user's value: a single one, such as a table, or a list of several."""
+    """Return the list of eigenstrains, which add up, for a user's value: one eigenstrain or a list of several."""
     if isinstance(eigenstrain, Eigenstrain):
         return [eigenstrain]
     if isinstance(eigenstrain, (list, tuple)) and not _is_table(eigenstrain):
@@ -321,7 +330,7 @@ def _is_table(rows: Sequence[object]) -> bool:
 
 
 def prescribed_strain(eigenstrain: EigenstrainInput | None, matter: EigenstrainContext) -> Expr | None:
-    """Return minus the eigenstrain, (3, 3) UFL, to be added to the strain of the displacements; None if it is zero.
+    """Return minus the eigenstrain, (3, 3) in UFL, to be added to the strain of displacements; None if it is zero.
 
     Raises:
         InputError: a value that is not an eigenstrain, or that does not suit this body or layer.
@@ -334,7 +343,7 @@ def prescribed_strain(eigenstrain: EigenstrainInput | None, matter: EigenstrainC
 
 
 class VaryingStrainIntegrals:
-    """Integrals over cells or facets of the terms' prescribed strains that vary in time or in place. Collective.
+    """Integrals over each cell or facet of the terms' prescribed strains, if these vary in time or place. Collective.
 
     Args:
         terms: the terms of bodies and layers.
@@ -351,7 +360,7 @@ class VaryingStrainIntegrals:
                 self._forms.append((p, compiled(ufl.inner(strain, q) * p.measure)))
 
     def integrals(self, t: float) -> list[Array]:
-        """Integrals over this rank's cells or facets at a time.
+        """Integrals at a time over each of this rank's cells or facets, one array for each term.
 
         Raises:
             InputError: a strain that is not finite.
@@ -366,7 +375,7 @@ class VaryingStrainIntegrals:
 
 
 def _negative_tensor(rows: Rows, matter: EigenstrainContext) -> Expr:
-    """Return minus a table as UFL. Numbers become Constants, so that forms are compiled once; zeros stay zeros."""
+    """Return minus a table in UFL. Numbers become Constants, so that forms are compiled once; zeros stay zeros."""
     numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
     constant = fem.Constant(matter.at.mesh, numbers)
     entries = [[constant[i, j] if numbers[i, j] else -c for j, c in enumerate(row)] for i, row in enumerate(rows)]

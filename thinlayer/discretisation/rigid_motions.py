@@ -1,4 +1,4 @@
-"""Rigid motions, which supports must prevent, and resultants of reactions and loads from the work in these motions."""
+"""Rigid motions, which supports must prevent, and resultants of reactions and loads from their work in these."""
 
 from __future__ import annotations
 
@@ -40,30 +40,36 @@ COMPONENT_TOLERANCE = 1e-12
 
 
 def motion_count(dim: int) -> int:
-    """Number of rigid motions."""
+    """Number of rigid motions: 3 in two dimensions, 6 in three."""
     return dim + len(ROTATION_PLANES[dim])
 
 
 def motion_fields(x: Array, about: Array) -> Array:
-    """Displacements (n, d, k) at places x (n, d) of unit translations and rotations about a point."""
+    """Displacements (n, d, k) of the k unit rigid motions at n places x (n, d) in d dimensions.
+
+    The motions are d translations, then rotations about the point `about` (d,).
+    """
     n, d = x.shape
     shifts, turns = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", UNIT_ROTATIONS[d], x - about)
     return np.concatenate([shifts, turns], axis=2)
 
 
 def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
-    """Mask (k,): 1 for motions of `motion_fields` with a resultant, 0 if the resultant vanishes in axisymmetry."""
+    """Factors (k,) of the k unit rigid motions, translations first: 0 if resultants vanish by axisymmetry, else 1."""
     free = np.isin(np.arange(dim), kinematics.translations(dim))
     return np.append(free, np.full(motion_count(dim) - dim, kinematics.rotations)).astype(float)
 
 
 def moment_centre(kinematics: Kinematics, x: Array) -> Array:
-    """Return a place (d,), for bodies of revolution projected onto the axis."""
+    """Return the place x (d,), in axisymmetry its projection onto the axis."""
     return np.where(np.isin(np.arange(len(x)), kinematics.translations(len(x))), x, 0.0)
 
 
 def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
-    """Return a constant (k,), and the sum of the motions of `motion_fields` with these factors as a UFL vector (d,)."""
+    """Return a Constant of k factors (k,), and the sum of k unit rigid motions with these factors, in UFL (d,).
+
+    The motions are d translations in d dimensions, then rotations about the point `about` (d,).
+    """
     x, d = ufl.SpatialCoordinate(mesh), len(about)
     motion = fem.Constant(mesh, np.zeros(motion_count(d)))
     arm, turns = x - ufl.as_vector(about.tolist()), enumerate(UNIT_ROTATIONS[d].tolist())
@@ -72,15 +78,20 @@ def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
 
 
 def motion_values(x: Array, about: Array, rows: IntArray) -> Array:
-    """Values (m, k) of the motions of `motion_fields` at dofs `rows` (m,) of the displacements at places x (n, d)."""
+    """Values (m, k) of the k unit rigid motions at m dofs of displacements.
+
+    The motions are translations, then rotations about the point `about` (d,). The dofs are given by local numbers
+    `rows` (m,), their nodes by places x (n, d).
+    """
     return motion_fields(x[rows // x.shape[1]], about)[np.arange(len(rows)), rows % x.shape[1]]
 
 
 def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
-    """Map names of rigid motions of the structure to their coefficients (k,) in `motion_fields` about its centre.
+    """Rigid motions of the structure by name, each as factors (k,) of the unit motions about its centre.
 
-    Translations come first. Rotations are divided by the size of the structure. In periodic joints the only rotation is
-    about the direction of a single period in 3D. Others would move one side against the other.
+    The unit motions are d translations, then rotations. Translations come first in the result, too. Rotations are
+    divided by the size of the structure. In periodic joints the only rotation is about the direction of a single period
+    in 3D. Others would move one side against the other. In axisymmetry only the translation along the axis is left.
     """
     d, size, basis = joint.dim, joint.size, np.eye(motion_count(joint.dim))
     shares = {f"translation {AXIS_NAMES[i]}": basis[i] for i in kinematics.translations(d)}
@@ -96,14 +107,14 @@ def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
 
 
 def model_motion_values(model: Model, rows: IntArray, kinematics: Kinematics | None = None) -> Array:
-    """Values (m, k) of the motions of `scaled_motions` at local displacement dofs `rows` (m,) of a model."""
+    """Values (m, k) of the k rigid motions of `scaled_motions` at the displacement dofs `rows` (m,), local numbers."""
     joint = model.domain.joint
     shares = [*scaled_motions(joint, kinematics or model.kinematics).values()]
     return motion_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(shares)
 
 
 def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
-    """Return the motions of `scaled_motions` as displacements of a model, by name. Collective."""
+    """Return the structure's rigid motions (`scaled_motions`) as displacements of a model, by name. Collective."""
     values = model_motion_values(model, np.arange(model.places.size), kinematics)
     modes = {name: fem.Function(model.V) for name in scaled_motions(model.domain.joint, kinematics or model.kinematics)}
     for f, column in zip(modes.values(), values.T, strict=True):
@@ -112,11 +123,14 @@ def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[st
 
 
 def resistance_matrices(model: Model, resistances: Sequence[Resistance]) -> Array:
-    """Gram matrix (m, m) of the constraint violations of rigid motions, plus scaled stiffnesses of parts. Collective.
+    """Gram matrix (m, m) of the constraint violations of m rigid motions, plus scaled stiffnesses. Collective.
+
+    A motion that nothing prevents is in its null space.
 
     Args:
         model: the model.
-        resistances: functions of the m motions, see `PartDefinition.resistance`.
+        resistances: functions of the m motions, as displacements, that return the stiffness (m, m) of a part such as
+            springs against them.
     """
     matrix = model.constraints.resistance(partial(model_motion_values, model))
     motions = [*model_motions(model).values()] if resistances else []
@@ -129,7 +143,10 @@ def resistance_matrices(model: Model, resistances: Sequence[Resistance]) -> Arra
 
 
 def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[str, ...]:
-    """Return the axes along which nothing prevents a translation; `resistance` as in `require_support`."""
+    """Return the names of the axes along which nothing prevents a translation.
+
+    `resistance` (m, m) is the matrix of `resistance_matrices` for the motions of `scaled_motions`.
+    """
     # translations are the first motions of `scaled_motions`
     axes = [*kinematics.translations(joint.dim)]
     diagonal = np.diag(resistance)[: len(axes)]
@@ -138,7 +155,10 @@ def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[
 
 
 def require_support(names: Sequence[str], resistance: Array) -> None:
-    """Raise InputError if nothing resists a motion of `scaled_motions`; `resistance` as of `resistance_matrices`."""
+    """Raise InputError if nothing prevents one of m rigid motions with these names, or a combination of them.
+
+    `resistance` (m, m) is the matrix of `resistance_matrices` for these motions.
+    """
     values, vectors = np.linalg.eigh(resistance)
     if values[0] <= MIN_RELATIVE_EIGENVALUE * max(values[-1], 1.0):
         free = names[int(np.argmax(np.abs(vectors[:, 0])))]
@@ -150,7 +170,7 @@ class Resultant:
     """A force and its moment about a point. In 2D per unit thickness.
 
     Attributes:
-        force: (d,) force.
+        force: (d,) force in d dimensions.
         moment: moment about the point: (3,), in 2D a number, > 0 from x to y.
         about: (d,) the point, in the coordinates of the model's mesh.
     """
@@ -179,14 +199,14 @@ class Resultant:
 
 
 def require_point(about: Sequence[float] | Array, dim: int) -> Array:
-    """Return a point (d,) as an array; raises InputError unless it has `dim` finite coordinates."""
+    """Return the point `about` as an array (dim,); raises InputError unless it has `dim` finite coordinates."""
     if (point := finite_values(about, (dim,))) is None:
         raise InputError(f"about is {about!r}; it must be a point of {dim} finite coordinates")
     return point
 
 
 def centroid(domain: Domain, name: str) -> Array:
-    """Centroid (d,) of a named facet set, the sides of the layer that continue it included. Collective."""
+    """Centroid (d,) of a named facet set, including the side of a layer that continues it. Collective."""
     mesh = domain.mesh
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)(domain.values(name, layer_sides=True))
     chosen = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
@@ -196,21 +216,31 @@ def centroid(domain: Domain, name: str) -> Array:
 
 
 def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[str, Expr]]) -> dict[str, Resultant]:
-    """Resultants about the centre, by name, of loads at a time, from their work in motions v. Collective."""
+    """Resultants of loads at a time, by name, with moments about the model's centre. Collective.
+
+    `work` is a function of a motion v that returns the loads' work in v, UFL forms, by name.
+    """
     level = TimeLevel(t)
     motion, v = motion_expression(model.domain.mesh, model.centre)
     return {name: resultant(model, per_unit(model.comm, level.of(form), motion)) for name, form in work(v).items()}
 
 
 def resultant(model: Model, values: Array) -> Resultant:
-    """Make a resultant from the work (k,) in motions about the centre; zero where it vanishes in axisymmetry."""
+    """Return the resultant of forces from their work (k,) in the k unit rigid motions about the model's centre.
+
+    Components that vanish by axisymmetry are set to zero.
+    """
     d = model.joint.dim
     work = np.asarray(values) * balanced_motions(model.kinematics, d)
     return Resultant(work[:d], work[d] if d == 2 else work[d:], model.centre)
 
 
 def default_moment_point(model: Model, place: Place, chosen: Sequence[Place]) -> Array:
-    """Return the default point of moments: the centroid of a facet set, or the vertex itself."""
+    """Return the default point (d,) of moments: the centroid of a facet set, or the vertex itself.
+
+    `chosen` are the places whose reactions are summed for `place`. Without facets of its own, it gets the mean of
+    their centroids.
+    """
     domain = model.domain
     if isinstance(place, str) and place in domain.facet_values and domain.values(place, layer_sides=True):
         return centroid(domain, place)

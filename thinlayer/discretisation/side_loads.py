@@ -3,16 +3,17 @@
 Per length of the rim of S, a traction t on the side does the work eps t . v, with the mean displacement v of the side.
 Between faces with displacements <u> -+ [u]/2 the ansatz of order 1 has v = <u>: each face gets half of the force.
 
-At a free end (`forms.ends`) the side has further displacements of the same size. They are -(c_N M/lmbda) [u_N] along
-the outward normal m in S, and -c_T [u_m] along n. By reciprocity they follow from the energy that the end takes away.
-The force reaches the faces over lengths of the order of the thickness. Its mean distances from the end are rho_N eps
-(along m), c_T eps (along n) and 7 zeta(3)/pi^3 eps (along the end). With the weights a of `forms.ends.weights` it does
-the work
+At a free end the side has further displacements of the same size. They are -(c_N M/lmbda) [u_N] along the outward
+normal m in S, and -c_T [u_m] along n. Here M is lmbda + 2 mu, and c_N, c_T and rho_N are constants of the end
+(`forms.ends.constants.FreeEnd`). By reciprocity the displacements follow from the energy that the end takes away. The
+force reaches the faces over lengths of the order of the thickness. Its mean distances from the end are rho_N eps (along m),
+c_T eps (along n) and 7 zeta(3)/pi^3 eps (along the end, index tau). With the relative losses of stiffness a_N and a_T
+near the end (`forms.ends.weights`) it does the work
 
     int_S { eps [t_m v_m f_N' + t_n v_n f_T' + t_tau v_tau f'] - a_N M/lmbda t_m [v_N] - a_T t_n [v_m] }
 
-with v = <u>, and f' = 1/r within r of the end. Without these terms the errors would be as large as the effects of loads
-on sides.
+with v = <u>. For each component f' is 1/r within r of the end, where r is twice the mean distance, and else zero.
+Without these terms the errors would be as large as the effects of loads on sides.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ LoadPiece = tuple[Expr, LoadRegion]  # force, and the region where it acts
 
 @dataclass(frozen=True)
 class SideLoad:
-    """A traction on the side of a layer of order 1.
+    """A traction on the side of a layer whose interface law is of order 1.
 
     Attributes:
-        what: label in errors.
+        what: label in error messages.
         load: the load as the user wrote it.
-        rim: the ridges of S at this side.
+        rim: the ridges at which S ends on this side.
     """
 
     what: str
@@ -62,7 +63,7 @@ class SideLoad:
 
     @classmethod
     def of(cls, model: Model, layer: SeamLayer) -> Iterator[SideLoad]:
-        """Yield the side loads of a layer that are not zero."""
+        """Yield the tractions on the side of a layer, except those that are zero."""
         rim = layer.sheet.rim
         for name, load in sorted((model.structure.tractions or {}).items()):
             whole, value = FacetName.parse(name).continued, load.p if isinstance(load, Pressure) else load
@@ -73,6 +74,8 @@ class SideLoad:
 
 def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interface) -> None:
     """Add the tractions on the side of a layer of order 1 to the forces of an interface model.
+
+    `sides` are the two sides of the layer's seam.
 
     Raises:
         InputError: it is not known how the force is distributed over the faces there.
@@ -91,7 +94,10 @@ def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interf
 
 
 def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, sides: Interface) -> Iterator[LoadPiece]:
-    """Yield a load at straight free ends as forces on the faces, distributed over strips along the ends."""
+    """Yield a load on the layer's side at straight free ends as forces on the layer's faces.
+
+    The forces are distributed over strips along the ends. `at` has the place and the time as arguments of loads.
+    """
     mesh, based = model.domain.mesh, layer.name in model.joint.base_seams
     for end in straight_ends(load.rim, layer.sheet):
         shares = np.zeros((len(model.joint.cells), 1, 5))
@@ -104,9 +110,10 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, s
 
 
 def _shares(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
-    """Densities (n, 5) on facets: of eps times the load along m, n and the end, and of its work in opening and shear.
+    """Densities (n, 5) on the n facets of S, by which a traction on the side of a free end is multiplied.
 
-    The first three integrate to the total force on the side, on any mesh.
+    The first three give the forces per area of S along m (outward), n and the end. They integrate to the total force on
+    the side on any mesh. The last two give the side's displacement along m by an opening of S, and along n by a shear.
     """
     sheet, eps, kinematics = layer.sheet, layer.eps, layer.structure.kinematics
     constants = free_end(poisson_ratio(law_with_numbers(layer.layer, kinematics)))
@@ -123,7 +130,10 @@ def _shares(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
 
 
 def _transferred_load(shares: Expr, m: Expr, sides: Interface, based: bool) -> LoadRegion:
-    """Region of a side load, from its densities `shares` on S."""
+    """Return the region on S of a load on the layer's side, from its five densities `shares`, see `_shares`.
+
+    m (d,) is the outward normal of the end in S; `based`: S stands on a rigid base.
+    """
     n = sides.n
     along_m, along_n, along_end, opening, shear = (shares[k] for k in range(5))
 

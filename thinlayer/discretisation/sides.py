@@ -1,4 +1,4 @@
-"""Sides of a layer: their constraints at the rim of its seam, and weights of free ends on S."""
+"""Sides of a layer: their constraints where its seam ends, and weights on S of the free ends."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ NO_END = 1e3  # distance of the nearest end, over the size of the joint, where t
 
 
 def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
-    """Kinds (n,) of the layer's side at each ridge of the rim of its seam, by its constrained displacements.
+    """How the layer's side is constrained at each of the n ridges where its seam ends, as words (n,).
 
-    Displacements have a component along m, outward along S, and one along n, across S. Supports, plates and an axis of
-    revolution may constrain them. A side is "held" if both components are constrained, "symmetric" if only that along m
-    is, as in a plane of symmetry. It is "antisymmetric" if only that along n is constrained, "free" if neither is, and
-    "oblique" if a direction between them is. Constraints along the end do not matter.
+    Displacements have a component along m, outward along S, and one along n, across S. Supports, multi-point
+    constraints and an axis of revolution may constrain them. A side is "held" if both components are constrained,
+    "symmetric" if only that along m is, as in a plane of symmetry. It is "antisymmetric" if only that along n is
+    constrained, "free" if neither is, and "oblique" if a direction between them is. Constraints along the end do not
+    matter.
     """
     sheet, projectors = layer.sheet, constrained_directions(layer)
     normals = sheet.joint.interface_normals[sheet.parts[0][sheet.rim.simplex]]
@@ -46,7 +47,10 @@ def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
 
 
 def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArray:
-    """Projections (n, d, d) onto constrained directions of the layer's side at the rim; `of_layer`: also NAME/LAYER."""
+    """Projections (n, d, d) onto the directions in which the layer's side is constrained, at n ridges where S ends.
+
+    `of_layer`: constraints of facet sets "NAME/LAYER", the layer's own side, count too. d is the number of dimensions.
+    """
     structure, rim, joint = layer.structure, layer.sheet.rim, layer.sheet.joint
     d, keys, axes = joint.dim, ridge_keys(rim.vertices), AXIS_NAMES[: joint.dim]
     dyads = np.zeros((len(keys), d, d))
@@ -65,32 +69,32 @@ def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArra
 
 
 def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
-    """Mean unit normals (n, d) of a named facet set at ridges; without facets as if S ended at right angles."""
+    """Mean unit normals (n, d) of a named facet set at n ridges; where it has no facets, the outward direction in S."""
     normals = side_normals(joint, name, rim.vertices)
     return np.where(np.isnan(normals), rim.outward, normals)
 
 
 def mean_on_facets(sheet: Sheet, values: FloatArray) -> FloatArray:
-    """Means (n,) on the facets of S of values on its simplices."""
+    """Means (n,) by area on the n facets of a seam, from values (m,) on its m triangles (in 2D segments)."""
     facet, count = np.searchsorted(sheet.facets, sheet.parts[0]), len(sheet.facets)
     return np.asarray(np.bincount(facet, sheet.areas * values, count) / np.bincount(facet, sheet.areas, count))
 
 
 def shares_within(end: StraightEnd, sheet: Sheet, reach: float) -> FloatArray:
-    """Share (n,) of each facet of S that an end faces and that lies within a distance `reach` of it."""
+    """Fraction (n,) of the area of each facet of S that lies opposite an end, within a distance `reach` of it."""
     x = sheet.joint.points[sheet.vertices]
     return mean_on_facets(sheet, share_within(end.distance(x), reach) * end.faces(x.mean(axis=1)))
 
 
 @dataclass(frozen=True)
 class FacetWeights:
-    """Weights of the free ends on the facets of a seam.
+    """Weights with which free ends change the interface law on the n facets of a seam.
 
     Attributes:
-        a_N, a_T: mean weights of each facet in openings and in shear, (n,).
-        resistance: mean additional resistance to the flow of a pressure, over that of an infinite layer, (n,).
-        m: (n, d) normal of the nearest end; zero where there is none.
-        offset: (n,) m . x of points of the nearest end.
+        a_N, a_T: (n,) mean relative loss of stiffness of each facet against openings and against shear.
+        resistance: (n,) mean additional resistance to the flow along S by a pressure, over that of an infinite layer.
+        m: (n, d) unit normal in S of the nearest end, outward, in d dimensions; zero where there is none.
+        offset: (n,) value of m . x at points x of the nearest end.
         sheet, eps, strips: the data from which the weights are made.
     """
 
@@ -105,7 +109,7 @@ class FacetWeights:
 
     @classmethod
     def of(cls, ends: list[StraightEnd], sheet: Sheet, eps: float, strips: EndStrips) -> FacetWeights:
-        """Make the weights of free ends for a layer of thickness eps."""
+        """Return the weights of straight free ends for a layer of thickness eps; `strips` are the ends' strips."""
         joint, count = sheet.joint, len(sheet.facets)
         weights = np.zeros((3, count))
         nearest, m, offset = np.full(count, np.inf), np.zeros((count, joint.dim)), np.full(count, NO_END * joint.size)
@@ -119,7 +123,7 @@ class FacetWeights:
 
     @property
     def overlap(self) -> bool:
-        """Whether strips of several ends overlap, so that a weight reaches 1 and the layer has no stiffness."""
+        """Whether strips of several ends overlap so far that a loss of stiffness reaches 1, which leaves none."""
         return bool(max(self.a_N.max(initial=0.0), self.a_T.max(initial=0.0)) >= 1)
 
     def expressions(self, domain: Domain, sides: Interface) -> EndWeights:

@@ -1,4 +1,4 @@
-"""State: the displacements of a model at a time."""
+"""State: equilibrium of a model at a time, with energies, reactions, stresses and its transfer to other models."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ class Report(FormerNames):
 
     Attributes:
         method: "linear" or "newton"; with contact also "condensed", "multigrid" or "relaxation".
-        iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation; of all attempts.
+        iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation; the sum over all
+            attempts.
         residual: norm of the residual over the size of the forces.
         seconds: wall time of assembling and solving.
         homotopy_steps: number of continuation solves, from laws that are easier to solve to the layer's law; 0 unless
@@ -75,7 +76,7 @@ class Audit:
         dissipated: energy dissipated in bodies, layers and further parts.
         remainder: error of the time scheme (backward Euler: the energy of the increments; midpoint: zero for laws with
             a quadratic energy), and the effect of parameters that vary in time, at fixed strains.
-        total: energy stored in all parts at the end of the step.
+        total: energy stored in bodies, layers and further parts at the end of the step.
     """
 
     supplied: float = 0.0
@@ -86,7 +87,7 @@ class Audit:
 
     @property
     def imbalance(self) -> float:
-        """Residual of the balance, over the largest of its terms and of the stored energy."""
+        """Residual of the balance, supplied minus other terms, over the largest of its terms and the total energy."""
         terms = (self.supplied, self.stored, self.dissipated, self.remainder)
         largest = max(abs(self.total), *map(abs, terms)) if all(map(math.isfinite, terms)) else math.nan
         return (terms[0] - sum(terms[1:])) / largest if largest else 0.0
@@ -106,8 +107,9 @@ class Configuration:
         fields: unknowns other than displacements, by the key of their part.
         stored: energy at the end of the step, by key, of the parts that are not laws in UFL forms.
         at_rest: whether this is the state before the first step: all strains are zero, prescribed strains included.
-        reactions: (n, k) forces and moments about `Model.centre` of the places `Model.holders`; None: not known.
-        stresses: stresses of compiled laws at the time t, by the same keys as the memory, (points, 6) in
+        reactions: (n, k) reactions of the n places in `Model.holders`, each the force and then the moment about
+            `Model.centre` (k = 3 in 2D, 6 in 3D); None: not known.
+        stresses: stresses of compiled laws at the time t, by the same keys as the memory: (points, 6) in
             Mandel's order.
     """
 
@@ -130,8 +132,8 @@ class State(Configuration):
         report: method, iterations and residual of the solve.
         audit: energy balance of the step that led here.
         sudden: whether it is the response to sudden loads from rest.
-        prescribed_work: work of the reactions at the end of the step in the displacements and motions that supports and
-            plates prescribe; nan: not known.
+        prescribed_work: work of the reactions at the end of the step in the displacements that supports prescribe, and
+            in prescribed motions of multi-point constraints; nan: not known.
         dissipated: with several seams, name of a seam -> energy that its layer dissipated in this step, without losses
             in a snap; "bodies" -> energy that bodies dissipated, if their laws have memory or rate.
     """
@@ -175,7 +177,7 @@ class State(Configuration):
         return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(form)))))
 
     def energies(self) -> dict[str, float]:
-        """Return stored energies of "bodies", "layer" and other parts by key, and the work of the "loads". Collective.
+        """Return the stored energies of "bodies", "layer" and further parts by key, and the work of "loads". Collective.
 
         With several seams "layer" is the sum of all layers, and "layer NAME" is the energy of a seam, including
         junctions filled with its law.
@@ -199,15 +201,16 @@ class State(Configuration):
         return self._sum(self.model.external_work(self.u, self.t)) + part_work
 
     def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:
-        """Return the reaction of a place: of its supports and springs, or of the rigid base below a layer. Collective.
+        """Return the reaction of a place: of its supports and springs, or of the rigid base of a layer. Collective.
 
         The force on the layer's side is included where the layer ends at the place, because a support continues over
         it. If several supports prescribe a displacement, its force is divided equally among them. The reactions of all
         places and the loads (`applied`) add up to zero.
 
         Args:
-            place: as in `supports`: NAME, which includes supports of its parts NAME/REGION and NAME/LAYER, one of
-                these, or a vertex; the name of a seam on a rigid base, or "S" for all of them.
+            place: name of a facet set or coordinates of a vertex, as in `Structure.supports`. "NAME" includes supports
+                of its parts "NAME/REGION" (on one body) and "NAME/LAYER" (the layer's own side). Also the name of a
+                seam on a rigid base, or "S" for all these seams.
             about: the point (d,) of the moment, in the coordinates of the model's mesh; by default the centroid of the
                 place.
 
@@ -226,7 +229,10 @@ class State(Configuration):
         return reduce(add, (every[name] for name in chosen)).at(point)
 
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
-        """Reactions of all places that support the structure, moments about one point (default: `Model.centre`)."""
+        """Reactions of all places that support the structure, by place.
+
+        Moments are about the point `about` (d,), by default `Model.centre`. Raises InputError if they are not known.
+        """
         model = self.model
         if self.reactions is None:
             raise InputError("this state has no reactions: it was not solved for")
@@ -241,7 +247,7 @@ class State(Configuration):
         return {place: reaction.at(model.centre if about is None else about) for place, reaction in total.items()}
 
     def applied(self, about: Sequence[float] | None = None) -> Resultant:
-        """Resultant of all loads at the time of the state. Collective.
+        """Resultant force and moment of all loads at the time of the state. Collective.
 
         Args:
             about: the point (d,) of the moment; by default `Model.centre`.
@@ -261,20 +267,21 @@ class State(Configuration):
 
     @cached_property
     def bodies(self) -> list[Term]:
-        """Terms of the bodies' laws, with prescribed strains and the mean strain at this time. Collective."""
+        """Terms of the bodies' laws at the state's time, with prescribed strains and the mean strain. Collective."""
         return self._strained(self.model.bodies)
 
     @cached_property
     def layers(self) -> list[Term]:
-        """Terms of the layers' laws, with prescribed strains and, if meshed, the mean strain at this time."""
+        """Terms of the layers' laws at the state's time, with prescribed strains and, if meshed, the mean strain."""
         return self._strained(self.model.layer_terms, on_s=self.model.broken)
 
     @cached_property
     def elastic_share(self) -> float:
-        """Share of the load that springs parallel to yielding laws carry (`elastic_fraction`). Collective.
+        """Fraction of the work of yielding laws that is done by their elastic part (`elastic_fraction`). Collective.
 
-        It is the work of the springs' stresses in the strains, over that of all stresses of these laws. The larger
-        share of layers and of bodies counts; 0 without such laws. If no law yields it is the `elastic_fraction`.
+        A yielding law may have an elastic part in parallel, with `elastic_fraction` of its stiffness. The result is the
+        work of its stresses in the strains, over the work of all stresses of these laws. It is the larger value of
+        layers and of bodies; 0 without such laws. If no law yields it is the `elastic_fraction`.
         """
         work, terms = np.zeros((2, 2)), self.bodies + self.layers
         for key, points in self.model.quadratures.items():
@@ -291,7 +298,7 @@ class State(Configuration):
         return float((work[:, 0] / np.maximum(work.sum(axis=1), np.finfo(float).tiny)).max())
 
     def _strained(self, terms: list[Term], *, on_s: bool = False) -> list[Term]:
-        """Return terms at the time of the state; except on S the mean strain under a mean stress is added."""
+        """Return terms at the time of the state; unless they are on S, the mean strain under a mean stress is added."""
         terms = TimeLevel(self.t).terms(terms)
         if on_s or not self.model.stress:
             return terms
@@ -306,7 +313,7 @@ class State(Configuration):
         return next(self._stressed([term]))[1]
 
     def work(self, terms: Iterable[Term], v: Expr) -> Expr:
-        """Virtual work of stresses of bodies' or meshed layers' terms in the strains of v, a UFL form. Collective."""
+        """Virtual work of the terms' stresses in the strains of v, a UFL form; not for compiled laws on S. Collective."""
         return sum(ufl.inner(s, p.strain(v)) * p.weight * measure for p, s, measure in self._stressed(terms))
 
     def _stressed(self, terms: Iterable[Term]) -> Iterator[tuple[Term, Expr, ufl.Measure]]:
@@ -343,8 +350,9 @@ class State(Configuration):
 
 
 def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
-    """Values (..., a, m) at the nodes of cells (...) of any rank, given by numbers in a model's joint. Collective.
+    """Values (..., a, m) of f, with m components, at the a nodes of cells of any rank. Collective.
 
+    `cells` (...) are numbers of cells in the joint of `model`, on whose mesh f is.
     A cell of a body has the same number and the same order of its degrees of freedom in all models of a joint.
     """
     dofmap, n_owned = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
@@ -356,7 +364,10 @@ def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
 
 
 def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model) -> fem.Function:
-    """Copy a function on the bodies of one model to the same cells of another model of the same joint. Collective."""
+    """Return the function f on the bodies of `source` on the same cells of `target`, in its space V. Collective.
+
+    Both models are of one joint. Values in meshed layers of `target` are zero.
+    """
     there = target.domain.original_cells
     wanted = np.flatnonzero(there < len(source.joint.cells))
     out = fem.Function(V)

@@ -46,29 +46,30 @@ class Structure:
         body: law of the bodies (moduli: stress), or region name -> law. Allowed are laws of strains that do not
             soften, except laws only for layers: `Stack`, `Incompressible`, laws with phases, and laws that depend on
             the normal of S. Parameters may be numpy functions of places (d, n) in the joint that return n values.
-        supports: place -> prescribed displacements, see `Supports`; they continue over the side of the layer. Where
-            places overlap their values must agree.
-        tractions: facet name -> (d,) traction (stress), constant or a function (x, t) of UFL coordinates that returns d
-            components. It acts on the bodies. With bodies="extended" it also acts on the part of the layer's side that
-            was theirs, so that all models have the same loads. The name "NAME/LAYER" loads the layer's side alone: this
-            force of order eps is in interface laws of order 1, but not in those of order 0. `Pressure(p)` acts along
-            the inner normal.
+        supports: place -> prescribed displacements. A place is the name of a facet set, which includes the side of the
+            layer that continues it, or the coordinates of a vertex. Displacements are {"x": value, ...}, {"n": value}
+            along the outer normal, or one number for all components. Where places overlap, values must agree.
+        tractions: name of a facet set -> traction (d,) in d dimensions (stress), constant or a function (x, t) of UFL
+            coordinates that returns d components. It acts on the bodies. With bodies="extended" it also acts on the
+            part of the layer's side that was theirs, so that all models have the same loads. The name "NAME/LAYER"
+            loads the layer's own side next to the facet set NAME. This force of order eps is in interface laws of
+            order 1, but not in those of order 0. `Pressure(p)` acts along the inner normal.
         body_force: (d,) force per volume in the bodies, constant or a function (x, t). Or name -> force, for regions
             and seams; a single seam is called "S". On a seam it is the weight of the layer, of order eps. It acts on
             the layer's cells or, in the interface model, times the thickness and in halves on both sides of S. On a
             rigid base one half acts directly on the base.
-        loads: `PointLoad`, `LineLoad`.
+        loads: list of `PointLoad` and `LineLoad`: forces at vertices and along edges.
         plane: "strain", "stress" or "axisymmetric", for a joint in 2D. In plane stress laws compute the strains out of
             the plane themselves (`BulkLaw.plane_stress`). Axisymmetric: x is the distance r >= 0 from the axis of
             revolution, y the place along it, and there is no twist. On the axis u_x = 0 is prescribed automatically.
             All integrals (energies, loads, forces, over S) are over the whole revolution.
         element: "P1", "P2" (default) on triangles and tetrahedra, "Q1", "Q2" (default) or "S2" on others.
         parts: further parts of the balance of forces: `Springs`, `UflPart`, or a user-defined `PartDefinition`.
-        strain: mean strain of a periodic joint, (d, d) symmetric numbers, or a function (x, t) of the time alone that
+        strain: mean strain E of a periodic joint, (d, d) symmetric numbers, or a function (x, t) of the time alone that
             returns them. Displacements u then exclude the mean motion: bodies have the strain E + strain(u), S has the
             jump [u]. Translations that nothing prevents are fixed at one vertex, so `supports={}` is allowed.
-        stress: mean stress instead, likewise: the mean strain is then unknown, see `State.mean_strain`. The joint must
-            be periodic in all directions, and the bodies linear.
+        stress: mean stress instead of a mean strain, (d, d) or such a function. The mean strain is then unknown, see
+            `State.mean_strain`. The joint must be periodic in all directions, and the bodies linear.
         eigenstrain: strain that the bodies would have without stress, or region name -> strain. Allowed are a number, a
             symmetric table (d, d) or (3, 3), and a function (x, t) of UFL coordinates that returns one of these;
             `ThermalExpansion`, `Prestress`, or a list of several that add up. A number multiplies the identity in three
@@ -77,14 +78,14 @@ class Structure:
         comm: MPI communicator (default: the world).
 
     Attributes:
-        joint: the joint before inflating.
+        joint: the joint as drawn, before S is opened to the layers' thickness.
         plane: "strain", "stress" or "axisymmetric".
         element: the finite element of displacements.
         degree: its polynomial degree.
-        kinematics: strains of displacements, without a mesh.
-        body_laws: law of each body.
+        kinematics: strains of displacements for `plane`, not yet on a mesh.
+        body_laws: name of a body -> its law.
         supports, tractions, body_force, loads, parts, strain, stress: the arguments.
-        eigenstrains: eigenstrain of each body that has one, as the user wrote it.
+        eigenstrains: name of a body with an eigenstrain -> this as the user wrote it.
         comm: MPI communicator; None: the world.
         data_hash: hash of the data, equal on all ranks.
 
@@ -154,9 +155,10 @@ class Structure:
             layer: law and thickness of the layer; S is inflated by the thickness. For a joint with several seams {name
                 of a seam: its layer, or a `Gap` for an open joint}, or one layer for all. A layer continues past the
                 end of a gap. With extended bodies, tractions do not act on the parts that bodies gave up to gaps.
-            bodies: "kept" or "extended", see `geometry.inflate`.
-            cells_through: number of cells through the layer's thickness; even where layers meet. For a law that softens
-                it has little effect, and a single cell is sufficient and fastest: means of strains through the
+            bodies: "kept": bodies keep their shape and move apart by the thickness. "extended": the outer shape is
+                kept, and each body gives up half of the thickness (on a rigid base all of it).
+            cells_through: number of cells through the layer's thickness, an even one where layers meet. For a law that
+                softens it has little effect, and a single cell is sufficient and fastest: means of strains through the
                 thickness drive the law, as on S, and deviations from them are elastic.
             junctions: name of a seam whose law also fills the cells where it meets other seams. At other junctions, and
                 by default, this is the law of the first of the joint's seams that end there. These cells need the law
@@ -232,7 +234,10 @@ class Structure:
         loads: Sequence[ConcentratedLoad] | None = None,
         supports: ByPlace | None = None,
     ) -> Self:
-        """Return the same structure with other loads, which are not checked; None: unchanged. Collective."""
+        """Return the same structure with other loads or supports, which are not checked; None: unchanged. Collective.
+
+        Arguments have the form of those of `Structure`.
+        """
         new = copied(self)
         data = {"tractions": tractions, "body_force": body_force, "loads": loads and tuple(loads), "supports": supports}
         changed = {name: value for name, value in data.items() if value is not None}
@@ -241,7 +246,7 @@ class Structure:
         return new
 
     def layers_alone(self, names: Collection[str]) -> Self:
-        """Return the structure of the layers on some seams without bodies, with their own loads, on one process."""
+        """Return the structure of the layers on some seams, without bodies, with the layers' own loads, on one process."""
         new, force = copied(self), self.body_force
         new.joint = replace(self.joint, seams={name: s for name, s in self.joint.seams.items() if name in names})
         new.comm, new.parts, new.loads, new.body_laws, new.eigenstrains = MPI.COMM_SELF, (), (), {}, {}
@@ -255,18 +260,21 @@ class Structure:
 
     @cached_property
     def sheet(self) -> Sheet:
-        """S as a sheet of straight simplices."""
+        """All seams as straight segments in 2D, or as triangles in 3D."""
         return Sheet(self.joint)
 
     @cached_property
     def bodies_at_rest(self) -> list[Array | None]:
-        """Tangents at rest of `bodies_with_numbers`; None where not known."""
+        """Tangents (6, 6) at rest, in Mandel's notation, of the laws `bodies_with_numbers`; None where not known."""
         n = self.sheet.mean_normal
         return [declared_or_computed_tangent(self.kinematics.law(law), n) for law in self.bodies_with_numbers]
 
     @cached_property
     def bodies_with_numbers(self) -> list[BulkLaw]:
-        """Laws of the bodies; those with functions as parameters are sampled where one is smallest or largest."""
+        """Laws of all bodies, with numbers as parameters.
+
+        A law with functions as parameters occurs with their values at each place where one is smallest or largest.
+        """
         joint, laws = self.joint, []
         for name, law in self.body_laws.items():
             cells = joint.corners[joint.region == joint.regions.index(name)] if law.fields else joint.corners[:1]
@@ -289,7 +297,7 @@ class Structure:
             raise InputError(f"element {self.element!r} does not exist on {cells}")
 
     def _laws_of(self, body: BulkLaw | Mapping[str, BulkLaw]) -> dict[str, BulkLaw]:
-        """The law of each body, in the same order on all ranks."""
+        """Return the law of each body by name; raises InputError for a body without a law, or a law only for layers."""
         laws = values_by_body(body, self.joint, "body")
         for name in self.joint.bodies:
             law = laws.get(name)
@@ -300,7 +308,7 @@ class Structure:
 
 
 def require_body_law(name: str, law: Law) -> None:
-    """Raise InputError, with the reason, if a law is for layers only."""
+    """Raise InputError, with the reason, if the law of the body `name` is for layers only, or softens."""
     traits, kind = law.traits, type(law).__name__
     reason = ""
     if not isinstance(law, BulkLaw):

@@ -32,28 +32,29 @@ Components = dict[str, Value]
 
 
 def is_part(place: Place, of: Place) -> bool:
-    """Whether a place is the place `of` or a part of it, as NAME/REGION is a part of NAME."""
+    """Whether a place is the place `of` or a part of it, as the facet set "NAME/REGION" is a part of "NAME"."""
     return place == of or (isinstance(place, str) and FacetName.parse(place).whole == of)
 
 
 class Supports:
-    """Prescribed displacements, for any space on the domain.
+    """Displacements that a user prescribes, for any space on a distributed mesh.
 
     Args:
-        domain: the domain.
-        supports: place -> prescribed components. A place is a facet name (its continuation over the layer's side
-            included; NAME/REGION and NAME/LAYER narrow it) or the coordinates of a mesh vertex before inflating (on S:
-            both sides). Components are {"x": value, ...}, or one number for all of them; a value is a number or a
-            function (x, t) of UFL coordinates. {"n": value} prescribes the displacement along the outer normal alone,
-            on any inclined or curved facets: see `Prescribed`. Where places overlap, their values must agree.
-        at: coordinates for these functions.
-        clamped: names of facets that are fixed, whatever supports prescribe that end there.
+        domain: the distributed mesh, with the joint's names.
+        supports: place -> prescribed components. A place is the name of a facet set, which includes the side of a layer
+            that continues it. "NAME/REGION" is its part on one region, "NAME/LAYER" the layer's side alone. A place may
+            also be the coordinates of a vertex in the joint as drawn, before S is opened to the layer's thickness (on
+            S: the nodes on both sides). Components are {"x": value, ...}, or one number for all of them; a value is a
+            number or a function (x, t) of UFL coordinates. {"n": value} prescribes the displacement along the outer
+            normal alone, on any inclined or curved facets: see `Prescribed`. Where places overlap, values must agree.
+        at: place and time as arguments of these functions.
+        clamped: names of facet sets that do not move; conditions of other supports at their nodes are dropped.
         kinematics: kinematics of the mesh; on an axis of revolution the component x is fixed.
 
     Attributes:
-        values: (number of the entry, component) -> its `Coefficient`; clamped facets have none.
+        values: (position in `entries`, component) -> its `Coefficient`; clamped facets have none.
         moving: places where a component is a function, or a number that is not 0.
-        user_entries: (place, components) as the user wrote them; `entries` also has clamped facets.
+        user_entries: (place, components) of each support of the user; `entries` also has clamped facets.
         anchored: components that are fixed at one vertex of a periodic joint, because nothing else prevents the
             translation; the reactions there are zero.
         on_axis: mask (n,) of the points of the joint that lie on an axis of revolution.
@@ -99,7 +100,7 @@ class Supports:
         return components
 
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> Indices:
-        """Local degrees of freedom (unrolled, ghosts included) of one component on one place. Collective.
+        """Local degrees of freedom in V (unrolled, ghosts included) of one component, `axis`, at a place. Collective.
 
         For the normal component these are the dofs of all components.
         """
@@ -122,7 +123,7 @@ class Supports:
         return np.unique(np.concatenate([*dofs, *anchors, self.axis(V)]))
 
     def anchors(self, V: fem.FunctionSpace) -> Indices:
-        """Local degrees of freedom (unrolled, with ghosts) of the anchored components, at one corner. Collective."""
+        """Local degrees of freedom (unrolled, with ghosts) of the components `anchored`, at one vertex. Collective."""
         if not self.anchored:
             return np.empty(0, np.int32)
         owned = self.domain.mesh.topology.index_map(self.domain.joint.dim).size_local
@@ -136,7 +137,7 @@ class Supports:
         return np.flatnonzero(mark.x.array).astype(np.int32)
 
     def require_balance(self, b: PETSc.Vec, t: float) -> None:
-        """Raise InputError if nodal forces have a resultant along an anchored component. Collective."""
+        """Raise InputError if nodal forces b at a time have a resultant along a component in `anchored`. Collective."""
         total = self.domain.comm.allreduce(b.array_r.reshape(-1, len(self.axes)).sum(axis=0))
         for axis in self.anchored:
             if abs(force := float(total[self.axes.index(axis)])) > LOAD_SUM_TOLERANCE * b.norm(PETSc.NormType.NORM_1):
@@ -159,7 +160,7 @@ class Supports:
 
 
 def vertex_dofs(V: fem.FunctionSpace, vertices: Indices, component: int) -> Indices:
-    """Local degrees of freedom (unrolled) of one component at local vertices, in every cell that has the vertex."""
+    """Local degrees of freedom in V (unrolled) of one component at some local vertices, in all cells around them."""
     dofmap, of_cells = V.dofmap, V.mesh.topology.connectivity(V.mesh.topology.dim, 0)
     corners = of_cells.array.reshape(of_cells.num_nodes, -1)
     places = [dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(corners.shape[1])]
@@ -169,7 +170,7 @@ def vertex_dofs(V: fem.FunctionSpace, vertices: Indices, component: int) -> Indi
 
 @dataclass(frozen=True)
 class _Source:
-    """Values of one component of one support: a constant function, or an expression to interpolate into it."""
+    """Source of values of one component of a support: a constant function, or an expression to interpolate into it."""
 
     entry: int
     place: Place
@@ -179,7 +180,7 @@ class _Source:
 
 
 class Prescribed:
-    """Conditions of supports on a space, direction . u = value at a node.
+    """Conditions of supports on the displacements in a space: direction . u = value at a node.
 
     Supports along the normal: facets whose normals at a node differ by less than 30 degrees are one smooth surface with
     their mean normal. Other facets meet in a corner, where displacements along the normals of both are prescribed. In
@@ -191,12 +192,13 @@ class Prescribed:
         V: the space, with nodal displacements if a component is normal.
 
     Attributes:
-        d, size: number of components of a node, and of displacements of this rank.
-        extent: largest extent of the structure.
-        entry: (k,) for each condition the number of its support in `supports.entries`; -1: an anchor, or the axis.
+        d, size: number of components at a node, and number of displacements of this rank.
+        extent: largest extent of the structure along an axis.
+        entry: (k,) for each of the k conditions of this rank the position of its support in `supports.entries`. -1: the
+            vertex at which a periodic joint is fixed, or the axis of revolution.
         blocks: (k,) local number of its node.
         directions: (k, d) its unit direction.
-        conditions: (k, size) sparse, the conditions on the displacements of this rank.
+        conditions: (k, size) sparse matrix of the conditions on the displacements of this rank.
     """
 
     def __init__(self, supports: Supports, V: fem.FunctionSpace) -> None:
@@ -222,7 +224,7 @@ class Prescribed:
         return _Source(entry, place, axis, value)
 
     def _find_conditions(self) -> None:
-        """Set the conditions on this rank: source, the degree of freedom that has the value, and direction."""
+        """Set the attributes of the conditions on this rank, and for each its source and the dof that has its value."""
         supports, V, d = self.supports, self.V, self.d
         along_axes = ((k, c) for k, c in enumerate(self._sources) if c.axis != NORMAL_COMPONENT)
         source_dofs = [(k, supports.dofs(V, c.place, c.axis)) for k, c in along_axes]
@@ -245,7 +247,7 @@ class Prescribed:
         self.conditions.eliminate_zeros()
 
     def _normal_conditions(self) -> tuple[np.ndarray, np.ndarray, Array]:
-        """Return the conditions along normals: source, first degree of freedom of the node, direction."""
+        """Return for conditions along normals: positions of sources (m,), nodes' first dofs (m,), directions (m, d)."""
         d, domain = self.d, self.supports.domain
         columns: list[Array] = [np.empty((0, d + 2))]  # source, block, normal
         for number, component in enumerate(self._sources):
@@ -264,11 +266,11 @@ class Prescribed:
     # ---------------------------------------------------------------- values
     @property
     def varies(self) -> BoolArray:
-        """Mask (k,) of the conditions whose value is a function."""
+        """Mask (k,) of the k conditions whose value is a function of place or time."""
         return np.array([*(source.expression is not None for source in self._sources), False])[self._source_of]
 
     def values(self, t: float) -> Array:
-        """Values (k,) of the conditions at a time, possibly not finite. Collective."""
+        """Values (k,) of the k conditions at a time, not checked to be finite. Collective."""
         values = np.zeros(len(self.entry))
         with self.supports.at.clock.at(t):
             for number, source in enumerate(self._sources):
@@ -279,14 +281,14 @@ class Prescribed:
         return values
 
     def condition_text(self, row: int, value: float) -> str:
-        """Text for errors on a condition and its value."""
+        """Text for errors on the condition `row` and its value."""
         if self._source_of[row] < 0:
             return "on the axis of revolution x = 0"
         source = self._sources[self._source_of[row]]
         return f"{source.place!r} prescribes {source.axis} = {value:.6g}"
 
     def place_of(self, row: int) -> Array | None:
-        """Place (d,) of the node of a condition; None if displacements are not nodal."""
+        """Place (d,) of the node of the condition `row`; None if degrees of freedom are not values at nodes."""
         if not self._nodal:
             return None
         x = self.V.tabulate_dof_coordinates()[self.blocks[row], : self.d]

@@ -1,4 +1,4 @@
-"""Clock of a model: the time as a constant that compiled forms read, further time levels, and tables over time."""
+"""Clock of a model: the time as a constant in compiled forms, other time levels, and tables over time."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Clock:
 
     @contextmanager
     def at(self, t: float) -> Iterator[None]:
-        """Set the time while forms are assembled."""
+        """Return a context in which forms are assembled at the time t."""
         before = float(self.symbol)
         self._show(t)
         try:
@@ -61,11 +61,11 @@ class Clock:
 
 
 class TimeConstant(fem.Constant):
-    """A clock's constant in forms: the time, or the values (columns,) of a table whose argument depends on time alone.
+    """A clock's constant in forms: the time, or the values (m,) of a table whose argument depends on the time alone.
 
     Attributes:
         mesh: the mesh.
-        time_constants: all constants of the clock.
+        time_constants: all constants of the same clock.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class TimeConstant(fem.Constant):
     __hash__ = fem.Constant.__hash__
 
     def at(self, t: float) -> float | Array:
-        """Value at a time: a number, or (columns,)."""
+        """Value at a time: a number, or the m components (m,) of a table."""
         return t if self._table is None else self._table.at(self._argument_at(t))
 
     def _argument_at(self, t: float) -> float:
@@ -96,7 +96,7 @@ class TimeConstant(fem.Constant):
 
     @property
     def breaks(self) -> set[float]:
-        """Times at which the slope of the table's values changes, if its argument is linear in the time."""
+        """Times at which the slope of the table's values changes; empty unless its argument is linear in the time."""
         if self._table is None:
             return set()
         if not all(isinstance(node, (Terminal, *RATIONAL_OPERATORS)) for node in unique_pre_traversal(self._argument)):
@@ -113,8 +113,9 @@ def time_constants(expression: Expr) -> list[TimeConstant]:
 
 
 class TimeLevel:
-    """A time level: expressions at its time read constants that are separate from those of the clock.
+    """A time, other than that of the clock, at which expressions are evaluated.
 
+    They read constants that are separate from those of the clock.
     Forms at several time levels are compiled once. To use one compiled form at several times, call `set`.
     """
 
@@ -142,7 +143,7 @@ class TimeLevel:
 
 
 class StepStrains:
-    """Prescribed strains over a time step, at its ends and where forces balance, as constants that compiled forms read.
+    """Prescribed strains at both ends of a time step and where forces balance, as constants in compiled forms.
 
     At rest they are zero: in the first step they act suddenly, as loads do.
 
@@ -182,7 +183,7 @@ class StepStrains:
         return self._present * self._now.of(f)
 
     def look_at(self, t: float, *, at_rest: bool = False) -> None:
-        """Set the time of `now`, or rest."""
+        """Set the time of `now`; at rest the values of `now` are zero."""
         self._present.value = 0.0 if at_rest else 1.0
         self._now.set(t)
 
@@ -191,8 +192,8 @@ class PiecewiseLinear:
     """Values at given times, linear in between; NaN before and after.
 
     Attributes:
-        times: (n,) increasing.
-        columns: (n, columns) values.
+        times: (n,) the n times, increasing.
+        columns: (n, m) values at these times, with m components.
         scalar: whether each value is a number instead of components.
         breaks: the first and the last time, and those between at which the slope changes.
     """
@@ -214,7 +215,7 @@ class PiecewiseLinear:
         return y[0] if self.scalar else y
 
     def at(self, t: float) -> Array:
-        """Values (columns,) at a time."""
+        """Values (m,) of the m components at a time."""
         first, last = self.times[[0, -1]]
         near = TIME_TOLERANCE * max(abs(first), abs(last))
         if not first - near <= t <= last + near:
@@ -222,7 +223,7 @@ class PiecewiseLinear:
         return np.array([np.interp(t, self.times, column) for column in self.columns.T])
 
     def _line(self, column: Array, t: Expr) -> Expr:
-        """UFL expression of one column at an argument that also depends on the place."""
+        """UFL expression of a component with values `column` (n,) at an argument t that also depends on the place."""
         times, steps = [*map(float, self.times)], map(float, np.diff(column) / np.diff(self.times))
         inside = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))
         within = (ufl.max_value(0, ufl.min_value(t, b) - a) for a, b in pairwise(times))
