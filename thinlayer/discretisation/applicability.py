@@ -97,7 +97,7 @@ class Applicability:
 
     @cached_property
     def free(self) -> Rim:
-        """Ridges with the local field of a free end: the layer's side is free, or constrained oblique to S."""
+        """Ridges with the local field of a free end: the layer's side is free, or constrained in oblique directions."""
         return self.rim("free", "oblique")
 
     @cached_property
@@ -159,7 +159,7 @@ class Applicability:
 
     @cached_property
     def strips(self) -> EndStrips | None:
-        """Strips along free ends in which the layer is weaker; None if they are not known for the law."""
+        """Strips along free ends in which the layer is less stiff; None if they are not known for the law."""
         return self.law.end_strips()
 
     @cached_property
@@ -174,7 +174,7 @@ class Applicability:
 
     @cached_property
     def all_weights(self) -> FacetWeights:
-        """Weights of the free ends on the seam's facets, without a check that strips along several ends do not overlap.
+        """Weights (relative losses of stiffness) on the seam's facets near free ends, whose strips may overlap.
 
         All other conditions of the use "ends" must hold, see `why_not`.
         """
@@ -185,7 +185,7 @@ class Applicability:
 
     @cached_property
     def weights(self) -> FacetWeights | None:
-        """Weights of the free ends on the seam's facets; None without free ends, or if these are not corrected."""
+        """Weights (relative losses of stiffness) on the seam's facets near free ends; None without correction."""
         return None if self.why_not("ends") or not len(self.free.vertices) else self.all_weights
 
 

@@ -57,7 +57,7 @@ def lies_across_axis(kinematics: Kinematics, normals: Array) -> bool:
 
 
 def require_shifts(kinematics: Kinematics, joint: Joint) -> None:
-    """Raise InputError unless bodies can move apart along the normals of S without strain, as for bodies="kept"."""
+    """Raise InputError unless kept bodies can move apart along the normals of S without strain."""
     if not lies_across_axis(kinematics, joint.interface_normals.reshape(-1, joint.dim)):
         reason = "bodies='kept' moves them along the normal of S; a body of revolution cannot move away from its axis"
         raise InputError(f"plane={kinematics.name!r}: {reason}; use bodies='extended', or an S across the axis")
@@ -107,15 +107,15 @@ def refuse_periodic(joint: Joint, name: str, what: str) -> None:
 def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntArray, Array]:
     """Return outer normals of facets at their nodes, weighted so that their sum at a vertex of a sphere is radial.
 
-    Facets of a layer's side get the normals of the bodies' side that they continue: they may be oblique where bodies
-    made room for the layer.
+    Facets of a layer's side may be oblique, where bodies made room for the layer. They get the normals of the bodies'
+    side that they continue.
 
     The weight is sin(angle)/(product of lengths) of the facet's two edges at a vertex, in 2D 1/length. The sum then has
     the exact direction at vertices on circles and spheres, and the triangulation of a smooth side does not affect it.
     Reference: Max 1999, Weights for computing vertex normals from facet normals. Collective.
 
     Args:
-        domain: the domain.
+        domain: the distributed mesh.
         V: a space of nodal displacements.
         place: name of a facet set on the outer boundary; facets of ghost cells are left out.
 

@@ -371,7 +371,7 @@ class Constraints:
         return float(sum(shifts[tie.key] @ tie.resultant(t) for tie in self.mpcs))
 
     def dual_to_resultant(self, holders: Sequence[int], direction: Array) -> Array:
-        """Return weights g (n,) of forces on the unknowns in the force of chosen supports along a direction.
+        """Return weights g (n,) that give the force of chosen supports along a direction from forces on the unknowns.
 
         For nodal forces r this force is g . T^T r plus `prescribed_resultant`.
 
@@ -392,7 +392,7 @@ class Constraints:
 
     # ---------------------------------------------------------------- motions
     def admissible(self, motions: Sparse) -> tuple[Sparse, Sparse]:
-        """Return motions with constrained unknowns set to zero, and the Gram matrix of the constraint violations.
+        """Return motions with constrained unknowns set to zero, and the Gram matrix of the violations of constraints.
 
         Args:
             motions: (n, c) sparse matrix of c motions, for the n displacements of this rank.
@@ -418,7 +418,7 @@ class Constraints:
     def resistance(self, motions: Callable[[IntArray], Array]) -> Array:
         """Gram matrix (c, c) of the violations of all constraints by c motions.
 
-        It is the least one over the motions of multi-point constraints: the Schur complement of these motions.
+        Multi-point constraints move so that the violations are least: their motions are eliminated (Schur complement).
         `motions` is a function of local numbers (n,) of displacements that returns the c motions there, (n, c).
         """
         if self._T0 is None:

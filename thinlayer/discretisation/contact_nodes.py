@@ -81,7 +81,7 @@ class NodePairs:
         surface: facets that the nodes belong to; if the nodes are of several seams, the facets of one of them.
         upper: (n,) local number of the node of V on the upper side.
         lower_numbers: (n,) global number of the node of V on the lower side; -1 on a rigid base.
-        x: (n, d) coordinates.
+        x: (n, d) coordinates of the nodes.
         weights: (n,) areas of S around the nodes (lengths in 2D).
         frames: (n, d, d) local axes of the nodes in d dimensions, as rows: unit tangents of S, then its unit normal.
         gap: (n,) initial gap between the sides; < 0: interference.

@@ -57,7 +57,7 @@ class Forces:
     Args:
         domain: the distributed mesh, with the joint's names.
         kinematics: kinematics of the mesh, with the factor of all measures (2 pi r in axisymmetry).
-        points: makes forms of loads at points and along lines.
+        points: object that makes the forms of loads at points and along lines.
         structure: the structure, for tractions, body force, and loads at points and along lines.
 
     Attributes:

@@ -144,7 +144,7 @@ class LayerModel(FullModel):
         at_ends: largest length along S of cells at ends, over the thickness; None: the length of the facets of S there.
 
     Raises:
-        InputError: `at_ends` is not a number > 0, or so small that nodes would coincide; these seams meet others.
+        InputError: `at_ends` is not a number > 0, or so small that nodes would coincide; the layers' seams meet others.
     """
 
     name = "layer"
@@ -183,7 +183,7 @@ class LayerModel(FullModel):
 
     @property
     def surface_identity(self) -> object:
-        """Object that models share (`is`) if fields on S fit each other; with refined cells the model itself."""
+        """Object that models share (`is`) if fields on S of one fit the other; the model itself for refined cells."""
         return super().surface_identity if self._at_ends is None else self
 
     def require_supported(self) -> None:

@@ -119,9 +119,10 @@ class ThinLayer:
 
 @dataclass(frozen=True)
 class Gap:
-    """An open joint of some width: no forces act between its sides, and nothing prevents their overlap.
+    """An open seam of some width: no forces act between its sides, and nothing prevents their overlap.
 
-    A meshed model leaves the gap empty. An interface model ignores the width: `Gap(eps)` is the same as None there.
+    A meshed model leaves the gap empty. An interface model ignores the width: `Gap(eps)` is the same as None there, no
+    layer.
 
     Attributes:
         eps: width, a length > 0.
@@ -318,7 +319,7 @@ class SeamLayer:
 
     @cached_property
     def initial_tangents(self) -> InitialTangents:
-        """Tangents at rest of the layer's law; this is no contact law and has numbers as parameters (`samples`)."""
+        """Tangents at rest of the layer's law, which must have numbers as parameters and not be a contact law."""
         return InitialTangents(law_with_numbers(self.layer, self.structure.kinematics), self.sheet.mean_normal)
 
     def prescribed_strain(self, at: Coordinates) -> Expr | None:

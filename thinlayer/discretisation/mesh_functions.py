@@ -51,7 +51,7 @@ def relative_thickness(domain: Domain, profile: Profile, name: str = S) -> fem.F
 
 
 def band_of(joint: Joint) -> InflatedBand:
-    """Return how S was opened to meshed layers, for a joint with such layers."""
+    """Return how the layers of a joint were meshed, their regions and faces; the joint must have meshed layers."""
     assert joint.band is not None
     return joint.band
 
@@ -167,7 +167,7 @@ class SharedDofs:
 
     @classmethod
     def of_components(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, components: EntityKeys) -> SharedDofs:
-        """Return dofs that are shared by cells of one component around a vertex, edge or facet. Collective.
+        """Return dofs that cells share if they are in one component around a vertex, edge or facet. Collective.
 
         A component is one of the pieces into which cuts separate the cells around such an entity. Keys combine the
         number of a dof of the continuous space with that of the component; the dof's owner is the meeting rank.
@@ -193,7 +193,7 @@ class SharedDofs:
 
     @classmethod
     def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, keys: EntityKeys) -> SharedDofs:
-        """Return dofs that are shared by entities with the same number, with at most one dof per entity. Collective.
+        """Return dofs that entities with the same number share, such as those on two periodic sides. Collective.
 
         Args:
             comm: the domain's communicator.

@@ -84,7 +84,7 @@ CACHES_OF_MESH = ("split_mesh", "places", "volume", "_middle", "dS", "sides")
 
 
 def copied(source: T, keep: Collection[str] = ()) -> T:
-    """Copy an object without the values of its cached properties, except those in `keep`: they may change with data."""
+    """Return a copy of an object without values of cached properties, which may change with data, except in `keep`."""
     new = copy.copy(source)
     for name in vars(source).keys() - {*keep}:
         if isinstance(getattr(type(source), name, None), cached_property):
@@ -140,7 +140,7 @@ class Model(ABC):
         gaps: name of a seam -> its `Gap`; open seams without a width are left out.
         contacts: name of a seam -> its contact law.
         contact: the first of these laws; None if there is none.
-        applicability: name of a seam -> whether an interface law can replace its layer, or why not.
+        applicability: name of a seam -> range of validity of the interface law of its layer.
         domain: the distributed mesh.
         comm: the domain's communicator.
         V: displacement space; broken across S in the interface model.
@@ -153,8 +153,8 @@ class Model(ABC):
             Only `model.form` accepts plain `ufl.dx` in the same form, `dolfinx.fem.form` does not.
         bodies, layer_terms: terms of the laws of the bodies and of the layers, with prescribed strains that may depend
             on the time; `State.bodies` and `State.layers` are these terms at the time of a state.
-        body_strains, layer_strains: name of a body, or of a seam -> the strain (3, 3) that is added there to that of
-            the displacements, minus the eigenstrain; None: there is none.
+        body_strains, layer_strains: name of a body, or of a seam -> the strain (3, 3) to add to that of the
+            displacements, which is minus the eigenstrain; None: there is none.
         supports: prescribed displacements.
         constraints: the supports as conditions at the nodes of V, and the multi-point constraints.
         forces: tractions, body forces, and loads at points and along lines.
@@ -445,7 +445,7 @@ class Model(ABC):
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences for the log on choices that the user left open."""
+        """Sentences for the log on choices that were made for the user, such as the correction of free ends."""
         return []
 
     def shifts(self) -> FloatArray | None:
@@ -521,7 +521,7 @@ class Model(ABC):
         return self.bodies + self.layer_terms
 
     def terms_at(self, t: float) -> list[forms.Term]:
-        """All terms of the model, with prescribed strains, such as minus the eigenstrain, at a fixed time."""
+        """All terms of the model, with prescribed strains (such as minus the eigenstrain) at a fixed time."""
         return TimeLevel(t).terms(self.terms)
 
     @cached_property
@@ -612,7 +612,7 @@ class Model(ABC):
 
     # ---------------------------------------------------------------- identity
     def identity(self) -> dict[str, object]:
-        """Identity of the model, as JSON: equal for the same model in another process, on any number of ranks."""
+        """Data that identify the model, as JSON: the same in another process and on any number of ranks."""
         return {"model": repr(self), **self.domain.joint.identity(), **self.description}
 
     def _data(self) -> dict[str, Any]:

@@ -137,7 +137,7 @@ class PartDefinition(FormerNames):
         raise NotImplementedError
 
     def load_work(self, model: HostModel, state: Configuration) -> float:
-        """Work of prescribed forces of the part, as of loads, in the displacements of a configuration. Collective.
+        """Work of the part's prescribed forces, which count as loads, in a configuration's displacements. Collective.
 
         By default it is the work of the prescribed resultants of its multi-point constraint.
         """

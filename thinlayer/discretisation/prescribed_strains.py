@@ -196,7 +196,7 @@ class ThermalExpansion(Eigenstrain):
         factor: factor of T, a number or a function (x, t): lets a Function grow in time, which otherwise acts
             suddenly.
 
-    With a Function this is collective, and other processes do not recognise it as the same data.
+    With a Function, making a model is collective. Other processes, as after a restart, take a Function for other data.
 
     Raises:
         InputError: alpha of another shape, not finite or not symmetric; T or factor that is not a number or a

@@ -1,14 +1,14 @@
 """Tractions on the side of a layer without cells, of height eps: forces of order eps on the layer's two faces.
 
-Per length of the rim of S, a traction t on the side does the work eps t . v, with the mean displacement v of the side.
-Between faces with displacements <u> -+ [u]/2 the ansatz of order 1 has v = <u>: each face gets half of the force.
+Per length of the end of S, a traction t on the side does the work eps t . v, with the mean displacement v of the side.
+Between faces with displacements <u> -+ [u]/2, order 1 approximates v by <u>: each face gets half of the force.
 
 At a free end the side has further displacements of the same size. They are -(c_N M/lmbda) [u_N] along the outward
 normal m in S, and -c_T [u_m] along n. Here M is lmbda + 2 mu, and c_N, c_T and rho_N are constants of the end
 (`forms.ends.constants.FreeEnd`). By reciprocity the displacements follow from the energy that the end takes away. The
-force reaches the faces over lengths of the order of the thickness. Its mean distances from the end are rho_N eps (along m),
-c_T eps (along n) and 7 zeta(3)/pi^3 eps (along the end, index tau). With the relative losses of stiffness a_N and a_T
-near the end (`forms.ends.weights`) it does the work
+force reaches the faces over lengths of the order of the thickness. Its mean distances from the end are rho_N eps
+(along m), c_T eps (along n) and 7 zeta(3)/pi^3 eps (along the end, index tau). With the relative losses of stiffness
+a_N and a_T near the end (`forms.ends.weights`) it does the work
 
     int_S { eps [t_m v_m f_N' + t_n v_n f_T' + t_tau v_tau f'] - a_N M/lmbda t_m [v_N] - a_T t_n [v_m] }
 

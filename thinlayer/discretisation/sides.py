@@ -95,7 +95,7 @@ class FacetWeights:
         resistance: (n,) mean additional resistance to the flow along S by a pressure, over that of an infinite layer.
         m: (n, d) unit normal in S of the nearest end, outward, in d dimensions; zero where there is none.
         offset: (n,) value of m . x at points x of the nearest end.
-        sheet, eps, strips: the data from which the weights are made.
+        sheet, eps, strips: the seam, its thickness and the strips along ends, from which the weights are made.
     """
 
     a_N: FloatArray

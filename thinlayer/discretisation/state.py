@@ -95,17 +95,18 @@ class Audit:
 
 @dataclass(frozen=True, repr=False)
 class Configuration:
-    """Displacements at a time and the memory of the parts of the balance: the initial data of a step.
+    """Displacements at a time, with the memory of laws and other parts of the balance: initial data of a step.
 
     Attributes:
         u: displacement; in a periodic cell without the motion of the mean strain.
         t: time.
-        memory: memory of the parts of the balance, by key. A compiled law has internal variables (points, values),
-            under "layer", for sublayers "layer 1", "layer 2", ..., and in a body "body NAME". A contact law has
-            "contact": its slip at this rank's nodes of S, (nodes, d - 1). A user-defined part may have functions by
-            name. With several seams keys contain their names: "layer BED", "layer BED/1", "contact BED".
+        memory: memory of laws and other parts of the balance of forces, by key. A compiled law has internal variables
+            (points, values), under "layer", for sublayers "layer 1", "layer 2", ..., and in a body "body NAME". A
+            contact law has "contact": its slip at this rank's nodes of S, (nodes, d - 1) in d dimensions. A
+            user-defined part may have functions by name. With several seams keys contain their names: "layer BED",
+            "layer BED/1", "contact BED".
         fields: unknowns other than displacements, by the key of their part.
-        stored: energy at the end of the step, by key, of the parts that are not laws in UFL forms.
+        stored: energy at the time t, by key, of compiled laws and further parts; laws in UFL forms are not in it.
         at_rest: whether this is the state before the first step: all strains are zero, prescribed strains included.
         reactions: (n, k) reactions of the n places in `Model.holders`, each the force and then the moment about
             `Model.centre` (k = 3 in 2D, 6 in 3D); None: not known.
@@ -161,7 +162,7 @@ class State(Configuration):
         return f"State({self.model!r}, t = {self.t:g}, {self.report.method}, {self.report.iterations} iterations)"
 
     def identity(self) -> dict[str, object]:
-        """Identity of the state: identity of its model, and its time."""
+        """Data that identify the state, as JSON: those of its model, and its time."""
         return {"state of": self.model.identity(), "t": self.t}
 
     def integral(self, form: ufl.Form) -> float:
@@ -177,7 +178,7 @@ class State(Configuration):
         return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(form)))))
 
     def energies(self) -> dict[str, float]:
-        """Return the stored energies of "bodies", "layer" and further parts by key, and the work of "loads". Collective.
+        """Return the stored energies of "bodies", "layer", further parts by key, and the work of "loads". Collective.
 
         With several seams "layer" is the sum of all layers, and "layer NAME" is the energy of a seam, including
         junctions filled with its law.
@@ -313,7 +314,7 @@ class State(Configuration):
         return next(self._stressed([term]))[1]
 
     def work(self, terms: Iterable[Term], v: Expr) -> Expr:
-        """Virtual work of the terms' stresses in the strains of v, a UFL form; not for compiled laws on S. Collective."""
+        """Virtual work of terms' stresses in the strains of v, a UFL form; not for compiled laws on S. Collective."""
         return sum(ufl.inner(s, p.strain(v)) * p.weight * measure for p, s, measure in self._stressed(terms))
 
     def _stressed(self, terms: Iterable[Term]) -> Iterator[tuple[Term, Expr, ufl.Measure]]:
@@ -352,8 +353,8 @@ class State(Configuration):
 def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
     """Values (..., a, m) of f, with m components, at the a nodes of cells of any rank. Collective.
 
-    `cells` (...) are numbers of cells in the joint of `model`, on whose mesh f is.
-    A cell of a body has the same number and the same order of its degrees of freedom in all models of a joint.
+    `cells` (...) are numbers of cells in the joint of `model`, on whose mesh f is. A cell of a body has the same number
+    and the same order of its degrees of freedom in all models of a joint.
     """
     dofmap, n_owned = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
     nodes, values = dofmap.list[:n_owned], f.x.array.reshape(-1, dofmap.bs)

@@ -80,7 +80,7 @@ class Structure:
     Attributes:
         joint: the joint as drawn, before S is opened to the layers' thickness.
         plane: "strain", "stress" or "axisymmetric".
-        element: the finite element of displacements.
+        element: name of the finite element of displacements.
         degree: its polynomial degree.
         kinematics: strains of displacements for `plane`, not yet on a mesh.
         body_laws: name of a body -> its law.
@@ -152,9 +152,9 @@ class Structure:
         """Make the model whose layer is meshed. Collective.
 
         Args:
-            layer: law and thickness of the layer; S is inflated by the thickness. For a joint with several seams {name
+            layer: law and thickness of the layer; S is opened to the thickness. For a joint with several seams {name
                 of a seam: its layer, or a `Gap` for an open joint}, or one layer for all. A layer continues past the
-                end of a gap. With extended bodies, tractions do not act on the parts that bodies gave up to gaps.
+                end of a gap. With extended bodies, tractions do not act on faces that bodies gave up to gaps.
             bodies: "kept": bodies keep their shape and move apart by the thickness. "extended": the outer shape is
                 kept, and each body gives up half of the thickness (on a rigid base all of it).
             cells_through: number of cells through the layer's thickness, an even one where layers meet. For a law that
@@ -234,9 +234,13 @@ class Structure:
         loads: Sequence[ConcentratedLoad] | None = None,
         supports: ByPlace | None = None,
     ) -> Self:
-        """Return the same structure with other loads or supports, which are not checked; None: unchanged. Collective.
+        """Return the same structure with other loads or supports, which are not checked. Collective.
 
-        Arguments have the form of those of `Structure`.
+        Args:
+            tractions: name of a facet set -> traction (d,) in d dimensions, or `Pressure`; None: unchanged.
+            body_force: force per volume (d,), or name of a region or seam -> this force; None: unchanged.
+            loads: list of `PointLoad` and `LineLoad`; None: unchanged.
+            supports: place -> prescribed displacements; None: unchanged.
         """
         new = copied(self)
         data = {"tractions": tractions, "body_force": body_force, "loads": loads and tuple(loads), "supports": supports}
@@ -246,7 +250,7 @@ class Structure:
         return new
 
     def layers_alone(self, names: Collection[str]) -> Self:
-        """Return the structure of the layers on some seams, without bodies, with the layers' own loads, on one process."""
+        """Return the structure of the layers on some seams alone, with the layers' own loads, on one process."""
         new, force = copied(self), self.body_force
         new.joint = replace(self.joint, seams={name: s for name, s in self.joint.seams.items() if name in names})
         new.comm, new.parts, new.loads, new.body_laws, new.eigenstrains = MPI.COMM_SELF, (), (), {}, {}

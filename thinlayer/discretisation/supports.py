@@ -196,8 +196,8 @@ class Prescribed:
         extent: largest extent of the structure along an axis.
         entry: (k,) for each of the k conditions of this rank the position of its support in `supports.entries`. -1: the
             vertex at which a periodic joint is fixed, or the axis of revolution.
-        blocks: (k,) local number of its node.
-        directions: (k, d) its unit direction.
+        blocks: (k,) local numbers of the nodes of the conditions.
+        directions: (k, d) unit directions of the conditions.
         conditions: (k, size) sparse matrix of the conditions on the displacements of this rank.
     """
 

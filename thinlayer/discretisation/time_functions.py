@@ -115,8 +115,8 @@ def time_constants(expression: Expr) -> list[TimeConstant]:
 class TimeLevel:
     """A time, other than that of the clock, at which expressions are evaluated.
 
-    They read constants that are separate from those of the clock.
-    Forms at several time levels are compiled once. To use one compiled form at several times, call `set`.
+    These expressions read constants that are separate from those of the clock. Forms at several time levels are
+    compiled once. To use one compiled form at several times, call `set`.
     """
 
     def __init__(self, t: float = 0.0) -> None:
@@ -236,7 +236,7 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
 
     Tables of thousands of values are fine, `piecewise(dict(zip(times, forces)))`. The table may be used in a function,
     `lambda x, t: (0, x[0] * table(x, t))`, at another time than t, `table(x, t / 3600)`, and as a law's temperature.
-    Steps of a layer with memory end at its break times.
+    Time steps of models with memory end at the times where its slope changes.
 
     Args:
         values: time -> the value then: components of a load, or the number of a prescribed displacement; at least two.
