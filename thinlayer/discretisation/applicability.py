@@ -397,7 +397,7 @@ def _rate_conditions(r: Applicability) -> Iterator[Violation]:
 
 
 def _corner_conditions(r: Applicability) -> Iterator[Violation]:
-    """Yield the violated conditions for known exponents of the singular stresses at the corners of free ends.
+    """Yield the violated conditions for exponents of the singular stresses at corners of free ends to be known.
 
     The exponents are those of a wedge of 90 degrees on a rigid face in plane strain.
     """

@@ -31,7 +31,7 @@ def nodes_on_axis(kinematics: Kinematics, joint: Joint) -> BoolArray:
 
 
 def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
-    """Raise InputError if a joint cannot be revolved: it has x < 0, a seam on the axis, or a period across the axis.
+    """Raise InputError if a joint cannot be revolved: it has x < 0, a seam on the axis, or a period not along it.
 
     A joint for other kinematics than axisymmetric ones always passes.
     """

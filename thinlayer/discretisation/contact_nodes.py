@@ -267,8 +267,8 @@ def _global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
 def _corners(surface: ContactSurface) -> Array:
     """Return a row for each node of each facet of S that this rank owns.
 
-    Columns: local number of the node on the upper side, global number of the node on the lower side (-1 on a rigid
-    base), area, area times unit normal (d components), number of the node as in `ContactNodes.file_numbers`.
+    The first columns are the node's local number on the upper side and its global number on the lower side, -1 on a
+    rigid base. Then come its area, area times unit normal (d components), and unique number (`file_numbers`).
     """
     V, facets, upper, lower = surface.V, surface.facets, surface.upper, surface.lower
     mesh, topology, d = V.mesh, V.mesh.topology, V.mesh.topology.dim

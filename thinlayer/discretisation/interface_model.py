@@ -151,8 +151,8 @@ class InterfaceModel(Model):
     def shifts(self) -> FloatArray | None:
         """Translations (n_cells, d) that the joint's cells would have if the layers were meshed.
 
-        None: they are zero or not known. Only layers of order 1 between bodies that meet on S cause them, because other
-        interface laws ignore the thickness.
+        Only layers of order 1 between bodies that meet on S cause them, because other interface laws ignore the
+        thickness. None: they are zero, the thickness varies, or the bodies cannot move apart without strain.
         """
         eps = np.zeros(len(self.joint.surface_rows))
         for layer in self.layers.values():

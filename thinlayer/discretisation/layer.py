@@ -213,9 +213,9 @@ class InitialTangents:
         self.sublayers = [(a, material, declared_or_computed_tangent(material, n)) for a, material in law.sublayers]
 
     def over(self, dt: float) -> list[Array | None]:
-        """Tangents (6, 6) of the sublayers after small strains have lasted for a time dt > 0.
+        """Effective stiffnesses (6, 6) of the sublayers under loads that have lasted for a time dt > 0.
 
-        An entry is None if the tangent is not known, or if it does not differ from that at rest.
+        An entry is None if the law is not linear or cannot be evaluated, or if the tangent at rest is valid for all dt.
         """
         if dt not in self._over:
             laws = [law for _, law, _ in self.sublayers]

@@ -101,12 +101,12 @@ class Freeable(Protocol):
 
 @dataclass
 class ModelFamily:
-    """Models that share mesh and space, and matrices, as they differ in the laws of their layers or in their loads.
+    """Models that share mesh, space and matrices: they differ in the laws of their layers or in their loads.
 
     One solver at a time has the family's matrices. A solver that begins meanwhile makes its own.
 
     Attributes:
-        several: whether models were derived from others; without them no matrices wait for later solvers.
+        several: whether a model was made from another one; if not, no matrices are stored for later solvers.
     """
 
     several: bool = False
@@ -155,7 +155,7 @@ class Model(ABC):
             on the time; `State.bodies` and `State.layers` are these terms at the time of a state.
         body_strains, layer_strains: name of a body, or of a seam -> the strain (3, 3) to add to that of the
             displacements, which is minus the eigenstrain; None: there is none.
-        supports: prescribed displacements.
+        supports: displacements that supports prescribe.
         constraints: the supports as conditions at the nodes of V, and the multi-point constraints.
         forces: tractions, body forces, and loads at points and along lines.
         strain, stress: prescribed mean strain and mean stress of a periodic cell; None: not prescribed.
@@ -248,13 +248,13 @@ class Model(ABC):
         return checked
 
     def _body_strain(self, name: str) -> Expr | None:
-        """Return the strain to add to that of the displacements in a body: minus its eigenstrain; None without one."""
+        """Return the strain (3, 3) to add to that of displacements in a body, minus its eigenstrain; None: zero."""
         law, n = self.kinematics.law(self.body_laws[name]), self.structure.sheet.mean_normal
         body = EigenstrainContext(f"the body {name!r}", law, n, self.structure.kinematics, self.coordinates)
         return prescribed_strain(self.structure.eigenstrains.get(name), body)
 
     def _layer_strain(self, layer: SeamLayer) -> Expr | None:
-        """Return the strain to add to that of the displacements in a layer; None without an eigenstrain."""
+        """Return the strain (3, 3) to add to that of displacements in a layer, minus its eigenstrain; None: zero."""
         return layer.prescribed_strain(self.coordinates)
 
     def _terms_of_bodies(self) -> list[forms.Term]:
@@ -425,7 +425,8 @@ class Model(ABC):
     def under_mean_strain(self, strain: Strain) -> Self:
         """Return this model of a periodic cell under a mean strain alone, without loads and eigenstrains. Collective.
 
-        It shares no matrices with other models, as they would contain its strain.
+        `strain` is (d, d) symmetric numbers in d dimensions, or a function (x, t) of the time alone that returns them.
+        The model shares no matrices with other models, as they would contain its strain.
         """
         new = copied(self, keep=CACHES_OF_MESH)
         new.family, new.coordinates = ModelFamily(), Coordinates.of(self.domain)
@@ -517,11 +518,11 @@ class Model(ABC):
 
     @property
     def terms(self) -> list[forms.Term]:
-        """All terms of the model."""
+        """Terms of the laws of all bodies and layers."""
         return self.bodies + self.layer_terms
 
     def terms_at(self, t: float) -> list[forms.Term]:
-        """All terms of the model, with prescribed strains (such as minus the eigenstrain) at a fixed time."""
+        """Terms of the laws of all bodies and layers, with prescribed strains (minus eigenstrains) at a fixed time."""
         return TimeLevel(t).terms(self.terms)
 
     @cached_property

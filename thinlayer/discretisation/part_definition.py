@@ -37,7 +37,7 @@ HostModel: TypeAlias = "Model"  # imported for checks of types alone, as its mod
 class PartDefinition(FormerNames):
     """Definition of a part of the balance of forces, for the `parts` of a structure: a frozen dataclass.
 
-    Its fields and code belong to the model's identity.
+    Its fields and code are among the data that identify a model.
 
     Attributes:
         key: name of the part's memory and energy in states and in files, unique among the parts of a model.

@@ -113,7 +113,8 @@ def _shares(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
     """Densities (n, 5) on the n facets of S, by which a traction on the side of a free end is multiplied.
 
     The first three give the forces per area of S along m (outward), n and the end. They integrate to the total force on
-    the side on any mesh. The last two give the side's displacement along m by an opening of S, and along n by a shear.
+    the side on any mesh. The last two give the side's displacement by the jump: along -m by an opening, along -n by a
+    shear.
     """
     sheet, eps, kinematics = layer.sheet, layer.eps, layer.structure.kinematics
     constants = free_end(poisson_ratio(law_with_numbers(layer.layer, kinematics)))

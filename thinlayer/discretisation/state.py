@@ -46,7 +46,8 @@ class Report(FormerNames):
     """Method, iterations and residual of a solve.
 
     Attributes:
-        method: "linear" or "newton"; with contact also "condensed", "multigrid" or "relaxation".
+        method: "linear" or "newton"; with a contact law also "condensed" (to displacements of S), "multigrid" or
+            "relaxation".
         iterations: Newton steps, or Krylov iterations of a linear solve, or sweeps of the relaxation; the sum over all
             attempts.
         residual: norm of the residual over the size of the forces.
@@ -148,7 +149,7 @@ class State(Configuration):
 
     @property
     def p(self) -> fem.Function | None:
-        """Pressure in an incompressible layer, on the cells of the meshed layers or on S; None if there is none.
+        """Pressure in a layer whose law has a pressure field, on the layer's cells or on S; None if there is none.
 
         In a joint with several seams its key in `fields` is "pressure NAME", with the name of the seam. If several
         layers have a pressure, use `fields["pressure NAME"]`: `p` raises InputError.
@@ -308,8 +309,8 @@ class State(Configuration):
     def stress(self, term: Term) -> Expr:
         """Stress (3, 3) of a term of bodies or of a meshed layer, a UFL expression. Collective.
 
-        For a compiled law it is known only at the quadrature points of the term: integrate it as `work` does. On S see
-        `Surface.traction`.
+        For a compiled law it exists only at the quadrature points of the term: integrate it over these, as `work` does.
+        On S see `Surface.traction`.
         """
         return next(self._stressed([term]))[1]
 
