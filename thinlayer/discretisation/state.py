@@ -109,8 +109,8 @@ class Configuration:
         fields: unknowns other than displacements, by the key of their part.
         stored: energy at the time t, by key, of compiled laws and further parts; laws in UFL forms are not in it.
         at_rest: whether this is the state before the first step: all strains are zero, prescribed strains included.
-        reactions: (n, k) reactions of the n places in `Model.holders`, each the force and then the moment about
-            `Model.centre` (k = 3 in 2D, 6 in 3D); None: not known.
+        reactions: (n, k) reactions of the n places in `Model.holders`, k = 3 in 2D, 6 in 3D: the force, then the
+            moment about `Model.centre`. None: they were not computed.
         stresses: stresses of compiled laws at the time t, by the same keys as the memory: (points, 6) in
             Mandel's order.
     """
