@@ -60,8 +60,8 @@ class ThinLayer:
             do not vary with it.
         eigenstrain: strain that the layer would have without stress, uniform through the thickness: a number times the
             identity, a symmetric table, a function (x, t), `ThermalExpansion`, `Prestress`, or a list of these that add
-            up. On S it is subtracted from the strain [u] (x) n/eps, so it enters the tractions of a soft layer at order eps. It
-            changes the limit only if it has the size of [u]/eps.
+            up. On S it is subtracted from the strain [u] (x) n/eps, so it enters the tractions of a soft layer at order
+            eps. It changes the limit only if it has the size of [u]/eps.
         edges: correction of the interface law of order 1 for the lower stiffness near straight free ends of S
             (`forms.ends.weights`). With it the error is O(eps^2) away from these ends too. It exists for
             `LinearElastic` with nu from 0 to 0.45, `Rubber` and `Incompressible`, between much stiffer bodies. None:
