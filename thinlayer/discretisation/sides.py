@@ -127,7 +127,12 @@ class FacetWeights:
         return bool(max(self.a_N.max(initial=0.0), self.a_T.max(initial=0.0)) >= 1)
 
     def expressions(self, domain: Domain, sides: Interface) -> EndWeights:
-        """The weights as UFL expressions on S. Collective."""
+        """Return the weights as UFL expressions that an interface law of order 1 multiplies its terms with. Collective.
+
+        Args:
+            domain: the mesh, in whose cells above S the weights of facets are stored.
+            sides: values on the two sides of S.
+        """
         joint, mesh, eps, strips = self.sheet.joint, domain.mesh, self.eps, self.strips
         values = np.zeros((len(joint.cells), 4 + joint.dim))
         upper = joint.surface_cells[self.sheet.facets, 1]
