@@ -1,4 +1,4 @@
-"""Comparison of a meshed layer with its interface law: differences on S."""
+"""Comparison of an interface law with a meshed layer: differences of traction and jump on S."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ PROFILE_TOLERANCE = 1e-9  # relative difference of equal thickness profiles
 def compare(
     full: Solution, interface: Solution, *, seam: str = S, where: Where | None = None, at: float | None = None
 ) -> dict[str, float]:
-    """Measure the difference between an interface law and a meshed layer. Collective.
+    """Measure the relative differences of traction and jump between an interface law and a meshed layer. Collective.
 
-    The interface law's traction is compared with the mean of stress n through the thickness of the meshed layer. Jumps
-    are differences between matched points of both faces (`Surface`).
+    The interface law's traction is compared with the mean of stress n through the thickness of the meshed layer. The
+    jump of the meshed layer is the difference of displacements at opposite points of its upper and lower face.
 
     Args:
         full: state of a full model, or its history.
@@ -38,21 +38,24 @@ def compare(
         seam: name of the seam to measure on; default all of S.
         where: part of S to measure on, a numpy function of the coordinates, such as `lambda x: x[0] > 1` or
             `lambda x: (x[0] > 1) & (x[0] < 9)`; default all of S.
-        at: time of the states to take from histories; default the last time. A state must have this time.
+        at: time of the states to take from histories; default the last time. If a state is given, it must be the state
+            at this time.
 
     Returns:
-        A row with eps, the largest thickness of the layers;
-        error_traction and error_jump, L2(S) norms of the differences over the norms of the interface model's fields,
-        nan where these are zero to rounding;
-        traction and jump, these norms (stress and length, times length^(1/2) in 2D);
-        too_stiff ("too_stiff NAME" for each of several seams), the factor by which the law alone is too stiff against
-        the openings of the state (`Surface.table`). It exists for isotropic elastic layers whose law has no pressure on
-        S.
+        Name -> number:
+        "eps": the largest thickness of the layers;
+        "error_traction", "error_jump": L2(S) norms of the differences over the norms of the interface model's fields;
+        nan if the latter are zero up to rounding errors;
+        "traction", "jump": the L2(S) norms of the interface model's fields, stress and length times length^(1/2) in 2D,
+        times length in 3D;
+        "too_stiff" (for each of several seams "too_stiff NAME"): factor by which the interface law overestimates the
+        layer's stiffness against the openings of the state (`Surface.table`). Only for isotropic elastic layers whose
+        law has no unknown pressure on S.
 
     Raises:
         InputError: the states do not belong to a full and an interface model of the same structure. Joint, bodies,
-            supports, loads, plane, element and thickness must be the same. Also: states of different times; `where` is
-            no function of the coordinates, or is true nowhere on S; an unknown seam.
+            supports, loads, plane, element and thickness must be the same. Also: states of different times; an unknown
+            seam; `where` is no function of the coordinates, or is true nowhere on S.
 
     Example:
         >>> from forms import LinearElastic
@@ -99,13 +102,16 @@ def compare(
 
 
 def _require_equal(what: str, equal: bool, full: object, interface: object) -> None:
-    """Raise InputError unless the full and the interface model have equal data."""
+    """Raise InputError unless `equal`; the message names `what` must be equal, and the values in both models."""
     if not equal:
         raise InputError(f"compare needs the same {what}, not {full} and {interface}")
 
 
 def _too_stiff(state: State, seam: str) -> dict[str, float]:
-    """Values "too_stiff" of the layers to which it applies, "too_stiff NAME" if there are several seams. Collective."""
+    """Name "too_stiff" ("too_stiff NAME" if there are several seams) -> factor by which a law is too stiff. Collective.
+
+    Layers to which the factor does not apply are left out.
+    """
     many = len(state.model.joint.seams) > 1
     layers = [layer for name, layer in state.model.layers.items() if seam in (S, name) and not layer.has_pressure_flow]
     ratios = {f"too_stiff {layer.name}" if many else "too_stiff": times_too_stiff(state, layer) for layer in layers}
@@ -121,7 +127,7 @@ def _state_at(result: Solution, at: float | None) -> State:
 
 
 def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
-    """Raise InputError if bodies have other positions under a law of order 1 than in the full model."""
+    """Raise InputError if a law of order 1 joins kept bodies and the full model has extended bodies, or vice versa."""
     band = full.domain.joint.band
     here = "kept" if interface.domain.joint.parted is None else "extended"
     assert band is not None
@@ -131,7 +137,7 @@ def _require_same_places(full: FullModel, interface: InterfaceModel) -> None:
 
 
 def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
-    """Raise InputError unless both models have the same data, except the layer's law."""
+    """Raise InputError unless both models have the same bodies, supports, loads, plane and profiles of thickness."""
     there, here = (
         {name: model.description[name] for name in ("plane", "bodies", "loads")}
         | {"supports": model.description["supports"][: len(model.supports.user_entries)]}
@@ -148,7 +154,7 @@ def _require_same_structure(full: FullModel, interface: InterfaceModel) -> None:
 
 
 def _part(surface: Surface, where: Where | None) -> Array:
-    """Weights (n, q) of a part of S: 1 where `where` is true, 0 elsewhere."""
+    """Weights (n, q) at q quadrature points of n facets of S: 1 where `where` is true, else 0; None: 1 everywhere."""
     with errors_on_all(surface.model.comm):
         part = surface.where(1.0 if where is None else where)
         if not np.isin(part, (0.0, 1.0)).all():

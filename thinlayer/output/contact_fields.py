@@ -1,4 +1,4 @@
-"""Contact on S in a state, at the nodes of a surface: status, zones, tractions, resultants and balance checks."""
+"""Results of contact laws at the nodes of S: status, zones, jumps, tractions, resultants and checks of balance."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ SLIDING_TOLERANCE = 1e-9  # relative distance from the threshold at which a node
 
 @dataclass(frozen=True)
 class Zone:
-    """Connected nodes of S with the same status.
+    """Connected region of S whose nodes have the same contact status.
 
     Attributes:
-        status: "separated", "sliding", "stick" or "pinned".
-        size: area of S around the nodes (2D: length).
-        start, end: lowest and highest coordinates of the nodes.
-        nodes: number of the nodes.
+        status: "separated", "sliding", "stick" or "pinned" (`Contact.status`).
+        size: sum of the areas around its nodes (2D: length).
+        start, end: (d,) smallest and largest value of each coordinate of its nodes.
+        nodes: number of its nodes.
     """
 
     status: str
@@ -48,24 +48,26 @@ class Zone:
 
 @dataclass(frozen=True, repr=False)
 class Contact:
-    """Contact in a state, at the m nodes of a surface in their order (along S in 2D); the same on all ranks.
+    """Results of the contact laws in a state, at the m nodes (vertices) of a surface; the same on all ranks.
 
-    Arrays (m,) are fields for `Surface.integral`, `along` and pictures. Nodes without a contact law, as at tips and on
-    seams with layers, have zeros.
+    In 2D the nodes are ordered along S. Arrays (m,) are fields for `Surface.integral`, `along` and pictures. They are
+    zero at nodes without a contact law, as at tips of S and on seams with other laws.
 
     Attributes:
-        surface: the surface; the arrays refer to its nodes (`numbers`, `places`, `nodes`).
+        surface: the surface; its `places` has the coordinates of the nodes, its `nodes` their numbers in each facet.
         status: (m,) "separated", "sliding", "stick"; "pinned" if supports prescribe the whole jump; "no contact law".
-        u_T: (m, d - 1) tangential jump in the frame of S (`Surface.frame`).
-        u_N: (m,) penetration of the upper side into the lower side, less the initial gap; negative where S is open.
+        u_T: (m, d - 1) tangential jump, components in `frames`; d is the number of dimensions.
+        u_N: (m,) penetration of the upper side into the lower side, after closing the initial gap; negative where S is
+            open.
         p: (m,) pressure >= 0 of the law; without meaning at pinned nodes, where the support exerts the force.
         t_T: (m, d - 1) tangential traction on the lower side; the traction on the upper side is opposite.
-        threshold: (m,) largest |t_T| at this pressure. With elements of degree 2, nodes between vertices share their
-            forces equally among these vertices: p, t_T and threshold are then means.
-        slip: (m, d - 1) slip in the law's memory; zero for laws without memory.
+        threshold: (m,) largest |t_T| that the law allows at this pressure. With elements of degree 2, the forces of
+            nodes between vertices are divided equally among these vertices. p, t_T and threshold are then means.
+        slip: (m, d - 1) accumulated slip that the law stores; zero for laws that store none.
         areas: (m,) area of S around each node, as in the contact law.
-        frames: (m, d, d), rows are the tangential axes and the normal of S.
-        equilibrium: sum of the forces on the free nodes, over the sum of the absolute values of all nodal forces.
+        frames: (m, d, d) unit vectors; the rows of each matrix are the tangential axes and then the normal of S.
+        equilibrium: largest component of the sum of the nodal forces where no supports act, over the sum of the sizes
+            of all nodal forces; zero in equilibrium.
         clapeyron: work of the loads and supports, less the work of the stresses and of the tractions on S, in the
             displacements. It is relative to the largest of the four, and zero in equilibrium.
     """
@@ -100,17 +102,23 @@ class Contact:
 
     @property
     def friction_force(self) -> Array:
-        """Integral of the tangential traction on the lower side, (d - 1,): a force where S is planar."""
+        """Integral (d - 1,) of the components of the tangential traction on the lower side; a force if S is planar."""
         return np.asarray(self.areas @ self.t_T)
 
     @property
     def force(self) -> Array:
-        """(d,) resultant of S on the upper body, without the forces of supports at pinned nodes."""
+        """Resultant (d,) of the contact tractions on the upper body, pressure and friction.
+
+        At pinned nodes, where supports prescribe the jump, it has the law's traction, not the force of the support.
+        """
         return -np.einsum("n,nki,nk->i", self.areas, self.frames, np.column_stack([self.t_T, -self.p]))
 
     @cached_property
     def zones(self) -> list[Zone]:
-        """Connected parts of S with the same status, ordered by their first nodes; coincident nodes are connected."""
+        """Connected regions of S whose nodes have the same status, ordered by the numbers of their first nodes.
+
+        Nodes of several seams at the same vertex are connected. Nodes without a contact law are left out.
+        """
         nodes, m = self.surface.nodes, len(self.status)
         a, b = nodes[:, np.triu_indices(nodes.shape[1], 1)].swapaxes(0, 1).reshape(2, -1)
         _, kind = np.unique(self.status, return_inverse=True)
@@ -127,7 +135,7 @@ class Contact:
 
     @property
     def table(self) -> Table:
-        """A row for each node: coordinates, u_T, u_N, p, t_T and status."""
+        """Table with a row for each node: coordinates, u_T, u_N, p, t_T and status."""
         suffixes = [""] if self.x.shape[1] == 2 else ["_1", "_2"]
         columns: dict[str, Sequence[object] | Array] = dict(zip("xyz", self.x.T, strict=False))
         columns |= {f"u_T{s}": self.u_T[:, k] for k, s in enumerate(suffixes)} | {"u_N": self.u_N, "p": self.p}
@@ -149,7 +157,10 @@ class Contact:
 
 
 def contact_values(surface: SurfaceMesh, state: State) -> dict[str, np.ndarray]:
-    """Values at the nodes of a surface, by the names of `Contact`; {} without contact laws. Collective."""
+    """Arrays of contact results at the nodes of a surface, by the names of attributes of `Contact`. Collective.
+
+    It is {} if no contact law acts on the surface. The attributes `equilibrium` and `clapeyron` are not included.
+    """
     seams = [name for name in state.model.contacts if surface.seam in (S, name)]
     parts = [part for name in seams for part in state.model.comm.allgather(_rank_values(state, name))]
     if not parts:
@@ -170,9 +181,11 @@ def contact_values(surface: SurfaceMesh, state: State) -> dict[str, np.ndarray]:
 
 
 def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
-    """Values of a contact law at this rank's nodes, with a row for each vertex adjacent to a node.
+    """Arrays of results of one contact law at this rank's nodes, by the names of attributes of `Contact`.
 
-    The entry "number" has the numbers of the pairs of bodies at these vertices (`Joint.pairs`).
+    A node at a vertex has one row; a node between vertices has a row for each of them. The entry "vertex" says whether
+    the node is at a vertex. The entry "number" is the number of the pair of bodies that meet at the vertex
+    (`Joint.pairs`).
     """
     model, law = state.model, state.model.contacts[seam]
     nodes = ContactNodes(ContactSurface.of(model, seam), model.constraints.bc_dofs, gap=law.gaps)
@@ -197,9 +210,12 @@ def _rank_values(state: State, seam: str) -> dict[str, np.ndarray]:
 
 
 def balance_errors(state: State) -> tuple[float, float]:
-    """Relative sum of the forces on free nodes, and relative error of the work balance. Collective.
+    """Check the balance of forces and of work of a state. Collective.
 
-    They are NaN for models with compiled laws of layers.
+    Returns:
+        Two numbers, zero in equilibrium and NaN for models with compiled laws of layers. The first is the largest
+        component of the sum of all forces on dofs without supports, over the sum of the sizes of all nodal forces. The
+        second is the work of loads and supports less that of stresses and contact tractions, over the largest of them.
     """
     model, comm, d = state.model, state.model.comm, state.model.joint.dim
     if any(p.law.traits.compiled for p in model.layer_terms):

@@ -1,4 +1,4 @@
-"""Many runs of one model, distributed to groups of ranks and to jobs, with one table."""
+"""Ensembles: a table of many runs of one model, distributed over groups of MPI ranks and over jobs."""
 
 from __future__ import annotations
 
@@ -34,38 +34,39 @@ def ensemble(
     part: tuple[int, int] = (0, 1),
     keep_failures: bool = False,
 ) -> Table:
-    """Compute a table with a row for each of many cases, such as random layers. Collective.
+    """Compute a table with one row for each of many cases, such as layers with random properties. Collective.
 
-    The ranks form groups, each of which works on its own cases: run number k goes to group k modulo the number of
-    groups. Inside `make` and the runs, calls without a communicator use the communicator of the group.
+    A run computes one case. The MPI ranks form groups that work on different cases at the same time. Run k belongs to
+    group k modulo the number of groups. Inside `make` and the runs, calls without a communicator use the communicator
+    of the group.
 
     Args:
-        make: called once in each group. It builds what the runs share, such as a joint and a model. It returns the
-            function case -> row, a mapping from names to numbers or texts.
-        cases: the inputs of each run, name -> number or text, with the same names in all cases.
-        out: csv file, written at the end, also after an error, with all existing rows. Each row is on the disk, in the
-            folder out.parts, before the next row is computed. A description of `make`, and of the objects it refers to,
-            is stored with the rows.
-        resume: True: keep existing rows, and compute the others, on any number of ranks, groups and parts. Rows are
-            refused if they were drawn from a random generator or iterator that several runs share. Make one in each
-            run, from a seed in the case. The global generators of `random` and `numpy.random` count as shared, unless
-            code of the runs seeds them. "anyway": keep such rows too, and rows of another `make`; the cases must be the
-            same.
-        ranks: number of ranks of a group (default: all ranks are one group); it divides the number of ranks.
-        part: (k, n): this process computes the k-th of n parts of the cases, k = 0, ..., n - 1. This is for n jobs that
-            run at the same time or in turn, with the same `out` and `resume=True`.
-        keep_failures: True: a run that fails with a SolveError has a row with the error in the column "failure", and
-            empty entries; the other runs continue. False: the error is raised when the other groups have finished their
-            runs.
+        make: called once in each group. It builds what the runs share, such as a joint and a model, and returns a
+            function. This function takes a case and returns its row, name of a column -> number or text.
+        cases: list of the inputs of the runs. Each maps names to numbers or texts, with the same names in all cases.
+        out: csv file of all rows computed so far, written at the end, also after an error. None: no file. Each row is
+            on the disk, in the folder out.parts, before the group computes the next one. A description of `make`, and
+            of the objects it refers to, is stored with the rows.
+        resume: False: compute all rows; files of an earlier ensemble are moved away. True: keep the rows on the disk
+            and compute the others; the number of ranks, groups and parts may differ. Rows on the disk are refused if
+            several runs drew from one random generator or iterator. Make one in each run, from a seed in the case. The
+            global generators of `random` and `numpy.random` count as shared, unless code of the runs seeds them.
+            "anyway": keep such rows too, and rows of another `make`; the cases must be the same.
+        ranks: number of ranks of a group, a divisor of the number of all ranks (default: all ranks are one group).
+        part: (k, n): compute only part number k of n parts of the cases, k = 0, ..., n - 1. It is for n jobs that run
+            at the same time or one after the other, with the same `out` and `resume=True`.
+        keep_failures: True: a run that fails with a SolveError gets a row with the error in the column "failure", and
+            empty results; the other runs continue. False: the error is raised when the other groups have finished.
 
     Returns:
-        The table, with all rows on the disk. Its columns are "run", the columns of the cases, the columns of the rows
-        and, with `keep_failures`, "failure".
+        The table of all rows, also those on the disk. Its columns are "run" (number of the case), the names of the
+        cases, the names of the rows and, with `keep_failures`, "failure".
 
     Raises:
-        InputError: cases or rows without numbers or texts, or with different names; ranks or part out of range; `out`
-            belongs to another ensemble; several groups or parts draw from a random generator that several runs share.
-        OSError: a file could not be written. Errors of runs.
+        InputError: entries of cases or rows that are neither numbers nor texts, or cases with different names;
+            ranks or part out of range; `out` belongs to another ensemble; runs of several groups or parts draw from
+            one random generator.
+        OSError: a file could not be written. An error of a run is raised unchanged.
 
     Example:
         >>> from forms import LinearElastic
@@ -130,7 +131,18 @@ def _compute(
     comm: MPI.Intracomm, make: Callable[[], RunFunction], cases: list[Row], left: Sequence[int], rows: dict[int, Row],
     file: RowFile | None, *, alone: bool, keep_failures: bool,
 ) -> None:  # fmt: skip
-    """Compute the rows of the runs `left`, into `rows` and into a file. Collective over the group."""
+    """Compute the rows that a group of ranks still has to compute, and add them to `rows`. Collective over the group.
+
+    Args:
+        comm: communicator of the group.
+        make: the user's function, called once here.
+        cases: inputs of all runs.
+        left: numbers of the runs to compute.
+        rows: number of a run -> its row.
+        file: file to which each row is appended; None: none.
+        alone: whether this group computes all cases, so that runs may share a random generator.
+        keep_failures: whether a run that raises a SolveError gets a row with the error.
+    """
     with errors_on_all(comm):
         run = make()
         if not callable(run):
@@ -162,7 +174,11 @@ def _parts(path: Path) -> Path:
 
 
 def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row], resume: Resume) -> dict[int, Row]:
-    """The rows of all files; files of an earlier ensemble that is not resumed are first moved away."""
+    """Number of a run -> its row in the files of earlier jobs; with resume=False these files are moved away first.
+
+    Raises:
+        InputError: rows of other cases or another `make`, or from a shared random generator.
+    """
     make_room(path, _parts(path), resume)
     files = [RowFile(file, make, "ensemble") for file in sorted(_parts(path).glob("*-of-*.json"))]
     rows = _by_run([row for file in files for row in file.read(resume)])
@@ -176,7 +192,7 @@ def _existing_rows(path: Path, make: Callable[[], RunFunction], cases: list[Row]
 
 
 def _merged(path: Path, cases: list[Row]) -> dict[int, Row]:
-    """Write the rows of all files into one table, only one job at a time, and return them."""
+    """Write the rows of all jobs' files into the csv table, under a lock, and return them by number of the run."""
     with lock_folder(_parts(path), f".merge{LOCK_FILE}", wait=True):
         rows = _by_run([row for file in _parts(path).glob("*-of-*.json") for row in read_sealed(file)["rows"]])
         if rows:
@@ -189,7 +205,7 @@ def _by_run(rows: Sequence[Row]) -> dict[int, Row]:
 
 
 def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
-    """The table of rows in the order of their runs, all with the same columns."""
+    """Table of the rows in the order of the runs; entries of columns that a row lacks are None."""
     ordered = [rows[k] for k in sorted(rows)]
     names = dict.fromkeys(name for row in ([RUN_COLUMN, *cases[0]], *ordered) for name in row if name != FAILURE_COLUMN)
     failed = [FAILURE_COLUMN] if any(FAILURE_COLUMN in row for row in ordered) else []
@@ -197,7 +213,7 @@ def _table(cases: list[Row], rows: Mapping[int, Row]) -> Table:
 
 
 def _checked_cases(cases: object) -> list[Row]:
-    """The cases as rows; raise InputError if they are invalid."""
+    """Return the cases as a list of rows; raise InputError unless all have the same names of numbers or texts."""
     if not isinstance(cases, Iterable) or not (entries := [*cases]):
         raise InputError(f"cases is {cases!r:.80}; give a list of one case or more")
     rows = [checked_row(case, f"case {k}", (RUN_COLUMN, FAILURE_COLUMN)) for k, case in enumerate(entries)]

@@ -19,23 +19,24 @@ BODY_STIFFNESS_TOLERANCE = 1e-12  # the same over the stiffness of the bodies, w
 
 
 def homogenised_stiffness(model: Model) -> Array:
-    """Compute the stiffness of a periodic cell, mean stress over mean strain. Collective.
+    """Compute the stiffness matrix from mean strains to mean stresses of a periodic cell. Collective.
 
-    It needs one factorisation, and a solve for each mean strain.
+    It needs one factorisation of the tangent, and one solve for each of the k mean strains.
 
     Args:
         model: a model of a periodic joint, with linear laws and supports that do not move. Its loads, its eigenstrains
             and its prescribed mean strain are ignored.
 
     Returns:
-        (k, k) stress, in the order of `Anisotropic`: 11, 22, 12 in 2D (k = 3), 11, 22, 33, 23, 13, 12 in 3D (k = 6). A
-        column is the mean stress under a mean strain 1, or under a shear of 1 (e_12 = e_21 = 1/2). Where
-        sides are free, rows and columns of directions without a period vanish.
+        (k, k) stiffness, in units of stress. Components have the order 11, 22, 12 in 2D (k = 3), and
+        11, 22, 33, 23, 13, 12 in 3D (k = 6), as in `Anisotropic`. A column is the mean stress under a unit mean strain
+        in one component, or under a unit shear angle (e_12 = e_21 = 1/2). If the cell is periodic only in some
+        directions and its other sides are free, rows and columns of the other directions vanish.
 
     Raises:
-        InputError: the joint is not periodic; a law is not linear or has stresses without strains; a layer is of order
-            1; supports move.
-        SolveError: no unique solution; the stiffness of symmetric laws is not symmetric.
+        InputError: the joint is not periodic; a law is not linear or has stresses without strains; a layer has an
+            interface law of order 1; supports move.
+        SolveError: the solution is not unique; the stiffness of symmetric laws is not symmetric.
 
     Example:
         >>> from forms import LinearElastic
@@ -77,7 +78,7 @@ def _check(model: Model) -> None:
 
 
 def _unit_strains(d: int) -> Strain:
-    """Mean strain as a function (x, t), whose values at t = 0, 1, 2, ... are a basis of all strains (d, d)."""
+    """Mean strain (d, d) as a function of (x, t) in d dimensions, at t = 0, 1, 2, ... one unit strain after another."""
     unit = np.eye(d)
     basis = [(np.outer(unit[i], unit[j]) + np.outer(unit[j], unit[i])) / 2 for i, j in VOIGT_PAIRS_OF_DIM[d]]
     table = piecewise({float(k): strain.ravel().tolist() for k, strain in enumerate(basis)})

@@ -1,4 +1,4 @@
-"""Nodal forces of forms, of the layer on the bodies, and of contact laws."""
+"""Nodal forces: of any linear form, of the layer on the bodies, and of contact laws on the bodies."""
 
 from __future__ import annotations
 
@@ -14,10 +14,18 @@ from thinlayer.system.ranks import destroy
 
 
 def layer_forces(state: State, joined: bool = False) -> fem.Function:
-    """Nodal forces that the layer (or the other body) exerts on the bodies, at the nodes of the faces of S. Collective.
+    """Nodal forces that the layer (at a bond: the other body) exerts on each body at S. Collective.
 
-    r_i = int_body stress(u) : e(phi_i) - L(phi_i). The integral includes the work of the model's further parts, such as
-    springs at the end of S. The functions phi_i have degree 1 and jump at the faces of S; with `joined` not at bonds.
+    They are r_i = int_bodies stress(u) : e(phi_i) - L(phi_i), where L is the virtual work of the loads. The work of
+    further parts of the model, such as springs at an end of S, is added to the integral.
+
+    Args:
+        state: the state.
+        joined: whether the shape functions phi_i, of degree 1, are continuous across bonds. They always jump at other
+            parts of S; with False, also at bonds.
+
+    Returns:
+        A function of the space of the phi_i, whose nodal values are the forces r_i.
     """
     model = state.model
     W = model.space(1, broken_at_faces=not joined)
@@ -31,7 +39,7 @@ def layer_forces(state: State, joined: bool = False) -> fem.Function:
 
 
 def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
-    """Values of a linear form on the basis functions of a space, ghosts included. Collective."""
+    """Assemble a linear form into a function of its test space V, whose ghost values are up to date. Collective."""
     vector = fem.assemble_vector(compiled(form))
     vector.scatter_reverse(dolfinx.la.InsertMode.add)
     vector.scatter_forward()
@@ -41,7 +49,7 @@ def nodal_forces(V: fem.FunctionSpace, form: Expr) -> fem.Function:
 
 
 def contact_forces(state: State) -> fem.Function:
-    """Nodal forces of contact laws on the bodies, in the state's space. Collective."""
+    """Nodal forces that contact laws exert on the bodies, as a function of the displacements' space. Collective."""
     model, forces = state.model, fem.Function(state.model.V)
     for name, law in model.contacts.items():
         nodes = ContactNodes(ContactSurface.of(model, name), gap=law.gaps)

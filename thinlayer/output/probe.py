@@ -29,14 +29,15 @@ DISPLACEMENT_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class PointValues:
-    """Values of one internal variable at the quadrature points of one law, the same on all ranks.
+    """Values of one internal variable at the n quadrature points of one law, the same on all ranks.
 
     Attributes:
-        key: key of the law, see `Probe.names`.
-        x: (n, d) coordinates, ordered by cell or facet, then by position.
-        values: (n, *shape) values at these points.
-        weights: (n,) volumes (on S: areas times thickness) of the points: sums of weights times values are integrals.
-        entity: (n,) number in the joint of each point's cell, or row of its facet in the joint's table.
+        key: key of the law in a body or layer, such as "layer" or "body STONE" (`Probe.names`).
+        x: (n, d) coordinates in d dimensions, ordered by cell or facet, then by position.
+        values: (n, ...) values at these points; tensors are (n, 3, 3).
+        weights: (n,) volumes of the points (on S: areas times the thickness of the layer or sublayer). The sum of
+            weights times values is the integral of the variable.
+        entity: (n,) number in the joint of the cell of each point; on S the row of its facet in the joint's table.
     """
 
     key: str
@@ -47,12 +48,13 @@ class PointValues:
 
 
 class Probe:
-    """Displacements, stresses and internal variables of a state. Methods are collective; all ranks get the same.
+    """Displacements, stresses and internal variables of a state at points of bodies, meshed layers and S.
 
-    Points x refer to the model's undeformed mesh; in a full model this mesh contains the layer.
+    Points x refer to the undeformed mesh of the model; in a full model this mesh contains the layer. Methods are
+    collective, with the same arguments on all ranks; all ranks get the same results.
 
     Args:
-        state: as `solve` returns it, or `history.at(t)`.
+        state: a state, as `solve` or `history.at(t)` returns it.
 
     Raises:
         InputError: not a state.
@@ -80,11 +82,12 @@ class Probe:
 
     # ---------------------------------------------------------------- at points in bodies and meshed layers
     def displacement(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
-        """Displacements (n, d) at points x (n, d), or (d,) at one point.
+        """Displacements (n, d) at n points in d dimensions, or (d,) at one point.
 
         Args:
-            x: the points.
-            side: side of S, "lower" or "upper", for points on S, where displacements jump.
+            x: (n, d) coordinates, or (d,) for one point.
+            side: "lower" or "upper", the side of S at points on S of an interface model, where displacements jump.
+                None: the points are not on S, or displacements do not jump there.
             seam: name of the seam to which `side` refers, for points where several seams meet; "S": all seams.
 
         Raises:
@@ -101,11 +104,20 @@ class Probe:
         return u[first] if np.ndim(x) > 1 else u[first][0]
 
     def stress(self, x: npt.ArrayLike, *, side: str | None = None, seam: str = S) -> Array:
-        """Stresses (n, 3, 3) at points (n, d), or (3, 3) at one point; arguments and errors as in `displacement`.
+        """Stresses (n, 3, 3) at n points in d dimensions, or (3, 3) at one point.
 
-        In each cell a polynomial is fitted to the stresses at the quadrature points by least squares. Its degree is one
-        less than the degree of the displacements. On quadrilaterals and hexahedra its total degree equals their degree.
-        At a point in several cells the stress is the mean over these cells.
+        In each cell a polynomial is fitted by least squares to the stresses at the quadrature points. Its total degree
+        is one less than the degree of the displacements, on quadrilaterals and hexahedra equal to it. At a point in
+        several cells the stress is the mean over these cells.
+
+        Args:
+            x: (n, d) coordinates, or (d,) for one point.
+            side: "lower" or "upper": the mean is only over cells on this side of S, of an interface model; None: all
+                cells.
+            seam: name of the seam to which `side` refers; "S": all seams.
+
+        Raises:
+            InputError: points outside the bodies and meshed layers; an unknown side or seam.
         """
         located = self._located(x, side, seam)
         total = np.zeros((len(located.entity), 9))
@@ -117,7 +129,10 @@ class Probe:
         return out if np.ndim(x) > 1 else out[0]
 
     def _located(self, x: npt.ArrayLike, side: str | None = None, seam: str = S, on_s: bool = False) -> LocatedPoints:
-        """The cells that contain points, or the facets of S; checked on all ranks."""
+        """Find the cells that contain points, with `on_s` the facets of S; errors are raised on all ranks.
+
+        `side` and `seam` are the side of S and the seam to which cells at points on S must belong; None: all cells.
+        """
         model = self.state.model
         with errors_on_all(self._comm):
             located = SurfaceMesh(model).at(x)[0] if on_s else cells_at(model, x, side, seam)
@@ -125,7 +140,16 @@ class Probe:
         return located
 
     def _fitted(self, points: LawPoints, values: Array, located: LocatedPoints) -> Array:
-        """Values (m, k) at located points of polynomials fitted to values (points, k) in their cells; else zero."""
+        """Evaluate polynomials that are fitted in each cell to values at the quadrature points of a law.
+
+        Args:
+            points: quadrature points of the law.
+            values: (points, k) values there.
+            located: the m pairs of a point and a cell that contains it.
+
+        Returns:
+            (m, k) values; zero in cells on other ranks or of other laws.
+        """
         out = np.zeros((len(located.entity), values.shape[1]))
         rows = {int(entity): row for row, entity in enumerate(points.entities)}
         degree = self.state.model.structure.degree - (not is_tensor(self._joint.cell_type))
@@ -153,11 +177,11 @@ class Probe:
 
     @property
     def names(self) -> dict[str, list[str]]:
-        """Key of each law with internal variables -> names of the variables.
+        """Key of each law with internal variables -> names of these variables.
 
-        Keys are as in `State.memory`: "layer", "layer BED", "body STONE". Sublayers are numbered from the lower to the
-        upper face: "layer 1", "layer BED/1". On S the two points through the thickness of a law of order 1 are numbered
-        likewise.
+        Keys are "layer", "layer BED" for the layer on the seam BED, "body STONE" for the region STONE, as in
+        `State.memory`. Sublayers are numbered from the lower to the upper face: "layer 1", "layer BED/1". The two
+        points through the thickness of an interface law of order 1 are numbered likewise.
         """
         return {key: list(variables) for key, variables in self._variables.items()}
 
@@ -165,8 +189,8 @@ class Probe:
         """Values of an internal variable at all quadrature points of one law, in a body, a meshed layer or on S.
 
         Args:
-            name: name of the variable, as in the law's `internal`; tensors are (n, 3, 3).
-            key: key of the law, see `names`; None: the only law with such a variable.
+            name: name of the variable, as in the law's `internal`.
+            key: key of the law, such as "layer" (`names`); None: the only law with such a variable.
 
         Raises:
             InputError: no such variable; several laws have it, and `key` is None.
@@ -182,17 +206,20 @@ class Probe:
         return PointValues(key, x[order], values[order], weights[order], entity[order])
 
     def internal(self, name: str, x: npt.ArrayLike, key: str | None = None) -> Array:
-        """Values (n, *shape) of an internal variable at points x, or (*shape) at one point.
+        """Values of an internal variable at the quadrature points nearest to points x.
 
-        There is no interpolation: it is the value at the nearest quadrature point. Only quadrature points in the cells
-        (on S: in the facets) that contain x are candidates.
+        Only quadrature points in the cells (on S: in the facets) that contain x count; nothing is interpolated.
 
         Args:
-            name, key: as in `points`.
-            x: points (n, d), or (d,); for the law of a layer on S, points on its seam.
+            name: name of the variable, as in the law's `internal`.
+            x: (n, d) coordinates in d dimensions, or (d,) for one point; for an interface law, points on its seam.
+            key: key of the law, such as "layer" (`names`); None: the only law with such a variable.
+
+        Returns:
+            (n,) values, for tensors (n, 3, 3); without the first axis for one point.
 
         Raises:
-            InputError: as in `points`; points where this law does not act.
+            InputError: no such variable; several laws have it, and `key` is None; points where the law does not act.
         """
         points = self.points(name, key)
         on_s = self._variables[points.key][name][0].quadrature.region.dim < self._joint.dim
@@ -219,7 +246,13 @@ class Probe:
 
 
 def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str = S) -> LocatedPoints:
-    """The cells of a model that contain points (n, d), or one point (d,); with a side of S only cells on this side.
+    """Find the cells of a model that contain points.
+
+    Args:
+        model: the model.
+        x: (n, d) coordinates in d dimensions, or (d,) for one point.
+        side: "lower" or "upper": only cells on this side of S, of an interface model; None: all cells.
+        seam: name of the seam to which `side` refers; "S": all seams.
 
     Raises:
         InputError: no points, or points outside the cells; an unknown side, or a rigid base; an unknown seam.
@@ -233,6 +266,6 @@ def cells_at(model: Model, x: npt.ArrayLike, side: str | None = None, seam: str 
 
 
 def _monomials(x: Array, degree: int) -> Array:
-    """Values (n, k) at points x (n, d) of all monomials up to a total degree."""
+    """Values (n, k) at n points of the k monomials whose total degree is at most `degree`."""
     axes = [k for n in range(degree + 1) for k in combinations_with_replacement(range(x.shape[1]), n)]
     return np.column_stack([x[:, k].prod(axis=1) for k in axes])

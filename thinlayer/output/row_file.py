@@ -1,4 +1,4 @@
-"""Rows returned by a user's function, stored in a file with a description of their origin, next to their csv file."""
+"""JSON file, next to a csv table, with the rows that a user's function returned and a description of this function."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ RESUME_HINT = "give another name, remove it, or resume='anyway'"
 
 
 class RowFile:
-    """A file of rows returned by a user's function, and of a description of this function; on one rank.
+    """File of the rows that a user's function returned, with a description of the function; used on one rank.
 
-    The description includes the objects that the function refers to, except data that it changes itself, such as a list
-    of its results. Rows cannot be resumed if they are drawn from a random generator, or an iterator, that several rows
-    share.
+    The description covers the code of the function and the objects it refers to. Data that the function changes itself,
+    such as a list of its results, are left out. If several rows draw from one random generator or iterator, a later
+    run cannot continue from the file.
 
     Args:
-        path: the file, JSON.
-        run: the function.
-        kind: kind of the table, for messages: "sweep", "ensemble".
+        path: name of the JSON file.
+        run: the function that returns a row.
+        kind: what the table is called in messages, "sweep" or "ensemble".
     """
 
     def __init__(self, path: Path, run: Callable[..., object], kind: str) -> None:
@@ -51,14 +51,25 @@ class RowFile:
         self.watch(run)
 
     def watch(self, run: object) -> None:
-        """Watch the random generators and iterators of a function, or of several functions, from now on."""
+        """Record the present states of a function's random generators and iterators; `add` compares with them.
+
+        Args:
+            run: the function, or a tuple of functions.
+        """
         self._watched, self._states = run, random_states(run, shared=True)
 
     def read(self, resume: Resume) -> list[Row]:
-        """The rows in the file, to which `add` appends rows; with "anyway" also rows of another function.
+        """Read the rows of an earlier run from the file; later calls of `add` append to them.
+
+        Args:
+            resume: "anyway": accept rows of another function, and rows from a shared random generator. Otherwise such
+                rows raise an error.
+
+        Returns:
+            The rows; [] if there is no file.
 
         Raises:
-            InputError: the file is damaged; its rows are of another function, or cannot be resumed.
+            InputError: the file is damaged; its rows are of another function, or from a shared random generator.
         """
         if not self.path.exists():
             return []
@@ -84,14 +95,23 @@ class RowFile:
 
 
 def require_csv(out: object, resume: object) -> None:
-    """Raise InputError unless `out` is None or may be the name of a csv file, and `resume` is a valid choice."""
+    """Raise InputError unless `out` is None or no folder, and `resume` is False, True or "anyway"."""
     require_resume(resume)
     if out is not None and (not isinstance(out, (str, Path)) or Path(out).is_dir()):
         raise InputError(f"out is {out!r:.200}; give the name of a csv file, not of a folder, or None")
 
 
 def make_room(table: Path, record: Path, resume: Resume) -> None:
-    """Move a table that is not resumed away, with its record; raise InputError if it cannot be resumed."""
+    """Move files of an earlier run out of the way, or check that this run can continue from them.
+
+    Args:
+        table: name of the csv file.
+        record: name of the file, or folder of files, with the table's rows and the description of their origin.
+        resume: False: both are moved to a folder previous-1, previous-2, ... Otherwise they stay.
+
+    Raises:
+        InputError: the run is to continue from a table that has no record.
+    """
     if not resume:
         move_away(table.parent, [table.name, record.name])
     elif table.exists() and not record.exists():
@@ -102,9 +122,14 @@ def make_room(table: Path, record: Path, resume: Resume) -> None:
 def checked_row(row: Mapping[str, object], what: str, taken: Collection[str]) -> Row:
     """Return a user's row with its entries as floats, texts or None.
 
+    Args:
+        row: name of a column -> entry.
+        what: name of the row in messages.
+        taken: names of columns that the row must not have.
+
     Raises:
-        InputError: the row has a column in `taken`, or entries that are neither numbers nor texts; `what` names the
-            row.
+        InputError: the row has a column in `taken`, an entry that is neither a number nor a text, or a whole number
+            that a float cannot represent.
     """
     require(isinstance(row, Mapping), what, row, "it must be a mapping of names to numbers or texts")
     entries: Row = {}
@@ -120,7 +145,10 @@ def checked_row(row: Mapping[str, object], what: str, taken: Collection[str]) ->
 
 
 def _changed_path(path: tuple[str, ...], value: object, _: object) -> tuple[str, ...] | None:
-    """Path of a changed value, ending in "*" if only one description has the value; None for code."""
+    """Path of a changed value in the description of a function; None for a change of code, which is no data.
+
+    The path ends in "*" if the second argument says that the earlier description has no such value.
+    """
     if {CODE_KEY, FILE_KEY, SAME_KEY} & {*path}:
         return None
     return (*path[:-1], "*") if value is MISSING_VALUE else path

@@ -1,4 +1,4 @@
-"""Surface: tractions, statuses and tables of states on S as arrays, the same on all ranks."""
+"""Surface: tractions, jumps, statuses and tables on S of a state, as arrays that are the same on all ranks."""
 
 from __future__ import annotations
 
@@ -24,10 +24,23 @@ STATUSES = (*YIELD_STATUSES, NO_LAYER, BONDED, *CONTACT_STATUSES)  # those of fu
 
 
 class Surface(SurfaceMesh):
-    """S of a joint, or one of its seams, with the tractions and statuses there of states of all models of this joint.
+    """S of a joint, or one of its seams, on which it evaluates states of all models of this joint.
 
-    The constructor and all methods that take a state are collective; results are complete on every rank. Arguments,
-    attributes and errors are as in `SurfaceMesh`.
+    A field on S is an array with a value at each of q quadrature points of each of n facets: (n, q), for vectors
+    (d, n, q) in d dimensions. A field that is constant on facets is (n, 1). The constructor and all methods that take a
+    state are collective; results are complete on every rank. Its mesh and geometry are those of a `SurfaceMesh`.
+
+    Args:
+        model: a model of the joint.
+        seam: name of a seam; "S": all seams.
+
+    Attributes:
+        x, n: (d, n, q) quadrature points, and unit normals of S from the lower to the upper side.
+        weights: (n, q) weights of integrals over S: areas, in axisymmetry of the whole revolution.
+        seams: (n,) name of each facet's seam.
+
+    Raises:
+        InputError: not a model, or an unknown seam.
 
     Example:
         >>> from forms import LinearElastic
@@ -45,16 +58,16 @@ class Surface(SurfaceMesh):
     """
 
     def traction(self, state: State) -> Array:
-        """(d, n, q) traction t = stress n on S, linear on each facet: an L2 projection.
+        """Traction (d, n, q) on S, stress times n, projected in L2 to fields that are linear on each facet.
 
-        On the surface of a model with a contact law, whose tractions are nodal, the mass matrix of the projection is
+        If the surface's model has a contact law, whose tractions are nodal, the mass matrix of the projection is
         lumped.
 
-        - Interface law: the traction of the law, conjugate to [u]. Contact law: its nodal tractions.
-        - Meshed layer: the mean of stress n through the thickness, elastic sublayers weighted by compliance; zero where
-          layers meet. If the thickness varies on a rigid base, it differs from the traction of the interface law by
-          O(eps).
-        - Bond: the traction of the bodies' nodal forces (`reaction`).
+        - Interface law: the traction of the law, conjugate to the jump [u]. Contact law: its nodal tractions.
+        - Meshed layer: the mean of stress times n through the thickness, elastic sublayers weighted by compliance; zero
+          where layers meet. If the thickness varies on a rigid base, it differs from the traction of the interface law
+          by O(eps).
+        - Bond: the traction equivalent to the bodies' nodal forces (`reaction`).
         """
         self._require_same_joint(state)
         bonded = np.isin(self.seams, state.model.bonds)
@@ -64,11 +77,12 @@ class Surface(SurfaceMesh):
         return np.where(bonded[:, None], self.reaction(state), of_layers) if bonded.any() else of_layers
 
     def reaction(self, state: State) -> Array:
-        """(d, n, q) traction whose nodal forces on both sides are those of the bodies, linear on each facet.
+        """Traction (d, n, q) on S that is equivalent to the bodies' nodal forces there, linear on each facet.
 
-        Where a support constrains one side, the other side determines it. Where supports constrain both sides, and in a
-        cycle of seams around a vertex, nodal forces do not determine it. It is then the solution closest to the
-        mean tractions at neighbouring nodes. At a tip of S it is zero.
+        Where a support constrains one side of S, the nodal forces of the other side determine it. Where supports
+        constrain both sides, and where seams around a vertex form a cycle, nodal forces leave it undetermined. It is
+        then the solution closest to the mean tractions at neighbouring nodes. At a tip, where S ends inside a body, it
+        is zero.
         """
         self._require_same_joint(state)
         whole = SurfaceMesh(self.model)  # forces at junctions are sums over all seams there
@@ -80,18 +94,18 @@ class Surface(SurfaceMesh):
 
     # ---------------------------------------------------------------- status, phases, contact
     def status(self, state: State) -> npt.NDArray[np.str_]:
-        """(n, 1) status of each facet in a state of an interface model, a word.
+        """Words (n, 1) for what the layer has done at each of n facets, in a state of an interface model.
 
         - "elastic": nothing has yielded, or the law has no plastic strain;
-        - "sliding": the largest part of the plastic strain across S is a slip along S;
-        - "crushed", "torn": the largest part is a closing, or an opening, along n;
+        - "sliding": the plastic strain across S is mainly a slip along S;
+        - "crushed", "torn": the plastic strain is mainly a closing, or an opening, along n;
         - "open": the sides have separated, and no traction across S is left;
-        - "no layer": an open joint, on which no law acts; "bonded": a `Bond`;
-        - "separated", "sliding", "stick", "pinned": under contact laws, the status of its nodes (`contact`);
-        - other words of the law, see `forms.layer_results.LayerResults.status_at`.
+        - "no layer": a part of S on which no law acts; "bonded": a `Bond`;
+        - "separated", "sliding", "stick", "pinned": under contact laws, the status of its nodes (`Contact.status`);
+        - other words that a law of the user defines (`forms.layer_results.LayerResults.status_at`).
 
-        A facet has the status of its largest part. Plastic strains are accumulated since the beginning, not over one
-        step.
+        If points of a facet differ, it has the word that applies to most of its area. The plastic strain is the one
+        accumulated since the beginning of the history.
 
         Raises:
             InputError: a state of another kind of model.
@@ -116,10 +130,10 @@ class Surface(SurfaceMesh):
         return np.array([*areas])[model.comm.allreduce(np.array([*areas.values()])).argmax(axis=0)][:, None]
 
     def phase(self, state: State) -> Array:
-        """(n, 1) mean phase of the layer at each facet, in a state of either model; nan if the layer has no phases.
+        """Mean phase (n, 1) of a non-monotone layer at each facet, in a state of a full or an interface model.
 
-        The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Other numbers are the share of phase 1 (or minus
-        the share of phase -1) in a mixture with phase 0.
+        The phase is a number in [-1, 1]. -1, 0 and 1 are pure phases. Other numbers are the volume fraction of phase 1
+        (or minus the volume fraction of phase -1) in a mixture with phase 0. nan: the layer has no phases.
         """
         self._require_same_joint(state)
         sums = np.zeros((2, len(self.rows)))
@@ -134,10 +148,10 @@ class Surface(SurfaceMesh):
         return np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), np.nan)[:, None]
 
     def contact(self, state: State) -> Contact:
-        """Status, jumps and tractions of contact laws at the nodes.
+        """Status, jumps and tractions of contact laws at the nodes of this surface.
 
         Raises:
-            InputError: the state's model has no contact law here.
+            InputError: the state's model has no contact law on this surface.
         """
         self._require_same_joint(state)
         if not (values := contact_values(self, state)):
@@ -147,21 +161,21 @@ class Surface(SurfaceMesh):
         return Contact(surface=self, **values, equilibrium=equilibrium, clapeyron=clapeyron)
 
     def table(self, state: State) -> Table:
-        """A row for each seam; columns that do not apply to a seam's law are None.
+        """Summarise a state on S in a table with a row for each seam; entries that do not apply are None.
 
-        - "size": the area.
-        - "elastic", "sliding", ...: in interface models the share of the area with this status; under contact laws, of
-          the nodes' area.
-        - "normal_force": under contact laws the integral of the pressure.
-        - "plus", "minus": for layers with phases, in either model, the shares of phases 1 and -1; "boundary": the
-          thickness of phase 0, if the other phases lie above it. Other laws may have other columns (`layer_shares`).
-        - "too_stiff": factor by which laws of orders 0 and 1 of an isotropic elastic layer are too stiff against the
-          openings of the state. These laws let no material flow along S (`surface/pressure_excess.py`). The factor is
+        - "seam", "size": its name and its area.
+        - "elastic", "sliding", ...: in interface models the fraction of the seam's area with this `status`; under
+          contact laws the fraction of its nodes' area.
+        - "normal_force": under contact laws the integral of the pressure, a force.
+        - "plus", "minus": in non-monotone layers of both kinds of models, the volume fractions of phases 1 and -1;
+          "boundary": the thickness of phase 0, if the other phases lie above it. Other laws may add other columns.
+        - "too_stiff": factor by which an interface law of order 0 or 1 of an isotropic elastic layer overestimates the
+          layer's stiffness against the openings of the state. These laws let no material flow along S. The factor is
           that of the layer alone, whatever its shear; the error of a structure with soft bodies is smaller. Above 1.1,
           and if this changes the traction by more than 10 %, a RangeWarning advises `Rubber` with order=1, or a meshed
           layer.
-        - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). For a Fourier mode
-          of wave number k too_stiff is 1 + (k delta)^2.
+        - "delta": length over which the pressure of such a layer evens out, eps sqrt(lmbda/(12 mu)). Under openings of
+          wave number k the factor is 1 + (k delta)^2.
         """
         self._require_same_joint(state)
         model, rows = state.model, []
@@ -188,7 +202,7 @@ class Surface(SurfaceMesh):
 
 
 def statuses(model: Model, seam: str) -> tuple[str, ...]:
-    """Statuses that facets of a seam may have."""
+    """Words that `Surface.status` may return for facets of a seam."""
     if seam in model.contacts:
         return CONTACT_STATUSES
     if seam not in model.layers:
@@ -197,17 +211,23 @@ def statuses(model: Model, seam: str) -> tuple[str, ...]:
 
 
 def law_statuses(law: Law) -> tuple[str, ...]:
-    """Statuses that points of a law may have."""
+    """Words that `Surface.status` may return for facets of a layer with this law, in all of its sublayers."""
     return tuple(dict.fromkeys(word for _, sublayer in law.sublayers for word in sublayer.statuses))
 
 
 def all_statuses(model: Model) -> tuple[str, ...]:
-    """`STATUSES`, then the further ones of the laws of a model's layers."""
+    """All words that `Surface.status` may return for a model: `STATUSES`, then others that its laws define."""
     return tuple(dict.fromkeys((*STATUSES, *(word for seam in model.layers for word in statuses(model, seam)))))
 
 
 def _at_points(surface: SurfaceMesh, points: LawPoints, rows: IntArray) -> npt.NDArray[np.str_]:
-    """Statuses (facets, q) at the points of a layer's law, on the facets `rows` that are not -1. Collective."""
+    """Words (facets, q) for the status at the q points of an interface law on each of its facets. Collective.
+
+    Args:
+        surface: the surface.
+        points: quadrature points of the law.
+        rows: number on the surface of the facet of each of the law's facets; -1: not on this surface, left out.
+    """
     model, q, laws = points.state.model, points.quadrature, points.term.law.sublayers
     (layer,) = (seam_layer for seam_layer in model.layers.values() if seam_layer.key == points.term.key)
     rule, here = surface.rule(q.degree), surface.seams == layer.name

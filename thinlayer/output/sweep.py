@@ -1,4 +1,4 @@
-"""Sweeps of comparisons as eps -> 0, with observed orders."""
+"""Sweeps: comparisons of models for decreasing thickness eps, with observed rates of convergence."""
 
 from __future__ import annotations
 
@@ -24,21 +24,27 @@ THICKNESS_TOLERANCE = 1e-9  # relative difference of equal thicknesses
 
 
 def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None, resume: Resume = False) -> Table:
-    """Compute a table of comparisons over decreasing thickness, with observed orders. Collective.
+    """Compute a table of errors over decreasing thickness, with their observed rates of convergence. Collective.
+
+    The rate between two rows is the slope of the error over eps on logarithmic axes.
 
     Args:
-        run: eps -> a row with error_traction and error_jump, such as `compare` returns; the same on all ranks.
-        eps: thicknesses, > 0 and different.
-        out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails. The file
-            out.json next to it serves to resume a sweep: it has the rows, the code of `run`, and the data that `run`
-            refers to. Both files of an earlier sweep that is not resumed are moved to previous-1, previous-2, ...
-        resume: True: keep the rows that `out` already has, and compute the others. "anyway": also rows of another
-            sweep.
+        run: function that takes a thickness eps and returns a row, name -> number or text. The row has "eps",
+            "error_traction" and "error_jump", as `compare` returns them. It is the same on all ranks.
+        eps: the thicknesses, > 0 and different.
+        out: csv file; each row is on the disk before the next one is computed, and stays if a later one fails. None: no
+            file. The file out.json next to it has the rows, the code of `run`, and the data that `run` refers to.
+        resume: False: compute all rows; both files of an earlier sweep are moved to previous-1, previous-2, ... True:
+            keep the rows that `out` has, and compute the others. "anyway": keep also rows of another sweep.
+
+    Returns:
+        The table, the largest thickness first. The columns "order_traction" and "order_jump" have the rates.
 
     Raises:
         InputError: a thickness out of range or repeated; a row of another thickness, without the required columns, or
             with other columns than the first row; `out` is a folder, cannot be written, is written by another run, or
-            is resumed and belongs to another sweep. OSError: a row could not be written. All ranks raise these errors.
+            belongs to another sweep that cannot be resumed. All ranks raise these errors.
+        OSError: a row could not be written.
 
     Example:
         >>> from forms import LinearElastic
@@ -80,7 +86,10 @@ def sweep(run: RowFunction, eps: Iterable[float], out: str | Path | None = None,
 
 
 def _row(run: RowFunction, eps: float, first: Row | None) -> Row:
-    """The checked row of a thickness; an error on one rank is raised on all ranks."""
+    """Compute and check the row of a thickness; an error on one rank is raised on all ranks.
+
+    `first` is the first row, whose columns the new row must have; None: there is none.
+    """
     what = f"the row that run({eps:g}) returns"
     with errors_on_all(default_comm()):
         row = checked_row(run(eps), what, ORDER_COLUMNS)
@@ -95,7 +104,7 @@ def _row(run: RowFunction, eps: float, first: Row | None) -> Row:
 
 
 def _with_orders(rows: Mapping[float, Row]) -> Table:
-    """Table of the rows by decreasing thickness, with the observed orders between each row and the previous row."""
+    """Table of the rows by decreasing thickness, with the observed rates of convergence between successive rows."""
     table = Table(rows[e] for e in sorted(rows, reverse=True))
     orders = {order: table.orders(error) for order, error in zip(ORDER_COLUMNS, ERROR_COLUMNS[1:], strict=True)}
     for k, row in enumerate(table.rows):

@@ -1,4 +1,4 @@
-"""Tractions on S in a state: of interface laws, of meshed layers, and of the bodies' nodal forces."""
+"""Tractions on S in a state: from interface laws, from meshed layers, and from the nodal forces of the bodies."""
 
 from __future__ import annotations
 
@@ -35,7 +35,11 @@ CENTRE_DISTANCE = 1e-9  # largest distance of the centres of a facet and of its 
 
 # ---------------------------------------------------------------- of layers
 def layer_tractions(surface: SurfaceMesh, state: State) -> Array:
-    """Nodal tractions (m, d) of a state with layers, projected to degree 1, see `Surface.traction`. Collective."""
+    """Tractions (m, d) of layers and contact laws at the m nodes of S in d dimensions. Collective.
+
+    They are the L2 projection of the tractions at quadrature points to functions linear on each facet. With a contact
+    law in the surface's model, the mass matrix of the projection is lumped.
+    """
     moments = np.zeros((*surface.corners.shape, surface.joint.dim))
     for points, rows in layer_points(surface, state):
         add = _add_law_moments if points.quadrature.region.dim < surface.joint.dim else _add_cell_moments
@@ -48,7 +52,11 @@ def layer_tractions(surface: SurfaceMesh, state: State) -> Array:
 
 
 def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints, IntArray]]:
-    """Yield the points of the layers' laws, and the surface facet of each of their entities; -1: none. Collective."""
+    """Yield the quadrature points of each layer's law, and the facets of the surface they belong to. Collective.
+
+    The second value of a pair is the number on the surface of the facet of each of the law's facets or layer cells. It
+    is -1 where there is none, as in cells where layers meet.
+    """
     joint = surface.joint
     place = np.full(len(joint.table.vertices), -1)
     place[joint.surface_rows[surface.rows]] = np.arange(len(surface.rows))
@@ -61,14 +69,30 @@ def layer_points(surface: SurfaceMesh, state: State) -> Iterator[tuple[LawPoints
 
 
 def _add_law_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
-    """Add the moments of an interface law's traction with the functions of degree 1; `rows`: facets, or -1."""
+    """Add to `moments` the integrals of an interface law's traction times the shape functions of degree 1.
+
+    Args:
+        moments: (n, k, d) integrals for the k corners of n facets of the surface.
+        surface: the surface.
+        rows: number on the surface of the facet of each of the law's facets; -1: not on this surface.
+        points: quadrature points of the law.
+    """
     rule, mine = surface.rule(points.quadrature.degree), rows[rows >= 0]
     t = _point_tractions(points)[points_of_rule(rule, rows, points)]
     np.add.at(moments, mine, np.einsum("fq,fqa,fqd->fad", rule.weights[mine], rule.shapes[mine], t))
 
 
 def points_of_rule(rule: FacetPoints, rows: IntArray, points: LawPoints) -> IntArray:
-    """Numbers (facets, q) of the law's points in the order of a rule of the same degree, on facets `rows` except -1."""
+    """Find which of the law's points coincides with each quadrature point of a surface.
+
+    Args:
+        rule: quadrature points of the surface, of the same degree as those of the law.
+        rows: number on the surface of the facet of each of the law's facets; -1: not on this surface.
+        points: quadrature points of the law.
+
+    Returns:
+        (facets, q) numbers of the law's points, for the facets other than -1, in the order of the rule's q points.
+    """
     q = points.quadrature
     cells, there = q.cells[rows >= 0], np.moveaxis(rule.x[:, rows[rows >= 0]], 0, -1)
     order = np.linalg.norm(there[:, :, None] - q.joint_x.T[cells][:, None], axis=3).argmin(axis=2)
@@ -76,7 +100,7 @@ def points_of_rule(rule: FacetPoints, rows: IntArray, points: LawPoints) -> IntA
 
 
 def _point_tractions(points: LawPoints) -> Array:
-    """Tractions (points, d) of a term on S: the work of its stresses per unit of [u] and area."""
+    """Tractions (points, d) of an interface law, conjugate to the jump: the virtual work of its stresses per area."""
     q, stress = points.quadrature, points.stress()
     if points.term.traction is None:
         return np.asarray(np.einsum("pij,pj->pi", stress, q.n)[:, : q.dim])
@@ -86,7 +110,12 @@ def _point_tractions(points: LawPoints) -> Array:
 
 
 def _unit_stress_tractions(traction: Callable[[Expr], Expr], q: Quadrature) -> Array:
-    """Tractions (points, 6, d) of unit stresses in Mandel's order."""
+    """Tractions (points, 6, d) of the six unit stresses in Mandel notation, at the points of a law on S.
+
+    Args:
+        traction: the law's function from a UFL stress to its UFL traction.
+        q: the points.
+    """
     units = [mandel_tensor(ufl.as_vector([float(i == k) for i in range(6)])) for k in range(6)]
     components = [t[i] for t in map(traction, units) for i in range(q.dim)]
     if all(isinstance(t, Zero) for t in components):  # a station whose strain does not depend on [u]
@@ -95,7 +124,10 @@ def _unit_stress_tractions(traction: Callable[[Expr], Expr], q: Quadrature) -> A
 
 
 def _facet_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
-    """Surface facet from which each cell of an inflated joint was made; -1: none, as where layers meet."""
+    """Number on the surface of the facet from which each cell of a meshed layer was extruded.
+
+    It is -1 in bodies, where layers meet, and for layers of other seams.
+    """
     joint = surface.joint
     numbers, centres = column_numbers(state.model.domain.joint)
     distance, row = cKDTree(joint.points[surface.corners].mean(axis=1)).query(centres)
@@ -104,7 +136,14 @@ def _facet_of_cells(surface: SurfaceMesh, state: State) -> IntArray:
 
 
 def _add_cell_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, points: LawPoints) -> None:
-    """Add the moments of the mean of stress n through a meshed layer; `rows`: facets of its cells, or -1."""
+    """Add to `moments` the integrals of the mean traction through a meshed layer times the shape functions of degree 1.
+
+    Args:
+        moments: (n, k, d) integrals for the k corners of n facets of the surface.
+        surface: the surface.
+        rows: number on the surface of the facet of each layer cell; -1: none.
+        points: quadrature points of the layer's law.
+    """
     joint, q, mine = surface.joint, points.quadrature, np.flatnonzero(rows >= 0)
     layer = next(seam_layer for seam_layer in points.state.model.layers.values() if seam_layer.key == points.term.key)
     cells, rows = q.cells[mine], rows[mine]
@@ -123,10 +162,11 @@ def _add_cell_moments(moments: Array, surface: SurfaceMesh, rows: IntArray, poin
 
 
 def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float]:
-    """Weights, along S and along n, of a sublayer's stresses in the mean through the layer.
+    """Weights of a sublayer's tangential and normal traction in the mean through the layer's thickness.
 
-    A weight is the sublayer's share of the jump over its share of the thickness, so that the mean is conjugate to [u].
-    Elastic sublayers share tangential and normal jumps by their compliances. In other layers the weights are 1.
+    A weight is the sublayer's fraction of the jump, divided by its fraction of the thickness. The mean is then
+    conjugate to the jump. In elastic layers these fractions of the jump follow from the sublayers' compliances. In
+    other layers, and in layers of one material, both weights are 1.
     """
     if len(layer.law.sublayers) == 1:
         return 1.0, 1.0
@@ -144,9 +184,14 @@ def _sublayer_weights(layer: SeamLayer, points: LawPoints) -> tuple[float, float
 
 # ---------------------------------------------------------------- of the bodies' nodal forces
 def consistent_tractions(surface: SurfaceMesh, state: State, *, joined: bool = False) -> Array:
-    """Nodal tractions (m, d) whose nodal forces are those of the bodies on S, see `Surface.reaction`. Collective.
+    """Tractions (m, d) at the nodes of S that are equivalent to the nodal forces of the bodies. Collective.
 
-    With `joined` only tractions of layers: bonds are then inside the bodies, and their forces do not count.
+    The tractions are linear on each facet; `Surface.reaction` says how they are chosen where supports hide the forces.
+
+    Args:
+        surface: all of S, with m nodes in d dimensions.
+        state: the state.
+        joined: whether to regard bonded bodies as one body. Only layers then exert forces at S.
     """
     model, d = state.model, surface.joint.dim
     r = layer_forces(state, joined)
@@ -180,9 +225,14 @@ def consistent_tractions(surface: SurfaceMesh, state: State, *, joined: bool = F
 
 
 def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
-    """Numbers (2, n, k) of the bodies' nodes at the facets' corners, below and above, and the number of these nodes.
+    """Number the nodes that the bodies have at the corners of the facets of S, one for each body at a vertex.
 
-    With `joined` bonded bodies share a node.
+    Args:
+        surface: the surface, with n facets of k corners.
+        joined: whether bonded bodies share one node.
+
+    Returns:
+        (2, n, k) numbers of the nodes below and above the corners, and the number of nodes.
     """
     joint = surface.joint
     cut = surface.model.split_mesh if joined else joint.split_mesh
@@ -193,7 +243,10 @@ def _side_nodes(surface: SurfaceMesh, joined: bool) -> tuple[IntArray, int]:
 
 
 def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse.csr_matrix:
-    """Matrix (count, m) from nodal tractions to nodal forces on the bodies."""
+    """Matrix (count, m) from the values of tractions at the m nodes of S to nodal forces on the bodies.
+
+    `sides` has the numbers of the bodies' nodes below and above the facets' corners, `count` is how many there are.
+    """
     M = np.einsum("fq,qa,qb->fab", surface.weights, surface.shapes, surface.shapes)
     rows, columns = np.broadcast_arrays(sides[..., None], surface.nodes[:, None])  # (2, n, k, k)
     values, shape = np.stack([M, -M]), (count, len(surface.numbers))
@@ -201,7 +254,14 @@ def _to_sides(surface: SurfaceMesh, sides: IntArray, count: int) -> scipy.sparse
 
 
 def _lumped(surface: SurfaceMesh, sides: IntArray, means: Array, valid: BoolArray) -> Array:
-    """Nodal tractions (m,) from forces over areas, `means`, at valid nodes of bodies; else means of neighbours."""
+    """First guess of one component of the tractions at the m nodes of S, from nodal forces over areas.
+
+    Args:
+        surface: the surface.
+        sides: (2, n, k) numbers of the bodies' nodes below and above the facets' corners.
+        means: force over area at each node of the bodies.
+        valid: where this value is known. Elsewhere the guess is the mean over neighbouring nodes of S.
+    """
     signs = np.array([1.0, -1.0])[:, None, None]
     counts = surface.sums(valid[sides].sum(axis=0).astype(float))
     nodal = surface.sums((signs * means[sides] * valid[sides]).sum(axis=0)) / np.maximum(counts, 1.0)

@@ -1,4 +1,7 @@
-"""Zoom: stresses inside the layers of interface models, from layer subproblems, and at corners of their free ends."""
+"""Zoom: stresses inside the layer of an interface model, and strengths of its stress singularities at free ends.
+
+The stresses are those of a mesh of the layer alone, whose faces move with the bodies.
+"""
 
 from __future__ import annotations
 
@@ -37,19 +40,19 @@ SUBLAYER_ARC_RADIUS = 0.6  # the same over the thickness of a thin sublayer
 
 @dataclass(frozen=True)
 class CornerStrength:
-    """The singular stresses at the corner between a face and a free end, at points along the end.
+    """Strength of the singular stresses at the corner between one face of a layer and its free end.
 
-    At the distance r from the corner, the normal traction on the face is H r^(exponent - 1) in the limit r -> 0. The
-    traction along S, away from the end, is `shear` times as large. A criterion of crack initiation compares H with its
-    critical value, from a test of the same layer and exponent.
+    At the distance r from the corner, the normal traction on the face tends to H r^(exponent - 1) as r -> 0. A
+    criterion of crack initiation compares H with its critical value, from a test of the same layer and exponent.
 
     Attributes:
-        x: (n, d) points along the end, farther than 3 thicknesses from other ends; in 2D one point.
-        m: (d,) unit normal of the end, in S, outward.
-        side: "lower" or "upper", the side of the face.
-        exponent: lambda, from 1 at nu = 0 to 0.595 at nu = 0.5.
-        shear: traction along S over normal traction; on the upper face with the opposite sign.
-        H: (n,) strengths, stress times length^(1 - exponent).
+        x: (n, d) points of S along the end, in d dimensions, farther than 3 thicknesses from other ends; in 2D one.
+        m: (d,) outward unit normal of the end, in the plane of S.
+        side: "lower" or "upper", the face of the layer.
+        exponent: exponent of the displacements, r^exponent; from 1 at Poisson's ratio 0 to 0.595 at 0.5.
+        shear: ratio of the tangential traction, inward along S, to the normal traction; on the upper face its sign is
+            opposite.
+        H: (n,) strengths, in units of stress times length^(1 - exponent).
     """
 
     x: Array
@@ -63,28 +66,30 @@ class CornerStrength:
 class Zoom:
     """Stresses inside a layer of an interface model, from a mesh of the layer with prescribed face displacements.
 
-    The faces move with the bodies of the interface model. The law must have an energy: a linear law, or plasticity in
-    one step from rest. Sublayers, curved seams, networks, and layers with a weight or an eigenstrain are possible.
-    Cells are divided towards free ends and junctions.
+    The lower and upper face of the mesh move with the bodies of the interface model. The layer's law must have an
+    energy: a linear law, or plasticity in one step from rest. Sublayers, curved seams, seams that meet, and layers with
+    a weight or an eigenstrain are possible. Cells are refined towards free ends and junctions.
 
-    The error is the error of the face displacements: O(eps) for a layer of order 0, O(eps^2) for order 1. With
-    `Zoom(estimate(state).better)` the bodies are deformed by the forces of the meshed layer and its ends. For a full
-    model the stresses are those in its own layer cells.
+    The relative error is that of the face displacements: O(eps) for an interface law of order 0, O(eps^2) for order 1.
+    `Zoom(estimate(state).better)` takes face displacements that include the forces of the meshed layer and its ends.
+    For a full model the stresses are those in its own layer cells. Collective.
 
     Args:
-        state: state of an interface model or a full model, as `solve` returns it, or `history.at(t)`. Collective.
-        seam: name of a seam; "S" if the joint has only one seam.
+        state: state of an interface model or a full model, as `solve` or `history.at(t)` returns it.
+        seam: name of the seam with the layer; "S" if the joint has only one seam.
         cells_through: number of cells through the thickness.
-        at_ends: largest extent of cells at free ends and junctions, over the thickness, > 0. None: 1/16; for tetrahedra
-            1/2, as there would be too many smaller cells.
+        at_ends: largest size of cells at free ends and junctions, over the thickness, > 0. None: 1/16; for tetrahedra
+            1/2, to limit their number.
 
     Attributes:
-        layer: state of the layer subproblem, for `Probe`, pictures and files, whole on every rank; for a full model the
-            argument `state`.
+        state: the argument.
+        seam: name of the seam with the layer.
+        layer: state on the mesh of the layer alone, whole on every rank, for `Probe`, pictures and files. For a full
+            model it is the argument `state`.
 
     Raises:
-        InputError: not such a state or seam; a layer whose law has no energy, or remembers earlier steps.
-        SolveError: the layer subproblem has no solution, or Newton's method does not converge.
+        InputError: no such state or seam; the layer's law has no energy, or depends on earlier steps.
+        SolveError: the problem of the layer has no solution, or Newton's method does not converge.
 
     Example:
         >>> from forms import LinearElastic
@@ -110,7 +115,14 @@ class Zoom:
         self._probe, self._surface = Probe(self.layer), SurfaceMesh(self.layer.model, self.seam)
 
     def _by_itself(self, cells_through: int, at_ends: float) -> State:
-        """Solve the subproblem of the layer, or of layers that meet, between the faces of the state."""
+        """Solve for the layer alone (with the layers that it meets) under the face displacements of the state.
+
+        A coarse mesh is solved first; its solution starts Newton's method on the refined mesh.
+
+        Args:
+            cells_through: number of cells through the thickness.
+            at_ends: largest size of cells at free ends and junctions, over the thickness.
+        """
         state, model = self.state, self.state.model
         assert isinstance(model, InterfaceModel)
         layers = {}
@@ -130,16 +142,16 @@ class Zoom:
 
     @property
     def eps(self) -> float:
-        """The layer's thickness; if it varies, the thickness that its profile multiplies."""
+        """Thickness of the layer; if it varies, the reference thickness, which its profile multiplies."""
         return self._seam_layer.eps
 
     @property
     def law(self) -> BulkLaw:
-        """The layer's law with real parameters; in plane models the law of the kinematics."""
+        """The layer's law of stress and strain, with the moduli of the material; in plane stress its plane law."""
         return self._applicability.law
 
     def _require_faces(self, layers: State) -> None:
-        """Warn if the tractions of the layer differ much from the tractions of the bodies."""
+        """Warn if the tractions of the meshed layer differ by more than 30 % from those of the bodies, in L2(S)."""
         surface = Surface(self.state.model, self.seam)
         bodies = surface.reaction(self.state)
         off = surface.norm(surface.traction(layers) - bodies) / (surface.norm(bodies) or 1.0)
@@ -149,11 +161,14 @@ class Zoom:
 
     # ---------------------------------------------------------------- stresses
     def stress(self, x: npt.ArrayLike, height: npt.ArrayLike = 0.0) -> Array:
-        """Stresses (n, 3, 3) at points x (n, d) of S and heights, or (3, 3) at one point; between cells their mean.
+        """Stresses (n, 3, 3) in the layer above or below n points of S, or (3, 3) at one point. Collective.
+
+        On a boundary between cells it is the mean of their stresses.
 
         Args:
-            x: points on S, in the mesh's coordinates.
-            height: height over the thickness, from -1/2 at the lower to 1/2 at the upper face, one number or (n,).
+            x: (n, d) points on S in d dimensions, or one point (d,), as in the mesh of the joint.
+            height: position across the layer, over its thickness, from -1/2 at the lower face to 1/2 at the upper face;
+                one number, or (n,).
 
         Raises:
             InputError: points off the seam; heights out of range; points within 1/16 of the thickness from a corner of
@@ -174,14 +189,17 @@ class Zoom:
         return stresses if np.ndim(x) > 1 else stresses[0]
 
     def through(self, x: npt.ArrayLike, n: int = 41) -> tuple[Array, Array]:
-        """Heights (n,), from -1/2 to 1/2, and the stresses (n, 3, 3) there, at one point x (d,) of S."""
+        """Return n heights from -1/2 to 1/2, and the stresses (n, 3, 3) there, at one point x (d,) of S. Collective."""
         heights = np.asarray(np.linspace(-0.5, 0.5, n), np.float64)
         return heights, self.stress(np.tile(np.asarray(x, float), (n, 1)), heights)
 
     # ---------------------------------------------------------------- corners
     @cached_property
     def ends(self) -> list[tuple[StraightEnd, Array]]:
-        """Free ends, each with points (n, d): its vertices farther than 3 thicknesses from other ends; in 2D one point.
+        """Straight free ends of the layer, each with points (n, d) of S along it; in 2D one point.
+
+        The points are the mesh vertices of the end that are farther than 3 thicknesses from other free ends. Ends
+        without such vertices are left out.
 
         Raises:
             InputError: ends are curved.
@@ -198,13 +216,13 @@ class Zoom:
 
     @cached_property
     def corners(self) -> list[CornerStrength]:
-        """The singular stresses at the two corners of each straight free end, on the lower and on the upper face.
+        """Strengths of the singular stresses at both corners of each straight free end, lower face first. Collective.
 
-        They follow from reciprocity with the dual singular field on an arc around the corner, for rigid faces in plane
-        strain.
+        They follow from the reciprocal theorem with the dual singular field, on an arc around the corner. The singular
+        fields are those between a rigid face and a free end in plane strain.
 
         Raises:
-            InputError: the exponent of a corner is unknown, with the reason.
+            InputError: the exponent of a corner is unknown, or a load acts on the layer's side.
         """
         what = f"zoom into {self._seam_layer} at its corners: "
         for load in SideLoad.of(self.state.model, self._seam_layer):
@@ -213,7 +231,13 @@ class Zoom:
         return [self._strength(end, x, side) for end, x in self.ends for side in (-1, 1)]
 
     def _strength(self, end: StraightEnd, x: Array, side: int) -> CornerStrength:
-        """Strengths at points x of an end, at the corner on the upper (1) or the lower face (-1)."""
+        """Strengths of the singular stresses at a corner of a free end.
+
+        Args:
+            end: the free end.
+            x: (n, d) points along it.
+            side: 1 for the corner on the upper face, -1 on the lower face.
+        """
         sublayers = self.law.sublayers
         share, law = sublayers[0 if side < 0 else -1]
         lmbda, mu = law.elastic_moduli()
@@ -234,7 +258,7 @@ class Zoom:
 
 
 def _layer_of(state: State, seam: str) -> SeamLayer:
-    """The layer on a seam in the model of a state; raise InputError if there is none."""
+    """Return the layer on a seam in the state's model; raise InputError if there is none. "S": the only seam."""
     if not isinstance(state, State) or not isinstance(state.model, InterfaceModel | FullModel):
         received = state.model if isinstance(state, State) else state
         raise InputError(f"a zoom is of a state of an interface or a full model, not of {received!r:.80}")

@@ -1,4 +1,4 @@
-"""ParaView blocks of a state, on rank 0: bodies, meshed layers and S, with all their arrays."""
+"""VTK blocks of a state for ParaView, on rank 0: bodies, meshed layers and S, with all their arrays."""
 
 from __future__ import annotations
 
@@ -29,11 +29,13 @@ RESERVED_ARRAYS = ("u", STRESS, VON_MISES, "region", "seam", "status", "traction
 
 
 def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | None:
-    """The blocks "bodies", "layer" (of a full model) and "S" (with `model`); None on other ranks. Collective.
+    """Convert a state to the VTK blocks "bodies", "layer" (of a full model) and "S" (with `model`). Collective.
+
+    Only rank 0 has them; other ranks return None.
 
     Args:
         state: the state.
-        model: interface model of the same joint, whose S gets the tractions and jumps; None: no block "S".
+        model: interface model of the same joint, on whose S tractions and jumps are evaluated; None: no block "S".
     """
     of_cells, of_facets = _cell_data(state)
     grid = gather_grid(state)
@@ -47,9 +49,10 @@ def blocks(state: State, model: InterfaceModel | None) -> pyvista.MultiBlock | N
 
 
 def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Means of stresses and internal variables over cells, and of internal variables over facets of S. Collective.
+    """Compute means of stresses and internal variables over cells, and of internal variables over facets of S.
 
-    They are gathered on rank 0. Where the law of a cell or facet has no variable of a name, the value is NaN.
+    Collective. Rank 0 gets two mappings, for cells and for facets: name of an array -> values in the joint's order.
+    Where the law of a cell or facet has no such variable, the value is NaN.
     """
     model, joint = state.model, state.model.domain.joint
     of_cells, of_facets = dict[str, Array](), dict[str, Array]()
@@ -68,7 +71,13 @@ def _cell_data(state: State) -> tuple[dict[str, Array], dict[str, Array]]:
 
 
 def _named_variables(sublayers: list[dict[str, Array]], before: int = 0, *, several: bool = False) -> dict[str, Array]:
-    """Internal variables by the names of their arrays, numbered from below if a facet has several points."""
+    """Return name of a VTK array -> values of an internal variable, named "plastic 1", "plastic 2" in sublayers.
+
+    Args:
+        sublayers: for each sublayer, from the lower to the upper face, name of a variable -> values.
+        before: number of points through the thickness below these sublayers.
+        several: whether there are other points through the thickness, so that also a single sublayer is numbered.
+    """
     named: dict[str, Array] = {}
     for number, variables in enumerate(sublayers, before + 1):
         for name, values in variables.items():
@@ -78,13 +87,14 @@ def _named_variables(sublayers: list[dict[str, Array]], before: int = 0, *, seve
 
 
 def _add_means(arrays: dict[str, Array], numbers: IntArray, points: LawPoints, fields: Mapping[str, Array]) -> None:
-    """Add means over cells or facets to arrays on rank 0. Collective.
+    """Add the means over cells or facets of a law's fields to arrays on rank 0. Collective.
 
     Args:
-        arrays: name -> (n, components), NaN where nothing was added; tensors have VTK's six components.
-        numbers: (n,) numbers of the cells or facets in the joint, ascending.
-        points: the points of a law.
-        fields: name -> values (points, ...).
+        arrays: name of an array -> (n, components) means, NaN where nothing was added; changed on rank 0. Tensors have
+            the six components XX, YY, ZZ, XY, YZ, XZ.
+        numbers: (n,) numbers in the joint of all cells or facets, ascending.
+        points: quadrature points of the law.
+        fields: name of an array -> values at these points, (points,) or (points, 3, 3).
     """
     for name, values in fields.items():
         means = points.quadrature.means(values[:, *VTK_TENSOR_ORDER] if values.ndim == 3 else values)
@@ -96,14 +106,14 @@ def _add_means(arrays: dict[str, Array], numbers: IntArray, points: LawPoints, f
 
 
 def von_mises(stress: Array) -> Array:
-    """Von Mises equivalent stress (n,) of stresses (n, 6) in VTK's order."""
+    """Von Mises equivalent stresses (n,) of stresses (n, 6), components XX, YY, ZZ, XY, YZ, XZ."""
     normal, shear = stress[:, :3], stress[:, 3:]
     deviator = normal - normal.mean(axis=1, keepdims=True)
     return np.asarray(np.sqrt(1.5 * ((deviator**2).sum(axis=1) + 2 * (shear**2).sum(axis=1))))
 
 
 def _volume(joint: Joint, grid: VtkGrid, of_cells: Mapping[str, Array]) -> pyvista.UnstructuredGrid:
-    """Grid of all cells with their data."""
+    """VTK grid of all cells of bodies and meshed layers, with displacements and the cell data `of_cells`."""
     mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points)
     mesh.point_data["u"] = grid.u
     mesh.cell_data.update(of_cells)
@@ -121,7 +131,7 @@ def _volume(joint: Joint, grid: VtkGrid, of_cells: Mapping[str, Array]) -> pyvis
 
 
 def _part(mesh: pyvista.UnstructuredGrid, chosen: BoolArray) -> pyvista.UnstructuredGrid:
-    """The chosen cells with their points and data, except data that are NaN in all of them, which VTK cannot read."""
+    """Grid of the chosen cells with their data, except arrays that are NaN in all of them, which VTK cannot read."""
     part = mesh.extract_cells(np.flatnonzero(chosen))
     part.point_data.pop("vtkOriginalPointIds")
     part.cell_data.pop("vtkOriginalCellIds")
@@ -133,18 +143,19 @@ def _part(mesh: pyvista.UnstructuredGrid, chosen: BoolArray) -> pyvista.Unstruct
 
 # ---------------------------------------------------------------- S
 def _surface_block(state: State, model: InterfaceModel, means: Mapping[str, Array]) -> pyvista.UnstructuredGrid | None:
-    """The facets of S, in the joint's order; None on other ranks. Collective.
+    """Make the VTK grid of the facets of S, in the joint's order, on rank 0; other ranks return None. Collective.
 
-    Each facet has its own nodes. Point data are "traction", "jump", "normal", "u_upper", "u_lower", their mean "u" (to
-    warp S by), "t_N", "w_N", "t_T" and "w_T". The last two are in 2D the component along (n_2, -n_1), in 3D the vector
-    in S. With contact laws there are also "contact" (`CONTACT_CODES`, -1 where no contact law acts) and the vector
-    "slip". Facet data are "seam" (its position in the field "seams"), "status" (a code), and means of internal
-    variables.
+    Each facet has its own nodes. Point data are "traction", "jump", "normal", the displacements "u_upper" and "u_lower"
+    of both sides, and their mean "u" (to warp S by). "t_N" and "w_N" are the normal components of traction and jump,
+    "t_T" and "w_T" the tangential ones. The latter are in 2D the component along (n_2, -n_1), in 3D the vector in S.
+    With contact laws there are also "contact" (`CONTACT_CODES`, -1 where no contact law acts) and the vector "slip".
+    Facet data are "seam" (its position in the field "seams"), "status" (a code), and means of internal variables.
 
     Args:
-        state: a state of the model, or of another model of the same joint; then there are no statuses and contact data.
+        state: a state of the model, or of another model of the same joint. In the second case statuses and contact data
+            are left out.
         model: an interface model.
-        means: name -> means (n_S, components), on rank 0.
+        means: name of an array -> (facets, components) means of an internal variable, on rank 0.
     """
     joint, d, surface, same_model = model.joint, model.joint.dim, Surface(model), state.model is model
     lower, upper = surface.displacements(state)
@@ -182,7 +193,7 @@ def _surface_block(state: State, model: InterfaceModel, means: Mapping[str, Arra
 
 
 def _add_texts(mesh: pyvista.UnstructuredGrid, name: str, texts: Iterable[str]) -> None:
-    """Add a field of texts in any language to a mesh; pyvista's own method accepts only ASCII."""
+    """Add texts to a mesh as a VTK field of this name; unlike pyvista's own method, it accepts non-ASCII characters."""
     array = vtkStringArray()
     array.SetName(name)
     for text in texts:
@@ -201,7 +212,12 @@ def _three_components(values: Array) -> Array:
 
 
 def _nodal_data(at: Mapping[str, Array], d: int) -> dict[str, Array]:
-    """Point data from values (facets, nodes, d)."""
+    """VTK point data of S, name of an array -> values, from values at the nodes of each facet.
+
+    Args:
+        at: arrays (facets, nodes, d): "traction", "upper" and "lower" displacement, and "n", the normal.
+        d: number of dimensions.
+    """
     t, upper, lower = at["traction"], at["upper"], at["lower"]
     n = at["n"] / np.linalg.norm(at["n"], axis=2, keepdims=True)
     jump = upper - lower

@@ -1,4 +1,4 @@
-"""VTK cells and their displacements, gathered on rank 0, in an order that does not depend on the ranks."""
+"""VTK cells of a state and their displacements, gathered on rank 0 in an order independent of the number of ranks."""
 
 from __future__ import annotations
 
@@ -25,27 +25,29 @@ LAGRANGE_TYPES = {"interval": 68, "triangle": 69, "quadrilateral": 70, "tetrahed
 
 
 def vtk_type(cell_type: str, n_nodes: int) -> int:
-    """VTK's number of a cell type with `n_nodes` nodes."""
+    """VTK's code of a type of cells, such as "triangle", with `n_nodes` nodes."""
     return (LINEAR_TYPES if geometry_degree(cell_type, n_nodes) == 1 else LAGRANGE_TYPES)[cell_type]
 
 
 def vtk_order(cell_type: str, n_nodes: int) -> IntArray:
-    """DOLFINx numbers (n_nodes,) of the nodes of a cell, in VTK's order."""
+    """Positions (n_nodes,) in DOLFINx's order of the nodes of a cell, listed in VTK's order."""
     return np.argsort(np.asarray(dolfinx.cpp.io.perm_vtk(dolfinx.mesh.to_type(cell_type), n_nodes), np.int64))
 
 
 @dataclass(frozen=True)
 class VtkGrid:
-    """A displacement field on VTK cells; the nodes on S are double.
+    """A displacement field on the n nodes of VTK cells; each side of S has its own nodes.
 
     Attributes:
-        dim: space dimension, 2 or 3; in 2D all third components are zero.
-        points: (n, 3) coordinates of the nodes.
+        dim: number of dimensions, 2 or 3; in 2D all third components are zero.
+        points: (n, 3) coordinates of the nodes before deformation.
         u: (n, 3) displacements.
-        cells, types: VTK cells.
-        region: (n_cells,) region number from 0; sublayers of the meshed layer are -1, -2, ...
-        base: (n, k, 3) fixed nodes of the facets of the rigid base, in VTK's order; empty between two bodies.
-        base_type: VTK type of these facets.
+        cells: VTK's list of cells: for each cell the number of its nodes, then the nodes.
+        types: (n_cells,) VTK's codes of the types of the cells.
+        region: (n_cells,) number of the body's region, from 0; regions of the meshed layer have -1, -2, ...
+        base: (facets, k, 3) coordinates of the k nodes of each facet of the rigid base, in VTK's order; without facets
+            if S lies between two bodies.
+        base_type: VTK's code of the type of these facets.
     """
 
     dim: int
@@ -58,7 +60,11 @@ class VtkGrid:
     base_type: int
 
     def component(self, name: str) -> Array:
-        """Component (n,) of the displacement, "x", "y" or "z", or its "size"; raise InputError for another name."""
+        """Component "x", "y" or "z" of the displacements, (n,), or for "size" their norm.
+
+        Raises:
+            InputError: another name, or "z" in 2D.
+        """
         if name == "size":
             return np.linalg.norm(self.u, axis=1)
         if name not in tuple("xyz"[: self.dim]):
@@ -67,7 +73,10 @@ class VtkGrid:
 
 
 def nodal_displacement(state: State) -> fem.Function:
-    """Copy of the displacement with nodal values, interpolated if the element's dofs are no nodal values."""
+    """Return the displacement as a function with nodal values: a copy, or an interpolation to degree 2.
+
+    The latter is for elements some of whose dofs are no values at nodes (element "S2").
+    """
     is_nodal = not state.model.element.startswith("S")
     u = fem.Function(state.u.function_space if is_nodal else state.model.space(2), name="u")
     interpolate(u, state.u)
@@ -76,10 +85,11 @@ def nodal_displacement(state: State) -> fem.Function:
 
 
 def gather_grid(state: State) -> VtkGrid | None:
-    """The displacement field of a state, on rank 0; None on other ranks. Collective.
+    """Gather the displacement field of a state on rank 0; other ranks return None. Collective.
 
-    Cells have the order of the mesh's joint, and nodes the order in which they first occur in these cells. The result
-    is therefore the same on any number of ranks. Nodes on both sides of S stay distinct, as do nodes of periodic sides.
+    Cells have the order of the model's joint, and nodes the order in which they first occur in these cells. The result
+    is therefore the same on any number of ranks. Coincident nodes on both sides of S stay distinct, as do the nodes on
+    opposite periodic sides of a cell.
     """
     model, joint = state.model, state.model.domain.joint
     u = nodal_displacement(state)
@@ -117,7 +127,7 @@ def gather_grid(state: State) -> VtkGrid | None:
 
 
 def _base(joint: Joint) -> tuple[Array, int]:
-    """Nodes (n, k, 3) of the facets of the rigid base, in VTK's order, and the VTK type of these facets."""
+    """Coordinates (facets, k, 3) of the nodes of the rigid base's facets, in VTK's order, and VTK's code of their type."""
     kind = FACET_TYPES[joint.cell_type]
     names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
     if not names:

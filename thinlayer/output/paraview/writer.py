@@ -1,4 +1,4 @@
-"""Files for ParaView with all results of a state, gathered on rank 0."""
+"""Files for ParaView with all results of a state or a history, written by rank 0."""
 
 from __future__ import annotations
 
@@ -26,32 +26,35 @@ COLLECTION_SUFFIX = ".pvd"
 
 
 def write(solution: Solution, path: str | Path, *, surface: Surface | None = None) -> None:
-    """Write a state, or all states that a history keeps with their times, for ParaView. Collective.
+    """Write a state, or all states that a history keeps with their times, to files for ParaView. Collective.
 
-    Rank 0 gathers all results and writes "run.pvd" and the folder "run_pvd". Blocks:
+    Rank 0 gathers all results and, for the path "run.pvd", writes this file and the folder "run_pvd". Each state has
+    these blocks:
 
-    - "bodies": "u" at the nodes; nodes on S are double, so that jumps are kept. On cells: the means of "stress",
-      "von Mises" and the internal variables of laws by their names; "region", its position in the field "regions".
-    - "layer", of a full model: the same, and "seam", its position in the field "seams".
-    - "S", of an interface model, or with `surface`: facets, each with its own nodes. At the nodes: "traction", "jump",
-      "normal", "u_upper", "u_lower", their mean "u" (to warp S by), "t_N", "w_N", "t_T" and "w_T". The last two are in
-      2D the component along (n_2, -n_1), in 3D the vector in S. Under contact laws also "contact" (explained by the
-      field "contact codes") and "slip". On facets: "seam", "status" (see `Surface.status` and the field
+    - "bodies": at nodes the displacement "u"; each side of S has its own nodes, so that jumps are kept. On cells the
+      means of "stress" and of the internal variables of laws by their names, "von Mises", and "region", the position of
+      the region's name in the field "regions".
+    - "layer", of a full model: the same, and "seam", the position of the seam's name in the field "seams".
+    - "S", of an interface model, or with `surface`: facets, each with its own nodes. At nodes "traction", "jump",
+      "normal", the displacements "u_upper" and "u_lower" of both sides, and their mean "u" (to warp S by). "t_N" and
+      "w_N" are the normal components of traction and jump, "t_T" and "w_T" the tangential ones: in 2D the component
+      along (n_2, -n_1), in 3D the vector in S. Under contact laws also the status "contact" (explained by the field
+      "contact codes") and "slip". On facets "seam", "status" (`Surface.status`, explained by the field
       "status codes"), and means of the layer's internal variables, such as "phase".
 
     Vectors have three components, stresses and other tensors six: XX, YY, ZZ, XY, YZ, XZ. "von Mises" is computed from
-    the mean stress of a cell. Internal variables that a cell's law does not have are NaN there. If there are several
-    points through the thickness on S (sublayers, order 1), the variables are numbered from below: "plastic 1",
-    "plastic 2". In a periodic cell u is without the motion by the mean strain (`State.mean_strain`); stresses are
-    complete.
+    the mean stress of a cell. Internal variables that a cell's law does not have are NaN there. In sublayers, and under
+    interface laws of order 1, there are several points through the thickness on S. Variables are then numbered from
+    below: "plastic 1", "plastic 2". In a periodic cell "u" is without the motion by the mean strain
+    (`State.mean_strain`); stresses are complete.
 
     For meshes that do not fit on rank 0, `dolfinx.io.VTXWriter(comm, "run.bp", [state.u])` writes only displacements.
 
     Args:
         solution: a state or a history.
-        path: file, which ends in .pvd.
-        surface: S of an interface model of the same joint, for a full model: the block "S" has the traction and the
-            jump of the meshed layer, on S before inflation. Internal variables of the layer are in the block "layer".
+        path: name of the file, which ends in .pvd.
+        surface: for a full model, S of an interface model of the same joint. The block "S" then has the traction and
+            jump of the meshed layer, at the positions of S in the joint as drawn. None: no block "S" of a full model.
 
     Raises:
         InputError: not a state or a history; a path that does not end in .pvd; a surface of another joint.
@@ -94,7 +97,7 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
 
 
 def _make_room(path: Path, folder: Path) -> None:
-    """Make the folder, and delete the files of an earlier `write`; OSError: the file cannot be written."""
+    """Make the folder for the files of all states, and delete those of an earlier `write` in it."""
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.iterdir():
         if re.fullmatch(r"\d+", old.name) and old.is_dir():
@@ -104,9 +107,9 @@ def _make_room(path: Path, folder: Path) -> None:
 
 
 def _write_blocks(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
-    """Write a file .vtm, and the files of its blocks in a folder next to it.
+    """Write a file .vtm that lists the blocks, and a file .vtu of each block in a folder next to it.
 
-    VTK composes the files in memory, as on a full disk it can end the process.
+    Python writes the files, which VTK composes in memory: on a full disk VTK itself can end the process.
     """
     assert multiblock is not None, "rank 0"
     rows = []
@@ -124,7 +127,7 @@ def _write_blocks(multiblock: pyvista.MultiBlock | None, name: Path) -> None:
 
 
 def _write_listing(path: Path, kind: str, rows: Iterable[str]) -> None:
-    """Write a file that lists other files, with a row of attributes for each."""
+    """Write an XML file of this VTK type that lists other files, with the XML attributes of each in `rows`."""
     named = "".join(f"    <DataSet {row}/>\n" for row in rows)
     text = f'<VTKFile type="{kind}" version="1.0">\n  <{kind}>\n{named}  </{kind}>\n</VTKFile>\n'
     with replace_file(path) as file:

@@ -1,4 +1,4 @@
-"""Pictures: rates and curves from tables, deformed structures, fields on S of a structure and along it."""
+"""Pictures: errors and curves from tables, deformed structures and movies, fields on S and along it, zooms."""
 
 # ruff: noqa: F401
 from thinlayer.output.plotting.along import along

@@ -1,4 +1,4 @@
-"""Pictures of fields along S, by arc length."""
+"""Pictures of fields on S as curves over arc length."""
 
 from __future__ import annotations
 
@@ -37,24 +37,27 @@ def along(
     stress: str = "",
     log: bool = False,
 ) -> Picture:
-    """Draw fields on S against arc length: a row for each field, a column for each seam, its lines one after the other.
+    """Draw fields on S as curves over arc length. Collective; all ranks have the picture.
 
-    Collective; all ranks have the picture.
+    The picture has a row of panels for each field, and a column for each seam. If a seam has several separate lines,
+    they follow one another in a panel.
 
     Args:
         surface: S, or a seam.
-        fields: what is drawn. Fields: label of a row -> field, or -> {label of a case: field}, numbers or vectors in
-            the frame of S (`on_surface` draws fields of names). States: label -> state, or one state, of which traction
-            and jump are drawn. Contact: label -> result of `Surface.contact`, or one result, of which p, t_T, u_T and
-            opening are drawn.
-        plane: in 3D a point and the normal of the plane that cuts S (`Surface.along`).
-        save: name of a file to save the picture to, .png, .svg or .pdf.
+        fields: what is drawn, in one of three forms. Fields: label of a row -> field, or label of a row -> {label of a
+            curve: field}; a field has numbers, or vectors with components along S and along n (`Surface.frame`).
+            States: label of a curve -> state, or one state; traction and jump are drawn. Contact: label of a curve ->
+            result of `Surface.contact`, or one result; p, t_T, u_T and the opening are drawn.
+        plane: in 3D a point and the normal of the plane that cuts S, along whose line of intersection fields are drawn;
+            None in 2D.
+        save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
-        length, stress: units, for the labels.
-        log: whether scales of numbers are logarithmic, on both sides of zero.
+        length, stress: units of lengths and of stresses, for the labels.
+        log: whether the axes of the fields are logarithmic on both sides of zero.
 
     Raises:
-        InputError: not a surface, state or field; errors of `Surface.along`. OSError: the picture could not be written.
+        InputError: not a surface, state or field; a plane that does not cut S, or none in 3D.
+        OSError: the picture could not be written.
     """
     require(isinstance(surface, Surface), "along: surface", surface, "give Surface(limit.model)")
     units = [f" ({unit})" if unit else "" for unit in (stress, length)]
@@ -80,7 +83,15 @@ def along(
 
 
 def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, Mapping[str, npt.ArrayLike]]:
-    """Label of a row -> label of a case -> field; without forces at pinned nodes, which supports exert."""
+    """Return label of a row -> {label of a curve: field} for all three forms of the argument of `along`.
+
+    Pressures and tangential tractions are NaN at pinned nodes, where supports exert the force.
+
+    Args:
+        surface: the surface.
+        fields: the argument of `along`.
+        stress, length: texts that follow the names of stresses and of lengths, such as " (MPa)".
+    """
     cases = labelled("along: fields", fields, "field")
     if not all(isinstance(case, (State, Contact)) for case in cases.values()):
         return {label: case if isinstance(case, Mapping) else {"": case} for label, case in cases.items()}
@@ -102,7 +113,7 @@ def _rows(surface: Surface, fields: Any, stress: str, length: str) -> dict[str, 
 
 
 def _draw(axes: Axes, cases: list[list[Line]]) -> None:
-    """Draw the lines of each case in one panel, one after the other."""
+    """Draw curves in one panel; the lines of S that belong to one curve follow one another, separated by grey lines."""
     for number, lines in enumerate(cases):
         start = 0.0
         for line in lines:
@@ -117,7 +128,13 @@ def _draw(axes: Axes, cases: list[list[Line]]) -> None:
 
 
 def _legend(figure: Picture, rows: Collection[Mapping[str, list[Line]]], dim: int) -> None:
-    """Draw a legend of vector components and cases."""
+    """Draw a legend of the components of vectors (line styles) and of the labels of curves (colours) below the panels.
+
+    Args:
+        figure: the picture.
+        rows: for each row of panels, label of a curve -> its lines on S.
+        dim: number of dimensions.
+    """
     handles = list[Line2D]()
     vectors = any(line.values[0].size > 1 for row in rows for lines in row.values() for line in lines)
     if vectors:

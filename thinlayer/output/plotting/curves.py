@@ -1,4 +1,4 @@
-"""Pictures of convergence rates and of curves, drawn by matplotlib."""
+"""Pictures of curves, and of errors over the layer's thickness, drawn by matplotlib."""
 
 from __future__ import annotations
 
@@ -39,19 +39,20 @@ def rates(
     reference: float = 1.0,
     errors: Mapping[str, str] = ERROR_COLUMNS,
 ) -> Picture:
-    """Draw the errors of sweeps against eps on logarithmic axes, with a line of a reference order.
+    """Draw the errors of sweeps over the thickness eps on logarithmic axes, with a line of given slope.
 
     Collective if the picture is saved or a file is read, both by rank 0.
 
     Args:
-        table: table of a sweep, or its csv file; or label -> table.
-        save: name of a file to save the picture to.
-        title: title of the picture.
-        reference: order of the reference line.
-        errors: label -> column of the tables.
+        table: table of a sweep, or name of its csv file; or label -> table or name.
+        save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
+        title: text over the picture.
+        reference: slope of the reference line, the rate of convergence to compare with.
+        errors: label of a curve -> column of the tables; by default errors of traction and jump.
 
     Raises:
-        InputError: a table without rows or without these columns. OSError: the picture could not be written.
+        InputError: a table without rows or without these columns.
+        OSError: the picture could not be written.
     """
     tables: dict[str, Table | str | Path] = labelled("rates: table", table, "table")
     lines, styles, colours = dict[str, tuple[Array, Array]](), {}, {}
@@ -96,23 +97,27 @@ def curves(
     columns: int = 3,
     levels: Mapping[str, Sequence[str]] | None = None,
 ) -> Picture:
-    """Draw curves, in one panel or in several, with one legend below; curves with the same label have the same style.
+    """Draw curves in one panel or in several panels, with one legend below.
+
+    Curves with the same label have the same style and colour in all panels.
 
     Args:
-        lines: label -> (x, y), as many numbers each; or title of a panel -> {label: (x, y)}.
+        lines: label of a curve -> (x, y), two arrays of the same length; or title of a panel -> {label: (x, y)}.
         xlabel: label of the x axes, units included.
         ylabel: label of the y axes, units included; or title of a panel -> label.
-        title: title of the picture.
-        save: name of a file to save the picture to, .png, .svg or .pdf.
-        styles, colours: matplotlib's styles ("o--") and colours (default: all differ): one for all curves, several in
-            turn, or label -> style or colour.
-        log: axes that are logarithmic, "x", "y" or "xy".
-        xlim, ylim: range of the axes, or title of a panel -> range (default: the whole range of the curves).
+        title: text over the picture.
+        save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
+        styles, colours: matplotlib's styles ("o--") and colours: one for all curves, several that are used in turn, or
+            label of a curve -> style or colour. None: all curves differ.
+        log: axes that are logarithmic, "x", "y" or "xy"; "": none.
+        xlim, ylim: (smallest, largest) number on the axes, or title of a panel -> such a pair. None: the whole range of
+            the curves.
         columns: number of panels in a row.
-        levels: title of a panel -> names of the values 0, 1, ... of y, in place of numbers.
+        levels: title of a panel -> names that replace the numbers 0, 1, ... on the y axis; None: numbers.
 
     Raises:
-        InputError: `lines` is no mapping. ValueError: x and y of a line have different lengths.
+        InputError: `lines` is no mapping.
+        ValueError: x and y of a curve have different lengths.
     """
     require(isinstance(lines, Mapping), "curves", lines, "give {label: (x, y)}, or {title: {label: (x, y)}}")
     several = bool(lines) and all(isinstance(entry, Mapping) for entry in lines.values())
@@ -149,12 +154,12 @@ def curves(
 
 
 def fraction(x: float) -> str:
-    """A small number as text: "1/128" for powers of a half, otherwise four digits."""
+    """Write a number as text: "1/128" for the powers of 1/2 from 1/4 downwards, otherwise with four digits."""
     return f"1/{1 / x:.0f}" if x <= 1 / 4 and math.frexp(x)[0] == 0.5 else f"{x:.4g}"
 
 
 def _of_panel(setting: Any, panel: str) -> Any:
-    """The value of a setting for a panel."""
+    """Value of a setting for a panel: its entry under the panel's title if it is a mapping, else the setting itself."""
     return setting.get(panel) if isinstance(setting, Mapping) else setting
 
 
@@ -165,7 +170,12 @@ def _by_label(labels: Iterable[str], chosen: StyleChoice) -> dict[str, str]:
 
 
 def logarithmic(axes: Axes, low: float, high: float) -> None:
-    """Make the y axis logarithmic on both sides of zero, with ticks at powers of ten that do not overlap."""
+    """Make the y axis logarithmic on both sides of zero, with ticks at powers of ten.
+
+    Args:
+        axes: the panel.
+        low, high: smallest and largest value to draw; if both are 0, the axis stays linear.
+    """
     if not (largest := max(-low, high)) > 0:
         return
     top = math.floor(math.log10(largest))

@@ -1,4 +1,4 @@
-"""Movies of marches: deformed structures in time, drawn off screen, written by matplotlib's animation writers."""
+"""Movies of deformed structures in time, drawn off screen and written by matplotlib's animation writers."""
 
 from __future__ import annotations
 
@@ -34,24 +34,25 @@ def movie(
     title: str = "",
     time_unit: str = "",
 ) -> Path:
-    """Write a movie of a march: a frame for each state that the history keeps, with its time. Collective.
+    """Write a movie of a deforming structure, with a frame for each state that a history keeps. Collective.
 
-    All frames have the same window, factor of the displacements and range of colours. All frames have the same
-    duration, whatever the time steps of the march. A notebook shows the file by IPython's `Image` (gif) or `Video`
-    (mp4).
+    All frames have the same window, factor of the displacements, range of colours and duration, whatever the time
+    steps were. The time stands over each frame. A notebook shows the file by IPython's `Image` (gif) or `Video` (mp4).
 
     Args:
-        solution: a history, or states of one model, in order.
-        view: view of the structure.
-        save: file, .gif or .mp4. An mp4 needs ffmpeg, from the package imageio-ffmpeg or on the PATH.
-        per_second: number of frames per second.
-        title, time_unit: text over the frames; unit of the time there.
+        solution: a history, or states of one model in the order of the frames.
+        view: direction, window, colours and scale of displacements.
+        save: name of the file, .gif or .mp4. An mp4 needs ffmpeg, from the package imageio-ffmpeg or on the PATH.
+        per_second: number of frames per second, from 1 to 50.
+        title: text over all frames.
+        time_unit: unit of the time over each frame.
 
     Returns:
-        The file, on all ranks.
+        The name of the file, on all ranks.
 
     Raises:
-        InputError: no state, or states of several models; arguments as in `deformed`; another ending; no ffmpeg.
+        InputError: no state, or states of several models; a view that does not suit the structure; another ending of
+            the name; no ffmpeg.
         OSError: the movie could not be written; on all ranks.
     """
     states = list(solution) if isinstance(solution, Iterable) else []
@@ -92,7 +93,7 @@ def movie(
 
 
 def _ffmpeg() -> str:
-    """Path of ffmpeg; raise InputError if it is missing."""
+    """Path of the program ffmpeg; raise InputError if it is not installed."""
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
 

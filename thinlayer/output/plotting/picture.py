@@ -1,4 +1,4 @@
-"""Pictures: matplotlib figures that notebooks display, that can be saved, and shown in a window."""
+"""Pictures: matplotlib figures that notebooks display, and that scripts save or show in a window."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ NOTEBOOK_SETTINGS: dict[str, Any] = {"dpi": 100, "bbox_inches": "tight"}
 
 
 class Picture(Figure):
-    """A matplotlib figure, made without pyplot, so that scripts and notebooks keep their backend.
+    """A matplotlib figure whose texts show symbols such as "eps", "t_T" and "10^3" as mathematics.
 
     A notebook displays it if it is the last value of a cell, or by IPython's `display`. `savefig` and all other methods
-    are matplotlib's. Symbols in its texts, such as "eps", "t_T" and "10^3", are drawn as mathematics.
+    are matplotlib's. It is made without pyplot, so that scripts and notebooks keep their backend.
     """
 
     def draw(self, renderer: RendererBase) -> None:
@@ -61,7 +61,10 @@ class Picture(Figure):
 
 
 def symbols(text: str) -> str:
-    """Write symbols of a text, "eps", "t_T", "10^3", "L^2", as mathematics; a text that contains "$" is unchanged."""
+    """Return a text with its symbols, such as "eps", "t_T", "10^3", as matplotlib's mathematics between "$".
+
+    A text that already contains "$" is returned unchanged.
+    """
     if "$" in text:
         return text
     text = re.sub(rf"\b({GREEK_LETTERS})(?=\b|_)", r"\\\1", text).replace(r"\eps", r"\varepsilon")
@@ -72,7 +75,7 @@ FigureType = TypeVar("FigureType", bound=Figure)
 
 
 def finish_picture(figure: FigureType, save: str | Path | None, title: str = "") -> FigureType:
-    """Set the title of a picture, and save it unless `save` is None. Collective: rank 0 writes."""
+    """Give a picture a title, save it by rank 0 unless `save` is None, and return it. Collective if it is saved."""
     if title:
         figure.suptitle(title, fontsize=11)
     if save is not None:
@@ -84,7 +87,16 @@ EntryType = TypeVar("EntryType")
 
 
 def labelled(what: str, entries: Mapping[str, EntryType] | EntryType, kind: str) -> dict[str, EntryType]:
-    """Label -> entry, "" -> a single entry; raise InputError, with the name `what` of the argument, for no entry."""
+    """Return label -> entry for an argument that is such a mapping, or a single entry, whose label is "".
+
+    Args:
+        what: name of the argument in messages.
+        entries: the argument.
+        kind: what an entry is, in messages.
+
+    Raises:
+        InputError: the mapping is empty.
+    """
     by_label = dict(entries) if isinstance(entries, Mapping) else {"": entries}
     if not by_label:
         raise InputError(f"{what} is empty; give a {kind}, or label -> {kind}")
@@ -103,11 +115,16 @@ def drawn_on_root(comm: MPI.Intracomm, draw: Callable[[], Picture], save: str | 
 def save_picture(figure: Figure, save: str | Path) -> None:
     """Save a picture on this rank. A file of this name is replaced only when the new file is complete.
 
-    Curves in .svg and .pdf are vectors. Images have 300 dots per inch on a page, where the picture is at most 170 mm
-    wide.
+    Curves in .svg and .pdf are vectors. Other images have 300 dots per inch at the size on a page. There a wide picture
+    is scaled down to 170 mm.
+
+    Args:
+        figure: the picture.
+        save: name of the file; without an ending it is a .png.
 
     Raises:
-        InputError: `save` is the name of a folder. ValueError: matplotlib does not know the ending of the name.
+        InputError: `save` is the name of a folder.
+        ValueError: matplotlib does not know the ending of the name.
         OSError: the file could not be written.
     """
     require(isinstance(save, (str, Path)), "save", save, "it must be the name of a picture, or None")

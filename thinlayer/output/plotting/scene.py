@@ -1,4 +1,4 @@
-"""Scenes: deformed structures with a direction of view, a window, a factor of displacements and a range of colours."""
+"""Views of deformed structures: direction, window, factor of displacements and range of colours; images of them."""
 
 from __future__ import annotations
 
@@ -52,17 +52,18 @@ PANEL_INCHES = 4.6  # width of a structure in a picture, inches
 
 @dataclass(frozen=True)
 class View:
-    """View of structures in pictures; checked on every rank.
+    """Settings of pictures of structures: colours, scale of displacements, window and direction of view.
 
     Attributes:
-        component: component of the displacement that colours show: "size", "x", "y" or "z".
-        scale: factor of the displacements (default: the largest is a twentieth of the structure).
+        component: what the colours show, the component "x", "y" or "z" of the displacement, or "size", its norm.
+        scale: factor of the drawn displacements. None: the largest is drawn as a twentieth of the structure's size.
         unit: unit of the displacements, for the colour bar.
-        zoom: (left, right, bottom, top) of the window, in deformed coordinates: in 2D (x_min, x_max, y_min, y_max), in
-            3D distances from the origin to the right and up in the picture.
-        towards: in 3D the direction from the structure to the viewer, (3,) (default: the viewer is in front, z > 0, to
-            the right and above). y points up in the picture; in a view from directly above, -z points up.
-        cut: in 3D whether to leave out the half in front of the middle in z, to show S inside.
+        zoom: (left, right, bottom, top) of the window in drawn coordinates: in 2D (x_min, x_max, y_min, y_max), in 3D
+            distances from the origin to the right and up in the picture. None: the whole structure.
+        towards: in 3D the direction (3,) from the structure to the viewer. None: the viewer is in front, z > 0, to the
+            right and above. y points up in the picture; in a view from directly above, -z points up.
+        cut: in 3D whether to cut the structure at its middle in z and draw only the half away from the viewer. It shows
+            S inside.
 
     Raises:
         InputError: a scale that is no finite number, an invalid window.
@@ -83,13 +84,15 @@ class View:
 
 @dataclass(frozen=True)
 class DeformedShape:
-    """A deformed structure to draw.
+    """A deformed structure as VTK grids to draw.
 
     Attributes:
-        regions: region number -> its cells, the layer's last. Point data are "u", a component of the displacement,
-            "moved", (n, 3) the drawn displacement, and "double", 1 for nodes on S.
-        base: facets of the rigid base; None between two bodies.
-        plane: plane of the cut, as arguments of `clip`; None: the structure is not cut.
+        regions: number of a region -> its cells in deformed positions; meshed layers have negative numbers and are
+            last. Point data are "u", (n,) the component of the displacement for colours, "moved", (n, 3) the
+            displacement as drawn, and "double", (n,) 1 for nodes on S and 0 elsewhere.
+        base: facets of the rigid base; None if S lies between two bodies.
+        plane: normal and origin of the plane that cuts the structure, as arguments of pyvista's `clip`; None: it is not
+            cut.
     """
 
     regions: dict[int, pyvista.UnstructuredGrid]
@@ -98,7 +101,14 @@ class DeformedShape:
 
     @classmethod
     def of(cls, grid: VtkGrid, component: str, scale: float, cut: Sequence[float] | None = None) -> DeformedShape:
-        """The structure with displacements times `scale`, without the half to which the unit vector `cut` points."""
+        """Make the shape of a displacement field.
+
+        Args:
+            grid: the displacement field.
+            component: component of the displacement for colours: "x", "y", "z" or "size".
+            scale: factor of the displacements.
+            cut: unit vector (3,) towards the half of the structure to leave out; None: none.
+        """
         mesh = pyvista.UnstructuredGrid(grid.cells, grid.types, grid.points + scale * grid.u)
         # the factor pi avoids coordinates half-way between two decimals, which rounding errors would separate
         places = np.round(np.pi / np.ptp(grid.points) * grid.points, PLACE_DECIMALS)
@@ -120,23 +130,23 @@ class DeformedShape:
 
     @property
     def points(self) -> Array:
-        """(n, 3) nodes of the regions and then of the base."""
+        """Coordinates (n, 3) as drawn of the nodes of all regions, then of the rigid base."""
         return np.concatenate([mesh.points for mesh in (*self.regions.values(), self.base) if mesh is not None])
 
     @property
     def values(self) -> Array:
-        """(n,) "u" at `points`; NaN on the base."""
+        """Component (n,) of the displacement for colours at `points`; NaN on the rigid base."""
         values = np.concatenate([part["u"] for part in self.regions.values()])
         return np.pad(values, (0, 0 if self.base is None else self.base.n_points), constant_values=np.nan)
 
 
 def outer_surface(mesh: pyvista.UnstructuredGrid) -> pyvista.PolyData:
-    """Outer surface of a mesh (in 2D the mesh itself), curved cells subdivided."""
+    """Outer surface of a mesh (in 2D the mesh itself), where curved faces are divided into flat ones."""
     return mesh.extract_surface(algorithm=None, nonlinear_subdivision=SUBDIVISION_LEVEL)
 
 
 def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
-    """Outlines of a surface, and edges that are sharp before deformation, in their deformed positions."""
+    """Boundary of a surface, and edges between faces at more than 30 degrees before deformation, in drawn positions."""
     still = surface.copy()
     still.points -= SPLIT_FACTOR * surface["moved"]
     if not surface.n_lines:
@@ -148,7 +158,11 @@ def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
 
 
 def _axes(dim: int, view: View) -> Array:
-    """Unit vectors (3, 3) to the right, upwards and towards the viewer; raise InputError for an invalid direction."""
+    """Unit vectors (3, 3) to the right, upwards and towards the viewer, as rows.
+
+    Raises:
+        InputError: the direction of the view is invalid, or given in 2D; a cut in 2D.
+    """
     if dim == 2 and (view.towards is not None or view.cut):
         raise InputError("towards and cut are for three-dimensional structures")
     towards = finite_values(DEFAULT_VIEWS[dim] if view.towards is None else view.towards, (3,))
@@ -162,14 +176,14 @@ def _axes(dim: int, view: View) -> Array:
 
 @dataclass(frozen=True)
 class Scene:
-    """One view of several grids: of structures side by side, or of one structure in time.
+    """Common window, scale and range of colours for images of several structures, or of one structure in time.
 
     Attributes:
-        view: the requested view.
-        axes: (3, 3) unit vectors to the right, upwards and towards the viewer.
+        view: the user's settings.
+        axes: (3, 3) rows are the unit vectors to the right, upwards and towards the viewer.
         factor: factor of the drawn displacements.
-        window: left, right, bottom, top on the screen.
-        limits: smallest and largest value of the colours.
+        window: left, right, bottom and top of the images, in drawn coordinates along the first two axes.
+        limits: smallest and largest displacement of the range of colours.
     """
 
     view: View
@@ -180,7 +194,11 @@ class Scene:
 
     @classmethod
     def of(cls, grids: Sequence[VtkGrid], view: View) -> Scene:
-        """The scene in which all grids are visible.
+        """Choose window, scale and range of colours for displacement fields.
+
+        Args:
+            grids: the fields. Without `view.zoom` all of them lie in the window.
+            view: the user's settings.
 
         Raises:
             InputError: an unknown component, an invalid direction, a direction or cut in 2D, nothing in the window.
@@ -200,12 +218,12 @@ class Scene:
         return replace(scene, window=window, limits=(float(np.nanmin(seen)), float(np.nanmax(seen))))
 
     def shape(self, grid: VtkGrid) -> DeformedShape:
-        """The deformed structure of a grid."""
+        """Make the deformed structure of a displacement field, with the scale and the cut of this scene."""
         front = (0.0, 0.0, float(np.copysign(1.0, self.axes[2, 2]))) if self.view.cut else None
         return DeformedShape.of(grid, self.view.component, self.factor, front)
 
     def panels(self, n: int) -> tuple[Picture, list[Axes]]:
-        """A picture with axes for `n` structures side by side."""
+        """Make a picture with panels for `n` structures side by side, and return it with the axes of the panels."""
         x0, x1, y0, y1 = self.window
         figure = Picture(figsize=(PANEL_INCHES * n, PANEL_INCHES * (y1 - y0) / (x1 - x0) + 1.3), layout="constrained")
         axes = list(figure.subplots(1, n, squeeze=False)[0])
@@ -214,7 +232,7 @@ class Scene:
         return figure, axes
 
     def bar(self, figure: Picture, axes: list[Axes]) -> None:
-        """Draw the colour bar of all displacements."""
+        """Draw the common colour bar of the displacements in the panels `axes`."""
         size = np.abs(self.limits).max()
         power = 0 if size == 0 or 0.01 <= size < 1e4 else 3 * int(np.floor(np.log10(size) / 3))
         unit = f"10^{power} {self.view.unit}" if power else self.view.unit
@@ -225,14 +243,18 @@ class Scene:
 
     @property
     def scaled(self) -> str:
-        """The factor of the displacements, in words."""
+        """Text for the colour bar on the factor of the displacements, such as "displacements drawn 50 times"."""
         return f"displacements drawn {self.factor:.3g} times".replace("drawn 1 times", "as they are")
 
     def image(self, grid: VtkGrid, on_s: Sequence[pyvista.PolyData] | None = None) -> npt.NDArray[np.uint8]:
-        """Image of a structure; edges and outlines of bodies are black, of the layer's parts red, and the base is grey.
+        """Draw a structure off screen and return its pixels (height, width, 3).
 
-        With meshes `on_s`, which have point data "rgb", bodies are not coloured, and in 3D only their outlines are
-        drawn.
+        Bodies have black edges, meshed layers and S have red ones, and a rigid base is grey.
+
+        Args:
+            grid: displacement field of the structure.
+            on_s: meshes of S with point data "rgb", drawn in addition. Bodies are then not coloured by displacement,
+                and in 3D only their edges are drawn. None: bodies are coloured.
         """
         shape, (right, up, towards) = self.shape(grid), self.axes
         x0, x1, y0, y1 = self.window
@@ -273,13 +295,13 @@ class Scene:
 
 
 def _range(x: Array) -> tuple[float, float]:
-    """Smallest and largest value, with a margin."""
+    """Smallest value less a margin, and largest value plus a margin; the margin is 4 % of their difference."""
     margin = 0.04 * np.ptp(x)
     return float(x.min() - margin), float(x.max() + margin)
 
 
 def _window(zoom: object) -> Window:
-    """The four numbers of a window; raise InputError if they are invalid."""
+    """Return a window as (left, right, bottom, top); raise InputError unless left < right and bottom < top."""
     sides = finite_values(zoom, (4,))
     if sides is None or not (sides[0] < sides[1] and sides[2] < sides[3]):
         raise InputError(f"zoom is {zoom!r}; it must be (left, right, bottom, top), left < right and bottom < top")

@@ -1,4 +1,4 @@
-"""Structures, drawn by pyvista off screen: coloured by displacement, or by a field on S."""
+"""Pictures of deformed structures, coloured by displacement or by a field on S, drawn by pyvista off screen."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ DEFAULT_VIEW = View()
 def deformed(
     states: Mapping[str, State] | State, view: View = DEFAULT_VIEW, *, save: str | Path | None = None, title: str = ""
 ) -> Picture | None:
-    """Draw deformed structures side by side, coloured by displacement, with the layer (or the jump across S) visible.
+    """Draw deformed structures side by side, coloured by displacement. Collective.
 
-    The meshed layer has red outlines, a rigid base is grey. Three-dimensional structures are drawn in parallel
-    projection.
+    A meshed layer and the two sides of S have red outlines, so that jumps are visible; a rigid base is grey. 3D
+    structures are drawn in parallel projection.
 
     Args:
-        states: label -> state, or one state. Collective.
-        view: view of the structures, such as `View(zoom=..., unit="mm")`.
-        save: PNG file; None: it is not saved.
+        states: label of a structure's panel -> state, or one state.
+        view: direction, window, colours and scale of displacements, such as `View(zoom=..., unit="mm")`.
+        save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
 
     Returns:
         The picture on rank 0, which gathers the fields; None on other ranks.
 
     Raises:
-        InputError: not a state, not the name of a file, an unknown component, an invalid direction, a direction or cut
-            in 2D, nothing in the window.
+        InputError: not a state; `save` is no name of a file; a view with an unknown component, an invalid direction, a
+            direction or cut in 2D, or nothing in its window.
         OSError: the picture could not be written; on all ranks.
     """
     panels = _panels(states, "deformed")
@@ -69,24 +69,28 @@ def on_surface(
     quantity: str = "",
     log: bool = False,
 ) -> Picture | None:
-    """Draw deformed structures side by side, with the colours of a field on S. Collective.
+    """Draw deformed structures side by side, with S coloured by a field. Collective.
 
     Args:
-        states: label -> state, or one state.
-        field: numbers or names, at points (n, q), facets (n, 1) or nodes (m,) of `Surface(state.model, seam)`; or a
-            function that returns them, such as `Surface.status` or `lambda surface, state: surface.contact(state).p`.
-        view: view of the structures; its component and unit are ignored.
+        states: label of a structure's panel -> state, or one state.
+        field: a scalar field on `Surface(state.model, seam)`, the same for all states, or a function of such a surface
+            and a state that returns it. Examples are `Surface.status` and
+            `lambda surface, state: surface.contact(state).p`. The field has numbers at quadrature points of facets,
+            (n, q), numbers or names of facets, (n, 1), or numbers or names at nodes, (m,).
+        view: direction, window and scale of displacements; its component and unit are ignored.
         seam: name of a seam; "S": all seams.
-        save: PNG file; None: it is not saved.
+        save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
         quantity: name of the field, for the legend.
-        log: whether colours of numbers are logarithmic, on both sides of zero.
+        log: whether the scale of colours for numbers is logarithmic on both sides of zero.
 
     Returns:
-        The picture on rank 0, None on other ranks.
+        The picture on rank 0; None on other ranks.
 
     Raises:
-        InputError: not a state, no scalar field on S; errors of `deformed`. OSError: the picture could not be written.
+        InputError: not a state; no scalar field on S; a view with an invalid direction, a direction or cut in 2D, or
+            nothing in its window.
+        OSError: the picture could not be written; on all ranks.
     """
     panels = _panels(states, "on_surface")
     surfaces = {label: Surface(state.model, seam) for label, state in panels.items()}
@@ -116,7 +120,7 @@ def on_surface(
 
 
 def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
-    """Label -> state; raise InputError if an entry is no state, or there is no entry."""
+    """Return label -> state ("" for one state); raise InputError, with the function's name `what`, for anything else."""
     panels = labelled(f"{what}: states", states, "state")
     for label, state in panels.items():
         if not isinstance(state, State):
@@ -132,7 +136,16 @@ Legend = Callable[[Scene, Picture, list[Axes]], None]
 def _side_by_side(
     panels: Mapping[str, State], view: View, image: Image, legend: Legend, title: str, save: str | Path | None
 ) -> Picture | None:
-    """Draw images of states side by side, with one legend; returns the picture on rank 0. Collective."""
+    """Draw images of states side by side with one legend, and return the picture on rank 0, else None. Collective.
+
+    Args:
+        panels: label of a panel -> state.
+        view: the user's settings of the view.
+        image: makes the image of a panel, from the scene, the panel's label and its displacement field.
+        legend: draws the legend, from the scene, the picture and the axes of all panels.
+        title: text over the picture.
+        save: name of a file to save the picture to; None: it is not saved.
+    """
     grids = {label: grid for label, state in panels.items() if (grid := gather_grid(state))}
 
     def draw() -> Picture:
@@ -148,7 +161,18 @@ def _side_by_side(
 
 
 def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[str, np.ndarray]]:
-    """List of the names in fields of names, and fields of positions in this list; [] and the fields for numbers."""
+    """Replace the names in fields by numbers.
+
+    Args:
+        fields: label -> field of names or numbers on S.
+
+    Returns:
+        The list of all names, and label -> field of positions in this list. Fields of numbers are returned unchanged,
+        with an empty list.
+
+    Raises:
+        InputError: names elsewhere than on facets, (n, 1), or at nodes, (m,).
+    """
     if not any(f.dtype.kind == "U" for f in fields.values()):
         return [], dict(fields)
     if wrong := [f.shape for f in fields.values() if f.ndim > 1 and f.shape[-1] != 1]:
@@ -159,12 +183,15 @@ def numbered_names(fields: Mapping[str, np.ndarray]) -> tuple[list[str], dict[st
 
 
 def colour_of(name: str, names: list[str]) -> str:
-    """Colour of a name in the list of all names in a picture."""
+    """Colour of a name: that of a status, or one by its position in `names`, all names in a picture."""
     return STATUS_COLOURS.get(name) or COLOURS[names.index(name) % len(COLOURS)]
 
 
 def _colour_map(names: list[str], values: Array, *, log: bool) -> ScalarMappable:
-    """Colours of positions in a list of names, or, if it is empty, of numbers in the range of `values`."""
+    """Map from positions in the list `names` to colours, or, if the list is empty, from numbers to colours.
+
+    Colours of numbers cover the range of `values` and zero; `log` makes their scale logarithmic on both sides of zero.
+    """
     if names:
         colours = ListedColormap([colour_of(name, names) for name in names])
         return ScalarMappable(Normalize(-0.5, len(names) - 0.5), colours)
@@ -180,9 +207,17 @@ def _colour_map(names: list[str], values: Array, *, log: bool) -> ScalarMappable
 
 
 def _meshes(colours: ScalarMappable, values: Array, lower: Array, upper: Array, smooth: bool) -> list[pyvista.PolyData]:
-    """Meshes of S between its sides (n, k, d), with "rgb" of values (n, k) at corners: in 2D lines and opened areas.
+    """Make meshes of the deformed S with point data "rgb", the colours of values.
 
-    With `smooth` values are linear between the corners; otherwise the part of a facet around a corner has its value.
+    Args:
+        colours: map from values to colours.
+        values: (n, k) values at the k corners of n facets.
+        lower, upper: (n, k, d) drawn coordinates of these corners on both sides of S, in d dimensions.
+        smooth: True: values are linear between the corners. False: the part of a facet around each corner has its
+            value, as for names.
+
+    Returns:
+        In 3D one mesh half-way between the sides; in 2D a mesh of the areas between the sides, and one of lines.
     """
     k, d = lower.shape[1:]
     ring = [0, 1, 3, 2] if k == 4 else [*range(k)]
@@ -200,7 +235,10 @@ def _meshes(colours: ScalarMappable, values: Array, lower: Array, upper: Array, 
 
 
 def _corner_points(values: Array) -> Array:
-    """Values (n, k, p, ...) at p points of the part of a facet around each corner, from corner values (n, k, ...)."""
+    """Divide each facet into k parts, one around each corner, and return values at the p points that bound each part.
+
+    It takes values (n, k, ...) at the k corners of n facets, and returns (n, k, p, ...): p is 2 on lines, else 4.
+    """
     centre = np.broadcast_to(values.mean(axis=1, keepdims=True), values.shape)
     after = (values + np.roll(values, -1, axis=1)) / 2
     parts = [values, centre] if values.shape[1] == 2 else [values, after, centre, np.roll(after, 1, axis=1)]
@@ -208,7 +246,7 @@ def _corner_points(values: Array) -> Array:
 
 
 def _mesh(x: Array, rgb: npt.NDArray[np.uint8], kind: str) -> pyvista.PolyData:
-    """Cells with these corners (n, k, p, d), each with its own points."""
+    """Mesh of lines or faces, as `kind` says, with corners x (n, k, p, d) and the colours "rgb" at these corners."""
     p, d = x.shape[2:]
     points = np.pad(x.reshape(-1, d), ((0, 0), (0, 3 - d)))
     cells = np.insert(np.arange(len(points)).reshape(-1, p), 0, p, axis=1)

@@ -1,4 +1,4 @@
-"""Pictures of stresses inside a layer at its free end, from a layer subproblem, compared with a meshed layer."""
+"""Pictures of stresses inside a layer near its free end, from a `Zoom`, compared with those of a full model."""
 
 from __future__ import annotations
 
@@ -30,20 +30,24 @@ def zoomed(
     title: str = "",
     stress: str = "",
 ) -> Picture | None:
-    """Draw a stress in the layer near a free end, as a map and along lines; in 2D. Collective; rank 0 has the picture.
+    """Draw a stress component in a 2D layer near a free end, as a map and along three lines parallel to S. Collective.
 
     Args:
-        zoom: the zoom.
-        full: zoom of the meshed layer, to compare with; None: no comparison.
-        end: number of the end in `zoom.ends`.
-        width: length of the drawn part of the layer, over the thickness, > 1/16.
-        component: "N", "T" or "S": normal traction, shear traction (axes: inward along S, and n), stress along S.
-        save: PNG file; None: it is not saved.
+        zoom: zoom into the layer of an interface model.
+        full: zoom into the same layer of a full model, to compare with; None: no comparison.
+        end: position of the end in `zoom.ends`, from 0.
+        width: length of the drawn part of the layer from its end, over the thickness, > 1/16.
+        component: "N": normal traction; "T": shear traction, in the axes inward along S and n; "S": stress along S.
+        save: name of a file to save the picture to, .png, .svg or .pdf; None: it is not saved.
         title: text over the picture.
         stress: unit of stresses, for the labels.
 
+    Returns:
+        The picture on rank 0; None on other ranks.
+
     Raises:
-        InputError: a 3D model, not a zoom, no such end, component or width. OSError: the file could not be written.
+        InputError: a 3D model; not a zoom; no such end, component or width.
+        OSError: the file could not be written.
     """
     for candidate in (zoom,) if full is None else (zoom, full):
         require(isinstance(candidate, Zoom), "zoomed: a zoom", candidate, "give Zoom(state)")
