@@ -1,4 +1,4 @@
-"""Errors of solves that did not converge, and warnings of results that may mislead."""
+"""Errors of solves that do not converge, warnings of results that may mislead, and deprecated names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,15 @@ MIN_NAMED_SHARE = 0.005  # least share of the squared jumps at which a message n
 
 
 def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
-    """Issue a RangeWarning. Call on all ranks: rank 0 shows it; if a filter makes it an error, all ranks raise it."""
+    """Issue a RangeWarning, which rank 0 shows; if a warning filter makes it an error, all ranks raise it.
+
+    Call it on all ranks of the communicator.
+
+    Args:
+        key: key of the condition that is violated, which the warning has as an attribute.
+        message: text of the warning.
+        comm: communicator of the model.
+    """
     show_warnings()  # before the filters are read
     shown = warnings.showwarning
     try:
@@ -30,9 +38,10 @@ def warn(key: str, message: str, comm: MPI.Intracomm) -> None:
 
 
 def deprecated(what: str, since: str, instead: str) -> None:
-    """Issue a DeprecationWarning at the user's line: the next major version removes a public name or argument.
+    """Warn that the next major version removes a public name or argument (DeprecationWarning at the user's line).
 
-    Python shows it once for each line of a script, and for lines of modules only with `python3 -W default`.
+    Python shows the warning once for each line of a script. For lines of imported modules it does so only with
+    `python3 -W default`.
 
     Args:
         what: the name or argument, as the user writes it.
@@ -43,7 +52,12 @@ def deprecated(what: str, since: str, instead: str) -> None:
 
 
 def former_names(module: str, now: Mapping[str, Callable[..., object]]) -> Callable[[str], Any]:
-    """Return the `__getattr__` of a module whose names of version 1.0 are deprecated; `now`: old name -> object."""
+    """Make a `__getattr__` with which a module keeps deprecated names of version 1.0.
+
+    Args:
+        module: name of the module.
+        now: deprecated name -> object that it returns, with a DeprecationWarning.
+    """
 
     def find(name: str) -> Any:
         if name not in now:
@@ -55,10 +69,10 @@ def former_names(module: str, now: Mapping[str, Callable[..., object]]) -> Calla
 
 
 class FormerNames:
-    """Attributes under their deprecated names of version 1.0.
+    """Base class of objects whose attributes can also be read by deprecated names of version 1.0.
 
     Attributes:
-        former_names: old name -> new name.
+        former_names: deprecated name of an attribute -> present name.
     """
 
     former_names: ClassVar[Mapping[str, str]] = {}
@@ -72,7 +86,13 @@ class FormerNames:
 
 @dataclass(frozen=True)
 class Violation:
-    """A condition that does not hold: its key, the reason, and what to do instead."""
+    """A condition on a model or law that does not hold.
+
+    Attributes:
+        key: short name of the condition.
+        reason: why it does not hold, for messages.
+        remedy: what the user may do instead, for messages.
+    """
 
     key: str
     reason: str
@@ -82,7 +102,7 @@ class Violation:
         return f"{self.reason}; {self.remedy}"
 
     def error(self, what: str = "") -> InputError:
-        """InputError with the words `what`, the reason and the remedy; it has the condition's key."""
+        """Return an InputError with `what`, the reason and the remedy as its message, and with the condition's key."""
         error = InputError(f"{what}{self}")
         error.key = self.key
         return error
@@ -94,7 +114,7 @@ class SolveError(ThinlayerError, RuntimeError):
     Attributes:
         reason: the message without the advice.
         history: `History` of the accepted steps of a march; None for other solves.
-        residuals: residual over the forces at every step of Newton's method or of a contact solve.
+        residuals: norm of the residual, relative to the forces, at every step of Newton's method or a contact solver.
     """
 
     history: Any  # its class is of a folder above
@@ -109,10 +129,10 @@ class SolveError(ThinlayerError, RuntimeError):
 
 
 class LooseBody(SolveError):
-    """A body can move freely: neither supports nor the layer resist its motion.
+    """Error of a solve in which a body can move freely: neither supports nor the layer resist its motion.
 
     Attributes:
-        motion: which body can move how.
+        motion: text that names the body and its free motion.
     """
 
     def __init__(self, reason: str, motion: str, advice: str, residuals: Sequence[float] = ()) -> None:
@@ -121,13 +141,14 @@ class LooseBody(SolveError):
 
 
 class TurningPoint(SolveError):
-    """Error of a march where the equilibria of a softening layer turn back in time: the loads have a maximum there.
+    """Error of a march at a limit point of a softening structure, beyond which the loads cannot grow (snap-back).
 
-    A march with growing loads or growing displacements of supports cannot continue; a path by arc length can.
+    The loads, or the displacements of supports, have a maximum there, so that steps in time cannot continue. Arc-length
+    continuation can.
 
     Attributes:
         t: time of the last equilibrium before this point.
-        history: the accepted steps.
+        history: `History` of the accepted steps.
     """
 
     def __init__(self, t: float, history: object) -> None:
@@ -138,13 +159,15 @@ class TurningPoint(SolveError):
 
 
 class NoEquilibrium(SolveError):
-    """Error of a step without an equilibrium: displacements diverge as weak springs soften (`solving/weak_springs.py`).
+    """Error of a time step without an equilibrium: with weak springs at all nodes, displacements grow without bound.
+
+    The springs, which make an equilibrium possible, are made softer and softer for this test.
 
     Attributes:
-        growth: norm of these displacements over the norm with an elastic layer under the same change of loads. In this
-            reference, seams in contact neither open nor slide.
-        shares: name of a seam -> its share of the squared jumps of these displacements, at seams whose law bounds
-            tractions. The largest is first; empty if there is one seam only.
+        growth: norm of the displacements with the weakest springs, over their norm with an elastic layer under the same
+            change of loads. In this reference, seams in contact neither open nor slide.
+        shares: name of a seam -> its fraction of the integral of the squared jumps of these displacements, over seams
+            whose law limits tractions. The largest is first; empty if there is only one seam.
     """
 
     def __init__(self, growth: float, shares: Mapping[str, float]) -> None:
@@ -153,21 +176,21 @@ class NoEquilibrium(SolveError):
 
 
 class LimitLoad(SolveError):
-    """The loads of a march exceed what a yielding layer, or contact, bears: even the shortest step has no equilibrium.
+    """Error of a march whose loads exceed the limit load of a yielding layer or of contact.
 
-    This is tested with weak springs at all nodes. With them an equilibrium exists. If its displacements grow without
-    bound as the springs soften, no equilibrium exists without springs. A step that fails for another reason raises a
-    plain SolveError.
+    Even the shortest step has no equilibrium. This is tested with weak springs at all nodes, with which an equilibrium
+    exists. If its displacements grow without bound as the springs soften, no equilibrium exists without springs. A step
+    that fails for another reason raises a plain SolveError.
 
     Attributes:
         t: time of the last equilibrium.
         failed_at: earliest time at which no equilibrium was found.
-        resultant: (d,) sum of the tractions and body forces on the bodies at t, a force.
-        growth: norm of the displacements with the weakest springs from t to `failed_at`, over the norm with an elastic
-            layer. If the layer's flow is associated, an equilibrium is at least this far away.
-        shares: name of a seam -> its share of the squared jumps of these displacements, over the areas of layers that
-            yield and of contact. They show which seams fail, the largest first; empty if there is one seam only.
-        history: the accepted steps.
+        resultant: (d,) sum in d dimensions of the tractions and body forces on the bodies at the time t, a force.
+        growth: norm of the change of displacements from t to `failed_at` with the weakest springs, over this norm with
+            an elastic layer. If the layer's flow is associated, any equilibrium has at least such displacements.
+        shares: name of a seam -> its fraction of the integral of the squared jumps of these displacements, over layers
+            that yield and contact. They show which seams fail, the largest first; empty if there is only one seam.
+        history: `History` of the accepted steps.
     """
 
     def __init__(

@@ -1,1 +1,1 @@
-"""Results from states: comparisons, profiles along S, files for ParaView, pictures."""
+"""Results from states: stresses at points, fields and tables on S, comparisons, files for ParaView, pictures."""

@@ -1,4 +1,4 @@
-"""Several runs of studies at a time, each in its own process; a killed batch can be resumed."""
+"""Batches: several studies run at the same time, each in a process; a killed batch can be started again."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ POLL_SECONDS = 0.1  # s between looks at the processes
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A run of a study.
+    """A run of a study in a process of its own.
 
     Attributes:
-        study: its name.
-        options: its options, as for `Record`.
-        folder: folder of its files. Its output goes to a file next to the folder, FOLDER + `LOG_SUFFIX`.
+        study: name of the study.
+        options: name of an option -> its value.
+        folder: folder of its files. What it prints goes to the file FOLDER.log next to the folder.
         seconds: approximate duration. The longest jobs start first, and progress is counted in these seconds.
     """
 
@@ -44,23 +44,25 @@ class Job:
 
     @property
     def words(self) -> list[str]:
-        """Words of the command line after `run`, without the folder."""
+        """Words of the command line for this job: those after `thinlayer run`, without the folder."""
         words = [self.study]
         for name, value in self.options.items():
             words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
         return words
 
     def result(self) -> RunContent | None:
-        """Content of run.json; None unless it has the same study, options and source code."""
+        """Read run.json in the folder; return None unless it is of the same study, options and source code."""
         with suppress(InputError):
             return Record(self.study, self.folder, self.options).same_run()
         return None
 
     def start(self, ends: ExitStack) -> subprocess.Popen[bytes] | None:
-        """Start the run in a process, which resumes an earlier run if it can; None if an earlier run is done.
+        """Start the run in a process, and return the process; return None if an earlier run is done.
+
+        The process continues an earlier run of the same input that was not finished.
 
         Args:
-            ends: exit stack that ends the process, if it still runs, when it is closed.
+            ends: exit stack which, when it is closed, ends the process if it still runs.
 
         Raises:
             InputError: the folder cannot be written.
@@ -79,7 +81,7 @@ class Job:
         return process
 
     def status(self) -> int:
-        """Exit status of a run that has ended, by its run.json."""
+        """Exit status of a run that has ended, by its run.json: 0 all checks hold, 1 a check fails, 3 not finished."""
         result = self.result()
         if result is None or result["error"] is not None:
             return UNFINISHED
@@ -87,24 +89,26 @@ class Job:
 
 
 def quick_options(study: str, quick: bool) -> dict[str, bool]:
-    """Options for a quick run if `quick` is set and the study has such an option; else none."""
+    """Return {"quick": True} if `quick` is true and the study has this option, else {}."""
     return {"quick": True} if quick and "quick" in studies()[study].options else {}
 
 
 def run_all(jobs: Sequence[Job], out: Path, at_a_time: int | None = None) -> int:
-    """Run jobs, and print a line for each that ends; a job that does not finish stops no other job.
+    """Run studies in several processes, and print a line when one of them ends.
+
+    If a job fails or does not finish, the others continue.
 
     Args:
         jobs: the jobs, each with its own folder.
-        out: folder that contains the jobs' folders; one batch at a time writes there.
-        at_a_time: number of processes (default: one for each core).
+        out: folder that contains the jobs' folders; only one batch at a time may use it.
+        at_a_time: number of processes at the same time (default: the number of cores).
 
     Returns:
-        The exit status: `UNFINISHED` if a job is not finished, else `CHECK_FAILED` if a check fails, else `OK`.
+        Exit status: `UNFINISHED` (3) if a job is not finished, else `CHECK_FAILED` (1) if a check fails, else `OK` (0).
 
     Raises:
-        InputError: started on several ranks; `at_a_time` < 1; another batch is at work in `out`, or no files can be
-            written there.
+        InputError: started on several MPI ranks; `at_a_time` < 1; another batch uses `out`, or no files can be written
+            there.
     """
     n_ranks = default_comm().size
     require(n_ranks == 1, "the number of MPI ranks", n_ranks, "start several studies without mpirun")

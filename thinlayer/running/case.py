@@ -1,4 +1,4 @@
-"""A case made from a description and its mesh file: a structure with its layer, and goals."""
+"""Structure, layer and goals made from an input file of the command `estimate` and its mesh file."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ MIN_THICKNESS = 1e-9  # thickness over size of the bodies; rounding exceeds the 
 
 @dataclass(frozen=True)
 class DescribedCase:
-    """A structure with its layer, and goals.
+    """Structure, layer and goals of an estimate.
 
     Attributes:
-        description: the description, with times, tolerances and units.
+        description: the input file that they are made from; it also has times, tolerances and units.
         structure: the structure.
-        layer: its layer, or {name of a seam: its layer}, order 0.
-        goals: quantities whose change is estimated.
+        layer: layer on all seams, or name of a seam -> its layer; the interface laws are of order 0.
+        goals: quantities whose change is estimated, at least one.
     """
 
     description: Description
@@ -46,11 +46,12 @@ class DescribedCase:
 
     @classmethod
     def of(cls, description: Description) -> DescribedCase:
-        """Make the case of a description. Collective.
+        """Read the mesh file and make structure, layer and goals. Collective.
 
         Raises:
-            DescriptionError: a thickness is negligible against the size of the bodies, or larger.
-            InputError: as `read`, `Structure` and `ThinLayer` raise them.
+            DescriptionError: the mesh does not suit the input; a thickness is larger than the bodies, or less than 1e-9
+                of their size.
+            InputError: arguments that `Structure`, `ThinLayer` or a goal refuses.
         """
         with description.section.described("mesh"):
             joint = read(description.mesh["path"], **{k: v for k, v in description.mesh.items() if k != "path"})
@@ -64,10 +65,10 @@ class DescribedCase:
         return cls(description, _structure(description, joint), layer, goals)
 
     def model(self) -> InterfaceModel:
-        """Return the interface model, after each goal has checked that it can be evaluated there. Collective.
+        """Make the interface model and check that every goal can be evaluated in it. Collective.
 
         Raises:
-            InputError: as the model and the goals raise it.
+            InputError: the interface law does not suit the layer, or a goal cannot be evaluated.
         """
         model = self.structure.interface(self.layer, bodies=self.description.bodies)
         for name, goal in zip(self.description.goals or ("compliance",), self.goals, strict=True):
@@ -89,14 +90,14 @@ def _structure(description: Description, joint: Joint) -> Structure:
 
 
 def _timed(value: object) -> Any:
-    """Return a value, in which functions of time replace histories, also in tables."""
+    """Replace each `TimeSeries`, also in nested tables, by a function of place and time; other values stay."""
     if isinstance(value, Mapping):
         return {name: _timed(entry) for name, entry in value.items()}
     return piecewise(value.values) if isinstance(value, TimeSeries) else value
 
 
 def _by_name(entries: Materials, make: Callable[[MaterialEntry], ResultType]) -> ResultType | dict[str, ResultType]:
-    """Apply `make` to the entries; return the result for all names if there is one, else {name: result}."""
+    """Apply `make` to the entries; return {name: result}, or the only result if the one entry is for all names."""
     made = {name: make(entry) for name, entry in entries.items()}
     return made[None] if None in made else {name: result for name, result in made.items() if name is not None}
 

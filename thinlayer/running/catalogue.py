@@ -1,4 +1,4 @@
-"""The studies, read without importing them: summary, options and duration of each."""
+"""Catalogue of the studies: summary, options and duration of each, read from its source without importing it."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ SECONDS_OF_UNIT = {"h": 3600, "min": 60, "s": 1}
 
 @dataclass(frozen=True)
 class Study:
-    """A study script.
+    """A study that the command line can run.
 
     Attributes:
-        name: module name in `studies`.
-        summary: first line of its docstring.
-        options: name of a keyword argument of its `run` -> arguments of `add_argument` for it.
-        drawn: whether its `draw` makes pictures from its tables; other studies have only tables.
-        group: its group in `STUDY_GROUPS`.
-        quick, full: approximate duration with --quick, and in full, s.
+        name: name of its module in `studies`.
+        summary: first line of the module's docstring.
+        options: name of an option, a keyword argument of the module's `run` -> arguments of argparse's `add_argument`.
+        drawn: whether the study draws pictures; other studies only write tables.
+        group: name of its group in the list of studies.
+        quick, full: approximate duration with --quick, and without it, s.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Study:
 
 @cache
 def studies() -> dict[str, Study]:
-    """All studies by name, in the order of their groups."""
+    """Name -> study, in the order of the groups, with benchmarks if they are present."""
     catalogue = {}
     for group, members in STUDY_GROUPS.items():
         for name, seconds in members.items():
@@ -59,11 +59,11 @@ def studies() -> dict[str, Study]:
 
 
 def _option(argument: ast.arg, text: str) -> OptionArguments:
-    """Arguments of `add_argument` for a keyword argument of `run`.
+    """Arguments of argparse's `add_argument` for a keyword argument of a study's `run`, by name.
 
     Args:
         argument: the keyword argument; its annotation is `bool`, `Sequence[float]` (thicknesses) or `Literal[...]`.
-        text: docstring of `run`, in which its description becomes the help of the option.
+        text: docstring of `run`; the first line on the argument in it becomes the help of the option.
     """
     line = re.search(rf"^\s+{argument.arg}: (.*)$", text, re.MULTILINE)
     explained = {"help": line[1].replace("%", "%%") if line else None}
@@ -77,7 +77,7 @@ def _option(argument: ast.arg, text: str) -> OptionArguments:
 
 
 def listed() -> str:
-    """The groups and their studies with their times, in 80 columns; without benchmarks."""
+    """Text that lists the groups, with each study's name, durations and summary, in 80 columns; without benchmarks."""
     lines = dict[str, None]()  # each heading once
     for study in (study for study in studies().values() if study.group != "Benchmarks"):
         lines[study.group] = None
@@ -87,6 +87,6 @@ def listed() -> str:
 
 
 def duration(seconds: float) -> str:
-    """Text for a time, with one digit and a unit."""
+    """Text for a time in seconds, rounded to one digit, with the unit h, min or s."""
     unit = next(unit for unit, size in SECONDS_OF_UNIT.items() if seconds >= 1.5 * size or size == 1)
     return f"{float(f'{seconds / SECONDS_OF_UNIT[unit]:.1g}'):g} {unit}"

@@ -50,7 +50,7 @@ Command = Callable[["Parser", argparse.Namespace, Petsc], int]
 
 
 class Parser(argparse.ArgumentParser):
-    """Parser that suggests the command, choice or option that may be meant, and takes no abbreviations."""
+    """Argument parser that suggests a correction for a misspelt command, choice or option; no abbreviations."""
 
     def __init__(self, **more: Any) -> None:
         super().__init__(**more, allow_abbrev=False)
@@ -62,7 +62,10 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(None, _unknown(kind, value, action.choices))
 
     def petsc_options(self, rest: Sequence[str]) -> dict[str, str | None]:
-        """Parse PETSc options -thinlayer_NAME [VALUE] ... into name -> value; end with an error at another argument."""
+        """Return name -> value (None: without a value) of PETSc options, given as -thinlayer_NAME [VALUE] ...
+
+        The process ends with an error message at any other argument in `rest`.
+        """
         options: dict[str, str | None] = {}
         name = ""
         for word in rest:
@@ -85,7 +88,17 @@ def _unknown(kind: str, name: object, choices: Iterable[object]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status, see `EXIT_STATUS_HELP`. A defect raises its exception, see `start`."""
+    """Run a command of the command line and return its exit status.
+
+    Args:
+        arguments: words of the command line after the program's name; None: those of this process.
+
+    Returns:
+        0: success, and all checks of a study hold; 1: a check failed; 2: wrong input; 3: a study did not finish.
+
+    Raises:
+        Exception: a defect of the package, unchanged (`start` turns it into a message).
+    """
     words = [*(sys.argv[1:] if arguments is None else arguments)]
     several = words[:1] == ["run"] and ("--all" in words or [word[:1] == "-" for word in words[1:3]] == [False, False])
     parser = _several_studies() if several else command_line()
@@ -97,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def start() -> int:
-    """Run `main` as the whole process, and return an exit status after every exception, too."""
+    """Run `main` as the whole process; an exception is printed and gives an exit status, too."""
     streams = (sys.stdout, sys.stderr)  # None if closed
     sys.stdout, sys.stderr = (stream or open(os.devnull, "w", encoding="utf-8") for stream in streams)  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
@@ -115,7 +128,7 @@ def start() -> int:
 
 
 def command_line() -> argparse.ArgumentParser:
-    """The parser of the commands and of the studies' options."""
+    """Make the parser of all commands and of the options of each study."""
     prog = "thinlayer" if Path(sys.argv[0]).stem == "thinlayer" else "python3 -m thinlayer"
     parser = Parser(prog=prog, description="Thin soft layers, meshed or replaced by their interface law.")
     parser.add_argument("-V", "--version", action="store_true", help="print the versions of thinlayer and of DOLFINx")
@@ -150,7 +163,7 @@ def command_line() -> argparse.ArgumentParser:
 
 
 def _several_studies() -> Parser:
-    """The parser of `run` for several studies."""
+    """Make the parser of the command `run` with the names of several studies."""
     what = f"Run several studies, each in its folder DIR/STUDY. {RESUMING}"
     parser = Parser(prog="python3 -m thinlayer run", description=what, epilog=EXIT_STATUS_HELP)
     parser.add_argument("studies", nargs="*", metavar="STUDY", choices=studies(), help="names of studies")
@@ -162,14 +175,22 @@ def _several_studies() -> Parser:
 
 
 def _add_batch(parser: Parser, out: Path) -> None:
-    """Add the options of commands that run several studies."""
+    """Add the options of commands that run several studies; `out` is the default folder of their results."""
     parser.add_argument("--quick", action="store_true", help="coarser meshes and fewer rows, of studies that have both")
     parser.add_argument("--out", type=_folder, default=out, metavar="DIR", help=f"folder of the runs (default: {out})")
     parser.add_argument("-j", type=int, metavar="N", help="studies at a time (default: as many as cores)")
 
 
 def _command(commands: Commands, name: str, work: Command, example: str, what: str = "") -> Parser:
-    """Add a command and return its parser; `what` is its description (default: the docstring of `work`)."""
+    """Add a command to the command line and return its parser.
+
+    Args:
+        commands: the commands so far.
+        name: name of the command.
+        work: function that runs it.
+        example: arguments of an example, for the help.
+        what: description for the help; "": the docstring of `work`.
+    """
     what = what or work.__doc__ or name
     short, epilog = what.rstrip("."), f"Example: %(prog)s {example}"
     parser = commands.add_parser(name, help=short[0].lower() + short[1:], description=what, epilog=epilog)
@@ -178,7 +199,7 @@ def _command(commands: Commands, name: str, work: Command, example: str, what: s
 
 
 def _computing(parser: Parser) -> Parser:
-    """Add the options of a command that computes and writes into a folder, and return its parser."""
+    """Add the options of a command that computes and writes results into a folder, and return its parser."""
     parser.description = f"{parser.description} PETSc options start with {PETSC_PREFIX}, as {PETSC_PREFIX}ksp_type cg."
     parser.epilog = f"{EXIT_STATUS_HELP} {parser.epilog}"
     level = parser.add_mutually_exclusive_group()
@@ -201,7 +222,7 @@ def _add_json(group: argparse._ActionsContainer) -> None:
 
 
 def _print_answer(chosen: argparse.Namespace, answer: object, words: str) -> int:
-    """Print an answer on rank 0, in words or with --json as JSON."""
+    """Print an answer on rank 0, as the text `words` or, with --json, as JSON; return exit status 0."""
     if is_first():
         print_safely(json.dumps(answer, indent=1, default=str) if chosen.json else words)
     return OK

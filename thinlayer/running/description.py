@@ -1,7 +1,8 @@
-"""Content of a description: mesh file, laws, supports, loads and goals; checked without reading the mesh.
+"""Input file in TOML of the command `estimate`: mesh file, laws, supports, loads and goals.
 
-Its keys are the names of arguments of the package: of `geometry.read` in [mesh], of `Structure`, of `ThinLayer` in [layer],
-and of `goals`. All moduli are real moduli; a layer's moduli are divided by its thickness when the layer is made.
+The file is called a description. Its entries are checked without reading the mesh. Its keys are names of arguments: of
+`geometry.read` in [mesh], of `Structure`, of `ThinLayer` in [layer], and of the classes of goals. Moduli of layers are
+those of the material, not divided by the thickness.
 """
 
 from __future__ import annotations
@@ -43,24 +44,27 @@ DEFAULT_QUANTITIES = ("traction", "jump")  # quantities that every estimate has,
 
 @dataclass(frozen=True)
 class Description:
-    """A structure with a thin layer, and the quantities to estimate.
+    """Input of an estimate: a structure with a thin layer, and the quantities whose change is estimated.
 
     Attributes:
-        section: the whole table, for errors that name the place of an entry.
-        mesh: "path" of the file, and arguments of `geometry.read`.
-        body: region -> its law; the key None means all regions.
-        layer: seam -> its law and thickness; the key None means all seams.
+        section: the whole table of the input file, for errors that name the place of an entry.
+        mesh: "path" of the mesh file, and further arguments of `geometry.read` by name.
+        body: name of a region -> its law; the key None means all regions.
+        layer: name of a seam -> law and thickness of its layer; the key None means all seams.
         units: names of the units of lengths and of stresses; None: no names.
-        supports: place -> prescribed displacements, as in `Structure`.
-        tractions: name of a facet set -> components, or {"pressure": number}.
-        body_force: components, or region or seam -> components; None: none.
-        loads: arguments of `PointLoad` or `LineLoad`.
-        plane, element: as in `Structure`; None: its default.
-        bodies: "kept" or "extended", as in `Structure.interface`.
-        times: times of steps for laws with a rate or a memory; (): one solve.
-        goals: name -> kind and arguments of a quantity whose change is estimated.
-        tolerance: quantity -> largest allowed relative change, for the thickness below which the layer may be dropped.
-        bonded: whether to estimate, too, the change if the layer is left out and its bodies are bonded.
+        supports: name of a facet set or coordinates of a vertex -> prescribed displacement, one number for all
+            components or component -> number.
+        tractions: name of a facet set -> components of the traction, or {"pressure": number}.
+        body_force: components of the force per volume, or name of a region or seam -> components; None: no force.
+        loads: for each concentrated load, the arguments of `PointLoad` or `LineLoad` by name.
+        plane: "strain", "stress" or "axisymmetric"; None: plane strain.
+        element: finite element of the displacements, "P2", "Q2" or "S2"; None: the default of `Structure`.
+        bodies: "kept" (the meshed layer would move the bodies apart) or "extended" (it would be cut out of them).
+        times: ends of the time steps, for laws with a rate or a memory; (): one solve.
+        goals: name -> "kind" and further arguments of a quantity whose change is estimated.
+        tolerance: name of a quantity -> largest allowed relative change, < 1. With it, the thickness is sought below
+            which the layer's mesh may be dropped.
+        bonded: whether to estimate also the change if the layer is left out and its bodies are bonded.
     """
 
     section: Section
@@ -82,10 +86,14 @@ class Description:
 
     @classmethod
     def read(cls, path: Path, settings: Sequence[str] = ()) -> Description:
-        """Read the description in a file, with some keys replaced, see `read_description`.
+        """Read and check an input file.
+
+        Args:
+            path: the file, in TOML.
+            settings: texts "KEY=VALUE" that replace entries of the file, such as "layer.E=2e3".
 
         Raises:
-            DescriptionError: the description is wrong; says where, what is wrong, and what is allowed.
+            DescriptionError: the content is wrong; the message says where, what is wrong, and what is allowed.
         """
         section = read_description(path, settings)
         law = "the parameters of a law, such as E and nu, in a table"
@@ -101,7 +109,7 @@ class Description:
         return description
 
     def _require_times(self) -> None:
-        """Raise DescriptionError if a history comes without `times`, or does not reach from 0 to the last time."""
+        """Raise DescriptionError if values in time come without `times`, or do not cover 0 to the last time."""
         for history in self.section.histories:
             first, last = min(history.values), max(history.values)
             if not self.times:
@@ -112,7 +120,10 @@ class Description:
 
 
 def _mesh(section: Section, key: str) -> Arguments:
-    """Arguments of `geometry.read`. With `upper` and `lower`, S defaults to all facets between these regions."""
+    """Read the arguments of `geometry.read` by name; with `upper` and `lower`, S may be missing (None).
+
+    S is then formed by all facets between these regions.
+    """
     value, sides = section.values[key], dict[str, Reader].fromkeys(("upper", "lower"), Section.texts)
     table = section.inner({"path": value} if isinstance(value, str) else value, "path and arguments of read", key)
     readers: Readers = {"path": Section.text, "S": _sides, **sides, "direction": Section.vector}
@@ -121,7 +132,7 @@ def _mesh(section: Section, key: str) -> Arguments:
 
 
 def _sides(section: Section, key: str) -> object:
-    """Names of facet sets, or a table of seams whose sides `geometry.read` checks."""
+    """Read names of the facet sets of S, or a table of seams with their sides, which `geometry.read` checks later."""
     value = section.values[key]
     return value if isinstance(value, Mapping) else section.texts(key)
 
@@ -135,7 +146,7 @@ def _units(section: Section, key: str) -> tuple[str, str]:
 
 
 def _supports(section: Section, key: str) -> dict[Place, Support]:
-    """Return place -> prescribed number or components."""
+    """Read the supports: facet set or vertex -> one number for all components, or component -> number."""
     places, supports = section.table(key, "places with what they prescribe, such as LEFT = 0"), dict[Place, Support]()
     for name, value in places.values.items():
         place = _place(name)
@@ -158,7 +169,7 @@ def _place(text: str) -> Place:
 
 
 def _tractions(section: Section, key: str) -> dict[str, Traction]:
-    """Name of a facet set -> components, or {"pressure": number}."""
+    """Read the tractions: name of a facet set -> components, or {"pressure": number}; values may depend on time."""
     sets = section.table(key, "names of facet sets with a vector, such as TOP = [0, -50]")
     return {name: time_series(_traction)(sets, name) for name in sets.values}
 
@@ -171,7 +182,7 @@ def _traction(section: Section, key: str) -> Traction:
 
 
 def _body_force(section: Section, key: str) -> Vector | dict[str, Vector]:
-    """Components, or region or seam -> components."""
+    """Read the force per volume: components, or name of a region or seam -> components."""
     value = section.values[key]
     if not isinstance(value, Mapping):
         return section.vector(key)
@@ -179,7 +190,7 @@ def _body_force(section: Section, key: str) -> Vector | dict[str, Vector]:
 
 
 def _loads(section: Section, key: str) -> tuple[Arguments, ...]:
-    """Arguments of forces at points, or of forces per length of edges."""
+    """Read the concentrated loads: for each the arguments of `PointLoad` or, with two facet sets, of `LineLoad`."""
     loads = []
     for table in section.tables(key, "place and force, or first, second and force"):
         on_edges = {"first", "second"} & table.values.keys()
@@ -211,7 +222,7 @@ def _goals(section: Section, key: str) -> dict[str, Arguments]:
 
 
 def _tolerance(section: Section, key: str) -> dict[str, float]:
-    """Return quantity -> largest allowed relative change; a number alone applies to the traction."""
+    """Read name of a quantity -> largest allowed relative change; a single number applies to the traction."""
     value, what = section.values[key], "the largest relative change that is allowed, between 0 and 1"
     table = section.inner(value if isinstance(value, Mapping) else {"traction": value}, what, key)
     goals = section.values.get("goals") or {"compliance": True}

@@ -1,4 +1,4 @@
-"""The command `estimate`: solves, estimates the cost of dropping the layer, and writes tables and pictures."""
+"""Command `estimate`: estimates the change of results if a layer is not meshed; writes tables and pictures."""
 
 from __future__ import annotations
 
@@ -39,10 +39,19 @@ QUESTION_TEXTS = {
 
 
 def run(record: Record, description: Description, file: Path) -> None:
-    """Estimate the quantities of a description: sentences, estimate.csv, pictures of the change along S. Collective.
+    """Estimate how quantities of a structure change if its layer is not meshed. Collective.
+
+    It prints the answer in sentences, and writes estimate.csv, thin_enough.csv if tolerances are given, and pictures of
+    the change along S.
+
+    Args:
+        record: the folder of results.
+        description: content of the input file.
+        file: the input file, whose hash is stored.
 
     Raises:
-        InputError, SolveError: as the description, the models and the solves raise them.
+        InputError: a wrong entry of the input file, or a model that cannot be estimated.
+        SolveError: a solve did not converge.
     """
     case = DescribedCase.of(description)
     files = {str(f): on_root(default_comm(), partial(hash_of, f)) for f in (Path(description.mesh["path"]), file)}
@@ -81,7 +90,10 @@ def _estimate(record: Record, case: DescribedCase, model: Model, layer: Layers |
 
 
 def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[Row]:
-    """Rows with the thickness below which each quantity changes by less than its tolerance; each is printed at once."""
+    """Return rows with the thickness below which each quantity changes by less than its tolerance, and print them.
+
+    `name` is what replaces the meshed layer, its interface law (`LAW`) or a bond (`BOND`).
+    """
     goals, rows = {goal.name: goal for goal in case.goals}, list[Row]()
     seams = [*case.layer] if isinstance(case.layer, Mapping) else [S]
     description = case.description
@@ -102,7 +114,10 @@ def _thicknesses(record: Record, case: DescribedCase, name: str) -> list[Row]:
 
 
 def _draw(record: Record, case: DescribedCase, name: str, estimate: Estimate) -> None:
-    """Draw each goal whose density on S is known, and print the share of its change near the ends of S."""
+    """Draw the change of each goal as a density on S if it is known, and print its percentage near the ends of S.
+
+    `name` is what replaces the meshed layer, its interface law (`LAW`) or a bond (`BOND`).
+    """
     stems = list[str]()
     for goal in estimate.goals:
         try:
@@ -126,7 +141,15 @@ def _draw(record: Record, case: DescribedCase, name: str, estimate: Estimate) ->
 
 
 def _near_ends(estimate: Estimate, goal: str, density: Array) -> str:
-    """Words for the shares of a goal's change near the ends of S; "" without ends or without a change."""
+    """Text with the percentages of a goal's change that arise within 4 and 8 thicknesses of the ends of S.
+
+    It is "" if S has no ends or the goal does not change.
+
+    Args:
+        estimate: the estimate.
+        goal: name of the goal.
+        density: nodal values of its change per area of S.
+    """
     surface, error, shares = Surface(estimate.better.model), estimate.goals[goal], []
     if error.zero or error.fixed or not np.isfinite(surface.distance_to_ends).any():
         return ""

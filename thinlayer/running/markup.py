@@ -1,7 +1,7 @@
-"""HTML without scripts from text with `code`, **stress**, [links](to) and formulas in dollars, as $\\bar\\mu [u_T]$.
+"""Conversion to HTML of text with `code`, **emphasis**, [links](to) and formulas, such as $\\bar\\mu [u_T]$.
 
-A formula has letters, numbers, \\bar and \\dot of a letter, and the names of studies/data/signs.toml. It also has _ and
-^ of one sign or of a group {without groups}. This is a part of TeX, so that other programs can typeset the same text.
+A formula is a small part of TeX. It may have letters, numbers, \\bar and \\dot over a letter, and the symbols listed in
+studies/data/signs.toml. Indices _ and exponents ^ have one symbol, or a group in braces that contains no other group.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ MARKUP_PATTERN = re.compile(r"\$([^$]+)\$|`([^`]+)`|\*\*([^*]+)\*\*|\[([^\]]+)\]
 
 
 def html_of(text: str) -> str:
-    """Paragraphs of text as HTML; InputError: a formula has other content than described above."""
+    """Convert text, whose paragraphs are separated by empty lines, to HTML; raise InputError for an unknown symbol."""
     return "".join(f"<p>{line_of(part)}</p>" for part in re.split(r"\n\s*\n", text.strip()))
 
 
 def line_of(text: str) -> str:
-    """Text within a line as HTML; raises as `html_of`."""
+    """Convert text of one paragraph to HTML; raise InputError if a formula has an unknown symbol."""
 
     def marked(match: re.Match[str]) -> str:
         formula, code, stress, label, link = match.groups()
@@ -40,7 +40,7 @@ def line_of(text: str) -> str:
 
 
 def formula_of(tex: str) -> str:
-    """A formula as HTML; raises as `html_of`."""
+    """Convert a formula in TeX to HTML; raise InputError if it has an unknown symbol or a group within a group."""
 
     def sign(match: re.Match[str]) -> str:
         text = SIGN_ENTITIES.get(match[1][1:], match[1]) if match[1][0] == "\\" else match[1]

@@ -1,4 +1,4 @@
-"""Materials of a description: laws of `forms` with real parameters, pairs of elastic moduli, thicknesses of layers."""
+"""Materials in an input file of `estimate`: laws by name, parameters, pairs of elastic moduli, thicknesses."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ ELASTIC_PAIRS_TEXT = "E and nu, G and nu, K and G, or lmbda and mu (G is mu)"
 
 @dataclass(frozen=True)
 class MaterialEntry:
-    """A law with real parameters, with the thickness of a layer and the eigenstrain.
+    """Material of a body or a layer in an input file.
 
     Attributes:
-        law: the law.
+        law: law of stress and strain, with the moduli of the material.
         eps: thickness of a layer; 0 for a body.
-        eigenstrain: strain that the material would have without stress; None: no eigenstrain.
+        eigenstrain: isotropic strain that the material would have without stress, positive if it expands; None: none.
     """
 
     law: BulkLaw
@@ -41,10 +41,19 @@ Materials = Mapping[str | None, MaterialEntry]  # by the name of a region or sea
 
 
 def read_materials(section: Section, key: str, *, thin: bool = False) -> Materials:
-    """Read the materials in the table of a key. `thin`: layers, with a thickness.
+    """Read the materials of all bodies or of all layers.
+
+    Args:
+        section: the table that contains the key.
+        key: "body" or "layer". Its table has the parameters of one law, or name of a region or seam -> parameters.
+        thin: whether the materials are those of layers, with a thickness.
+
+    Returns:
+        Name of a region or seam -> its material; the key None means all of them.
 
     Raises:
-        DescriptionError: an unknown law, an unknown or missing parameter, moduli that are not a pair, or a law's error.
+        DescriptionError: an unknown law, an unknown or missing parameter, moduli that are not a known pair, or
+            parameters that the law refuses.
     """
     what, thickness = "the parameters of a law, such as E and nu", "the thickness of the layer, a length"
     whole = section.table(key, what)
@@ -61,13 +70,22 @@ def read_materials(section: Section, key: str, *, thin: bool = False) -> Materia
 
 @cache
 def laws_by_name() -> dict[str, type[BulkLaw]]:
-    """The laws of strains that a description may name."""
+    """Name -> class of the laws of stress and strain that an input file may name."""
     classes = {name: law for name, law in sorted(vars(forms).items()) if isinstance(law, type)}
     return {name: law for name, law in classes.items() if issubclass(law, BulkLaw) and law not in (BulkLaw, KernelLaw)}
 
 
 def _law(section: Section, extra: Mapping[str, Reader], needed: Mapping[str, str]) -> tuple[BulkLaw, dict[str, Any]]:
-    """Read the law {law: its name, parameter: value}, or {sublayers: ...}, of a table; return it and all entries."""
+    """Read the law in a table {law = name, parameter = value, ...} or {sublayers = [...]}.
+
+    Args:
+        section: the table.
+        extra: further allowed key -> function that reads its value.
+        needed: further required key -> explanation of it for errors.
+
+    Returns:
+        The law, and key -> value of all entries of the table.
+    """
     if "sublayers" in section.values or section.values.get("law") == "Stack":
         of_stack = {"law": choice_reader("Stack"), "sublayers": _sublayers, **extra}
         entries = section.entries(of_stack, {**needed, "sublayers": "tables with a law"}, "key of Stack")
@@ -103,7 +121,7 @@ def _sublayers(section: Section, key: str) -> list[tuple[float, BulkLaw]]:
 
 
 def _value(section: Section, key: str) -> object:
-    """Read a parameter of a law that may be other than a number: the value as written, lists as arrays."""
+    """Read a parameter of a law that need not be a number: a list as an array, any other value as it is."""
     value = section.values[key]
     try:
         return np.array(value, float) if isinstance(value, list) else value
@@ -112,7 +130,7 @@ def _value(section: Section, key: str) -> object:
 
 
 def _shear(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
-    """Shear modulus of an incompressible law from its only modulus, mu, G or E = 3 mu."""
+    """Return {"mu": shear modulus} of an incompressible law from its only modulus, mu, G or E = 3 mu."""
     if len(moduli) != 1:
         section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has one: mu (which is G), or E = 3 mu")
     ((key, value),) = moduli.items()
@@ -120,7 +138,7 @@ def _shear(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str
 
 
 def _pair(section: Section, name: str, moduli: Mapping[str, float]) -> dict[str, float]:
-    """Lame's moduli from a pair of elastic constants."""
+    """Return Lamé's moduli, "lmbda" and "mu", from a pair of elastic constants; refuse other sets of constants."""
     constants = {"G" if key == "mu" and "lmbda" not in moduli else key: value for key, value in moduli.items()}
     if len(moduli) != 2 or constants.keys() not in ({"E", "nu"}, {"G", "nu"}, {"K", "G"}, {"lmbda", "mu"}):
         section.refuse(f"moduli are {' and '.join(moduli) or 'missing'}; {name} has a pair: {ELASTIC_PAIRS_TEXT}")

@@ -1,4 +1,4 @@
-"""Frame around the work of commands: interrupts, options, the record's folder, errors and exit statuses."""
+"""Start and end of commands: interrupts, PETSc options, the folder of results, errors and exit statuses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ OK, CHECK_FAILED, BAD_INPUT, UNFINISHED = range(4)
 
 
 def end_on_interrupt() -> None:
-    """Let an interrupt end the process. An exception raised while C++ modules load would abort them with a report."""
+    """Let an interrupt end the process at once, without a Python exception.
+
+    An exception that is raised while C++ modules load would abort them with a report.
+    """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
@@ -43,16 +46,17 @@ def set_signals() -> None:
 def recorded(
     name: str, out: Path, work: Work, options: Mapping[str, object], petsc: Petsc, verbose: int, *, resume: bool = False
 ) -> int:
-    """Run a function that records its results in a folder, and return the exit status. Collective.
+    """Run a function that writes its results to a folder, and return the exit status. Collective.
 
     Args:
         name: name of the study, for run.json.
         out: the folder.
-        work: function of the record that does the work.
-        options: options chosen by the user, for run.json.
-        petsc: PETSc options to set.
-        verbose: as in `computed`; below 0 tables and checks that pass are not printed.
-        resume: whether an earlier run in the folder is continued.
+        work: function that does the work; its argument is the `Record` of the folder.
+        options: name of an option -> value chosen by the user, for run.json.
+        petsc: name of a PETSc option to set -> value; None: without a value.
+        verbose: 1: attempts of solves are shown; 2: their steps as well; below 0: progress, tables and checks that pass
+            are not shown.
+        resume: whether to continue an earlier run in the folder.
     """
 
     def keep() -> int:
@@ -73,13 +77,16 @@ def recorded(
 
 
 def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, note: str = "") -> int:
-    """Run a function with DOLFINx, and return its exit status, or the status for its error. Collective.
+    """Start MPI, PETSc and DOLFINx, run a function, and return the exit status. Collective.
+
+    An error of the input, a solve or a file, or an interrupt, is printed and gives an exit status. Other exceptions are
+    raised.
 
     Args:
         work: function that does the work and returns an exit status.
-        petsc: PETSc options to set.
+        petsc: name of a PETSc option to set -> value; None: without a value.
         verbose: 1: attempts of solves are shown; 2: their steps as well; below 0: progress is not shown.
-        note: words about the results that remain if `work` is not finished.
+        note: text to print if `work` does not finish, about the results that remain.
     """
     import petsc4py
 
@@ -127,13 +134,13 @@ def computed(work: Callable[[], int], *, petsc: Petsc, verbose: int, note: str =
 
 
 def error_text(error: BaseException, verbose: int) -> str:
-    """Message for an error that ends a command, with its class if `verbose` > 0."""
+    """Text of an error that ends a command; with `verbose` > 0 it starts with the name of the error's class."""
     words = str(error) if isinstance(error, ValueError) else error_reason(error)
     return f"{type(error).__name__}: {words}" if verbose > 0 else words
 
 
 def stop(root: bool, status: int, message: str) -> int:
-    """Print a message on standard error, on rank 0; returns the status."""
+    """Print a message on standard error if this is rank 0 (`root`), and return `status`."""
     if root:
         print(f"thinlayer: {message}", file=sys.stderr)
     return status

@@ -1,4 +1,4 @@
-"""Data on which results depend in addition to a study's options: versions, PETSc options, source code."""
+"""Versions of packages, PETSc options and hash of the source code, on which results of a study also depend."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ RECORDED_PACKAGES = (
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that results depend on; "not installed" for a missing one."""
+    """Name -> version of Python, PETSc and the packages that results depend on; "not installed" if one is missing."""
     core_versions = {"python": platform.python_version(), "thinlayer": VERSION}
     core_versions["petsc"] = ".".join(map(str, PETSc.Sys.getVersion()))
     return core_versions | {name: version_of(name) for name in RECORDED_PACKAGES.split()}
 
 
 def petsc_options() -> dict[str, object]:
-    """The PETSc options in force, and the environment variable that may have set them."""
+    """The PETSc options that are set, name -> value, and the environment variable PETSC_OPTIONS, which may set some."""
     options = {f"-{name}": value for name, value in sorted(PETSc.Options().getAll().items())}
     return {"options": options, "PETSC_OPTIONS": os.environ.get("PETSC_OPTIONS", "")}
 
 
 @cache
 def code() -> str:
-    """Hash of the source of the package and of its studies."""
+    """Hash of the Python and C source of the package and of its studies."""
     folder = Path(__file__).parents[2]
     paths = (path for package in (*PACKAGES, "studies") for path in sorted((folder / package).rglob("*")))
     sources = [path for path in paths if path.suffix in (".py", ".c")]
@@ -44,7 +44,7 @@ def code() -> str:
 
 
 def constants(module: ModuleType) -> dict[str, object]:
-    """Constants of a module: numbers, texts, laws, and tuples and dicts of these; for run.json."""
+    """Name -> value of a module's constants (in capitals): numbers, texts, laws, and tuples and dicts of these."""
 
     def plain(value: object) -> bool:
         if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""The record of a study's run: a folder with tables, pictures and a description of the input."""
+"""Record of a study's run: a folder with tables, pictures and a file run.json about input, checks and solves."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ MARCHES_FOLDER = "unfinished"  # folder for the states of marches, needed to res
 
 @dataclass
 class Check:
-    """A number of a study that must lie in a range.
+    """A number computed by a study, and the range in which it must lie.
 
     Attributes:
-        name: description of the number.
+        name: what the number is, in words.
         value: the number.
-        low, high: ends of the range; None: no bound.
+        low, high: smallest and largest allowed value; None: no bound.
         passed: whether the number lies in the range.
     """
 
@@ -66,22 +66,22 @@ class Check:
 
 
 class Record:
-    """The results of a study's run: tables, pictures, checks. The file run.json describes their input.
+    """Results of a study's run in a folder: tables, pictures and checks, with their input in the file run.json.
 
     In a `with` statement the record owns its folder: other runs there are refused, and the files of an earlier run are
-    moved to previous-1, previous-2, ... They are moved back if an InputError stops the study before it writes anything.
-    Any other file is moved there before a file of the same name is written. At the end of the statement run.json says
-    whether the study is done, or why it is not. Only rank 0 writes.
+    moved to a folder previous-1, previous-2, ... They are moved back if an InputError stops the study before it writes
+    anything. A file of other origin is moved there, too, before a file of the same name is written. At the end of the
+    statement run.json says whether the study is done, or why it is not. Only rank 0 writes.
 
     Attributes:
         study: name of the study.
         out: the folder.
-        options: options chosen by the user.
+        options: name of an option -> value chosen by the user.
         resume: whether to continue an earlier run of the study with the same options.
         checks: the checks so far.
-        parameters: parameters of the study, for run.json.
-        results: numbers that the study computed in addition to its tables, for run.json.
-        solves: model and solver's report of each state, for run.json.
+        parameters: name -> constant of the study, for run.json.
+        results: name -> number that the study computed in addition to its tables, for run.json.
+        solves: for each solved state its model, thickness, time and the solver's report, for run.json.
         root: whether this is rank 0.
         quiet: whether `say` prints nothing.
     """
@@ -100,11 +100,11 @@ class Record:
 
     # ---------------------------------------------------------------- the folder
     def __enter__(self) -> Self:
-        """Lock the folder, and move the files of an earlier run away unless it is resumed. Collective.
+        """Lock the folder, and move the files of an earlier run away unless this run continues it. Collective.
 
         Raises:
             InputError: the folder cannot be written, is in use by another run, or has tables without a run.json; or the
-                earlier run cannot be resumed.
+                earlier run cannot be continued.
         """
         with ExitStack() as stack:
             on_root(default_comm(), lambda: self._take(stack))
@@ -124,7 +124,10 @@ class Record:
             raise InputError(f"{self.out} has {', '.join(tables)}, but no run.json; give another --out, or remove them")
 
     def __exit__(self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None) -> None:
-        """Write run.json and unlock the folder; an InputError without results leaves no file. Collective without error.
+        """Write run.json and unlock the folder. Collective if the statement ends without an error.
+
+        After an InputError before any file was written, run.json is removed, and files of an earlier run return to
+        their places.
 
         Raises:
             OSError: run.json cannot be written; on all ranks.
@@ -142,7 +145,7 @@ class Record:
                             move_back(self._previous)
 
     def _read(self) -> RunContent:
-        """Read run.json, on rank 0. InputError: the file cannot be read, or has other content."""
+        """Read run.json on rank 0; raise InputError if the file cannot be read or lacks entries."""
         path = self.out / RUN_FILE
         try:
             run = dict(json.loads(path.read_text(encoding="utf-8")))
@@ -155,17 +158,18 @@ class Record:
             raise InputError(f"{path} cannot be read ({error}); give another folder, or remove it") from error
 
     def _of_study(self) -> RunContent:
-        """Read run.json, on rank 0. InputError: as `_read`, or the run is of another study."""
+        """Read run.json on rank 0; raise InputError if the file cannot be read, or belongs to another study."""
         run = self._read()
         if run["study"] != self.study:
             raise InputError(f"the run in {self.out} is of the study {run['study']}, not {self.study}")
         return run
 
     def same_run(self) -> RunContent:
-        """Read run.json of an earlier run with the same input. On rank 0.
+        """Read run.json of an earlier run, on rank 0, and check that the run had the same input.
 
         Raises:
-            InputError: it cannot be read, or has another study, options, PETSc options of the package or source code.
+            InputError: the file cannot be read; the study, its options, the package's PETSc options or the source code
+                were different.
         """
         run = self._of_study()
         here: RunContent = {"options": self.identity()[1], "code": code(), "petsc": petsc_options()}
@@ -178,15 +182,15 @@ class Record:
         return run
 
     def identity(self) -> list[object]:
-        """Identity of the run, independent of its folder; part of the fingerprint of sweeps and marches within it."""
+        """Name of the study and its options, which identify the run in the hash of its sweeps and marches."""
         return [self.study, json.loads(json.dumps(self.options, default=str))]
 
     def check_drawn(self) -> None:
-        """Raise InputError if the folder has no run of the study. Collective."""
+        """Raise InputError unless the folder has a run.json of this study. Collective."""
         on_root(default_comm(), self._of_study)
 
     def close(self) -> None:
-        """Write run.json. Collective; raises OSError on all ranks."""
+        """Write run.json for a run without errors. Collective; all ranks raise OSError if it cannot be written."""
         on_root(default_comm(), lambda: self._write(None))
 
     def _write(self, error: str | None) -> None:
@@ -202,7 +206,10 @@ class Record:
 
     # ---------------------------------------------------------------- files
     def path(self, name: str) -> Path:
-        """Path of a file in the folder, listed as one of the run's files from now on; its writer makes the folder."""
+        """Return the path of a file in the folder, and list it in run.json as one of the run's files.
+
+        The folder need not exist yet; the function that writes the file makes it.
+        """
         if name not in self._files:
             self._files.add(name)
             if self._owns and self.root:  # so that run.json names the files even if the run is killed
@@ -212,18 +219,18 @@ class Record:
         return self.out / name
 
     def table(self, name: str) -> Table:
-        """A new table in the folder; every row is written to the disk as it is added. Collective."""
+        """Return a new table, which writes each added row at once to the file `name` in the folder. Collective."""
         self._tables[name] = Table(path=self.path(name))
         return self._tables[name]
 
     def rows(self, name: str, cases: Iterable[object], row: Callable[..., ColumnValues], label: str = "{}") -> Table:
-        """Compute a table with a row for each case; each row is written at once. Collective.
+        """Compute a table with a row for each case, and write each row at once to the folder. Collective.
 
         Args:
-            name: name of the file.
-            cases: arguments of `row`; a tuple holds several arguments.
-            row: function that returns the row of a case.
-            label: format of a case in the line of progress.
+            name: name of the csv file.
+            cases: for each row the argument of `row`; a tuple has several arguments.
+            row: function that returns a row, name of a column -> entry.
+            label: format string that shows a case in the line of progress.
         """
         table = self.table(name)
         for case in track(list(cases), self.study, label):
@@ -231,7 +238,7 @@ class Record:
         return table
 
     def write(self, name: str, table: Table) -> None:
-        """Write a table as csv. Collective."""
+        """Write a whole table to the csv file `name` in the folder. Collective."""
         table.write(self.path(name))
         self._tables[name] = table
 
@@ -240,29 +247,46 @@ class Record:
         return on_root(default_comm(), (self.out / name).exists)
 
     def load(self, name: str) -> Table:
-        """Read a table of the folder. Collective."""
+        """Read a table from the csv file `name` in the folder. Collective."""
         return Table.load(self.path(name))
 
     # ---------------------------------------------------------------- results
     def say_tables(self) -> None:
-        """Print the tables with at most `MAX_PRINTED_ROWS` rows."""
+        """Print the tables that have at most 40 rows."""
         for name, table in self._tables.items():
             if len(table) <= MAX_PRINTED_ROWS:
                 self.say(f"{name}\n{table}")
 
     def say(self, text: object) -> None:
-        """Print on rank 0, unless the record is quiet."""
+        """Print a text on rank 0, unless `quiet` is set."""
         if self.root and not self.quiet:
             print_safely(text)
 
     def sweep(self, run: Callable[[float], ColumnValues], eps: Sequence[float], name: str = "table.csv") -> Table:
-        """Run `thinlayer.sweep`, with its table in the folder; it is resumed if the run is. Collective."""
+        """Run `thinlayer.sweep`, and return its table, which is written to the folder. Collective.
+
+        If the run continues an earlier run, so does the sweep.
+
+        Args:
+            run: function of a thickness that returns a row.
+            eps: the thicknesses.
+            name: name of the csv file.
+        """
         self.path(f"{name}.json")
         self._tables[name] = sweep(run, eps, self.path(name), resume=self.resume)
         return self._tables[name]
 
     def march(self, model: Model, times: Sequence[float] | Adaptive, name: str, **choices: Any) -> History:
-        """Run `thinlayer.march`; files to resume it from are kept until the run is done. Collective."""
+        """Run `thinlayer.march`, list the solver's report of each state in `solves`, return the history. Collective.
+
+        States are stored in the folder until the run is done, so that a later run can continue from them.
+
+        Args:
+            model: the model.
+            times: ends of the time steps, or settings of adaptive steps.
+            name: name of the stored states.
+            choices: further arguments of `march`.
+        """
         try:
             history = march(model, times, out=self.path(MARCHES_FOLDER) / name, resume=self.resume, **choices)
         except SolveError as error:
@@ -274,7 +298,7 @@ class Record:
         return history
 
     def solved(self, solution: SolvedType) -> SolvedType:
-        """Add the solver's report of a state, or of a history's last state, to `solves`; return the argument."""
+        """List the solver's report of a state, or of a history's last state, in `solves`; return the argument."""
         state = solution if isinstance(solution, State) else solution.last
         thin = {name: layer.thin_layer.eps for name, layer in state.model.layers.items() if layer.thin_layer}
         eps = thin if len(thin) > 1 else next(iter(thin.values()), None)
@@ -283,16 +307,22 @@ class Record:
         return solution
 
     def check(self, name: str, value: float, *, low: float | None = None, high: float | None = None) -> None:
-        """Check that a number lies in a range; a failed check makes the run exit with status 1."""
+        """Check that a number lies in a range; if it does not, the run continues and ends with exit status 1.
+
+        Args:
+            name: what the number is, in words.
+            value: the number.
+            low, high: smallest and largest allowed value; None: no bound.
+        """
         self.checks.append(Check(name, float(value), low, high))
         STUDY_LOGGER.info("check %s", self.checks[-1])
 
     def check_near(self, name: str, value: float, expected: float, tolerance: float) -> None:
-        """Check that a number agrees with `expected`, to a relative tolerance."""
+        """Check that a number agrees with `expected` to the relative `tolerance`; `name` is the number in words."""
         low, high = sorted((expected * (1 - tolerance), expected * (1 + tolerance)))
         self.check(name, value, low=low, high=high)
 
     @property
     def failed(self) -> list[Check]:
-        """Checks that have failed."""
+        """The checks whose numbers lie outside their ranges."""
         return [check for check in self.checks if not check.passed]

@@ -1,8 +1,8 @@
-"""The paper, section by section, next to the results of the studies: one page of HTML, and the same rows as JSON.
+"""Page in HTML with the numbers of the paper, section by section, next to those that the studies compute; also as JSON.
 
-studies/data/paper.toml has the statements of the paper, the runs, and the checks that are shown.
-studies/data/paper.html is the template. A row holds if the check of its name, which a study wrote to its run.json, has
-passed.
+studies/data/paper.toml lists the statements of the paper, the runs of studies, and the checks that are shown.
+studies/data/paper.html is the template. Each row of a table shows a check that a study wrote to its run.json. The row
+"holds" if the check has passed.
 """
 
 from __future__ import annotations
@@ -45,14 +45,16 @@ def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
 
     Args:
         out: folder of the page and of the runs.
-        quick: whether the studies run with --quick.
-        at_a_time: number of processes (default: one for each core).
+        quick: whether the studies use coarser meshes and fewer rows (option --quick), where they can.
+        at_a_time: number of studies that run at the same time; None: the number of cores.
 
     Returns:
-        The exit status: `UNFINISHED` if a run or row is missing, else `CHECK_FAILED` if a row fails, else `OK`.
+        Exit status: `UNFINISHED` (3) if a run or a number is missing, else `CHECK_FAILED` (1) if a number does not
+        agree with the paper, else `OK` (0).
 
     Raises:
-        InputError: as in `run_all`.
+        InputError: started on several MPI ranks; `at_a_time` < 1; another batch uses `out`, or no files can be written
+            there.
     """
     start, page = time.monotonic(), Page(out, quick=quick)
     run_all([*page.jobs.values()], out, at_a_time)
@@ -67,15 +69,17 @@ def reproduce(out: Path, *, quick: bool, at_a_time: int | None) -> int:
 
 
 class Page:
-    """The page, and the runs that it is made from.
+    """The page of numbers of the paper, and the runs of studies that it is made from.
 
     Attributes:
+        out: folder of the page and of the runs.
         data: content of studies/data/paper.toml.
-        jobs: runs by name, each in its folder in `out`.
-        results: content of run.json by run; {} for a run that has none.
+        jobs: name of a run -> the run, in its folder in `out`.
+        results: name of a run -> content of its run.json; {} if there is none.
         unfinished: names of the runs that are not finished.
-        rows: all rows, see `of`.
-        summary: sentence with the numbers of rows that hold, of figures, and of corrected places of the paper.
+        rows: for each number of the paper its label, its check and its verdict (`of`).
+        summary: sentence that says how many numbers hold, how many figures are shown, and how many places of the paper
+            are corrected.
     """
 
     def __init__(self, out: Path, *, quick: bool) -> None:
@@ -86,7 +90,14 @@ class Page:
             self.jobs[name] = Job(run["study"], options, out / name, run["seconds"][not quick])
 
     def write(self, facts: Mapping[str, str]) -> int:
-        """Write the page and its rows, with facts on how it was made; returns the exit status, as `reproduce`."""
+        """Write index.html and reproduce.json, and return the exit status.
+
+        Args:
+            facts: name -> text on how the page was made, such as versions and date.
+
+        Returns:
+            3 if a run or a number is missing, else 1 if a number does not agree with the paper, else 0.
+        """
         self.results = {name: job.result() or {} for name, job in self.jobs.items()}
         self.unfinished = [name for name, result in self.results.items() if result.get("error", "no run") is not None]
         self.rows = [row for part in self.data["sections"] for row in self.of(part["rows"], part["id"])]
@@ -101,10 +112,19 @@ class Page:
         return max(UNFINISHED if self.unfinished else OK, *(STATUS_OF_VERDICT[row["verdict"]] for row in self.rows))
 
     def of(self, entries: Iterable[Mapping[str, str]], section: str = "") -> list[Entries]:
-        """Rows of entries of paper.toml: a check, or None where nothing is computed, and words for it.
+        """Make rows of a table from entries of paper.toml and the checks of the runs.
 
-        Each check of the run whose name matches the entry's `check` gives a row. In `check` * is any text; in `label`
-        the same text replaces each *.
+        Each check of an entry's run whose name matches the pattern "check" of the entry gives a row. In the pattern *
+        stands for any text, which replaces the * in the entry's "label". Without such a check there is one row with the
+        verdict "missing", whose numbers are None.
+
+        Args:
+            entries: for each entry "run", "check", and perhaps "label" and "printed", the number in the paper.
+            section: identifier of the section of the page, stored in the rows.
+
+        Returns:
+            Rows, each with the check's name, value and bounds, the label, and the verdict "holds", "fails" or
+            "missing".
         """
         rows: list[Entries] = []
         for entry in entries:
@@ -123,7 +143,7 @@ class Page:
         return rows
 
     def html(self, facts: Mapping[str, str]) -> str:
-        """HTML of the whole page."""
+        """HTML of the whole page; `facts`, name -> text, say how it was made."""
         about = {name: html_of(text) for name, text in self.data["paper"].items() if name != "bibtex"}
         about |= {name: escape(self.data["paper"][name].strip()) for name in ("title", "bibtex")}
         sections = self.data["sections"]
@@ -135,7 +155,7 @@ class Page:
         return fill_template("page", **about, facts=html_pairs(facts), versions=html_pairs(versions()))
 
     def section(self, part: Entries) -> str:
-        """HTML of a section: the paper on the left, the results on the right; pictures, numbers, details."""
+        """HTML of a section, an entry of paper.toml: the paper on the left, the results on the right, pictures."""
         words = {"id": part["id"], "title": line_of(part["title"])}
         words |= {name: html_of(part[name]) for name in ("problem", "says", "computed")}
         words["sketch"] = html_picture(DATA_FOLDER / part["sketch"], part["sketch_says"])
@@ -145,7 +165,12 @@ class Page:
         return fill_template("section", **words, numbers=html_table(NUMBERS, "number", self.of(part["rows"])))
 
     def details(self, run: str, tables: Iterable[str]) -> str:
-        """HTML of a run's details, which the page folds: its command, its tables, all its checks, its parameters."""
+        """HTML of the details of a run, hidden until a reader opens them: command, tables, all checks, parameters.
+
+        Args:
+            run: name of the run.
+            tables: names of csv files, as RUN/FILE; those of other runs are left out.
+        """
         result, job = self.results[run], self.jobs[run]
         paths = [self.out / name for name in tables if name.startswith(f"{run}/")]
         texts = {path.name: str(Table.load(path)) for path in paths if path.exists()}
@@ -155,7 +180,7 @@ class Page:
         return fill_template("details", **words, parameters=html_pairs(result.get("parameters", {})))
 
     def erratum(self, entry: Mapping[str, str]) -> dict[str, str]:
-        """A row of the errata; its evidence is a check of a section, or words."""
+        """Row of the table of errata, from an entry of paper.toml; its evidence is a check of a study, or a text."""
         checks = self.of([entry]) if "check" in entry else ()
         shown = "; ".join(f"{row['label']}: {row['computed']}" for row in checks) or entry["evidence"]
         return {**entry, "shown": shown}
@@ -164,18 +189,18 @@ class Page:
 # ---------------------------------------------------------------- pieces of HTML
 @cache
 def templates() -> dict[str, Template]:
-    """Parts of studies/data/paper.html by name."""
+    """Name -> part of the template studies/data/paper.html; "page" is the part before the first name."""
     first, *rest = re.split(r"<!-- part: (.*) -->\n", (DATA_FOLDER / "paper.html").read_text(encoding="utf-8"))
     return {"page": Template(first)} | dict(zip(rest[::2], map(Template, rest[1::2]), strict=True))
 
 
 def fill_template(part: str, **values: str) -> str:
-    """HTML of a template's part, filled with values that are HTML."""
+    """HTML of a part of the template, in which `values`, in HTML, replace the names."""
     return templates()[part].substitute(values)
 
 
 def bounds_text(check: Entries) -> str:
-    """Text for the range of a check."""
+    """Text for the range of a check: a bound, a number with a tolerance if the range is narrow, or both ends."""
     low, high = check["low"], check["high"]
     if low is None or high is None:
         return "".join(f"{sign} {end:.6g}" for sign, end in (("≥", low), ("≤", high)) if end is not None)
@@ -185,19 +210,25 @@ def bounds_text(check: Entries) -> str:
 
 
 def html_table(heads: Mapping[str, str], part: str, rows: Iterable[Entries]) -> str:
-    """HTML of a table; `heads`: column -> its head; the template's `part` is filled with the texts of each row."""
+    """HTML of a table.
+
+    Args:
+        heads: name of a column -> its heading.
+        part: name of the part of the template for a row.
+        rows: for each row, name of a column -> text.
+    """
     lines = [fill_template(part, **row | {name: line_of(row[name]) for name in heads}) for row in map(dict, rows)]
     return fill_template("table", head="".join(f"<th>{name}</th>" for name in heads.values()), body="".join(lines))
 
 
 def html_pairs(values: Mapping[str, object]) -> str:
-    """HTML of names and values."""
+    """HTML of a list of names with their values."""
     texts = {name: value if isinstance(value, str) else json.dumps(value) for name, value in values.items()}
     return "".join(fill_template("pair", name=escape(name), value=escape(text)) for name, text in texts.items())
 
 
 def html_picture(path: Path, text: str) -> str:
-    """HTML of a picture with its caption, embedded in the page; a note if the file is missing."""
+    """HTML of a picture, embedded in the page, with the caption `text`; a note if the file is missing."""
     if not path.exists():
         return fill_template("no figure", caption=line_of(text))
     words = {"alt": escape(re.sub(r"[$`\\{}]", "", text)), "type": guess_type(path.name)[0] or "", "name": path.stem}

@@ -1,4 +1,4 @@
-"""Summary of a description and its mesh before a solve: sizes, laws, supports, loads and their sum."""
+"""Summary of an input file of `estimate` and its mesh before a solve: sizes, laws, supports, loads, their sum."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from thinlayer.running.materials import Materials
 
 
 def summarise(case: DescribedCase) -> str:
-    """Text with bodies, layers, supports, loads and goals of a case, named as in the description and mesh. Collective.
+    """Summarise bodies, layers, supports, loads and goals in a text, with the names in the input file. Collective.
 
-    For bodies of revolution, areas, volumes and the resultant of the loads are for the whole revolution. The resultant
-    is at the last time, about the origin.
+    It includes the resultant force and moment about the origin of the loads at the last time. For bodies of revolution,
+    areas, volumes and the resultant are those of the whole revolution.
 
     Raises:
-        InputError: as the model and the goals raise it.
+        InputError: the interface law does not suit the layer, or a goal cannot be evaluated.
     """
     entries, model, values = case.description, case.model(), case.description.section.values
     joint, sizes, t = model.joint, _sizes(model), entries.times[-1] if entries.times else 0.0
@@ -44,13 +44,19 @@ def summarise(case: DescribedCase) -> str:
 
 
 def _law(values: Mapping[str, Mapping[str, object]], materials: Materials, name: str) -> str:
-    """Text for the law of a body or of a layer, with its numbers as in the description."""
+    """Text for the law of a body or a layer, with its parameters as the user wrote them.
+
+    Args:
+        values: the table [body] or [layer] of the input file.
+        materials: the laws made from it.
+        name: name of the region or seam.
+    """
     key = name if name in materials else None
     return _entries({"law": type(materials[key].law).__name__, **(values[key] if key else values)})
 
 
 def _sizes(model: InterfaceModel) -> dict[str, float]:
-    """Measures of the bodies and of the seams. Collective."""
+    """Return name -> volume of each body and area of each seam, in 2D area and length. Collective."""
     places = {name: (model.kinematics.factor, model.dx(model.domain.cell_values(name))) for name in model.joint.bodies}
     sides = {name: model.sides_of(name) for name in model.joint.seams}
     places |= {name: (interface.factor, interface.measure) for name, interface in sides.items()}
@@ -64,7 +70,7 @@ def _entries(table: Mapping[str, object]) -> str:
 
 
 def _shown(value: object) -> str:
-    """A value of TOML in one line."""
+    """Text of a TOML value in one line."""
     if isinstance(value, Mapping):
         return f"{{{_entries(value)}}}"
     if isinstance(value, list):

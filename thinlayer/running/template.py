@@ -1,4 +1,4 @@
-"""Template of a description, with the names of a mesh file and gaps to fill in."""
+"""Template of an input file of `estimate`, with the names in a mesh file and gaps to fill in."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ quoted = partial(json.dumps, ensure_ascii=False)  # a text as a string or a key 
 
 
 def template(mesh: Path) -> str:
-    """Write a description in TOML of a structure in a mesh file, with "?" for each value to fill in. Collective.
+    """Return an input file in TOML for a mesh file, with "?" for each value to fill in. Collective.
 
-    Where a number belongs, reading the description refuses this text.
+    Reading the input file fails as long as a "?" stands in place of a number.
 
     Raises:
-        InputError: the file cannot be read, as by `geometry.read`.
+        InputError: the mesh file cannot be read.
     """
     return on_root(default_comm(), partial(read_groups, mesh, partial(_filled, mesh)))
 
@@ -43,7 +43,7 @@ def _filled(mesh: Path, named: NamedGroups) -> str:
 
 
 def _seam(inside: dict[str, list[str]], names: str) -> tuple[str, str]:
-    """Return arguments of `geometry.read` in TOML for the place of the layer, and a comment.
+    """Return the arguments of `geometry.read` that say where the layer is, in TOML, and a comment on them.
 
     Args:
         inside: name of a facet set inside the bodies -> regions that it touches.

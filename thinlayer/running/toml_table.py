@@ -1,4 +1,8 @@
-"""A table of a description in TOML: values by key, readers that check them, and errors that name the place."""
+"""Tables of an input file in TOML: values by key, readers that check them, and errors that name the place.
+
+The input file of the command `estimate` is called a description (`running/description.py`). A reader is a function of a
+table and a key that checks the value there and returns it.
+"""
 
 from __future__ import annotations
 
@@ -16,24 +20,32 @@ Keys = tuple[str, ...]
 
 
 class DescriptionError(InputError):
-    """Error in a description; says where it is, what is wrong, and what is allowed."""
+    """Error in an input file; its message says where it is, what is wrong, and what is allowed."""
 
 
 @dataclass(frozen=True)
 class TimeSeries:
-    """Values at two or more times, linear in between, and the keys that lead to the series in the description."""
+    """Values that depend on time in an input file.
+
+    Attributes:
+        values: at least two times, each -> a number or the components of a vector; linear between the times.
+        keys: keys of nested tables that lead to them in the file.
+    """
 
     values: Mapping[float, float | tuple[float, ...]]
     keys: Keys
 
 
 def read_description(path: Path, settings: Sequence[str] = ()) -> Section:
-    """Read a description in TOML, with some keys replaced.
+    """Read an input file in TOML, with some entries replaced.
 
     Args:
-        path: the file; the name of its mesh file is relative to its folder.
-        settings: texts "KEY=VALUE" in TOML, as "layer.E=2e3"; entries of lists are numbered from 1. A value that is not
-            TOML is a text, as shells remove quotes.
+        path: the file; the name of the mesh file in it is relative to its folder.
+        settings: texts "KEY=VALUE" in TOML, such as "layer.E=2e3"; entries of lists are numbered from 1. A value that
+            is not TOML is read as a text, as shells remove quotes.
+
+    Returns:
+        The whole file as a table; the path of the mesh file in it starts with the folder.
 
     Raises:
         DescriptionError: the file cannot be read, or is not TOML, with the line; a setting cannot be read.
@@ -56,7 +68,7 @@ def read_description(path: Path, settings: Sequence[str] = ()) -> Section:
 
 
 def _assignment(text: str, option: str) -> tuple[Keys, object]:
-    """Return keys and value of a text "KEY=VALUE"; `option` names it in errors."""
+    """Return the keys of nested tables and the value in a text "KEY=VALUE"; `option` names the text in errors."""
     name, equals, value_text = text.partition("=")
     try:
         keys: Keys = ()
@@ -73,7 +85,7 @@ def _assignment(text: str, option: str) -> tuple[Keys, object]:
 
 
 def _with_value(old: object, keys: Sequence[str], value: object, option: str) -> Any:
-    """Return a copy of a table or list with another value at the keys that lead to it."""
+    """Return a copy of a table or list in which the entry to which `keys` lead has another value."""
     if not keys:
         return value
     key, *rest = keys
@@ -87,13 +99,13 @@ def _with_value(old: object, keys: Sequence[str], value: object, option: str) ->
 
 @dataclass(frozen=True)
 class Section:
-    """A table of a description.
+    """A table of an input file in TOML.
 
     Attributes:
-        values: its entries.
-        path: the keys that lead to it.
-        name: the file, and the options that replaced keys.
-        histories: all histories that have been read so far, in any table of the description.
+        values: its entries, key -> value.
+        path: keys of nested tables that lead to it; () for the whole file.
+        name: name of the file and of options that replaced entries, for errors.
+        histories: values in time that have been read so far, in any table of the file.
     """
 
     values: Mapping[str, Any]
@@ -102,12 +114,12 @@ class Section:
     histories: list[TimeSeries]
 
     def refuse(self, what: str, *keys: str) -> NoReturn:
-        """Raise DescriptionError about this table, or about an entry of it."""
+        """Raise a DescriptionError with the text `what` about this table, or about the entry to which `keys` lead."""
         raise DescriptionError(": ".join(filter(None, [self.name, ".".join((*self.path, *keys)), what])))
 
     @contextmanager
     def described(self, *keys: str) -> Iterator[None]:
-        """Context that turns an InputError into a DescriptionError about this table or an entry of it."""
+        """Context that turns an InputError into a DescriptionError about this table, or about its entry `keys`."""
         try:
             yield
         except DescriptionError:
@@ -116,12 +128,15 @@ class Section:
             self.refuse(str(error), *keys)
 
     def entries(self, keys: Readers, needs: Mapping[str, str] | None = None, kind: str = "key") -> dict[str, Any]:
-        """Return key -> value, read from all entries of the table.
+        """Read and check all entries of the table; return key -> value.
 
         Args:
-            keys: allowed key -> its reader.
-            needs: required key -> words for what it is.
-            kind: the word for a key in errors.
+            keys: allowed key -> function that reads its value.
+            needs: required key -> explanation of it for errors; None: no key is required.
+            kind: what a key is called in errors.
+
+        Raises:
+            DescriptionError: a key that is not allowed, a required key that is missing, or a wrong value.
         """
         if unknown := [key for key in self.values if key not in keys]:
             self.refuse(unknown_name_message(kind, unknown[0], keys))
@@ -130,22 +145,22 @@ class Section:
         return {key: read(self, key) for key, read in keys.items() if key in self.values}
 
     def checked(self, key: str, good: Callable[[Any], bool], wrong: str) -> Any:
-        """Return the value of a key; raise DescriptionError with the words `wrong` unless `good(value)`."""
+        """Return the value of a key; raise a DescriptionError with the text `wrong` unless `good(value)` is true."""
         if not good(value := self.values[key]):
             self.refuse("it is not filled in" if "?" in str(value) else f"{_shown(value)} {wrong}", key)
         return value
 
     def number(self, key: str) -> float:
-        """A finite number."""
+        """Return the finite number at a key; raise DescriptionError for another value."""
         return float(self.checked(key, is_finite, "is not a finite number"))
 
     def vector(self, key: str) -> tuple[float, ...]:
-        """Components of a vector, 2 or 3 finite numbers."""
+        """Return the vector at a key, 2 or 3 finite numbers; raise DescriptionError for another value."""
         wrong = "is not a vector; give 2 components, in 3D 3, such as [0, -50]"
         return tuple(map(float, self.checked(key, lambda value: _are_finite(value) and len(value) in (2, 3), wrong)))
 
     def text(self, key: str, allowed: Collection[str] = (), kind: str = "choice") -> str:
-        """A text; if `allowed` is not empty, one of these texts."""
+        """Return the text at a key, one of `allowed` unless it is empty; raise DescriptionError for another value."""
         value = self.values[key]
         if not isinstance(value, str) or not value:
             self.refuse(f"{_shown(value)} is not a text" + (f"; allowed: {', '.join(allowed)}" if allowed else ""), key)
@@ -154,23 +169,27 @@ class Section:
         return value
 
     def texts(self, key: str) -> str | list[str]:
-        """A text, or a list of texts."""
+        """Return the text or the list of texts at a key; raise DescriptionError for another value."""
         value = self.values[key]
         several = isinstance(value, list) and value and all(isinstance(text, str) for text in value)
         return value if several else self.text(key)
 
     def table(self, key: str, what: str) -> Section:
-        """Return the table of a key, empty without it; raise DescriptionError with the text `what` for other values."""
+        """Return the table at a key, empty without the key; `what` says in errors what the table contains."""
         return self.inner(self.values.get(key, {}), what, key)
 
     def inner(self, value: object, what: str, *keys: str) -> Section:
-        """Return a value of this table as a `Section`; raise DescriptionError if it is not a table."""
+        """Return a value to which `keys` lead in this table as a `Section`.
+
+        Raises:
+            DescriptionError: the value is no table; `what` says what the table contains.
+        """
         if not isinstance(value, Mapping):
             self.refuse(f"{_shown(value)} is not a table; it has {what}", *keys)
         return replace(self, values=value, path=(*self.path, *keys))
 
     def tables(self, key: str, what: str) -> list[Section]:
-        """Return the tables in the list of a key."""
+        """Return the tables in the list at a key; `what` says in errors what each table contains."""
         tables = self.checked(key, lambda value: isinstance(value, list), f"is not a list of tables; each has {what}")
         return [self.inner(table, what, key, str(number)) for number, table in enumerate(tables, 1)]
 
@@ -180,12 +199,12 @@ Readers = Mapping[str, Reader]
 
 
 def choice_reader(*allowed: str) -> Reader:
-    """Return a reader of a text that must be one of `allowed`."""
+    """Return a reader of a text, which must be one of `allowed`."""
     return lambda section, key: section.text(key, allowed)
 
 
 def positive_reader(what: str) -> Reader:
-    """Return a reader of a number > 0; errors say `what` it is."""
+    """Return a reader of a number > 0; `what` says in errors what the number is."""
 
     def read(section: Section, key: str) -> float:
         section.number(key)
@@ -195,7 +214,7 @@ def positive_reader(what: str) -> Reader:
 
 
 def time_series(read: Reader) -> Reader:
-    """Return a reader of values that `read` accepts, or of a `TimeSeries` of them, {times = ..., values = ...}."""
+    """Return a reader of a constant value, which `read` reads, or of values in time, {times = ..., values = ...}."""
 
     def read_each(section: Section, key: str) -> object:
         entry, what = section.values[key], "a history is {times = [0, 1], values = [0, 5]}: two or more times that grow"
@@ -214,7 +233,7 @@ def time_series(read: Reader) -> Reader:
 
 
 def is_growing(times: object) -> TypeGuard[list[float]]:
-    """Whether something is a list of finite numbers, each larger than the one before."""
+    """Whether `times` is a list of finite numbers, each larger than the one before."""
     return _are_finite(times) and all(a < b for a, b in itertools.pairwise(times))
 
 
@@ -223,6 +242,6 @@ def _are_finite(value: object) -> TypeGuard[list[float]]:
 
 
 def _shown(value: object) -> str:
-    """A value as it may be written in TOML, shortened."""
+    """Text of a value as written in TOML, shortened to 60 letters, for errors."""
     text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) < 60 else f"{text[:56]} ..."

@@ -1,1 +1,1 @@
-"""Infrastructure of runs: agreement of ranks, files, tables, compiled code and its cache, descriptions of runs."""
+"""Infrastructure: agreement of MPI ranks, files, tables, compiled code and its cache, hashes that identify runs."""

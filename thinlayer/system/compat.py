@@ -1,6 +1,6 @@
-"""Functions that hide the differences between DOLFINx 0.9 and 0.11 in spaces and forms.
+"""Functions on spaces and forms that work with DOLFINx 0.9 to 0.11, whose interfaces differ.
 
-They try the signatures of the releases in turn, and do not ask for the version. `geometry/domain.py` is for meshes.
+They try the signatures of the releases one after the other. `geometry/domain.py` does the same for meshes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,13 @@ EntityMaps = list[object] | dict[Mesh, IntArray]  # for fem.form, of DOLFINx 0.1
 
 
 def space_with_dofmap(V: fem.FunctionSpace, dofs: IntArray, imap: IndexMap) -> fem.FunctionSpace:
-    """A function space like V whose cells' (block) dofs are the rows of `dofs`, numbered by an index map."""
+    """Make a function space with the mesh and element of V and another numbering of its degrees of freedom.
+
+    Args:
+        V: the function space.
+        dofs: (cells, k) numbers on this rank of the (block) dofs of each cell, ghosts included.
+        imap: index map of these numbers.
+    """
     old, base = V._cpp_object, V.dofmap
     layout = base._cpp_object.dof_layout if hasattr(base, "_cpp_object") else base.dof_layout
     rows = cpp.graph.AdjacencyList_int32(np.ascontiguousarray(dofs, np.int32))
@@ -38,17 +44,26 @@ def space_with_dofmap(V: fem.FunctionSpace, dofs: IntArray, imap: IndexMap) -> f
 
 
 def interior_facet_entities(mesh: Mesh, facets: IntArray) -> IntArray:
-    """(cell, local facet, cell, local facet) of interior facets, (n, 4); facets with one local cell are left out."""
+    """Integration entities (n, 4) of interior facets: cell, local facet, cell, local facet.
+
+    Facets with only one cell on this rank are left out.
+    """
     return _entities("interior_facet", mesh, facets).reshape(-1, 4)
 
 
 def exterior_facet_entities(mesh: Mesh, facets: IntArray) -> IntArray:
-    """(cell, local facet) of exterior facets, (n, 2)."""
+    """Integration entities (n, 2) of exterior facets: cell, local facet."""
     return _entities("exterior_facet", mesh, facets).reshape(-1, 2)
 
 
 def _entities(name: str, mesh: Mesh, entities: IntArray) -> IntArray:
-    """Integration entities of local cells or facets for an integral type; entities of other ranks are left out."""
+    """Integration entities of cells or facets that belong to this rank; others are left out.
+
+    Args:
+        name: type of integral, "cell", "exterior_facet" or "interior_facet".
+        mesh: the mesh.
+        entities: numbers of the cells or facets on this rank.
+    """
     dim = mesh.topology.dim - (name != "cell")
     create_connectivity(mesh, dim)
     arguments = getattr(fem.IntegralType, name), getattr(mesh.topology, "_cpp_object", mesh.topology), entities
@@ -57,7 +72,13 @@ def _entities(name: str, mesh: Mesh, entities: IntArray) -> IntArray:
 
 
 def by_domain(form: ufl.Form) -> dict[tuple[str, int, Tags], list[ufl.Integral]]:
-    """Integrals of a form by type, data and set of tags; equal integrands over several tags are joined."""
+    """Sort the integrals of a form by type, subdomain data and tags.
+
+    Integrals that differ only in their tags are joined to one over a tuple of tags.
+
+    Returns:
+        (type of integral, `id` of the subdomain data, tag or tuple of tags) -> integrals.
+    """
     joined: dict[tuple[object, ...], tuple[ufl.Integral, list[int | str]]] = {}
     for integral in form.integrals():
         for tag in np.atleast_1d(np.array(integral.subdomain_id(), object)):
@@ -75,10 +96,14 @@ def by_domain(form: ufl.Form) -> dict[tuple[str, int, Tags], list[ufl.Integral]]
 
 
 def compiled(form: ufl.Form, maps: EntityMaps | None = None) -> fem.Form:
-    """Compile a form whose measures may have any tags; forms that differ only in their tags share one code.
+    """Compile a form whose measures may have any tags, which may overlap, and different subdomain data.
 
-    In the code numbers replace the sets of tags, for each type of integral. DOLFINx itself refuses measures with
-    different data, and 0.9 loses integrals where tags overlap and degrees of quadrature differ.
+    Forms that differ only in their tags share one compiled code, as numbers 1, 2, ... replace the sets of tags. DOLFINx
+    itself refuses different subdomain data. Release 0.9 loses integrals if tags overlap and quadrature degrees differ.
+
+    Args:
+        form: the form.
+        maps: entity maps for coefficients on other meshes, as `fem.form` of the release takes them; None: none.
     """
     numbered: dict[str, list[tuple[int, IntArray]]] = {}
     integrals = []
@@ -103,13 +128,18 @@ def compiled(form: ufl.Form, maps: EntityMaps | None = None) -> fem.Form:
 
 
 def interpolation_points(V: fem.FunctionSpace) -> npt.NDArray[np.float64]:
-    """Interpolation points of a space's element on the reference cell."""
+    """Interpolation points (n, d) of a space's element in the d-dimensional reference cell."""
     points = V.element.interpolation_points
     return points() if callable(points) else points
 
 
 def create_submesh(mesh: Mesh, dim: int, entities: IntArray) -> tuple[Mesh, EntityMaps, IntArray]:
-    """Submesh of entities, its entity maps for fem.form, and the entity of each of its cells. Collective."""
+    """Make a submesh of mesh entities of dimension `dim`. Collective.
+
+    Returns:
+        The submesh, its entity maps as `fem.form` of the release takes them, and the number in the mesh of the entity
+        that each of its cells comes from.
+    """
     sub, entity_map = dolfinx.mesh.create_submesh(mesh, dim, entities)[:2]
     if hasattr(entity_map, "sub_topology_to_topology"):
         imap = sub.topology.index_map(sub.topology.dim)
@@ -130,13 +160,13 @@ def belongs_to(bc: fem.DirichletBC, V: fem.FunctionSpace) -> bool:
 # ---------------------------------------------------------------- reference cycles, which keep meshes alive until
 # Python's garbage collector runs: long runs would exceed MPI's limit of communicators
 def interpolate(f: fem.Function, values: object) -> None:
-    """Interpolate a function of points, an Expression or a Function into f, without DOLFINx's reference cycle of f."""
+    """Interpolate a function of points, an Expression or a Function into f, without leaving f in a reference cycle."""
     fem.Function.interpolate(proxy(f), values)
 
 
 @contextmanager
 def without_cycles() -> Iterator[None]:
-    """Context that frees objects in reference cycles at its end; UFL's visitors leave functions in such cycles."""
+    """Context at whose end objects in reference cycles, in which UFL's visitors leave functions, are freed."""
     try:
         yield
     finally:

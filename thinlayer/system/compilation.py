@@ -1,4 +1,4 @@
-"""Folder of compiled forms and C sources, which stays intact if compilations are killed or run at the same time.
+"""Cache of compiled forms and C sources, which stays intact if compilations are killed or run at the same time.
 
 FFCx compiles in this folder and uses a form's C file as a lock. If the process is killed, the lock stays, and every
 process that needs the form waits in vain. Here each compilation has its own folder. Its files are moved to the common
@@ -52,7 +52,7 @@ class SourceError(ThinlayerError, RuntimeError):
 
 
 def acquire(folder: Path, name: str) -> None:
-    """Make the folder, wait until no other process compiles the library of this name, and lock it.
+    """Lock the library of this name for this process, after waiting for another process that compiles it.
 
     Raises:
         InputError: the folder cannot be made, or written.
@@ -67,13 +67,13 @@ def acquire(folder: Path, name: str) -> None:
 
 
 def release(folder: Path, name: str) -> None:
-    """Let other processes compile the library of this name."""
+    """Free the lock on the library of this name, so that other processes may compile it."""
     if folder in _LOCK_FILES:
         _lock(folder, name, fcntl.LOCK_UN)
 
 
 def _lock(folder: Path, name: str, how: int) -> None:
-    """Lock or free the byte of the folder's lock file that belongs to the name."""
+    """Lock or free a library, by a byte of the folder's lock file; `how` is `fcntl.LOCK_EX` or `fcntl.LOCK_UN`."""
     byte = int(hashlib.sha256(name.encode()).hexdigest()[:15], 16)
     with suppress(OSError):  # a file system without locks: a library may be compiled twice, and the last one is kept
         if folder not in _LOCK_FILES:
@@ -83,7 +83,7 @@ def _lock(folder: Path, name: str, how: int) -> None:
 
 @contextmanager
 def workshop(folder: Path, name: str) -> Iterator[Path]:
-    """Context with an empty folder for the process that acquired the name; deletes such folders of killed processes."""
+    """Context with an empty folder in which to compile a locked library; old ones of killed processes are deleted."""
     prefix = f".{name}.{os.getpid()}-"
     for old in folder.glob(f".{name}.*"):
         if not old.name.startswith(prefix):
@@ -93,7 +93,7 @@ def workshop(folder: Path, name: str) -> Iterator[Path]:
 
 
 def keep_file(made: Path, file: Path) -> None:
-    """Flush a file to the disk and move it to its final path."""
+    """Flush the file `made` to the disk and move it to its final path `file`."""
     with made.open("rb") as written:
         os.fsync(written.fileno())
     made.replace(file)
@@ -112,15 +112,14 @@ def load_library(library: Path) -> ModuleType:
 
 
 def _mend_ffcx() -> None:
-    """Make FFCx look for a compiled form under our lock, and compile it in its own folder."""
+    """Replace FFCx's functions that find and compile a form by ones with a lock and a folder for each compilation."""
     find, build = ffcx_jit.get_cached_module, ffcx_jit._compile_objects
     parameters = inspect.signature(build)
 
     def read_cache(module_name: str, object_names: list[str], folder: Path) -> FormModule:
-        """Return (objects, module) of a compiled form, or (None, None) if files are missing or broken.
+        """Return the objects and the module of a compiled form; (None, None) if files are missing or broken.
 
-        FFCx itself would list the whole folder for each form. With thousands of files that takes longer than all the
-        rest.
+        FFCx itself would list the whole folder for each form, which takes long with thousands of files.
         """
         source, ready = (folder / f"{module_name}{end}" for end in (".c", ".c.cached"))
         for library in (folder / f"{module_name}{end}" for end in EXTENSION_SUFFIXES):
@@ -165,7 +164,7 @@ _mend_ffcx()
 
 
 def load_options() -> None:
-    """Read the options of FFCx and of DOLFINx's compiler now, and ignore option files in the working folder."""
+    """Let FFCx and DOLFINx's compiler read their options now, without option files in the working folder."""
     with tempfile.TemporaryDirectory() as empty, chdir(empty):
         ffcx.get_options()
         dolfinx.jit.get_options()
@@ -173,10 +172,13 @@ def load_options() -> None:
 
 # ---------------------------------------------------------------- C sources
 def library(source: Path, comm: MPI.Intracomm = MPI.COMM_SELF) -> ModuleType:
-    """Compile a C source and return its module, whose `lib` has all non-static functions that return int or double.
+    """Compile a C source and return its module, or load the module if it is in the cache. Collective over `comm`.
 
-    Collective over `comm`: rank 0 compiles. With the default communicator each process compiles the module. A module
-    that exists already is not compiled again.
+    The attribute `lib` of the module has all non-static functions that return int or double.
+
+    Args:
+        source: the C file.
+        comm: communicator whose rank 0 compiles; by default each process does it by itself.
 
     Raises:
         SourceError: the source cannot be read or compiled; on all ranks.
@@ -198,19 +200,19 @@ _loaded = functools.cache(load_library)
 
 
 def pointers(library: ModuleType, *arrays: np.ndarray) -> list[object]:
-    """Pointers to arrays or their contiguous copies, for a C library without checks; outputs must be contiguous."""
+    """Return C pointers to arrays, or to contiguous copies of others; arrays that C writes to must be contiguous."""
     return [library.ffi.from_buffer(C_ARRAY_TYPES[a.dtype.char], a) for a in map(np.ascontiguousarray, arrays)]
 
 
 def _file_of(source: Path) -> Path:
-    """Path of a source's library in FFCx's folder; its name has a hash of the source and the files it includes."""
+    """Path in the cache of the library of a C source; its name has a hash of the source and the files it includes."""
     folder = Path(dolfinx.jit.get_options()["cache_dir"]).expanduser()
     name = hashlib.sha256(source_content(source) + cffi.__version__.encode()).hexdigest()[:16]
     return folder / f"thinlayer_{source.stem}_{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
 
 
 def _build(source: Path, file: Path) -> None:
-    """Compile a source unless its library exists."""
+    """Compile a C source to the library `file`, unless it exists."""
     if file.exists():
         return
     name = file.name.split(".")[0]

@@ -1,6 +1,7 @@
-"""Description of what a run is made from, as nested data; two runs compare it and name their differences.
+"""Descriptions of the data and functions that a run depends on, as nested JSON data that two runs can compare.
 
-A run can be resumed if its numbers are the same and no user's file with its functions has changed.
+A run may continue an earlier run only if both descriptions are equal: the same numbers, and unchanged files of the
+user's functions. Otherwise the differences are named.
 """
 
 from __future__ import annotations
@@ -52,13 +53,13 @@ INCLUDED_FILE = re.compile(rb'^[ \t]*#[^"<\n]*["<]([^">\n]+)[">]', re.MULTILINE)
 
 
 def describe(value: object) -> object:
-    """Return a description in JSON that is equal in another process, on any number of ranks, if the value is equal.
+    """Return a description of a value in JSON, which is the same in every process if the value is the same.
 
     Numbers, texts, arrays and containers are described by their entries, whatever the order of a dict. Dataclasses and
-    other objects are described by the data of a copy. Users' functions are described by their bytecode, the hash of
-    their file, and the values that they read: closure variables, defaults, attributes and globals. Users' classes are
-    described by their functions and files, users' modules by their files. Functions, classes and modules of libraries
-    are described by their names. Any other object, such as an open file or a function on a mesh, differs from all
+    other objects are described by the data that a copy needs. Users' functions are described by their bytecode, the
+    hash of their file, and the values that they read: closure variables, defaults, attributes and globals. Users'
+    classes are described by their functions and files, users' modules by their files. Functions, classes and modules of
+    libraries are described by their names. Any other object, such as an open file or a function on a mesh, differs from all
     objects of another process. The description leaves out files that a run reads, modules that a function itself
     imports, `sys.argv` and `os.environ`.
     """
@@ -66,7 +67,12 @@ def describe(value: object) -> object:
 
 
 def code_of(description: object, *, is_code: bool = True) -> object:
-    """Part of a description that stays as functions collect values: their code, and the numbers that they refer to."""
+    """Return the part of a description that does not change while functions run: their code, and constants in it.
+
+    Args:
+        description: a description, or a part of it.
+        is_code: whether this part describes a function; numbers and texts elsewhere are left out.
+    """
     if isinstance(description, dict):
         parts = {key: code_of(value, is_code=CODE_KEY in description) for key, value in description.items()}
         return {key: part for key, part in parts.items() if part not in (None, {}, [])}
@@ -76,9 +82,11 @@ def code_of(description: object, *, is_code: bool = True) -> object:
 
 
 def random_states(value: object, *, shared: bool = False) -> list[object]:
-    """States of the random number generators and iterators that a value refers to.
+    """Return the states of all random number generators and iterators that a value, such as a function, refers to.
 
-    With `shared`, the global states of `random` and `numpy.random` are added, unless the value's code seeds them.
+    Args:
+        value: the value.
+        shared: whether to add the global states of `random` and `numpy.random`, unless code of the value seeds them.
     """
     describer = _Describer()
     describer.of(value)
@@ -88,7 +96,12 @@ def random_states(value: object, *, shared: bool = False) -> list[object]:
 
 
 def differences(value: object, other: object, path: tuple[str, ...] = ()) -> Iterator[Difference]:
-    """Yield each difference of two descriptions."""
+    """Yield each difference of two descriptions: the keys that lead to it, and both values.
+
+    Args:
+        value, other: the descriptions.
+        path: keys that lead to them.
+    """
     if isinstance(value, list) and isinstance(other, list):
         value, other = ({f"{k}": entry for k, entry in enumerate(values)} for values in (value, other))
     if isinstance(value, dict) and isinstance(other, dict):
@@ -99,7 +112,7 @@ def differences(value: object, other: object, path: tuple[str, ...] = ()) -> Ite
 
 
 def differences_text(changes: list[Difference]) -> str:
-    """Text of the first `MAX_CHANGES` differences, with each pair of values once."""
+    """Text of at most four differences between an earlier run and this one, with each pair of values once."""
     pairs = {(_short(value), _short(other)): ".".join(path) for path, value, other in reversed(changes)}
     words = [f"{path}: {value} there, {other} here" for (value, other), path in reversed(pairs.items())]
     return "; ".join(words[:MAX_CHANGES]) + f"; and {len(words) - MAX_CHANGES} more" * (len(words) > MAX_CHANGES)
@@ -123,11 +136,11 @@ def digest(value: object) -> str:
 
 
 class _Describer:
-    """Makes the description of one value.
+    """Makes the description of one value (`describe`).
 
     Attributes:
-        random: states of the random number generators and iterators met so far.
-        names: names that the code met so far reads.
+        random: states of the random number generators and iterators found so far.
+        names: names of globals and attributes in the code of functions found so far.
     """
 
     def __init__(self) -> None:
@@ -137,7 +150,12 @@ class _Describer:
         self._places: dict[int, tuple[str, object]] = {}
 
     def of(self, value: object, at: str = "") -> object:
-        """Describe a value met at the path `at`; an object met again is described by the path of its first place."""
+        """Describe a value; an object that occurs again is described by the place where it occurred first.
+
+        Args:
+            value: the value.
+            at: its place in the whole, keys joined by dots.
+        """
         plain = None if _is_user_module(type(value).__module__) else _plain(value)
         if plain is not None or value is None:
             return plain
@@ -227,7 +245,7 @@ class _Describer:
 
 
 def _number(value: object) -> int:
-    """Number of an object in this process; objects that allow weak references are not kept alive."""
+    """Number of an object, unique in this process; objects that allow weak references are not kept alive."""
     entry = _OBJECT_NUMBERS.get(id(value))
     if entry is None or entry[0]() is not value:
         reference = weakref.ref(value) if type(value).__weakrefoffset__ else lambda: value
@@ -236,7 +254,7 @@ def _number(value: object) -> int:
 
 
 def _members(kind: type) -> dict[str, object]:
-    """Members that identify a user-defined class: its functions, its file, and the content of its C source, if any."""
+    """Name -> what identifies a user's class: its functions, its file, and the content of its C source, if any."""
     functions = {name: _function_of(value) for name, value in vars(kind).items()}
     made = {name for name, f in functions.items() if f and name[:2] == "__" and f.__code__.co_filename == "<string>"}
     # without those that `dataclass` makes
@@ -248,14 +266,14 @@ def _members(kind: type) -> dict[str, object]:
 
 
 def _file_of(name: str | None) -> dict[str, str]:
-    """Name of a user's file with the hash of its content; empty for other and missing files."""
+    """Return {FILE_KEY: name and hash} of a user's Python file; {} for files of libraries and missing files."""
     if name is None or not Path(name).is_file() or not _is_user_file(name):
         return {}
     return {FILE_KEY: f"{Path(name).name} {digest(Path(name).read_bytes())}"}
 
 
 def _function_of(value: object) -> types.FunctionType | None:
-    """Return the Python function that a value is or wraps, as class members and caches do; None for other values."""
+    """Return the Python function that a value is or wraps (property, cached function); None for other values."""
     while not isinstance(value, types.FunctionType):
         ready = type(value).__module__.partition(".")[0] in ("builtins", "functools")
         if not ready or value is None or isinstance(value, (type, types.MethodType, functools.partial)):
@@ -266,19 +284,19 @@ def _function_of(value: object) -> types.FunctionType | None:
 
 
 def _codes(code: types.CodeType) -> list[types.CodeType]:
-    """A code object, followed by the code objects of all functions within it."""
+    """List of a code object and of the code objects of all functions defined within it."""
     return [code, *(inner for part in code.co_consts if isinstance(part, types.CodeType) for inner in _codes(part))]
 
 
 def _bytecode(code: object) -> object:
-    """Bytecode of a code object as JSON, without file names and line numbers; the text of a constant."""
+    """Bytecode of a code object as JSON, without file names and line numbers; of a constant its `repr`."""
     if isinstance(code, types.CodeType):
         return [code.co_code.hex(), [*code.co_names], [_bytecode(constant) for constant in code.co_consts]]
     return repr(sorted(code, key=repr) if isinstance(code, frozenset) else code)
 
 
 def _is_user_module(module: str) -> bool:
-    """Whether the module of this name is a user's module."""
+    """Whether a module, by its name, is the user's: neither of Python, nor installed, nor of this package."""
     top = module.partition(".")[0]
     if module == "__main__" or top in sys.stdlib_module_names:
         return module == "__main__"
@@ -294,7 +312,7 @@ def _is_user_file(file: str) -> bool:
 
 
 def _plain(value: object) -> bool | float | str | None:
-    """A number or text, or the hash of bytes, as JSON; None for anything else."""
+    """JSON value of a number or a text, or the hash of bytes; None for any other type."""
     if isinstance(value, (str, bool)):
         return value if isinstance(value, bool) else str(value)
     if isinstance(value, Integral) and abs(int(value)) > 1 / sys.float_info.epsilon:
@@ -310,7 +328,7 @@ def _name(kind: type | types.FunctionType) -> str:
 
 # ---------------------------------------------------------------- C sources
 def source_content(source: Path) -> bytes:
-    """Content of a C source, and recursively of the files that its preprocessor lines name relative to it.
+    """Return the content of a C source and of the files that it includes by relative names, also indirectly.
 
     Nothing is preprocessed: a file counts even if a condition excludes it.
 

@@ -1,4 +1,4 @@
-"""Files that are replaced as a whole, folders that one run at a time writes into, and files of earlier runs in them."""
+"""Files that are replaced as a whole, locks on folders, and moving files of earlier runs out of the way."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NO_LOCK_ERRORS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EINVAL)  # er
 # ---------------------------------------------------------------- whole files
 @contextmanager
 def replace_file(path: Path) -> Iterator[BinaryIO]:
-    """Context with a new file that replaces `path` once it is complete on the disk; after an error it is removed."""
+    """Context that yields a new file, which replaces `path` when it is complete; after an error `path` is unchanged."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.part")
     try:
@@ -45,18 +45,18 @@ def replace_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def hash_of(path: Path) -> str | None:
-    """Hash of the content of a file; None if the file does not exist."""
+    """SHA-256 hash of the content of a file; None if the file does not exist."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.exists() else None
 
 
 def write_sealed(path: Path, content: Mapping[str, object]) -> None:
-    """Write data as JSON with their hash."""
+    """Write data to a JSON file together with their hash, by which `read_sealed` detects damage."""
     with replace_file(path) as file:
         file.write(json.dumps({**content, "hash": _seal(content)}).encode())
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
-    """Read data that `write_sealed` wrote.
+    """Read data from a JSON file with their hash, as `write_sealed` writes them.
 
     Raises:
         InputError: the file cannot be read, or its hash is wrong.
@@ -77,7 +77,7 @@ def _seal(content: Mapping[str, object]) -> str:
 # ---------------------------------------------------------------- locks
 @contextmanager
 def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str = LOCK_FILE) -> Iterator[None]:
-    """Context in which no other run may write into a folder. Collective.
+    """Context that locks a folder, so that no other run writes into it. Collective.
 
     The folder is made if necessary, and removed again if it is empty at the end. The lock is the operating system's:
     it ends with the process that holds it, even if this is killed.
@@ -98,7 +98,18 @@ def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str
 
 @contextmanager
 def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> Iterator[None]:
-    """Context of `own_folder` on one rank; with `wait` it waits for another run instead of raising InputError."""
+    """Context that locks a folder on this rank, so that no other run writes into it.
+
+    The folder is made if necessary, and removed again if it is empty at the end.
+
+    Args:
+        folder: the folder.
+        name: name of the lock file in it.
+        wait: whether to wait for another run that has locked the folder.
+
+    Raises:
+        InputError: another run has locked the folder, and `wait` is False; or no files can be written there.
+    """
     made, file = [], -1
     try:
         try:
@@ -120,7 +131,11 @@ def lock_folder(folder: Path, name: str = LOCK_FILE, *, wait: bool = False) -> I
 
 
 def _lock(path: Path, wait: bool) -> int:
-    """Open and lock a file, and return its descriptor; starts again if a run that ended has removed it meanwhile."""
+    """Open and lock a file, write into it which process has the lock, and return its descriptor.
+
+    If another run has removed the file meanwhile, it is made again. With `wait` the lock of another run is waited for;
+    without, it raises an InputError.
+    """
     while True:
         with ExitStack() as stack:
             file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -143,7 +158,11 @@ def _lock(path: Path, wait: bool) -> int:
 
 # ---------------------------------------------------------------- earlier runs
 def move_away(folder: Path, names: Iterable[str]) -> Path | None:
-    """Move files of an earlier run into a new folder previous-N and return it, N counting up; None without files."""
+    """Move those of the named files in a folder that exist into a new folder previous-1, previous-2, ... in it.
+
+    Returns:
+        The new folder; None if none of the files exists.
+    """
     there = [folder / name for name in names if (folder / name).exists()]
     if not there:
         return None
@@ -156,7 +175,7 @@ def move_away(folder: Path, names: Iterable[str]) -> Path | None:
 
 
 def move_back(previous: Path) -> None:
-    """Undo `move_away`."""
+    """Move the files in a folder previous-N back to its parent folder, and remove the empty folder."""
     for path in [*previous.iterdir()]:
         path.rename(previous.parent / path.name)
     previous.rmdir()

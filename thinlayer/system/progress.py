@@ -1,9 +1,10 @@
-"""Progress of long work on standard error, and messages through Python's `logging`; one rank prints for all.
+"""Reports of the progress of long work on standard error, and messages through Python's `logging`, by one rank.
 
-Progress names the work done, the work left, and the time for it. On a terminal it is one changing line, shown after 5 s
-and removed at the end. Elsewhere it is a line a minute, and a line for each compilation of more than 5 s. Nested work
-shares one line. `logging.getLogger("thinlayer").setLevel("ERROR")` silences progress. Messages are shown if the user
-asks for them: `logging.basicConfig(level="INFO")`, or `--verbose` on the command line.
+A report names the work, its present piece, the time spent and the time left. On a terminal it is one changing line,
+shown after 5 s and removed at the end. Elsewhere it is a line a minute, and a line for each compilation of more than
+5 s. Work within other work shares one line with it. `logging.getLogger("thinlayer").setLevel("ERROR")` turns reports
+off. Messages are shown if the user asks for them: `logging.basicConfig(level="INFO")`, or `--verbose` on the command
+line.
 """
 
 from __future__ import annotations
@@ -30,18 +31,26 @@ _SILENT_LOGGER = logging.Logger("thinlayer on other ranks", logging.CRITICAL + 1
 
 
 def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
-    """Logger "thinlayer.PART" on rank 0 of a communicator (default: the world); a silent logger on other ranks.
+    """Return the logger "thinlayer.PART" on rank 0 of a communicator, and a silent logger on other ranks.
 
     Args:
-        part: "solve" (what a solve tries), "march" (steps in time), "study" (what a study has done).
-        comm: communicator of the model.
+        part: what messages are about: "solve" (what a solve tries), "march" (steps in time), "study" (what a study has
+            done).
+        comm: communicator of the model; None: all ranks.
     """
     return _SILENT_LOGGER if (comm or default_comm()).rank else logging.getLogger(f"thinlayer.{part}")
 
 
 @dataclass(eq=False)
 class _Task:
-    """Work in progress: its name, the share done, the share of the present piece, and words for this piece."""
+    """Work in progress.
+
+    Attributes:
+        what: name of the work.
+        share: fraction of the work that is done.
+        piece: fraction of the work that its present piece makes up.
+        now: text on the present piece.
+    """
 
     what: str
     share: float = 0.0
@@ -50,7 +59,12 @@ class _Task:
 
 
 class ProgressReporter:
-    """Prints the progress of nested work; `stream()` is the file to write to, `clock()` the time in seconds."""
+    """Prints the progress of work that may contain other work.
+
+    Args:
+        stream: function that returns the file to write to.
+        clock: function that returns the time, s.
+    """
 
     def __init__(self, stream: Callable[[], TextIO], clock: Callable[[], float]) -> None:
         self._stream, self._clock = stream, clock
@@ -60,7 +74,14 @@ class ProgressReporter:
 
     @contextmanager
     def report(self, what: str) -> Iterator[Callable[..., None]]:
-        """Context or decorator of some work; yields a function that reports the share done and the present piece."""
+        """Context of some work, which yields a function to report its progress; also a decorator.
+
+        The function has the arguments `share`, fraction of the work that is done, `now`, text on the present piece,
+        `piece`, fraction of the work in this piece, and `at_once`, whether to print before the next report is due.
+
+        Args:
+            what: name of the work.
+        """
         work = _Task(what)
         if not self._open:
             self._begun, self._shown = self._clock(), False
@@ -83,7 +104,7 @@ class ProgressReporter:
 
     @contextmanager
     def report_call(self, what: str) -> Iterator[None]:
-        """Context of one call without intermediate progress; it is reported once after 5 s, not only on a terminal."""
+        """Context of one call without intermediate progress; if it takes over 5 s, it is reported, on any output."""
         with self.report(what) as set_share:
             timer = threading.Timer(FIRST_REPORT_SECONDS[True], set_share, (0.0,), {"at_once": True})
             timer.daemon = True
@@ -94,7 +115,13 @@ class ProgressReporter:
                 timer.cancel()
 
     def track(self, items: Sequence[ResultType], what: str, label: str = "{}") -> Iterator[ResultType]:
-        """Yield the items in turn and report progress; label.format(item) names the present item."""
+        """Yield items one after the other and report how many are done.
+
+        Args:
+            items: the items.
+            what: name of the work.
+            label: format string whose only argument is the present item.
+        """
         with self.report(what) as set_share:
             for k, item in enumerate(items):
                 set_share(k / len(items), f"{k + 1} of {len(items)}, {label.format(item)}", 1 / len(items))

@@ -1,7 +1,7 @@
-"""Agreement of ranks on data and errors, messages between ranks, and the end of all if one rank alone has an error.
+"""MPI ranks: collective checks of data and errors, messages between ranks, and abort if one rank alone has an error.
 
-This module imports neither DOLFINx nor PETSc. It must be imported first, so that all ranks end if an error occurs while
-these start.
+This module imports neither DOLFINx nor PETSc. It must be imported before them, so that all ranks end if an error occurs
+on one rank while they start.
 """
 
 from __future__ import annotations
@@ -47,11 +47,14 @@ _NESTED_BLOCKS: Counter[int] = Counter()  # communicator -> number of nested blo
 # ---------------------------------------------------------------- agreement
 @contextmanager
 def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
-    """Context for code that each rank runs by itself, also users' code: an error on one rank is raised on all. Collective.
+    """Context at whose end an error that occurred on one rank is raised on all ranks. Collective.
 
-    The code may make collective calls. If an error keeps a rank from a call in which the others wait, they never reach
-    the end of the block. The rank then waits for `MIN_WAIT_SECONDS`, or for the time it has been in the block if that
-    is longer, and ends all ranks.
+    The code in the block may be the user's and may make collective calls. If an error keeps a rank from a call in which
+    the others wait, they never reach the end of the block. The rank then waits for 60 s, or for the time it has been in
+    the block if that is longer, and ends all ranks.
+
+    Args:
+        comm: communicator of the ranks; None: the default communicator.
 
     Raises:
         InputError: an error occurred on some ranks; it names the first of these. If all ranks have an error, each
@@ -79,9 +82,15 @@ def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
 
 
 def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
-    """Text of every rank's error, or None, once all ranks have reached the end of the same block.
+    """Return the text of each rank's error (None: no error) when all ranks have reached the end of the same block.
 
-    Ranks in an inner block receive the errors there, and reach this block with errors of their own.
+    Ranks in an inner block receive the errors there, and then leave this block with the same errors.
+
+    Args:
+        comm: communicator of the ranks.
+        depth: number of nested blocks that this rank is in.
+        problem: error of this rank; None: no error.
+        patience: time that this rank waits for the others if it has an error, s. After it all ranks are ended.
     """
     kind = "" if isinstance(problem, ValueError) else f"{type(problem).__name__}: "
     text = None if problem is None else f"{kind}{problem}"
@@ -101,12 +110,15 @@ def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, pat
 
 
 def require_same(comm: MPI.Intracomm | None, **data: object) -> str:
-    """Return the hash of data, "" on one rank; raise InputError on all ranks if ranks have different data. Collective.
+    """Raise InputError on all ranks unless all have the same data; return the data's hash. Collective.
+
+    Without other ranks nothing is compared, and the hash is "".
 
     Args:
-        comm: communicator (default: the world).
-        data: name -> value, see `thinlayer.system.fingerprint.describe`; the same names on all ranks.
-            Objects that only one process knows, such as a function on a mesh, are compared by class.
+        comm: communicator; None: the default communicator.
+        data: name for messages -> value of any type, with the same names on all ranks. Values are compared by their
+            descriptions (`thinlayer.system.fingerprint.describe`). Objects that belong to one process, such as a
+            function on a mesh, are compared by class.
     """
     comm = comm or default_comm()
     if comm.size == 1:
@@ -127,14 +139,16 @@ def require_same(comm: MPI.Intracomm | None, **data: object) -> str:
 
 
 def _raised_on_all(error: Exception) -> Exception:
-    """The error, marked as raised on all ranks."""
+    """Mark an error as raised on all ranks, and return it."""
     error.on_all_ranks = True  # type: ignore[attr-defined]
     return error
 
 
 # ---------------------------------------------------------------- messages
 def communicator(mesh: Mesh) -> MPI.Intracomm:
-    """Communicator of a mesh's ranks that outlives the mesh: COMM_SELF, COMM_WORLD, or a copy. Collective.
+    """Return a communicator of the ranks of a mesh that outlives the mesh. Collective.
+
+    It is COMM_SELF, COMM_WORLD, or a duplicate of the mesh's communicator that is kept for later calls.
 
     The mesh's own communicator cannot be used. If it ever served a pickled collective call, mpi4py 4.0 waits for itself
     when Python's garbage collector frees the mesh during another such call.
@@ -147,11 +161,12 @@ def communicator(mesh: Mesh) -> MPI.Intracomm:
 
 
 def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
-    """Free PETSc objects that Python no longer uses; on several ranks this needs a collective call.
+    """Free PETSc objects that Python no longer uses, which on several ranks needs this call. Collective.
 
     Args:
         comm: communicator of the ranks.
-        used: function space whose communicator is cleaned, too, from now on; it may be freed before its PETSc objects.
+        used: function space whose communicator this and later calls clean, too. PETSc objects on it may outlive the
+            space. None: none is added.
     """
     from petsc4py import PETSc
 
@@ -169,31 +184,32 @@ def collect(comm: MPI.Intracomm, used: FunctionSpace | None = None) -> None:
 
 
 class Destroyable(Protocol):
-    """PETSc object, or something made of PETSc objects."""
+    """Type of PETSc objects, and of objects that own such objects, with a method `destroy`."""
 
     def destroy(self) -> object: ...  # noqa: D102
 
 
 def destroy(*things: Destroyable | None) -> None:
-    """Destroy PETSc objects, or what is made of them; None is skipped."""
+    """Call `destroy` of PETSc objects and of objects that own such objects; None is skipped."""
     for thing in things:
         if thing is not None:
             thing.destroy()
 
 
 def send(comm: MPI.Intracomm, rank: Array, rows: Array) -> Array:
-    """Send row k to rank[k], and return the rows received, ordered by source rank. Collective."""
+    """Send row k of this rank's `rows` to the rank `rank[k]`, and return the rows received, by source. Collective."""
     return np.concatenate(comm.alltoall([rows[rank == r] for r in range(comm.size)]))
 
 
 def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Array, Array], Array]) -> Array:
-    """Send question k to rank[k] and return the answers in the same order. Collective.
+    """Send row k of `questions` to the rank `rank[k]`, and return the answers in the same order. Collective.
 
     Args:
         comm: communicator.
-        rank: (n,) rank that knows the answer.
-        questions: (n, ...) rows to send.
-        answer: called once on each rank with all rows received and the rank each came from; one answer per row.
+        rank: (n,) rank that answers each row.
+        questions: (n, ...) rows of numbers to send.
+        answer: function called once on each rank with all rows received and the rank each came from; it returns an
+            array with a row for each of them.
     """
     order = [np.flatnonzero(rank == r) for r in range(comm.size)]
     received = comm.alltoall([questions[rows] for rows in order])
@@ -206,16 +222,16 @@ def ask(comm: MPI.Intracomm, rank: Array, questions: Array, answer: Callable[[Ar
 
 
 def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array], Array], wanted: Array) -> Array:
-    """Send values of cells, known by their original numbers, to the ranks that want them. Collective.
+    """Send values of cells, which all ranks number in the same way, to the ranks that need them. Collective.
 
     Args:
         comm: communicator.
-        cells: (n,) original numbers of the cells whose values this rank holds.
-        values: function of indices (m,) into `cells` that returns values (m, k).
-        wanted: (m,) original numbers of the cells whose values this rank wants.
+        cells: (n,) numbers in the joint of the cells whose values this rank has.
+        values: function that returns the values (i, k) of cells, from their positions (i,) in `cells`.
+        wanted: (m,) numbers in the joint of the cells whose values this rank needs.
 
     Returns:
-        (m, k) values; NaN for cells that no rank holds.
+        (m, k) values; NaN for cells whose values no rank has.
     """
     highest = comm.allreduce(int(max(cells.max(initial=-1), wanted.max(initial=-1))), MPI.MAX) + 1
 
@@ -227,7 +243,7 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
 
     def find_holders(questions: Array, _: Array) -> Array:
-        """Return (m, 2) the rank that holds each cell, and the cell's index there; -1 for cells that no rank holds."""
+        """Return the rank that has each cell's values and the cell's position there, (m, 2); -1: no rank has them."""
         out = np.full((len(questions), 2), -1)
         if len(rows):
             at = np.minimum(np.searchsorted(rows[:, 0], questions), len(rows) - 1)
@@ -244,13 +260,13 @@ def carry_cell_values(comm: MPI.Intracomm, cells: Array, values: Callable[[Array
 
 # ---------------------------------------------------------------- the end
 def abort(error: BaseException) -> None:
-    """Print an error and end all ranks."""
+    """Print an error with its traceback, and end the processes of all ranks."""
     traceback.print_exception(error)
     _end(EXIT_STATUS)
 
 
 def is_done(request: MPI.Request, within: float) -> bool:
-    """Whether a request completes within this number of seconds."""
+    """Whether an MPI request completes within `within` seconds."""
     end = time.monotonic() + within
     while not request.Test():
         if time.monotonic() > end:
@@ -266,10 +282,10 @@ def _end(status: int) -> None:
 
 
 def _end_before_petsc() -> None:
-    """Let `python3 -m mpi4py` end all ranks before PETSc ends on the rank that has an error.
+    """Let `python3 -m mpi4py` abort all ranks as soon as a script ends with an error on one rank.
 
-    mpi4py stores the status and aborts last of all. Before this, Python frees the script's PETSc objects and PETSc ends;
-    both are collective, so this rank would wait for the others.
+    mpi4py itself aborts only after Python has freed the script's PETSc objects and PETSc has ended. Both are
+    collective, so that the rank with the error would wait for the others.
     """
     note = MPI._set_abort_status
 

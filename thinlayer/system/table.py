@@ -1,4 +1,4 @@
-"""Table: rows of named numbers, each written to a csv file as soon as it is added."""
+"""Table: rows of numbers and texts in named columns, which may be written to a csv file as they are added."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ ColumnValues = Mapping[str, Any]  # column -> entry, or entries, as a user gives
 
 
 class ColumnError(InputError, KeyError):
-    """Error for a column that a table does not have, or that has texts where numbers are needed."""
+    """Error about a column that a table does not have, or that has texts where numbers are needed."""
 
 
 class Table:
-    """Rows with the same columns. On several ranks all have the same table, and only rank 0 reads and writes files.
+    """Rows of numbers and texts with the same columns.
 
-    A csv file has no types: entries that `float` accepts are read back as numbers ("007" is 7), and "" as None.
+    All MPI ranks have the same table, and only rank 0 reads and writes files. A csv file has no types: entries that
+    `float` accepts are read back as numbers ("007" is 7), and empty ones as None.
 
     Attributes:
-        rows: the rows so far; None is an empty entry.
-        path: csv file to which each row is written at once, or None.
+        rows: the rows so far, name of a column -> number, text, or None for an empty entry.
+        path: csv file to which added rows are written at once; None: no file.
 
     Example:
         >>> from thinlayer import Table
@@ -55,16 +56,16 @@ class Table:
         self.extend(rows)
 
     def append(self, row: ColumnValues) -> None:
-        """Add a row, and write the table to its file on the disk before returning. Collective, if there is a file.
+        """Add a row, and write the table to its file, if it has one, before returning. Collective if it has a file.
 
         Raises:
-            InputError: columns other than the first row's, or a name of a column that is no text.
+            InputError: columns that differ from those of the first row, or a name of a column that is no text.
             OSError: the file could not be written; on all ranks.
         """
         self.extend([row])
 
     def extend(self, rows: Iterable[ColumnValues]) -> None:
-        """Add rows as `append` does, but write the file only once."""
+        """Add several rows, and write the table once to its file, if it has one. Collective if it has a file."""
         before = len(self.rows)
         for row in rows:
             if self.rows and list(row) != self.columns:
@@ -88,7 +89,7 @@ class Table:
         on_root(comm, lambda: self.put(Path(path)))
 
     def put(self, path: Path) -> None:
-        """Write all rows to a csv file, on this rank."""
+        """Write all rows to a csv file on this rank, whichever it is."""
         text = io.StringIO()
         writer = csv.writer(text)
         writer.writerow(self.columns)
@@ -98,7 +99,14 @@ class Table:
 
     @classmethod
     def of(cls, columns: ColumnValues) -> Table:
-        """Make a table from columns of equal length, or of one entry for all rows; InputError for other lengths."""
+        """Make a table from columns.
+
+        Args:
+            columns: name -> entries, as many for all columns, or one entry for all rows.
+
+        Raises:
+            InputError: columns of different lengths.
+        """
         entries = [np.atleast_1d(np.asarray(column, object)) for column in columns.values()]
         try:
             rows = zip(*np.broadcast_arrays(*entries), strict=True)
@@ -116,7 +124,8 @@ class Table:
             comm: communicator whose rank 0 reads (default: the world).
 
         Raises:
-            FileNotFoundError: the file does not exist. InputError: it cannot be read, or is not a table. On all ranks.
+            FileNotFoundError: the file does not exist; on all ranks.
+            InputError: it cannot be read, or is not a table; on all ranks.
         """
 
         def read() -> list[list[str]]:
@@ -138,20 +147,27 @@ class Table:
 
     @property
     def columns(self) -> list[str]:
-        """Names of the columns."""
+        """Names of the columns, in order; [] without rows."""
         return list(self.rows[0]) if self.rows else []
 
     def orders(self, errors: str, of: str = "eps") -> list[float | None]:
-        """Observed order of convergence in each row, log(e_k-1/e_k)/log(h_k-1/h_k), from errors e and sizes h.
+        """Observed rates of convergence, log(e_k-1/e_k)/log(h_k-1/h_k) in row k with the error e_k and the size h_k.
 
-        None in the first row, and where one of the two errors is zero or not a number. ColumnError: no such column.
+        It is None in the first row, and where one of the two errors is zero or not a number.
+
+        Args:
+            errors: name of the column of errors e.
+            of: name of the column of sizes h, such as a thickness or a cell size.
+
+        Raises:
+            ColumnError: no such column.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             slopes = np.diff(np.log(self[errors])) / np.diff(np.log(self[of]))
         return [None, *(order if math.isfinite(order) else None for order in slopes.tolist())]
 
     def split(self, column: str) -> dict[Any, Table]:
-        """Return value of a column -> table of the rows with this value, in order; ColumnError: no such column."""
+        """Return value in a column -> table of the rows with this value; raise ColumnError for an unknown column."""
         values = dict.fromkeys(self._entries(column))
         return {value: Table(row for row in self if row[column] == value) for value in values}
 
@@ -165,7 +181,7 @@ class Table:
         return len(self.rows)
 
     def __getitem__(self, column: str) -> npt.NDArray[np.float64]:
-        """A column as numbers, NaN where empty."""
+        """Entries of a column as an array of numbers, NaN where empty; ColumnError: no such column, or texts in it."""
         entries = [np.nan if value is None else value for value in self._entries(column)]
         try:
             return np.array(entries, float)

@@ -1,4 +1,4 @@
-"""The version, printing to standard output, and messages of errors that end a run; imports nothing of MPI."""
+"""Version of the package, printing to standard output, and texts of errors that end a run; without MPI."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ VERSION = "1.0.0"  # version of these packages; pyproject.toml reads it
 
 
 def version_of(package: str) -> str:
-    """Version of a package; "not installed" for a missing one."""
+    """Version of an installed package, or "not installed"."""
     with suppress(PackageNotFoundError):
         return version(package)
     return "not installed"
 
 
 def error_reason(error: BaseException) -> str:
-    """Message for an error that ends a run."""
+    """Text for an error that ends a run: the reason, with the file of an OSError and the class of a defect."""
     if isinstance(error, OSError):
         where = f" {str(error.filename)!r}" if error.filename else ""
         return f"a file{where} could not be written or read: {error.strerror or error}"
@@ -29,7 +29,7 @@ def error_reason(error: BaseException) -> str:
 
 
 def print_safely(text: object) -> None:
-    """Print, or do nothing once the reader of standard output has gone, as in `python3 -m thinlayer list | head -1`."""
+    """Print a text; do nothing if the reader of standard output has gone, as in `thinlayer list | head -1`."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
@@ -37,6 +37,6 @@ def print_safely(text: object) -> None:
 
 
 def two_columns(texts: Mapping[str, str]) -> str:
-    """Names and their texts as one text in two columns."""
+    """Write name -> text as lines of two columns."""
     width = max(map(len, texts), default=0)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in texts.items())

@@ -1,1 +1,1 @@
-"""Files for ParaView (`thinlayer.fields`): the writer, the blocks that it writes, and the cells in VTK's order."""
+"""Files for ParaView (`thinlayer.fields`): the function that writes them, the VTK blocks, and cells in VTK's order."""

@@ -127,7 +127,7 @@ def gather_grid(state: State) -> VtkGrid | None:
 
 
 def _base(joint: Joint) -> tuple[Array, int]:
-    """Coordinates (facets, k, 3) of the nodes of the rigid base's facets, in VTK's order, and VTK's code of their type."""
+    """Coordinates (facets, k, 3) of the nodes of the rigid base's facets, in VTK's order, and VTK's type of facet."""
     kind = FACET_TYPES[joint.cell_type]
     names = joint.base_seams if joint.band is None else (BASE,) if BASE in joint.facets else ()
     if not names:

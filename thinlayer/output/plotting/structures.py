@@ -120,7 +120,7 @@ def on_surface(
 
 
 def _panels(states: Mapping[str, State] | State, what: str) -> dict[str, State]:
-    """Return label -> state ("" for one state); raise InputError, with the function's name `what`, for anything else."""
+    """Return label -> state ("" for one state); raise InputError, naming the function `what`, for anything else."""
     panels = labelled(f"{what}: states", states, "state")
     for label, state in panels.items():
         if not isinstance(state, State):
