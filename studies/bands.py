@@ -1,4 +1,4 @@
-"""Frictional bands in `rates`: layers that open and slip, without cohesion, against Coulomb contact on S."""
+"""Rows of the study `rates`: meshed frictional layers without cohesion against Coulomb contact on S."""
 
 from __future__ import annotations
 
@@ -33,19 +33,26 @@ AT_LIMIT = 1e-2  # relative distance from the threshold at which a node counts a
 
 
 def blocks(h: float, path: LoadPath) -> Problem:
-    """The blocks of `pressed`, of elements Q1; contact acts at the nodes of S, the band at its quadrature points."""
+    """The blocks of `pressed`, of elements Q1; return their joint and the arguments of their `Structure`.
+
+    Contact acts at the nodes of S, a meshed frictional layer at its quadrature points.
+
+    Args:
+        h: cell size.
+        path: time -> loads p, r and q of `pressed`.
+    """
     joint, setup = pressed(h, path)
     return joint, setup | {"element": "Q1"}
 
 
 def along_s(state: State, surface: Surface) -> dict[str, Array]:
-    """Pressure and shear traction at the nodes of S."""
+    """Return x along S, pressure and shear traction at the nodes of S in a state, by name."""
     x, t = surface.profile(surface.frame(surface.traction(state)))
     return {"x": x[:, 0], "pressure": -t[:, 1], "shear traction over E/100": t[:, 0]}
 
 
 def zones(full: Solution, limit: Solution) -> dict[str, float]:
-    """Lengths of S that are separated and that slide in both models, by the tractions at its nodes."""
+    """Lengths of S that are separated and that slide, in the meshed layer and under contact, from nodal tractions."""
     surface, row = Surface(last(limit).model), dict[str, float]()
     for name, solution in (("band", full), ("contact", limit)):
         x, p, shear = along_s(last(solution), surface).values()
@@ -57,7 +64,7 @@ def zones(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def same_zones(record: Record, tables: Tables) -> None:
-    """Check that stick, sliding and separation occur, with lengths in thinnest band and contact that nearly agree."""
+    """Check that S sticks, slides and separates, on lengths that nearly agree between thinnest layer and contact."""
     for name in ("friction", "friction history"):
         table, h = tables[name], record.parameters[name]["h"]
         sizes = {zone: table[f"{zone}_contact"][-1] for zone in ("separated", "sliding")}
@@ -69,6 +76,9 @@ def same_zones(record: Record, tables: Tables) -> None:
 
 
 def sine_leaves_an_error(record: Record, tables: Tables) -> None:
-    """Check that friction sin(Omega) on S, as for the full law under lasting shear, is wrong for this band."""
+    """Check that contact with the friction coefficient sin(Omega) is wrong for this layer, for which tan(Omega) is right.
+
+    A layer of the law `MohrCoulomb` under lasting shear has sin(Omega); this layer slips only along S.
+    """
     sine, tangent = (tables[name]["error_jump"][-1] for name in ("friction sine", "friction"))
     record.check("friction sin(Omega) on S: last error of the jump over that with tan(Omega)", sine / tangent, low=2)

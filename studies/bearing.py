@@ -24,10 +24,10 @@ MODELS = {"meshed": "meshed layer", "rubber": "law Rubber, order 1", "order_0": 
 
 
 def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) -> None:
-    """Pull the upper plate by 0.01 mm, and compare the force with the closed form for rigid plates.
+    """Pull the upper plate by 0.01 mm, and compare the force in three models with a closed form for rigid plates.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         nu: Poisson's ratios of the rubber, in (0, 1/2].
         quick: every other ratio, fewer cells, and two shape factors.
     """
@@ -84,7 +84,7 @@ def _model(structure: Structure, name: str, eps: float, nu: float) -> Model:
 
 
 def draw(record: Record) -> None:
-    """Draw stiffnesses, relative to the closed form, against nu from table.csv."""
+    """Draw stiffnesses over those of the closed form against Poisson's ratio, from table.csv."""
     parts = {}
     for shape, part in record.load("table.csv").split("shape").items():
         at = part["nu"] < 0.5

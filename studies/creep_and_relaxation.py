@@ -1,4 +1,4 @@
-"""Creep and relaxation of columns: interface law, meshed layer and closed forms; orders of the time schemes."""
+"""Creep and relaxation of columns: interface law, meshed layer and closed forms; rates of the time schemes."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class Pull:
 
     Attributes:
         name: "sheared" or "pulled".
-        axis: component that moves, 0 or 1.
-        stress: traction on top, constant from t = 0 on.
-        end: displacement of the top, constant from t = 0 on.
-        share: |[u] (x)_s n|^2 over |[u]|^2.
+        axis: component of the load, 0 along S (shear) or 1 across S.
+        stress: traction on top in creep, constant from t = 0 on.
+        end: displacement of the top in relaxation, constant from t = 0 on.
+        share: squared norm of the strain sym([u] (x) n) over |[u]|^2, 1/2 in shear and 1 across S.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Pull:
     share: float
 
     def modulus(self, lmbda: float, mu: float) -> float:
-        """Stress over strain of a column with these moduli, or viscosities."""
+        """Stress over strain of a column with Lamé's moduli lmbda and mu; with viscosities, stress over strain rate."""
         return lmbda + 2 * mu if self.axis else mu
 
 
@@ -63,8 +63,9 @@ class CreepCase:
 
     Attributes:
         law: the layer's law.
-        exact: closed form of the measured jump or traction at times t > 0.
-        relaxes: whether the top is moved and the traction measured; else the traction is fixed and the jump measured.
+        exact: closed form, from the way of loading and times t > 0, of the measured jump or traction.
+        relaxes: True: the displacement of the top is prescribed and the traction measured. False: the traction is
+            prescribed and the jump measured.
     """
 
     law: BulkLaw
@@ -73,25 +74,28 @@ class CreepCase:
 
 
 def kelvin_voigt(pull: Pull, t: Array) -> Array:
-    """Jump of a Kelvin-Voigt layer under a constant traction."""
+    """Closed form of the jump of a Kelvin-Voigt layer at times t under a constant traction."""
     K, G = pull.modulus(LMBDA, MU), pull.modulus(LMBDA * THETA_LMBDA, MU * THETA_MU)
     return pull.stress / K * (1 - np.exp(-K / G * t))
 
 
 def maxwell(pull: Pull, t: Array) -> Array:
-    """Jump of a Maxwell layer under a constant traction."""
+    """Closed form of the jump of a Maxwell layer at times t under a constant traction."""
     return pull.stress / pull.modulus(LMBDA, MU) * (1 + t / T1)
 
 
 def relaxation(pull: Pull, t: Array) -> Array:
-    """Traction of a Maxwell layer under a constant displacement of the top; the bodies deform, too."""
+    """Closed form of the traction at times t of a Maxwell layer between elastic bodies under a fixed displacement."""
     K = pull.modulus(LMBDA, MU)
     ratio = 1 + K / pull.modulus(BODY.lmbda, BODY.mu)  # the bodies are 1 high together
     return pull.end * K / ratio * np.exp(-t / (T1 * ratio))
 
 
 def norton(law: Norton, pull: Pull, t: Array) -> Array:
-    """Jump of a Norton layer under a constant traction; for p > 2 the creep ends at a finite time."""
+    """Closed form of the jump of a Norton layer at times t under a constant traction.
+
+    For exponents p > 2 the creep ends at a finite time.
+    """
     K, q = pull.modulus(LMBDA, MU), 1 / (law.p - 1)
     rate = (law.eta * pull.share ** (law.p / 2)) ** -q
     dashpot = np.maximum(pull.stress ** (1 - q) - (1 - q) * K * rate * t, 0.0) ** (1 / (1 - q))
@@ -99,7 +103,7 @@ def norton(law: Norton, pull: Pull, t: Array) -> Array:
 
 
 def series(pull: Pull, t: Array) -> Array:
-    """Jump of a Maxwell and a Kelvin-Voigt half in series under a constant traction."""
+    """Closed form of the jump of a layer, half Maxwell and half Kelvin-Voigt in series, under a constant traction."""
     return (maxwell(pull, t) + kelvin_voigt(pull, t)) / 2
 
 
@@ -116,12 +120,13 @@ CASES = {
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Shear and pull columns by a sudden constant load: both models over time, then the error at t = 1.
+    """Shear and pull columns by a sudden constant load, and measure errors of both models against closed forms.
 
-    The midpoint rule gives the curves.
+    Curves over time are computed by the midpoint rule. The error at t = 1 is measured with decreasing time steps for
+    the rates of convergence of the time schemes.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         quick: longer and fewer steps.
     """
     steps = STEPS[:2] if quick else STEPS
@@ -146,7 +151,7 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def check_printed(record: Record, curves: dict[str, Array]) -> None:
-    """Check that jumps by the laws as printed in the paper differ from the meshed layer's, and by which factor.
+    """Check by which factor jumps of two laws as printed in the paper differ from those of the meshed layer.
 
     Eq. (19) has half of the right tangential compliance, and a negative normal compliance. In Eq. (23) the modulus bars
     are around the rate: for shear that is another viscosity, as |v (x)_s n| = |v|/sqrt(2).
@@ -163,15 +168,18 @@ def check_printed(record: Record, curves: dict[str, Array]) -> None:
 
 
 def until(end: float, dt: float) -> list[float]:
-    """Ends of equal steps from 0."""
+    """Ends of equal time steps dt from 0 to `end`."""
     return [(k + 1) * dt for k in range(round(end / dt))]
 
 
 class Column:
-    """Two bodies with a layer between them.
+    """A column of two bodies with a layer between them, under one way of loading.
 
     Attributes:
-        models: label -> model.
+        record: folder of the results.
+        case: law of the layer, and what is measured.
+        pull: way of loading.
+        models: "interface law" and "meshed layer" -> model.
     """
 
     def __init__(self, record: Record, case: CreepCase, pull: Pull) -> None:
@@ -186,13 +194,22 @@ class Column:
         self.models: dict[str, Model] = {INTERFACE: structure.interface(layer), FULL: structure.full(layer)}
 
     def follow(self, model: Model, times: Sequence[float], theta: float = 0.5) -> Array:
-        """March a model; return the jump along the load, in relaxation the traction, at the ends of steps."""
+        """March a model, and return the jump, in relaxation the traction, in the direction of the load at these times.
+
+        Args:
+            model: the model.
+            times: ends of the time steps.
+            theta: fraction of a time step after which forces balance, 1/2 for the midpoint rule.
+        """
         history, surface = self.record.solved(march(model, times, theta=theta)), Surface(self.models[INTERFACE])
         field = surface.traction if self.case.relaxes else surface.jump
         return np.array([surface.integral(surface.frame(field(history.at(t)))[self.pull.axis]) for t in times])
 
     def errors(self, steps: Sequence[float]) -> dict[str, float | None]:
-        """Closed form at the time AT, relative errors of the interface law there, and their last observed orders."""
+        """Return the closed form at t = 1, relative errors of the interface law there, and last rates of convergence.
+
+        `steps` are decreasing lengths of time steps.
+        """
         exact = float(self.case.exact(self.pull, np.array(AT)))
         row: dict[str, float | None] = {"exact": exact}
         for scheme, (theta, _) in SCHEMES.items():

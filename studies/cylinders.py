@@ -1,4 +1,4 @@
-"""Concentric cylinders in plane strain: a coated fibre and bonded tubes in `rates`, and their closed forms."""
+"""Rows of the study `rates` with closed forms: a coated fibre and bonded tubes, concentric cylinders."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ Springs = Sequence[tuple[float, float] | None]  # between neighbours: normal and
 
 @dataclass(frozen=True)
 class Cylinders:
-    """Concentric elastic cylinders, the innermost solid, with u = (a x, b y) on the outermost radius R.
+    """Closed form of concentric elastic cylinders in plane strain, with u = (a x, b y) on the outermost radius.
 
-    u_r = u_0 + u_2 cos(2 theta) and u_theta = v_2 sin(2 theta); stresses on circles have the same form. In each
-    cylinder mode 0 is u_0 = A r + B / r. Mode 2 follows from the complex potentials a z^3 + b / z and c z + d / z^3.
+    The innermost cylinder is solid. In polar coordinates u_r = u_0 + u_2 cos(2 theta) and u_theta = v_2 sin(2 theta);
+    stresses on circles have the same form. In each cylinder mode 0 is u_0 = A r + B / r. Mode 2, with u_2 and v_2,
+    follows from Muskhelishvili's potentials, combinations of z^3 and 1/z, and of z and 1/z^3.
 
     Attributes:
         laws: laws of the cylinders, the innermost first.
-        radii: their outer radii, growing lengths.
-        coefficients: mode -> coefficients (cylinders, 2 or 4) of its solutions.
+        radii: their outer radii, increasing.
+        coefficients: number of the mode, 0 or 2 -> (cylinders, 2 or 4) coefficients of its independent solutions.
     """
 
     laws: tuple[LinearElastic, ...]
@@ -45,12 +46,13 @@ class Cylinders:
     def stretched(
         cls, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, stretch: tuple[float, float]
     ) -> Self:
-        """Solve for the coefficients.
+        """Solve for the coefficients of both modes.
 
         Args:
-            laws, radii: the attributes.
-            springs: between neighbours, stress per length.
-            stretch: a and b.
+            laws: laws of the cylinders, the innermost first.
+            radii: their outer radii, increasing.
+            springs: for each interface, normal and tangential stiffness, stress per length; None: bonded.
+            stretch: a and b in the displacement (a x, b y) on the outermost radius.
         """
         a, b = stretch
         rim = {0: ((a + b) / 2, 0.0), 2: ((a - b) / 2, (b - a) / 2)}
@@ -58,29 +60,32 @@ class Cylinders:
         return cls(tuple(laws), tuple(radii), solved)
 
     def fields(self, mode: int, k: int, r: float) -> Array:
-        """Amplitudes of u_r, u_theta, s_rr and s_rtheta of a mode in cylinder k, at a radius."""
+        """Amplitudes (4,) of u_r, u_theta and the stresses s_rr, s_rtheta of mode 0 or 2 in cylinder k, at a radius."""
         return np.asarray(_solutions(mode, self.laws[k], r) @ self.coefficients[mode][k])
 
     def displacement(self, k: int, r: float, theta: float) -> Array:
-        """u_r and u_theta in cylinder k."""
+        """Displacements u_r and u_theta in cylinder k, at polar coordinates."""
         zero, two = (self.fields(mode, k, r)[:2] for mode in MODES)
         return zero + two * [np.cos(2 * theta), np.sin(2 * theta)]
 
     def jumps(self, k: int) -> Array:
-        """(2, 2) amplitudes of [u_r] and [u_theta] of both modes, from cylinder k to the next cylinder."""
+        """Amplitudes (2, 2), for both modes, of the jumps of u_r and u_theta from cylinder k to the next cylinder."""
         r = self.radii[k]
         return np.array([(self.fields(mode, k + 1, r) - self.fields(mode, k, r))[:2] for mode in MODES])
 
     @property
     def energy(self) -> float:
-        """Elastic energy per length of the cylinders: half the work of the tractions on the rim."""
+        """Elastic energy of all cylinders, per unit of their length."""
         last, R = len(self.laws) - 1, self.radii[-1]
         zero, two = (self.fields(mode, last, R) for mode in MODES)
         return float(pi * R * zero[:2] @ zero[2:] + pi * R / 2 * two[:2] @ two[2:])
 
 
 def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
-    """(4, n) amplitudes of u_r, u_theta, s_rr, s_rtheta of a mode's solutions at a radius, regular solutions first."""
+    """Amplitudes (4, n) of u_r, u_theta, s_rr, s_rtheta of the n independent solutions of a mode at a radius.
+
+    The solutions that are regular at r = 0 are first.
+    """
     mu, kappa = law.mu, (law.lmbda + 3 * law.mu) / (law.lmbda + law.mu)
     if mode == 0:
         return np.array([[r, 1 / r], [0.0, 0.0], [2 * (law.lmbda + mu), -2 * mu / r**2], [0.0, 0.0]])
@@ -90,7 +95,10 @@ def _solutions(mode: int, law: LinearElastic, r: float) -> Array:
 
 
 def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs) -> Array:
-    """Matrix (cylinders - 1, 4, cylinders, n) of interface conditions: jumps less springs' extensions; stress jumps."""
+    """Matrix (interfaces, 4, cylinders, n) of the conditions at interfaces, for the n coefficients of each cylinder.
+
+    They say that displacement jumps equal the extensions of the springs, and that tractions are continuous.
+    """
     rows = np.zeros((len(radii), 4, len(laws), _solutions(mode, laws[0], 1.0).shape[1]))
     for k, (spring, r) in enumerate(zip(springs, radii, strict=True)):
         inside, outside = (_solutions(mode, law, r) for law in laws[k : k + 2])
@@ -101,7 +109,11 @@ def _between(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], s
 
 
 def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], springs: Springs, rim: Array) -> Array:
-    """Coefficients of a mode: regular in the innermost cylinder, with continuous stresses and the springs' jumps."""
+    """Coefficients (cylinders, n) of a mode that meet the conditions at interfaces and are regular at r = 0.
+
+    `rim` are the amplitudes of u_r and u_theta on the outermost radius; other arguments are those of
+    `Cylinders.stretched`.
+    """
     between = _between(mode, laws, radii[:-1], springs)
     n, size = between.shape[3], between[0, 0].size
     at_rim = np.zeros((2, size))
@@ -115,33 +127,33 @@ def _solved(mode: int, laws: Sequence[LinearElastic], radii: Sequence[float], sp
 
 @dataclass(frozen=True)
 class Lame:
-    """Concentric tubes under inner pressure, without strain along the axis: u = A r + B/r in each.
+    """Closed form of concentric tubes under inner pressure, without axial strain (Lamé).
 
     Attributes:
         laws: laws of the tubes, the innermost first.
-        coefficients: (tubes, 2) A and B.
+        coefficients: (tubes, 2) A and B of the radial displacement A r + B/r in each tube.
     """
 
     laws: tuple[LinearElastic, ...]
     coefficients: Array
 
     def displacement(self, k: int, r: float) -> float:
-        """Radial displacement of tube k at a radius."""
+        """Radial displacement of tube k, counted from inside, at a radius."""
         return float(self.coefficients[k] @ _solutions(0, self.laws[k], r)[0])
 
     def stress(self, k: int, r: float) -> float:
-        """Radial stress in tube k at a radius."""
+        """Radial stress in tube k, counted from inside, at a radius."""
         return float(self.coefficients[k] @ _solutions(0, self.laws[k], r)[2])
 
 
 def lame(radii: Sequence[float], laws: Sequence[LinearElastic], springs: Sequence[float | None], p: float) -> Lame:
-    """Solve for tubes under inner pressure.
+    """Solve for concentric tubes under inner pressure.
 
     Args:
-        radii: radii of the bore, the interfaces and the rim, growing lengths.
+        radii: increasing radii of the bore, of the interfaces and of the outer side.
         laws: laws of the tubes, the innermost first.
-        springs: normal stiffness between neighbours, stress per length; None: bonded.
-        p: pressure in the bore; the rim is free.
+        springs: normal stiffness of each interface, stress per length; None: bonded.
+        p: pressure in the bore; the outer side is free.
     """
     between = _between(0, laws, radii[1:-1], [None if k is None else (k, k) for k in springs])[:, ::2]  # radial rows
     ends = np.zeros((2, 2 * len(laws)))
@@ -158,14 +170,20 @@ COATING = LinearElastic(lmbda=0.6, mu=0.7)  # at the thickness 1
 
 
 def coated_fibre(h: float) -> Problem:
-    """A fibre in a disc of resin whose rim is stretched; joint, arguments of its `Structure`. Without units."""
+    """A fibre in a disc of resin whose rim is stretched; return its joint and the arguments of its `Structure`.
+
+    Lengths and stresses have no units; h is the cell size.
+    """
     joint = fibre(RADIUS, RIM, h, cell="quadrilateral", degree=2)
     rim: Support = {"x": lambda x, t: STRETCH * x[0], "y": 0.0}
     return joint, {"body": {"FIBRE": GLASS, "MATRIX": RESIN}, "supports": {"OUTSIDE": rim}}
 
 
 def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
-    """Relative L2 difference of both models' jumps in closed form, and relative error of the full model's energy."""
+    """Compare with closed forms: relative L2 difference of the jumps of both models, error of the full model's energy.
+
+    The difference is that between the closed forms with a layer and with springs; the error is relative.
+    """
     eps = float(layer_of(full).eps)
     springs = (COATING.lmbda + 2 * COATING.mu, COATING.mu)
     jumps = Cylinders.stretched((GLASS, RESIN), (RADIUS, RIM), [springs], (STRETCH, 0.0)).jumps(0)
@@ -181,7 +199,7 @@ def against_cylinders(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def as_cylinders(record: Record, tables: Tables) -> None:
-    """Check that both models differ as their closed forms do, and the energy of the full model."""
+    """Check that the jumps of both models differ as in closed form, and check the energy of the full model."""
     ratio = tables["fibre"]["error_jump"] / tables["fibre"]["closed_form"]
     record.check("error of the jump over that of the closed forms, less 1", abs(ratio - 1).max(), high=2e-3)
     record.check("energy of the meshed model, relative error", max(tables["fibre"]["energy"]), high=5e-5)
@@ -200,9 +218,13 @@ PUSHED: StructureArguments = {"supports": {"RIGHT/UPPER": 0.0}, "tractions": {"L
 
 
 def tubes(h: float, loads: StructureArguments) -> Problem:
-    """A tube glued into another tube, in section; joint, arguments of its `Structure`.
+    """A tube glued into another tube, in section; return its joint and the arguments of its `Structure`.
 
-    x is the radius; "BOTTOM" is the bore, "LEFT" the upper end.
+    The section is axisymmetric: x is the radius, the side "BOTTOM" is the bore, "LEFT" the upper end.
+
+    Args:
+        h: cell size, mm.
+        loads: supports and tractions.
     """
     bore, on_S, rim = RADII
     flat = sandwich(HEIGHT, on_S - bore, rim - on_S, h, cell="quadrilateral", structured=True)
@@ -211,7 +233,7 @@ def tubes(h: float, loads: StructureArguments) -> Problem:
 
 
 def against_lame(full: Solution, limit: Solution) -> dict[str, float]:
-    """Relative errors of the bore's displacement and of the mean traction on S, against each model's closed form."""
+    """Relative errors of both models against their closed forms: displacement of the bore, mean traction on S."""
     eps, (bore, on_S, rim) = float(layer_of(limit).eps), RADII
     radii, laws = (bore, on_S - eps / 2, on_S + eps / 2, rim), (SHAFT, GLUE.scaled(eps / GLUE_EPS), HUB)
     layer = lame(radii, laws, (None, None), PRESSURE)

@@ -1,4 +1,4 @@
-"""Structures for `may_i_drop`, with thin layers that may be left out of the mesh: selected and random cases.
+"""Cases of the study `may_i_drop`, structures with thin layers: from another program, further ones, random ones.
 
 Some cases are taken from another program, as far as these are described. Some data are not described and are chosen
 here: the layer's modulus and the load on unequal bodies with nu = 0.45, the load on the bearing, the size of the cubic
@@ -68,13 +68,13 @@ STEEL, SOFT = young(E=1e4, nu=0.3), young(E=70.0, nu=0.3)
 # ---------------------------------------------------------------- structures; `_`: the mesh suits any thickness
 # fmt: off
 def rollers(_: float) -> Structure:
-    """Two blocks between rollers under one half-wave, `studies.problems.fourier`."""
+    """Two blocks between rollers, under a traction with one half-wave (`studies.problems.fourier`)."""
     joint, setup = fourier(1 / 16, cell="quadrilateral")
     return Structure(joint, **setup)
 
 
 def box(_: float) -> Structure:
-    """A box between rollers on all four sides, under half a wave along x and a whole one along z."""
+    """Two blocks in 3D between rollers on four sides, under tractions with half a wave along x and a wave along z."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 8, depth=0.5, cell="hexahedron", structured=True)
     k1, k3, k = pi, 2 * pi, (pi**2 + (2 * pi) ** 2) ** 0.5
 
@@ -93,7 +93,15 @@ def free(
     eps: float, load: Load = (0.3, -1.0), heights: Heights = (0.5, 0.5), *,
     lower: LinearElastic = FOURIER_BODY, upper: LinearElastic = FOURIER_BODY, plane: str = "strain",
 ) -> Structure:
-    """Two blocks, 1 wide, with free sides, clamped below, under a traction above."""
+    """Two blocks, 1 wide, with free sides, clamped below, under a traction on top.
+
+    Args:
+        eps: thickness of the layer, by which cells at the free ends of S are scaled.
+        load: the traction.
+        heights: heights of the lower and the upper block.
+        lower, upper: laws of the blocks.
+        plane: "strain", "stress" or "axisymmetric".
+    """
     return free_blocks(_ends(eps), load, heights, h_S=ALONG, body={"LOWER": lower, "UPPER": upper}, plane=plane)
 
 
@@ -103,7 +111,7 @@ def displaced(eps: float) -> Structure:
 
 
 def tilted(eps: float) -> Structure:
-    """Two blocks of unequal heights with free sides, rotated by `TILT`, under a traction that is not rotated."""
+    """Two blocks of unequal heights with free sides, rotated by 0.5 rad, under a traction that is not rotated."""
     joint = sandwich(1.0, 0.4, 0.7, 1 / 8, h_S=ALONG, h_ends=_ends(eps), cell="quadrilateral")
     return loaded(joint.rotated(TILT), (-0.7, 0.4), body=young(E=150.0, nu=0.2))
 
@@ -116,7 +124,7 @@ def channel(_: float) -> Structure:
 
 
 def rings(_: float) -> Structure:
-    """A ring around another ring that is fixed inside, pushed down on its upper half."""
+    """A ring around another ring; the inner one is fixed inside, the outer one pushed down on its upper half."""
     joint = ring(1.0, 1.5, 2.2, 1 / 6, h_S=1 / 12, cell="quadrilateral", degree=2)
     body = {"INNER": young(E=200.0, nu=0.3), "OUTER": young(E=70.0, nu=0.33)}
     loads = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, x[1], 0.0))}
@@ -130,37 +138,37 @@ def on_base(eps: float) -> Structure:
 
 
 def tube(_: float) -> Structure:
-    """Two tubes, one on the other, between smooth walls: a section from r = 0.4 to 1.4."""
+    """Two tubes, one on top of the other, between smooth walls: an axisymmetric section from r = 0.4 to 1.4."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 12, cell="quadrilateral", structured=True).moved((0.4, 0.0))
     body = young(E=100.0, nu=0.25)
     return loaded(joint, lambda x, t: (0.0, 1 - x[0] ** 2), body=body, supports=WALLS, plane="axisymmetric")
 
 
 def disc(eps: float) -> Structure:
-    """Two round blocks with a free side, a section from the axis to r = 1, pressed most at the axis."""
+    """Two discs, one on top of the other, pressed most at the axis: an axisymmetric section from r = 0 to 1."""
     return free_blocks(_ends(eps), lambda x, t: (0.0, x[0] ** 2 - 1), h_S=ALONG, plane="axisymmetric")
 
 
 def plated(eps: float) -> Structure:
-    """Two blocks with free sides on springs, under a rigid plate that may turn."""
+    """Two blocks with free sides, on springs, under a rigid plate that may rotate."""
     parts = [Springs("BOTTOM", normal=300.0, tangential=200.0), RigidPlate("TOP", force=(0.3, -1.0), moment=0.1)]
     return free_blocks(_ends(eps), h_S=ALONG, supports={}, tractions={}, parts=parts)
 
 
 def two_seams(eps: float) -> Structure:
-    """Three blocks with free sides, one on the other."""
+    """Three blocks with free sides, on top of each other, with two seams."""
     cuts = {"LOW": ((-0.1, 0.4), (1.1, 0.4)), "HIGH": ((-0.1, 0.8), (1.1, 0.8))}
     return loaded(faults(1.0, 1.2, cuts, 1 / 8, h_S=ALONG, h_ends=_ends(eps)), (0.3, -1.0))
 
 
 def heated(eps: float) -> Structure:
-    """Two blocks with free sides; the upper block expands by a hundredth."""
+    """Two blocks with free sides; the upper block has an isotropic eigenstrain of 0.01."""
     body = {"LOWER": FOURIER_BODY, "UPPER": young(E=80.0, nu=0.2)}
     return free_blocks(_ends(eps), h_S=ALONG, body=body, tractions={}, eigenstrain={"UPPER": 0.01})
 
 
 def corner(eps: float) -> Structure:
-    """A quarter of two plates, with two free sides that meet at a corner, pressed and sheared, in three dimensions."""
+    """A quarter of two plates in 3D, with two free sides that meet at a corner, pressed and sheared."""
     joint = sandwich(1.0, 0.5, 0.5, 1 / 4, depth=DEPTH, h_S=1 / 6, h_ends=eps / 3, cell="hexahedron")
     supports = CLAMPED | {"LEFT": {"x": 0.0}, "BACK": {"z": 0.0}}
     return loaded(joint, lambda x, t: (0.2 * x[0], -1.0 + 0.5 * x[2], 0.1), supports=supports)
@@ -169,17 +177,17 @@ def corner(eps: float) -> Structure:
 # ---------------------------------------------------------------- cases
 @dataclass(frozen=True)
 class DroppedCase:
-    """A structure with thin layers.
+    """A structure with thin layers whose meshes may be left out, and the quantities whose change is estimated.
 
     Attributes:
         name: group of the case and a few words about it, "group: words".
-        structure: thickness -> the structure, with a mesh that is fine enough for a layer of this thickness.
-        layers: thickness -> the layers, order 0.
-        bodies: "kept" or "extended", for both models.
+        structure: function of the thickness that returns the structure, with a mesh fine enough for such a layer.
+        layers: function of the thickness that returns the layers; their interface laws have order 0.
+        bodies: "kept" or "extended" bodies, for both models.
         step: length of the only time step, from rest; 0: a static solve.
-        asked: goals in addition to traction and jump.
-        inner: whether effectivities of laws are for the inner half of S, |x - 1/2| < 1/4.
-        solid: whether it is in three dimensions.
+        asked: goals whose change is estimated in addition to traction and jump on S.
+        inner: whether changes are measured only on the inner half of S, |x - 1/2| < 1/4, where this is possible.
+        solid: whether the structure is in 3D.
     """
 
     name: str
@@ -193,7 +201,7 @@ class DroppedCase:
 
 
 def unwarned() -> warnings.catch_warnings[None]:
-    """Context without warnings of laws outside their range, as the estimate reports this."""
+    """Context that hides warnings about laws outside their range of validity, as the estimate reports such errors."""
     return warnings.catch_warnings(action="ignore", category=RangeWarning)
 
 
@@ -205,7 +213,7 @@ STEP = 0.01
 
 @dataclass(frozen=True)
 class Hardening(BulkLaw):
-    """Isotropic elastic law with an additional stress c (e:e) e."""
+    """Isotropic elastic law with the additional stress c (e:e) e of the strain e, for Lamé's moduli lmbda and mu."""
 
     lmbda: float
     mu: float
@@ -217,18 +225,23 @@ class Hardening(BulkLaw):
         return lame_stress(self.lmbda, self.mu, step.e) + self.c * ufl.inner(step.e, step.e) * step.e
 
     def energy(self, step: Step) -> Expr:
-        """Potential of the stress."""
+        """Elastic energy per volume at the strain of a step."""
         square = ufl.inner(step.e, step.e)
         return self.lmbda / 2 * ufl.tr(step.e) ** 2 + self.mu * square + self.c / 4 * square**2
 
 
 def soft(mu: float, nu: float) -> LayerOfThickness:
-    """Return thickness -> elastic layer; mu is the shear modulus over the thickness."""
+    """Return a function from the thickness to an elastic layer whose moduli are proportional to the thickness.
+
+    Args:
+        mu: shear modulus over the thickness.
+        nu: Poisson's ratio.
+    """
     return of(LinearElastic.shear(mu, nu))
 
 
 def published_cases() -> list[DroppedCase]:
-    """Cases that another program has published."""
+    """The cases for which the authors of another program have published results."""
     work, R = goals.Compliance(), Rubber.shear
     rolled = partial(DroppedCase, structure=rollers, asked=(work, goals.Displacement((0.3, 0.4), (0.0, 1.0))))
     ended = partial(DroppedCase, structure=free, asked=(work, goals.Displacement((0.3, 0.4), (0.6, 0.8))), inner=True)
@@ -273,12 +286,12 @@ FIBRES = Anisotropic(np.diag([200.0, 60.0, 90.0, 25.0, 30.0, 40.0]) + 20.0 * np.
 
 
 def _plies(*laws: BulkLaw) -> LayerOfThickness:
-    """Return thickness -> layer of plies that are equally thick."""
+    """Return a function from the thickness to a layer of equally thick plies with these laws, the lowest first."""
     return of(Stack(*((1 / len(laws), law) for law in laws)))
 
 
 def further_cases() -> list[DroppedCase]:
-    """Further cases, chosen here."""
+    """The cases chosen for this study, for which no other results are known."""
     work, moved = goals.Compliance(), goals.Displacement((0.3, 0.35), (0.6, 0.8))
     ends, middle = (work, moved), (work, moved, goals.MeanTraction((1.0, 0.0)))
     unlike = partial(free, load=(-0.6, 0.4), heights=(0.4, 0.7), lower=young(50.0, 0.2), upper=young(200.0, 0.35))
@@ -319,7 +332,10 @@ def further_cases() -> list[DroppedCase]:
 
 # ---------------------------------------------------------------- at random
 def random_case(seed: int) -> tuple[float, DroppedCase]:
-    """Random thickness and case: two blocks, 1 wide, 1.5 to 40 thicknesses high, and a layer of one to three plies."""
+    """Return a random thickness and a random case.
+
+    It has two blocks, 1 wide and 1.5 to 40 thicknesses high, and a layer of one to three plies.
+    """
     rng = np.random.default_rng(seed)
     eps = 10 ** rng.uniform(-2.0, -0.9)
     heights = np.minimum(1.5 * eps * 10 ** rng.uniform(0.0, 1.43, 2), 1.0)
@@ -341,7 +357,7 @@ def random_case(seed: int) -> tuple[float, DroppedCase]:
 
 
 def _random_ply(rng: np.random.Generator) -> LinearElastic | Anisotropic:
-    """A random ply with E from 0.1 to 100 (bodies: >= 100); one in two has fibres in a random direction."""
+    """Law of a random ply, Young's modulus 0.1 to 100 (bodies >= 100); every second one has fibres at random angles."""
     ply, d, stiff = young(10 ** rng.uniform(-1.0, 2.0), rng.uniform(0.0, 0.45)), rng.normal(size=3), rng.uniform(0.0, 2.0)
     if rng.random() < 0.5:
         return ply

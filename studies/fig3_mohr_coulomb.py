@@ -42,14 +42,15 @@ END_YIELDS = "0.0164 MPa along S, 0.164 MPa onto it: yields at the left\n(free e
 
 @dataclass(frozen=True)
 class Loads:
-    """A reading of the paper's loads.
+    """One of the two readings of the paper's loads, and how its results are drawn.
 
     Attributes:
-        pressure, shear: side and traction (MPa) of each load.
-        supports: prescribed displacements.
+        pressure, shear: the two loads, each as side of the bar and traction (MPa).
+        supports: side of the bar -> component -> prescribed displacement.
         why: expected result, as text in the picture.
-        scale: scale of the displacements in the picture of the layer's left end.
-        shown: range of the ratio in the picture, 10^3 N/mm^3; the free ends of the meshed layer lie outside.
+        scale: factor of the displacements in the picture of the layer's left end.
+        shown: smallest and largest ratio t_T/u_T in the picture, 10^3 N/mm^3; ratios at the free ends of the meshed
+            layer lie outside.
     """
 
     pressure: tuple[str, tuple[float, float]]
@@ -73,14 +74,15 @@ READINGS = {
 
 
 def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: bool = False) -> None:
-    """Solve Fig. 2 with the interface law and with the layer meshed; loads in one step, and for R1 in many steps.
+    """Solve the bar of Fig. 2 with the interface law and with the layer meshed.
 
-    Without cohesion the free end of a meshed layer has no strength: an elastic fraction h makes the problem well posed.
-    The interface law needs none; it is solved with and without.
+    The loads are applied in one step, for reading R1 also in many steps. Without cohesion the free end of a meshed
+    layer has no strength: an elastic fraction h makes the problem well posed. The interface law needs none; it is
+    solved with and without it.
 
     Args:
-        record: where to write.
-        loads: "R1", "R4m" or "both".
+        record: folder of the results.
+        loads: reading of the paper's loads, "R1", "R4m" or "both".
         quick: coarser meshes.
     """
     fine, coarse, coarsest = (4.0, 2.0, 0.05), (6.0, 3.0, 0.1), (8.0, 4.0, 0.4)
@@ -102,17 +104,24 @@ def run(record: Record, *, loads: Literal["both", "R1", "R4m"] = "both", quick: 
 
 
 def glue(h: float) -> MohrCoulomb:
-    """Law of the glue of Fig. 2 with the elastic fraction h."""
+    """Mohr-Coulomb law of the glue of Fig. 2 with the elastic fraction h."""
     return MohrCoulomb(GLUE.lmbda, GLUE.mu, cohesion=0.0, friction_angle=OMEGA, elastic_fraction=h)
 
 
 def meshed(sizes: tuple[float, float, float]) -> Joint:
-    """The bar of Fig. 2; sizes (mm) of its cells inside, at S and at the ends of S."""
+    """Joint of the bar of Fig. 2; `sizes` are those of cells inside, at S and at the ends of S, mm."""
     return block(SIDE, SIDE, sizes[0], h_S=sizes[1], h_ends=sizes[2], cell="quadrilateral")
 
 
 class YieldingBar:
-    """The bar of Fig. 2 under one reading of the loads; sizes as in `meshed`."""
+    """The bar of Fig. 2 under one reading of the loads.
+
+    Args:
+        record: folder of the results.
+        name: name of the reading.
+        loads: the reading.
+        sizes: sizes of cells inside the bar, at S and at the ends of S, mm.
+    """
 
     def __init__(self, record: Record, name: str, loads: Loads, sizes: tuple[float, float, float]) -> None:
         self.record, self.name, self.loads = record, name, loads
@@ -120,22 +129,31 @@ class YieldingBar:
         self.surface = Surface(self.model(Structure.interface, 0.0))
 
     def model(self, kind: Callable[..., Model], h: float, **changed: Unpack[StructureArguments]) -> Model:
-        """Model of the bar; its layer has the elastic fraction h."""
+        """Make a model of the bar.
+
+        Args:
+            kind: `Structure.interface` or `Structure.full`.
+            h: elastic fraction of the layer.
+            changed: arguments of `Structure` that replace those of the reading.
+        """
         return kind(Structure(self.joint, **self.loads.setup | changed), ThinLayer(glue(h), EPS))
 
     def solved(self, kind: Callable[..., Model], h: float) -> State:
-        """The state under all loads, solved in one step."""
+        """Solve a model of the bar under all loads in one step; `kind` is `Structure.interface` or `Structure.full`."""
         return self.record.solved(solve(self.model(kind, h)))
 
     def sheared(self, steps: int) -> State:
-        """The state of the interface model after the pressure in one step and then the shear in equal steps."""
+        """Solve the interface model with the pressure in one step and then the shear in this number of equal steps."""
         side, (x_part, y_part) = self.loads.shear
         tractions: dict[str, Load] = {**dict([self.loads.pressure]), side: lambda x, t: (t * x_part, t * y_part)}
         times = [float(t) for t in np.linspace(0, 1, steps + 1)[1:]]
         return march(self.model(Structure.interface, 0.0, tractions=tractions), times, keep="last").last
 
     def profile(self, state: State) -> Table:
-        """Table of h, displacement, traction and their tangential ratio along S; ratios near 0/0 are empty."""
+        """Table along S of the elastic fraction h, x, the jump, the traction and the ratio t_T/u_T.
+
+        Ratios are empty where |u_T| is below a tenth of its largest value.
+        """
         (law,), surface = (layer.law for layer in state.model.layers.values()), self.surface
         x, u = surface.profile(surface.frame(surface.jump(state)))
         t = surface.profile(surface.frame(surface.traction(state)))[1]
@@ -145,11 +163,14 @@ class YieldingBar:
         return Table.of(columns | {"t_T_MPa": t[:, 0], "t_N_MPa": t[:, 1], "ratio": ratio})
 
     def shear_force(self, state: State) -> float:
-        """Tangential force on S, N/mm."""
+        """Integral over S of the tangential traction in a state, N/mm."""
         return self.surface.integral(self.surface.frame(self.surface.traction(state))[0])
 
     def check(self, shown: dict[str, State]) -> None:
-        """Check numbers against the independent code, and the elastic ratio where Fig. 3 shows it."""
+        """Check numbers against an independent code (R1), and the elastic ratio t_T/u_T where Fig. 3 shows it (R4m).
+
+        `shown` are the states of the models by label, the interface law without elastic fraction first.
+        """
         record, mu, limit = self.record, GLUE.mu / EPS, next(iter(shown.values()))
         record.results[f"{self.name}: shear force on S, N/mm"] = {k: self.shear_force(s) for k, s in shown.items()}
         record.check(f"{self.name}: Newton steps of the interface law, one load step", limit.report.iterations, high=7)
@@ -169,7 +190,15 @@ class YieldingBar:
 
 
 def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
-    """Refine the steps of the shear, after the pressure: the shear force depends on the path of loads, not on the mesh."""
+    """Compute the shear force on S with the pressure first and then the shear in more and more steps.
+
+    The force depends on the path of loads more than on the mesh.
+
+    Args:
+        record: folder of the results.
+        bar: the bar under the loads R1.
+        counts: increasing numbers of steps.
+    """
     forces = {steps: bar.shear_force(bar.sheared(steps)) for steps in track(counts, "fig3_mohr_coulomb", "{} steps")}
     last = forces[counts[-1]]
     errors = [{"size": 1 / steps, "error": abs(forces[steps] - last)} for steps in counts[:-1]]
@@ -179,7 +208,7 @@ def refine(record: Record, bar: YieldingBar, counts: Sequence[int]) -> None:
 
 
 def draw(record: Record) -> None:
-    """Draw t_T/u_T along S from table.csv."""
+    """Draw the ratio t_T/u_T along S, from table.csv."""
     parts, ranges = {}, {}
     for name, of_loads in record.load("table.csv").split("loads").items():
         title = f"{name}: {READINGS[name].why}"

@@ -1,8 +1,9 @@
 """Figure 4: the bar of section 6.2 on a layer of two phases; its least energy, its snaps, and its limit as eps -> 0.
 
-The bar is a strip on a rigid base: nu = 0, sides on rollers, chi = n (x) n; its end moves by delta. The relaxed law gives
-the least energy of all mixtures, Eqs. (45)-(47), corrected. Pure phases, one for each column of cells, have several
-equilibria at the same delta: they keep the last equilibrium until it no longer exists, and snap.
+The bar is a strip on a rigid base: nu = 0, sides on rollers, chi = n (x) n; its end moves by delta. The relaxed law
+gives the least energy of all mixtures, Eqs. (45)-(47) of the paper, corrected. If each column of cells through the
+layer is in a pure phase, there are several equilibria at the same delta. The layer then keeps its equilibrium until
+this no longer exists, and snaps to another one.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Move the end of the bar up and down, with the layer meshed and with its interface law, against closed forms.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         quick: coarser mesh, longer steps.
     """
     cells, steps = (2, 10) if quick else (4, 20)
@@ -57,10 +58,10 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 class Strip:
-    """The bar as a strip, 1 wide.
+    """The bar as a strip, 1 wide, on a meshed layer or with the interface law.
 
     Args:
-        record: record of the study.
+        record: folder of the results.
         eps: thickness of the meshed layer over the length; 0: the interface law.
         cells: number of cells along each side.
     """
@@ -79,7 +80,14 @@ class Strip:
         return structure.full(layer, bodies="extended", cells_through=3) if bar.eps else structure.interface(layer)
 
     def march(self, law: type[Phases], steps: int) -> History:
-        """March up to END in equal steps, and back; observe U on S, and sigma at the end that moves."""
+        """March with the end displaced up to 2, and back to 0; observe U and sigma.
+
+        U is the integral of the normal jump over S, sigma the force at the end that moves.
+
+        Args:
+            law: law of the layer, with relaxed or with pure phases.
+            steps: number of equal steps in each direction.
+        """
         model, times = self._model(self.bar, law), [END * k / steps for k in range(1, 2 * steps + 1)]
         measured: Observers = {
             "U": lambda state: self.surface.integral(self.surface.jump(state)[1]),
@@ -88,7 +96,7 @@ class Strip:
         return self.record.solved(march(model, times, observe=measured, keep="last"))
 
     def rows(self, history: History) -> Table:
-        """Table of delta, U, sigma, energy, phase, and the energy lost in a snap that ends there, for all states."""
+        """Table with a row for each state: delta, U, sigma, energy, phase, and energy lost in a snap to this state."""
         lost = {snap.row: snap.lost for snap in history.snaps}
         states, delta = history.table, moved(history.t)
         columns = {name: states[name] for name in ("U", "sigma", "energy")} | {"phase": states["plus"]}
@@ -96,7 +104,10 @@ class Strip:
         return Table.of({"eps": self.bar.eps, "delta": delta, **columns, "lost": lost_at})
 
     def least(self, history: History) -> Table:
-        """Table of the relaxed law on the way up, with the phase boundary and the closed forms; check both ways."""
+        """Table of a march with relaxed phases, on the way up, with the phase boundary and the closed forms.
+
+        The way up and the way down are checked against the closed forms.
+        """
         rows = self.rows(history)
         delta, bar = rows["delta"], self.bar
         exact = {name: getattr(bar, name)(delta) for name in ("U", "sigma", "energy", "phase", "boundary")}
@@ -110,7 +121,10 @@ class Strip:
         return Table.of({"eps": bar.eps, "delta": delta[up], **{name: column[up] for name, column in columns.items()}})
 
     def thresholds(self, relaxed: History, unrelaxed: History) -> dict[str, float]:
-        """Check and return delta where branches meet and where the layer snaps, and the energy lost in a cycle."""
+        """Check and return the displacements delta where the response changes, and the energy lost in a cycle.
+
+        With relaxed phases these are the ends of the mixture's branch, with pure phases the snaps up and down.
+        """
         delta, sigma = moved(relaxed.t), relaxed.table["sigma"]
         first, mixed, last = (straight(delta, sigma, (delta >= low) & (delta <= high)) for low, high in BRANCHES)
         up, down = moved(np.array([snap.t for snap in unrelaxed.snaps]))
@@ -128,7 +142,10 @@ class Strip:
 
 
 def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: History) -> None:
-    """Check that the least energy of a layer in one phase lies between the computed energies."""
+    """Check that the least energy of a layer in one pure phase lies between the computed energies.
+
+    It is at most the energy with pure phases, which may be a local minimum, and at least that with relaxed phases.
+    """
     bar, delta, energy = strip.bar, moved(unrelaxed.t), unrelaxed.table["energy"]
     excess = energy - bar.layouts(delta, 1).least().energy
     record.check(f"{strip}: energy of a local minimum less the least one, smallest", excess.min(), low=-EXACT)
@@ -138,7 +155,7 @@ def check_energies(record: Record, strip: Strip, relaxed: History, unrelaxed: Hi
 
 
 def check_digits(record: Record, table: Table, limit: Table) -> None:
-    """Check numbers of the bar and its limit, that thresholds are linear in eps, and that the printed U is wrong."""
+    """Check known numbers of the bar, that its thresholds are linear in eps, and that U as printed is wrong."""
     for eps, digits in DIGITS.items():
         for name, value in zip(NAMES, digits, strict=True):
             record.check_near(f"{name} of the bar, eps = {eps:g}", limit[name][EPS.index(eps)], value, EXACT)
@@ -154,17 +171,17 @@ def check_digits(record: Record, table: Table, limit: Table) -> None:
 
 
 def moved(t: Array) -> Array:
-    """The prescribed displacement delta at times t."""
+    """Prescribed displacement delta of the end at times t of a march up and down."""
     return END - np.abs(t - END)
 
 
 def straight(x: Array, y: Array, inside: BoolArray) -> Array:
-    """Slope and value at 0 of the line fitted to the points in `inside`."""
+    """Slope and value at x = 0 of the line fitted to those of the points (x, y) where `inside` is true."""
     return np.polyfit(x[inside], y[inside], 1)
 
 
 def meet(a: Array, b: Array) -> float:
-    """Abscissa at which two lines (slope, value at 0) meet."""
+    """Abscissa at which two lines a and b, given as (slope, value at 0), meet."""
     return float((b[1] - a[1]) / (a[0] - b[0]))
 
 
@@ -183,7 +200,7 @@ def draw(record: Record) -> None:
 
 
 def draw_energies(record: Record, relaxed: Table) -> None:
-    """Draw energies of the layer over its elongation, as in Fig. 4, and their slopes with the body's force."""
+    """Draw energies of the layer over its elongation, as in Fig. 4, and their slopes together with the bar's force."""
     U = np.linspace(0, 1.35, len(FINE), dtype=np.float64)
     (_, pure, _), (force, envelope, _) = BAR.layer(U, 0), BAR.layer(U, 1)
     first = BAR.kbar / BAR.l * U**2 / 2
@@ -204,7 +221,7 @@ def draw_energies(record: Record, relaxed: Table) -> None:
 
 
 def draw_response(record: Record, relaxed: Table, loop: Table) -> None:
-    """Draw force over displacement: least energy, the loop of pure phases, and the equilibria of some elements."""
+    """Draw force over displacement: least energy, the loop of pure phases, and all equilibria of eight elements."""
     states = BAR.layouts(FINE, ELEMENTS)
     equilibria = np.where(states.local, states.sigma, np.nan)
     equilibria[-1] = np.nan  # a gap between the lines

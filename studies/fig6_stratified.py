@@ -24,10 +24,12 @@ PLACE = 10.0  # mm, where the deviation is followed as eps -> 0
 
 
 def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: bool = False) -> None:
-    """Solve the bar of Fig. 5 at eps = 0.1 mm, then follow the deviation from K_T as eps -> 0.
+    """Solve the bar of Fig. 5 at eps = 0.1 mm, then follow the deviation of t_T/u_T from K_T as eps -> 0.
+
+    K_T is the tangential stiffness of the interface law.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         eps: thicknesses (mm) for the second part.
         quick: coarser mesh.
     """
@@ -53,7 +55,12 @@ def run(record: Record, *, eps: Sequence[float] = (0.4, 0.2, 0.1, 0.05), quick: 
 
 
 class StratifiedBar:
-    """The bar of Fig. 5 on any layer, and the stiffness of its layer along S."""
+    """The bar of Fig. 5 on any layer, and the ratio t_T/u_T along S.
+
+    Args:
+        record: folder of the results.
+        h, h_S, h_ends: sizes of cells inside the bar, on S and at the ends of S, mm.
+    """
 
     def __init__(self, record: Record, h: float, h_S: float, h_ends: float) -> None:
         self.record, self.joint = record, block(WIDTH, HEIGHT, h, h_S=h_S, h_ends=h_ends)
@@ -63,11 +70,14 @@ class StratifiedBar:
         self.limit, self.surface = record.solved(solve(model)), Surface(model)
 
     def full(self, layer: ThinLayer) -> State:
-        """The bar on a meshed layer."""
+        """Solve the bar on a meshed layer."""
         return self.record.solved(solve(self.bar.full(layer)))
 
     def stiffness(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """x and t_T/u_T at the vertices of S, both projected to degree 1; without the last mm, where both are zero."""
+        """Return x and the ratio t_T/u_T at the vertices of S in a state, mm and N/mm^3.
+
+        t_T and u_T are projected to functions linear on each facet. The last mm of S, where both are zero, is left out.
+        """
         surface = self.surface
         x, u = surface.profile(surface.frame(surface.jump(state)))
         _, t = surface.profile(surface.frame(surface.reaction(state)))
@@ -75,13 +85,13 @@ class StratifiedBar:
         return x[free, 0], t[free, 0] / u[free, 0]
 
     def deviation(self, layer: ThinLayer, k_t: float) -> float:
-        """Relative deviation of t_T/u_T from k_t at PLACE."""
+        """Relative deviation of the ratio t_T/u_T of a meshed layer from `k_t` at x = 10 mm."""
         x, ratio = self.stiffness(self.full(layer))
         return float(np.interp(PLACE, x, ratio) / k_t - 1)
 
 
 def _deviation(record: Record, bar: StratifiedBar, eps: Sequence[float]) -> Table:
-    """Deviations as eps -> 0, with moduli over thickness fixed (K_T fixed), and with the moduli fixed (K_T ~ 1/eps)."""
+    """Table of deviations as eps -> 0, with fixed moduli over thickness (K_T fixed), and with fixed moduli."""
     table = Table()
     for e in track(eps, "fig6_stratified", "eps = {:g} mm"):
         row = {"eps_mm": e, "deviation_ratios_held": bar.deviation(ThinLayer(GLUE, e, at=EPS), K_T)}

@@ -23,10 +23,10 @@ U_A = (1.456232e-2, 1.458569e-2, 4.094504e-2)  # mm, u_T at A from an independen
 
 
 def run(record: Record) -> None:
-    """Solve the bar for the stiffnesses of Fig. 8, and on one more mesh.
+    """Solve the bar for the three stiffnesses of Fig. 8, on two meshes, and check the status of the nodes.
 
     Args:
-        record: where to write.
+        record: folder of the results.
     """
     reports = {}
     for n in (N, N + 1):
@@ -55,7 +55,7 @@ def run(record: Record) -> None:
 
 
 def in_tens(lmbda: float) -> str:
-    """Text for a stiffness in pictures."""
+    """Text for pictures with the stiffness lmbda = 3 mu of the layer, 15 times a power of ten, N/mm^3."""
     tens = round(math.log10(lmbda / 15))
     return f"lambda = 3 mu = 15{f'·10^{tens}' if tens else ''} N/mm³"
 

@@ -49,15 +49,17 @@ UNEQUAL = {"LOWER": LinearElastic.young(E=20.0, nu=0.2), "UPPER": FOURIER_BODY}
 # ---------------------------------------------------------------- structures
 @dataclass(frozen=True)
 class EndCase:
-    """A structure with free ends.
+    """A structure whose layer has free ends, and the rates of convergence that errors of its laws must have.
 
     Attributes:
         name: name of the structure.
-        structure: (thickness, number of cells per thickness near the ends of S) -> structure.
+        structure: function of the thickness and the number of cells per thickness near the ends of S that returns the
+            structure.
         law: law of the layer.
-        inner: coordinates -> whether a point lies far from the ends.
-        lowest: least last order that errors of a law with corrected ends must have.
-        low: errors that have a low order if a law ignores the ends; other errors of laws with a pressure change sign.
+        inner: function of the coordinates that says whether a point lies far from the ends.
+        lowest: rate of convergence that the last errors must at least have if the law corrects the ends.
+        low: errors ("traction", "jump", "work") whose rate must be low if the law ignores the ends. Other errors may
+            change sign.
     """
 
     name: str
@@ -69,7 +71,7 @@ class EndCase:
 
     @property
     def file(self) -> str:
-        """Name of the table of its errors."""
+        """Name of the csv file of its errors."""
         return f"{self.name.replace(', ', '_').replace(' ', '_')}.csv"
 
 
@@ -97,7 +99,7 @@ RUBBER = [EndCase(f"rubber, nu = {nu:g}", _blocks, law, lowest=1.6, low=("jump",
 
 
 def graded(length: float, first: float, last: float) -> Array:
-    """Coordinates from 0 to a length, whose distances grow approximately from `first` to `last`."""
+    """Coordinates of nodes from 0 to `length`, whose distances grow approximately from `first` to `last`."""
     count, sizes = 1, np.array([first])
     while sizes.sum() < length:
         count += 1
@@ -106,7 +108,7 @@ def graded(length: float, first: float, last: float) -> Array:
 
 
 def grid(*places: Array, cell: str = "hexahedron") -> Joint:
-    """A block of hexahedra or tetrahedra on a rigid base, on a tensor grid of coordinates along x, y and z."""
+    """Joint of a block on a rigid base, meshed on a tensor grid with these coordinates of nodes along x, y and z."""
     nx, ny, nz = (len(nodes) - 1 for nodes in places)
     joint = block(nx, ny, 1.0, depth=nz, cell=cell, structured=True)
     x = [np.interp(joint.points[:, k], np.arange(len(nodes)), nodes) for k, nodes in enumerate(places)]
@@ -114,7 +116,15 @@ def grid(*places: Array, cell: str = "hexahedron") -> Joint:
 
 
 def edge(eps: float, cells: float, cell: str = "hexahedron") -> Structure:
-    """A free edge at x = 0, along which loads vary; the other sides are planes of symmetry."""
+    """A block on a rigid base in 3D with a free edge at x = 0, along which loads vary.
+
+    The other lateral sides are planes of symmetry.
+
+    Args:
+        eps: thickness of the layer.
+        cells: number of cells per thickness near the edge.
+        cell: "hexahedron" or "tetrahedron".
+    """
     places = graded(1.0, eps / cells, H), graded(0.5, 2 * eps / cells, H), np.arange(4) / 3
     joint, pi = grid(*places, cell=cell), ufl.pi
 
@@ -131,10 +141,10 @@ EDGE = EndCase("edge in 3D", edge, LinearElastic.shear(8.0, 0.3), inner=lambda x
 
 # ---------------------------------------------------------------- errors
 def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) -> None:
-    """Solve the half strip for Poisson's ratios, compare it with the package's table, and measure errors of order 1.
+    """Compute the constants of free ends, compare them with the package's table, and measure errors of laws of order 1.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         nu: Poisson's ratios of the layer, from 0 to 0.5.
         quick: every other ratio, without the rows of the package's table, three structures with two thicknesses.
     """
@@ -154,21 +164,21 @@ def run(record: Record, *, nu: Sequence[float] = RATIOS, quick: bool = False) ->
 
 
 def _row(end: FreeEnd) -> dict[str, float]:
-    """Row of constants and ratios of constants; NaN where they are infinite or undefined."""
+    """Table row with the constants of a free end and their ratios; NaN where they are infinite or undefined."""
     normal = {"c_N": end.c_N, "m_N/c_N": end.m_N / end.c_N if 0 < end.nu < 0.5 else math.nan, "rho_N": end.rho_N}
     finite = {name: value if math.isfinite(value) else math.nan for name, value in normal.items()}
     return {"nu": end.nu, **finite, "c_T": end.c_T, "m_T/c_T": end.m_T / end.c_T, "kappa": end.kappa}
 
 
 def _difference(end: FreeEnd) -> float:
-    """Largest relative difference of the constants from the package's table."""
+    """Largest relative difference of the constants of a free end from those in the package's table."""
     table = free_end(end.nu)
     pairs = [(getattr(end, name), getattr(table, name)) for name in (*TABLE_COLUMNS[1:], "kappa")]
     return max(abs(a / b - 1) for a, b in pairs if 0 < b < math.inf)
 
 
 def _nodes(record: Record) -> None:
-    """Solve for the rows of the package's table, write them in its format, and check it."""
+    """Compute the rows of the package's table of constants, write them in its format, and check the table."""
     table = record.table("nodes.csv")
     for ratio in track(list(chebyshev_ratios(ROWS)), "free_ends", "row of the table, nu = {:g}"):
         end = half_strip(float(ratio))
@@ -179,7 +189,16 @@ def _nodes(record: Record) -> None:
 
 
 def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, float]:
-    """Errors of laws of order 1 on the inner part of S, and of the work of loads on top, for each treatment of ends."""
+    """Table row with errors of laws of order 1 that correct the ends, and of laws that ignore them.
+
+    They are the relative errors of traction and jump on the inner part of S, and of the work of the loads on top.
+
+    Args:
+        record: folder of the results.
+        case: the structure.
+        cells: number of cells through the layer, and per thickness near the ends.
+        eps: thickness.
+    """
     structure, row, law = case.structure(eps, cells), {"eps": eps}, case.law
     full = record.solved(solve(structure.full(ThinLayer(law, eps, at=1.0), cells_through=cells)))
     for kind, edges in KINDS.items():
@@ -192,7 +211,10 @@ def _errors(record: Record, case: EndCase, cells: int, eps: float) -> dict[str, 
 
 
 def _work_on_top(state: State) -> float:
-    """Work of the loads on top; work of a load on the layer's side has a part that no law on S includes."""
+    """Work of the loads on top in the displacements of a state.
+
+    The work of other loads is left out: a load on the layer's side does work that no law on S includes.
+    """
     model = state.model
     top = model.with_loads(tractions={"TOP": (model.structure.tractions or {})["TOP"]})
     return state.integral(top.external_work(state.u, state.t))
@@ -203,7 +225,14 @@ def _column(what: str, kind: str) -> str:
 
 
 def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cells: int) -> None:
-    """Write the last errors and orders of structures with free ends, and check the orders."""
+    """Write the errors of structures with free ends for decreasing thickness, and check their rates of convergence.
+
+    Args:
+        record: folder of the results.
+        cases: the structures.
+        sizes: the thicknesses.
+        cells: number of cells through the layer, and per thickness near the ends.
+    """
     rows = Table()
     for case in cases:
         table = record.sweep(partial(_errors, record, case, cells), sizes, case.file)
@@ -219,9 +248,15 @@ def _rates(record: Record, cases: Sequence[EndCase], sizes: Sequence[float], cel
 
 
 def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[float]) -> None:
-    """Write the factors by which a correction of ends changes errors, for bodies that are not much stiffer.
+    """Write the factors by which the correction of ends changes errors, for bodies not much stiffer than the layer.
 
-    The correction is refused for bodies below `MIN_STIFFNESS_CONTRAST`; here this limit is measured.
+    The package refuses the correction if the bodies' Young's modulus over the layer's shear modulus is below
+    `MIN_STIFFNESS_CONTRAST`. This limit is checked here.
+
+    Args:
+        record: folder of the results.
+        ratios: Poisson's ratios of the layer.
+        thicknesses: thicknesses of the layer.
     """
     cases = [(nu, eps, contrast) for nu in ratios for eps in thicknesses for contrast in CONTRASTS]
 
@@ -241,7 +276,7 @@ def _contrasts(record: Record, ratios: Sequence[float], thicknesses: Sequence[fl
 
 
 def draw(record: Record) -> None:
-    """Draw errors against the thickness, and the constants against nu with the package's table as lines."""
+    """Draw errors over the thickness, and constants over Poisson's ratio with those of the package's table as lines."""
     for case in (CASES[0], *RUBBER):
         table, shown = record.load(case.file), {}
         for kind in KINDS:

@@ -36,12 +36,12 @@ SPLIT = -0.5  # first Lame modulus over mu of the stress without the pressure, w
 
 
 def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd:
-    """Solve for the constants of a free end.
+    """Compute the constants of a layer's free end.
 
     Args:
         nu: Poisson's ratio, in [0, 0.5].
-        degree: degree of the displacements, >= 3.
-        levels: how often cells shrink by `RATIO` towards the corner.
+        degree: polynomial degree of the displacements, >= 3.
+        levels: number of times that the size of cells decreases by the factor 0.2 towards the corner.
 
     Raises:
         InputError: nu out of range.
@@ -73,9 +73,14 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
     faces = dofs(W.sub(0), lambda x: (x[1] < 1e-13) | np.isclose(x[0], x[0].max()))
 
     def loaded(traction: Expr, odd: int) -> tuple[float, Callable[[Expr], float]]:
-        """Solve under tractions on the end with fixed faces; return their work, and f -> integral of f(stress).
+        """Solve the half strip with fixed faces under a traction on its end.
 
-        The component `odd` of displacements is zero on the middle line.
+        Args:
+            traction: the traction.
+            odd: component of the displacement that is zero on the middle line, by symmetry.
+
+        Returns:
+            The work of the traction, and a function that integrates an expression in the stress over the half strip.
         """
         load = fem.assemble_vector(fem.form(ufl.inner(traction, v) * end)).array
         bc_dofs = np.union1d(faces, dofs(W.sub(0).sub(odd), lambda x: np.isclose(x[1], MIDDLE)))
@@ -102,7 +107,10 @@ def half_strip(nu: float, degree: int = DEGREE, levels: int = LEVELS) -> FreeEnd
 
 
 def _mesh(levels: int, length: float, longest: float) -> dolfinx.mesh.Mesh:
-    """Mesh of a square whose cells shrink to its corner (0, 0), and of a row of cells up to x = `length`."""
+    """Mesh of the lower half of the strip up to x = `length`, with cells that shrink towards the corner (0, 0).
+
+    `levels` is the number of times that cells shrink, `longest` the largest length of cells far from the end.
+    """
     points, cells = [(0.0, 0.0)], []
     for size in MIDDLE * RATIO ** np.arange(levels, -1, -1.0):  # a square, then pairs of trapezoids around it
         k = len(points)

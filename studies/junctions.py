@@ -1,4 +1,4 @@
-"""Meshed networks of layers against their interface models: convergence in eps, and the effect of junctions."""
+"""Meshed networks of layers against their interface models: convergence as eps -> 0, and the effect of junctions."""
 
 from __future__ import annotations
 
@@ -44,17 +44,17 @@ ERRORS = ("jump", "inner_jump", "inner_traction", "energy")
 
 @dataclass(frozen=True)
 class JunctionCase:
-    """A network whose bottom is fixed and whose top is displaced.
+    """A network of layers, clamped at the bottom and displaced at the top.
 
     Attributes:
-        joint: eps -> the joint.
-        layers: name of a seam -> law at the thickness 1, thickness over eps.
-        bodies: of the full model, "kept" or "extended".
-        distance: distance of the inner part of S from junctions and free ends, a length.
-        stiff: whether junctions have the bodies' stiffness in addition to a layer's stiffness.
+        joint: function of the thickness eps that returns the joint.
+        layers: name of a seam -> its layer's law at the thickness 1, and its thickness over eps.
+        bodies: "kept" or "extended", bodies of the full model.
+        distance: least distance of the inner part of S from junctions and free ends, a length.
+        stiff: whether junctions of the full model have the bodies' stiffness in addition to that of a layer.
         refined: whether the cells of bodies at junctions are as small as eps.
-        coarsest: the largest eps.
-        quick: whether the case is one of a quick run.
+        coarsest: largest eps.
+        quick: whether the case is run with --quick.
     """
 
     joint: Callable[[float], Joint]
@@ -67,40 +67,40 @@ class JunctionCase:
     quick: bool = False
 
     def thin(self, eps: float) -> dict[str, ThinLayer]:
-        """Name of a seam -> its layer at the thickness eps."""
+        """Name of a seam -> its layer, whose thickness is eps times the seam's factor."""
         return {name: ThinLayer(law, share * eps, at=1.0) for name, (law, share) in self.layers.items()}
 
     def structure(self, joint: Joint, *, meshed: bool) -> Structure:
-        """Structure of the network; only the meshed model has stiff junctions."""
+        """Make the structure of the network; only that of the meshed model (`meshed`) has stiff junctions."""
         supports: dict[str, Support] = {"BOTTOM": 0.0, "TOP": dict(zip("xyz", SHIFT[: joint.dim], strict=False))}
         parts = [UflPart(energy=stiff_fill)] if meshed and self.stiff else []
         return Structure(joint, body=BODY, supports=supports, parts=parts)
 
 
 def bond(eps: float) -> Joint:
-    """Two courses of a running bond, two bricks long."""
+    """Joint of a brick wall in running bond, two courses high and two bricks long."""
     return wall(2, 2, (1.0, 0.5), H, cell="triangle")
 
 
 def bond_in_space(eps: float) -> Joint:
-    """The running bond, of bricks as deep as they are high: junctions are lines."""
+    """Joint of the brick wall in 3D, as deep as the bricks are high; junctions are lines."""
     return wall(2, 2, (1.0, 0.5), 1 / 8, depth=0.5, cell="hexahedron")
 
 
 def refined_bond(eps: float) -> Joint:
-    """The running bond with cells of 2 eps at junctions and free ends."""
+    """Joint of the brick wall with cells of the size 2 eps at junctions and free ends."""
     heads = {f"HEAD {k}": ((x, y), (x, y + 0.5)) for k, (x, y) in enumerate(((1.0, 0.0), (0.5, 0.5), (1.5, 0.5)), 1)}
     return faults(2.0, 1.0, {"BED": ((0.0, 0.5), (2.0, 0.5)), **heads}, H, h_ends=min(2 * eps, H))
 
 
 def star(eps: float) -> Joint:
-    """Five layers that meet at the centre of a square."""
+    """Joint of a square with five layers that meet at its centre."""
     ends = {f"L{k}": (1 + 2 * cos(radians(a)), 1 + 2 * sin(radians(a))) for k, a in enumerate(RAYS)}
     return faults(2.0, 2.0, {name: ((1.0, 1.0), end) for name, end in ends.items()}, h=0.15, h_S=0.1)
 
 
 def polycrystal(eps: float) -> Joint:
-    """Seven grains in a square."""
+    """Joint of a square of seven grains with layers between them."""
     return grains(1.0, 1.0, 7, H, seed=1)
 
 
@@ -119,15 +119,15 @@ CASES = {
 
 
 def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> None:
-    """Measure relative differences of both models for networks whose layers become thinner.
+    """Measure relative differences between meshed layers and interface laws in networks as eps -> 0.
 
-    They are O(eps) away from junctions and free ends. If cells of the bodies there are as small as eps, they are O(eps)
-    on all of S. On other meshes jumps on all of S, and energies, have a lower order until eps is much smaller than the
-    cells. If junctions are as stiff as the bodies, nothing converges: they tie the corners of the bodies together. With
-    cells as small as eps the effect of this tie decreases as 1 / (c - log eps).
+    The differences are O(eps) away from junctions and free ends. If cells of the bodies at junctions and ends are as
+    small as eps, they are O(eps) on all of S. On other meshes jumps on all of S, and energies, converge at a lower rate
+    until eps is much smaller than the cells. If junctions are as stiff as the bodies, nothing converges, as they tie
+    the corners of the bodies together. With cells as small as eps the effect of this tie decreases as 1 / (c - log eps).
 
     Args:
-        record: where to write.
+        record: folder of the results.
         eps: thicknesses; the networks are 1 to 2 wide.
         quick: fewer networks.
     """
@@ -141,7 +141,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
 
 
 def compared(record: Record, name: str, sizes: Sequence[float]) -> list[Row]:
-    """Rows of the table for one case, with observed orders."""
+    """Table rows of the network `name` for all thicknesses `sizes`, with observed rates of convergence."""
     case, rows = CASES[name], list[Row]()
     for eps in sizes:
         joint = case.joint(eps)
@@ -156,7 +156,12 @@ def compared(record: Record, name: str, sizes: Sequence[float]) -> list[Row]:
 
 
 def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, float]:
-    """Relative L2 differences on S, relative difference of the energies, and the share of junctions in the energy."""
+    """Compare the states of the full and the interface model of a network.
+
+    Returns:
+        Name -> relative L2 difference on S of jump and traction, relative difference of the stored energies, and the
+        fraction of the energy that is stored in junctions.
+    """
     surface, energy = Surface(by_law.model), stored_in(full)
     on_s, inner = partial(difference, surface, state=full, reference=by_law), far_from_junctions(surface, case.distance)
     jumps = {"jump": on_s(Surface.jump), "inner_jump": on_s(Surface.jump, where=inner)}
@@ -165,13 +170,13 @@ def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, flo
 
 
 def stored_in(state: State) -> float:
-    """Total stored energy; energies of single seams are skipped, as "layer" includes them."""
+    """Total stored energy in a state, without the work of the loads."""
     skipped = {"loads", *(str(Key(LAYER_KIND, seam)) for seam in state.model.joint.seams)}
     return sum(energy for key, energy in state.energies().items() if key not in skipped)
 
 
 def check(record: Record, name: str, rows: Table) -> None:
-    """Check the orders of one case."""
+    """Check the rates of convergence of the network `name`."""
     case, orders = CASES[name], {error: rows[f"order_{error}"][1:] for error in ERRORS}
     if case.stiff and case.refined:
         growth = np.diff(1 / rows["energy"]) / -np.diff(np.log(rows["eps"]))
@@ -192,7 +197,7 @@ def check(record: Record, name: str, rows: Table) -> None:
 
 
 def far_from_junctions(surface: Surface, distance: float) -> Array:
-    """1 on facets of S whose midpoints are farther than a distance from junctions and from the ends of S, else 0."""
+    """Field (n, q) on S, 1 on facets farther than `distance` from junctions and ends of S, else 0."""
     joint = surface.joint
     on_s = np.unique(joint.table.vertices[joint.surface_rows])
     outer = joint.table.vertices[joint.table.cells[:, 1] < 0]
@@ -203,18 +208,18 @@ def far_from_junctions(surface: Surface, distance: float) -> Array:
 
 
 def stored(law: LinearElastic, u: Expr) -> Expr:
-    """Stored energy per volume."""
+    """Stored energy per volume of a law at displacements u."""
     e = ufl.sym(ufl.grad(u))
     return law.lmbda / 2 * ufl.tr(e) ** 2 + law.mu * ufl.inner(e, e)
 
 
 def stiff_fill(u: Expr, model: Model) -> Expr:
-    """Energy of the bodies' material in the junctions."""
+    """Energy that the junctions of a full model would store if they consisted of the bodies' material."""
     return stored(BODY, u) * model.dx(model.domain.cell_values(f"{LAYER}/{JUNCTIONS}"))
 
 
 def in_junctions(case: JunctionCase, state: State) -> float:
-    """Energy of the layers' materials in the junctions."""
+    """Energy that the layers' materials store in the junctions, in a state of the full model."""
     model, total = state.model, 0.0
     band = model.domain.joint.band
     assert band is not None, "of a full model"

@@ -35,10 +35,10 @@ DAVIS = tuple(f"lasting value (Davis), {DILATANT[psi]}" for psi in DILATANCIES i
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Compute the apparent friction t_T/|t_N| of a layer without cohesion against shear, for several paths and laws.
+    """Compute the apparent friction t_T/|t_N| of a layer without cohesion over its shear, for several paths and laws.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         quick: longer steps.
     """
     steps, law = 100 if quick else 400, MohrCoulomb(LMBDA, MU, 0.0, OMEGA)
@@ -70,39 +70,52 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def ratio(history: PointHistory) -> Array:
-    """Apparent friction t_T/|t_N|; NaN without pressure."""
+    """Apparent friction t_T/|t_N| at all times of a history of one point; NaN without pressure."""
     t_T, t_N = history.tractions.T
     return np.where(t_N < 0, t_T / np.where(t_N < 0, -t_N, 1.0), np.nan)
 
 
 def tangent() -> float:
-    """The friction coefficient of Coulomb's law with the angle Omega."""
+    """Friction coefficient tan(Omega) of Coulomb's law."""
     return float(np.tan(np.radians(OMEGA)))
 
 
 # ---------------------------------------------------------------- paths
 def shears(steps: int, end: float) -> Array:
-    """Values of w_T at the ends of equal steps from 0."""
+    """Tangential jumps w_T at the ends of equal steps from 0; `end` is mu w_T over the pressure at the last step."""
     return np.linspace(0, end * PRESSURE / MU, steps + 1, dtype=np.float64)[1:]
 
 
 def fixed_jump(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
-    """Path of a layer that is closed, then sheared at a constant normal jump."""
+    """Path of a layer that is closed, then sheared at a constant normal jump.
+
+    Args:
+        steps: number of steps of the shear.
+        end: mu w_T over the pressure at the last step.
+    """
     return [{"w_T": 0.0, "w_N": CLOSING}, *({"w_T": w, "w_N": CLOSING} for w in shears(steps, end))]
 
 
 def fixed_stress(steps: int, end: float = SHEAR) -> list[dict[str, float]]:
-    """Path of a layer that is compressed, then sheared under a constant normal stress."""
+    """Path of a layer that is compressed, then sheared under a constant normal stress.
+
+    Args:
+        steps: number of steps of the shear.
+        end: mu w_T over the pressure at the last step.
+    """
     return [{"w_T": 0.0, "t_N": -PRESSURE}, *({"w_T": w, "t_N": -PRESSURE} for w in shears(steps, end))]
 
 
 def radial_path(steps: int) -> list[dict[str, float]]:
-    """Path of a layer that is closed and sheared in proportion."""
+    """Path of a layer whose normal closing and shear grow in proportion."""
     return [{"w_T": w, "w_N": -w / np.tan(np.radians(DIRECTION))} for w in shears(steps, SHEAR)]
 
 
 def unloaded_path(steps: int) -> list[dict[str, float]]:
-    """Path of a layer that is sheared under constant normal stress, opened by LOOSENED of its closing, sheared on."""
+    """Path of a layer that is sheared under a constant normal stress, opened, and sheared further.
+
+    It is opened by the fraction LOOSENED of its closing.
+    """
     first = fixed_stress(steps // 2, SHEAR / 2)
     w_T, w_N = drive(MohrCoulomb(LMBDA, MU, 0.0, OMEGA), first).jumps[-1]
     opened = [{"w_T": w_T, "w_N": w} for w in np.linspace(w_N, (1 - LOOSENED) * w_N, steps // 2 + 1)[1:]]

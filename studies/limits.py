@@ -18,11 +18,13 @@ SLIDING_JUMP, SLIDING_TRACTION = -5.45899860e-3, 0.574377539927  # amplitudes of
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Solve the Fourier problem with K_N = K_T = kappa -> infinity and bonded bodies, then with K_T -> 0 at fixed K_N.
+    """Solve two blocks with an elastic interface law that becomes stiff, and one that loses its tangential stiffness.
+
+    First K_N = K_T = kappa -> infinity, compared with bonded bodies, then K_T -> 0 at fixed K_N, compared with sliding.
 
     Args:
-        record: where to write.
-        quick: coarser mesh, and only the ends of both ranges.
+        record: folder of the results.
+        quick: coarser mesh, and fewer stiffnesses.
     """
     joint, setup = fourier(1 / 16 if quick else 1 / 48, cell="quadrilateral")
 
@@ -40,7 +42,7 @@ def run(record: Record, *, quick: bool = False) -> None:
         return row | {"traction_difference_times_kappa": difference * kappa}
 
     def sliding(k_t: float) -> dict[str, float]:
-        """Amplitudes of the half-waves [u_T] ~ sin(pi x) and t_T ~ sin(pi x), t_N ~ cos(pi x)."""
+        """Table row with the amplitudes of [u_T] and t_T, proportional to sin(pi x), and of t_N, to cos(pi x)."""
         state, surface = interface(K_N, k_t)
         sine, cosine = 2 * np.sin(np.pi * surface.x[0]), 2 * np.cos(np.pi * surface.x[0])
         jump, traction = surface.frame(surface.jump(state)), surface.frame(surface.traction(state))

@@ -1,4 +1,4 @@
-"""Pictures of tables with two axes: each cell has a colour for its range of values, and a text."""
+"""Pictures of tables with two axes, whose cells have a text and a colour for a range of values."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ Axis = tuple[str, Sequence[str]]  # label of the axis, labels of its columns or 
 
 
 def maps(parts: Mapping[str, Panel], x: Axis, y: Axis, ranges: dict[str, float], *, title: str, save: Path) -> Picture:
-    """Draw values over two axes as cells, in panels in two columns with one legend.
+    """Draw values over two axes as coloured cells, in panels in two columns with one legend.
 
     Args:
-        parts: title of a panel -> values (rows, columns), the first row lowest, and texts of cells; NaN stays white.
-        x, y: the axes.
-        ranges: name of a range of values -> its upper end, growing; at most five.
-        title: title of the picture.
+        parts: title of a panel -> values of its cells (rows, columns), the first row lowest, and texts of the cells;
+            NaN stays white.
+        x, y: label of the axis, and labels of the columns or rows along it.
+        ranges: name of a range of values -> its upper end; at most five, in increasing order.
+        title: text over the picture.
         save: name of a file to save the picture to.
     """
     columns = min(2, len(parts))

@@ -41,21 +41,22 @@ DRAWN = "free ends: two stiffnesses"
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Estimate the changes from the law of order 0 to the layer itself, and mesh the layer to measure them.
+    """Estimate how results with the interface law of order 0 change if the layer is meshed, and measure it.
 
-    effectivities.csv has the relative true changes of tractions and jumps on S, and estimated over true changes.
-    goals.csv has other numbers, random.csv goals of random structures, along.csv changes along S of one structure.
+    effectivities.csv has the relative true changes of tractions and jumps on S, and their effectivities, estimated over
+    true changes. goals.csv has those of other numbers, random.csv those of random structures. along.csv has the changes
+    along S in one structure.
 
     Args:
-        record: where to write.
-        quick: without structures in three dimensions, with fewer random structures.
+        record: folder of the results.
+        quick: without structures in 3D, with fewer random structures.
     """
     _effectivities(record, quick=quick)
     _at_random(record, count=12 if quick else 100)
 
 
 def _effectivities(record: Record, *, quick: bool) -> None:
-    """Estimate the changes of all cases, and check the estimates of fields on S and of goals."""
+    """Compare estimated and true changes of all cases, and check the estimates of fields on S and of goals."""
     chosen = [case for case in (*published_cases(), *further_cases()) if not (quick and case.solid)]
     cases = [(case, eps) for case in chosen for eps in THICKNESSES]
     table, goals = record.table("effectivities.csv"), record.table("goals.csv")
@@ -76,7 +77,7 @@ def _effectivities(record: Record, *, quick: bool) -> None:
 
 
 def _at_random(record: Record, *, count: int) -> None:
-    """Estimate two goals of random structures with linear layers, and check the estimates."""
+    """Compare estimated and true changes of two goals of `count` random structures, and check the estimates."""
     table = record.table("random.csv")
     for seed in track(range(count), "may_i_drop", "random, {}"):
         eps, case = random_case(seed)
@@ -90,11 +91,12 @@ def _at_random(record: Record, *, count: int) -> None:
 # ---------------------------------------------------------------- measurements
 @dataclass(frozen=True)
 class Dropped:
-    """A case solved with its layers dropped, and meshed.
+    """A case solved both with interface laws, whose errors are estimated, and with meshed layers.
 
     Attributes:
-        case, eps: the case and its thickness.
-        estimate: the estimate.
+        case: the case.
+        eps: its thickness.
+        estimate: the estimated changes from the interface laws of order 0 to meshed layers.
         full: state with meshed layers.
     """
 
@@ -105,7 +107,10 @@ class Dropped:
 
     @classmethod
     def of(cls, case: DroppedCase, eps: float, record: Record | None = None) -> Dropped:
-        """Solve a case with the law of order 0, estimate what that changes, and solve it with meshed layers."""
+        """Solve a case with interface laws of order 0, estimate their errors, and solve it with meshed layers.
+
+        Solver's reports are listed in `record`; None: nowhere.
+        """
         structure = case.structure(eps)
         zero = solved(case, structure.interface(case.layers(eps), bodies=case.bodies))
         with unwarned():
@@ -120,7 +125,7 @@ class Dropped:
 
     @property
     def truth(self) -> dict[str, float]:
-        """Changes of traction and jump to meshed layers, relative; of goals, absolute."""
+        """Name -> true change if the layers are meshed: relative for traction and jump on S, absolute for goals."""
         model = self.estimate.better.model
         assert isinstance(model, InterfaceModel)
         before = self.estimate.goals
@@ -129,12 +134,15 @@ class Dropped:
 
     @property
     def estimated(self) -> dict[str, float]:
-        """Estimates of the changes in `truth`."""
+        """Name -> estimated change if the layers are meshed: relative for traction and jump on S, absolute for goals."""
         on_s = {name: float(getattr(self.estimate, name)) for name in ESTIMATED_FIELDS}
         return on_s | {name: goal.change for name, goal in self.estimate.goals.items()}
 
     def inner(self, state: State) -> dict[str, float]:
-        """Relative changes of traction and jump to a state on the inner half of S, from x = 1/4 to 3/4."""
+        """Relative changes of traction and jump on S to a state.
+
+        If the case's `inner` is set, only the inner half of S counts, from x = 1/4 to 3/4.
+        """
         part = (lambda x: abs(x[0] - 0.5) < INNER) if self.case.inner else 1.0
         return self._on_s(state, part, Surface.reaction)  # as in the other program
 
@@ -149,13 +157,17 @@ class Dropped:
 
 
 def solved(case: DroppedCase, model: Model) -> Solution:
-    """The state of a model, or the history of the case's step."""
+    """Solve a model of a case: return the state, or the history if the case has a time step."""
     with unwarned():
         return march(model, [case.step]) if case.step else solve(model)
 
 
 def effectivities(dropped: Dropped) -> tuple[dict[str, float], list[dict[str, float | str]]]:
-    """True changes, and estimated over true changes: a row for traction and jump, and a row for each goal."""
+    """Return true changes and effectivities (estimated over true changes) of a case.
+
+    Returns:
+        A table row for traction and jump on S, and a table row for each goal.
+    """
     truth, asked = dropped.truth, list[dict[str, float | str]]()
     ratios = {name: estimated / truth[name] for name, estimated in dropped.estimated.items()}
     for name, goal in dropped.estimate.goals.items():
@@ -173,12 +185,12 @@ ROUND = 9  # decimal digits to which coordinates are compared
 
 
 def along(dropped: Dropped) -> Table:
-    """Table of changes of the normal components of t and [u] along S, and densities of the change of the compliance.
+    """Table along S of true and estimated changes of the normal traction and jump, and of the compliance's density.
 
-    Bodies are linear, supports are fixed. Let L(u) be the work of the loads in u, t_0 and u_0 the solution of order 0,
-    and u the solution with meshed layers. Then L(u) - L(u_0) = int_S t_0 . [u] - int_layer stress(u) : strain(v) for
-    any v that is u_0 on the faces. Here v is the layer's equilibrium with its faces at u_0. The estimated density is
-    `Estimate.density`.
+    The density is the change of the compliance per area of S. Bodies are linear, supports are fixed. Let L(u) be the
+    work of the loads in u, t_0 and u_0 the solution of order 0, and u the solution with meshed layers. Then
+    L(u) - L(u_0) = int_S t_0 . [u] - int_layer stress(u) : strain(v) for any v that is u_0 on the faces. Here v is the
+    layer's equilibrium with its faces at u_0. The estimated density is `Estimate.density`.
 
     Args:
         dropped: two bodies in 2D, S between them on y = 0, elastic laws without a pressure, under loads only.
@@ -199,7 +211,10 @@ def along(dropped: Dropped) -> Table:
 
 
 def _of_layer(dropped: Dropped, at: Array) -> Array:
-    """Work of the meshed layer's stress in the strain of v, see `along`, distributed to the columns at x."""
+    """Work of the meshed layer's stress in the strain of v, distributed to the coordinates x in `at`.
+
+    v is the equilibrium of the layer under the face displacements of the solution of order 0.
+    """
     model, state, layers = dropped.full.model, dropped.full, dropped.estimate._layers
     Q, comm = fem.functionspace(model.domain.mesh, ("Lagrange", 1)), model.comm
     v, q, x = fem.Function(model.V), ufl.TestFunction(Q), model.V.tabulate_dof_coordinates()[:, :2]
@@ -222,7 +237,7 @@ PANELS["where the compliance changes"] = "density", "density"
 
 
 def draw(record: Record) -> None:
-    """Draw the effectivities of all cases, and changes along S of one of them, from the tables."""
+    """Draw the effectivities of all cases, and the changes along S of one case, from the tables."""
     parts, names = dict[str, dict[str, tuple[list[float], list[int]]]](), dict[str, list[str]]()
     for case, rows in record.load("effectivities.csv").split("case").items():
         group, _, name = case.partition(": ")

@@ -1,4 +1,4 @@
-"""Two-phase layers in `rates`: their laws, wrong laws for comparison, shares of S in each phase, and snaps."""
+"""Rows of the study `rates` for layers with phases: laws, wrong laws for comparison, areas in each phase, snaps."""
 
 from __future__ import annotations
 
@@ -34,13 +34,17 @@ SHARE = 0.15  # least share of S that each phase, and mixtures, must have
 
 @dataclass(frozen=True)
 class Formula(TractionLaw):
-    """Interface law of `NonMonotone` in 2D, mu w_T + K_N w_N n - phase alpha chi n, with user-defined coefficients.
+    """Interface law in 2D of a layer of the law `NonMonotone`, with coefficients that may be changed.
+
+    The traction is mu w_T + K_N w_N n - phase alpha chi n at the jump w.
 
     Attributes:
         mu, K_N: stiffness along and across S, stress per length.
-        alpha, C, G: as in `NonMonotone`, per thickness.
-        chi_12, chi_22: chi n in the layer's axes.
-        minus: 1, or 0 for Eq. (43) as printed, which has no phase -1.
+        alpha: transformation stress.
+        C: transformation energy per area of S.
+        G: coefficient of the energy alpha^2 G that mixtures gain, as in `NonMonotone`.
+        chi_12, chi_22: components along S and along n of chi n, where chi is the direction of the transformation.
+        minus: 1; 0 for Eq. (43) of the paper as printed, which has no phase -1.
     """
 
     mu: float
@@ -54,14 +58,14 @@ class Formula(TractionLaw):
 
     @classmethod
     def of(cls, layer: NonMonotone, **changed: float) -> Formula:
-        """The interface law of a layer, with some coefficients changed."""
+        """Make the interface law of a layer, with some coefficients changed; `changed`: name -> value."""
         names = {"mu": "mu", "alpha": "alpha", "G": "G", "C": "transformation_energy"}
         same = {name: getattr(layer, parameter) for name, parameter in names.items()}
         same |= {"K_N": layer.lmbda + 2 * layer.mu, "chi_12": layer.chi[0, 1], "chi_22": layer.chi[1, 1]}
         return cls(**same | changed)
 
     def traction(self, step: JumpStep) -> Expr:
-        """Traction, as in `TractionLaw`."""
+        """Traction (3,) at the jump of a step."""
         w, n = step.mid, step.n
         w_N, tangent = ufl.dot(w, n), ufl.as_vector([n[1], -n[0], 0])
         stress = self.alpha * (self.chi_12 * tangent + self.chi_22 * n)
@@ -77,10 +81,14 @@ SMALL_GAIN = Formula.of(CASES["across"][0], G=1 / 140)
 
 
 def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Problem:
-    """Two blocks, 2 wide, 0.5 high, under (shear sin(pi x), pull cos(pi x/2)) on top; joint, arguments of `Structure`.
+    """Two blocks, 2 wide, 0.5 high, under (shear sin(pi x), pull cos(pi x/2)) on top; return joint and arguments.
 
-    This is a traction; with `moved` it is a displacement, times t. The lower side is clamped, the lateral sides are on
-    rollers.
+    The arguments are those of `Structure`. The lower side is clamped, the lateral sides are on rollers.
+
+    Args:
+        h: cell size.
+        shear, pull: amplitudes of the load on top.
+        moved: False: the load is a traction. True: it is a displacement, multiplied by the time.
     """
 
     def top(x: Expr, t: Expr) -> tuple[Expr, Expr]:
@@ -94,12 +102,15 @@ def blocks(h: float, shear: float, pull: float, *, moved: bool = False) -> Probl
 
 
 def along_s(state: State, _: Surface) -> dict[str, Array]:
-    """The phase of the layer at the facets of S."""
+    """Return x and the phase of the layer at the facets of S in a state, by name."""
     return dict(zip(("x", "phase"), phases_on_s(state), strict=True))
 
 
 def shares(full: Solution, limit: Solution) -> dict[str, float]:
-    """Shares of S in phase 1, in phase -1 and in mixtures; number of columns whose phase differs between the models."""
+    """Fractions of S in phase 1 ("plus"), in phase -1 ("minus") and in mixtures ("mixed") with the interface law.
+
+    "differ" is the number of facets of S where the phase of the meshed layer is another one.
+    """
     state = last(limit)
     (_, on_s), (_, meshed) = (phases_on_s(last(solution)) for solution in (limit, full))
     mixed = (abs(on_s) > CLOSE) & (abs(on_s) < 1 - CLOSE)
@@ -109,14 +120,19 @@ def shares(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def all_there(record: Record, tables: Tables) -> None:
-    """Check that both phases and mixtures occur on a part of S."""
+    """Check that both phases, and mixtures, occur on at least the fraction 0.15 of S."""
     for name in ("non_monotone", "non_monotone across", "non_monotone along"):
         for share in ("plus", "minus", "mixed"):
             record.check(f"share of S, {share}, {name}", tables[name][share][-1], low=SHARE)
 
 
 def snaps(full: Solution, limit: Solution) -> dict[str, float]:
-    """Shares; number of snaps on S; both models' relative differences in snap times (largest) and total energy lost."""
+    """Compare the snaps of both models in marches.
+
+    Returns:
+        The entries of `shares`, the number of snaps with the interface law, and relative differences of the models: the
+        largest one of the times of snaps, and that of the total energy lost.
+    """
     assert isinstance(full, History)
     assert isinstance(limit, History)
     row, times, lost = shares(full, limit) | {"snaps": len(limit.snaps)}, np.nan, np.nan
@@ -128,7 +144,7 @@ def snaps(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def same_snaps(record: Record, tables: Tables) -> None:
-    """Check that columns of the meshed layer switch as facets of S do, at times that differ by O(eps)."""
+    """Check that the meshed layer changes phase where facets of S do, at times that differ by O(eps)."""
     table = tables["non_monotone unrelaxed"]
     record.check("columns in another phase than on S, unrelaxed, any eps", table["differ"].max(), high=0.0)
     record.check("snaps, unrelaxed", table["snaps"].min(), low=5.0)

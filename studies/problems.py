@@ -1,4 +1,4 @@
-"""Structures that several studies solve."""
+"""Structures that several studies solve, as joints and arguments of `Structure`, and the solution of one of them."""
 
 from __future__ import annotations
 
@@ -57,15 +57,22 @@ LoadPath = Mapping[float, tuple[float, float, float]]  # time -> p, r and q of `
 
 
 def of(law: BulkLaw, at: float | None = 1.0, order: int = 0, profile: Profile | None = None) -> LayerOfThickness:
-    """Return thickness -> layer; the law's parameters are valid at the thickness `at`, for None at each thickness."""
+    """Return a function from the thickness to a layer.
+
+    Args:
+        law: law of the layer.
+        at: thickness at which the law's parameters hold; they are proportional to the thickness. None: they are fixed.
+        order: order of the interface law, 0 or 1.
+        profile: thickness over the argument of the function, as a function of the place; None: uniform.
+    """
     return partial(ThinLayer, law, at=at, order=order, profile=profile)
 
 
 def fourier(h: float, *, cell: str = "triangle") -> Problem:
     """Two blocks, 1 wide and 0.5 high, under a traction with one half-wave; its solution is a single Fourier mode.
 
-    The lower side is clamped, the lateral sides (the layer's too) are on rollers, the upper side carries
-    (sin(pi x)/2, cos(pi x)). Without units. The bodies have E = 100 and nu = 0.3.
+    The lower side is clamped, the lateral sides (the layer's too) are on rollers. The upper side carries the traction
+    (sin(pi x)/2, cos(pi x)). Lengths and stresses have no units. The bodies have E = 100 and nu = 0.3.
 
     Args:
         h: cell size; the mesh is a grid.
@@ -81,15 +88,16 @@ def fourier(h: float, *, cell: str = "triangle") -> Problem:
 
 @dataclass(frozen=True)
 class Wave:
-    """Exact solution of two blocks with a layer between them, clamped below, under (S sin(k x), T cos(k x)) on top.
+    """Exact solution in plane strain of two blocks with a layer between them under sinusoidal tractions.
 
-    Displacements are (U(y) sin(k x), V(y) cos(k x)), tractions on planes of constant y (S(y) sin, T(y) cos). Plane strain.
+    The traction on top is (S sin(k x), T cos(k x)); the lower side is clamped. Displacements are
+    (U(y) sin(k x), V(y) cos(k x)). Tractions on planes of constant y are (S(y) sin(k x), T(y) cos(k x)).
 
     Attributes:
         k: wave number; a half-wave is pi/k long.
         height: height of each block, without the layer.
-        body: Lame moduli lmbda, mu of the blocks.
-        load: (S, T).
+        body: Lamé's moduli lmbda and mu of the blocks.
+        load: amplitudes S and T of the traction on top.
     """
 
     k: float
@@ -98,14 +106,19 @@ class Wave:
     load: tuple[float, float]
 
     def across(self, lmbda: float, mu: float, thickness: float) -> Array:
-        """Transfer matrix (4, 4) of (U, V, S, T) through an isotropic layer; lmbda may be infinite."""
+        """Transfer matrix (4, 4) of the amplitudes (U, V, S, T) through an isotropic layer; lmbda may be infinite."""
         k, M = self.k, lmbda + 2 * mu
         ratio, along = (1.0, 4 * mu) if math.isinf(lmbda) else (lmbda / M, 4 * mu * (lmbda + mu) / M)
         rows = [[0, k, 1 / mu, 0], [-ratio * k, 0, 0, 1 / M], [along * k**2, 0, 0, ratio * k], [0, 0, -k, 0]]
         return np.asarray(expm(np.array(rows) * thickness))
 
     def solved(self, lmbda: float, mu: float, eps: float) -> tuple[Array, Array, float]:
-        """Amplitudes of the layer's mean traction (S, T) and of its jump (U, V); work of the load over a half-wave of 1."""
+        """Solve with a layer of Lamé's moduli lmbda and mu and the thickness eps.
+
+        Returns:
+            Amplitudes (2,) of the layer's mean traction, amplitudes (2,) of its jump, and the work of the load over a
+            half-wave of length 1.
+        """
         body, layer = self.across(*self.body, self.height), self.across(lmbda, mu, eps)
         below = body @ np.append(np.zeros(2), np.linalg.solve((body @ layer @ body)[2:, 2:], self.load))
         above = layer @ below
@@ -113,7 +126,13 @@ class Wave:
 
 
 def loaded(joint: Joint, top: Load, **more: Unpack[StructureArguments]) -> Structure:
-    """Bodies of E = 100 and nu = 0.3 under a traction on top, clamped below, unless `more` has others."""
+    """Make a structure of a joint under a traction on top, clamped below, with E = 100 and nu = 0.3.
+
+    Args:
+        joint: the joint.
+        top: the traction.
+        more: arguments of `Structure` that replace these.
+    """
     setup: StructureArguments = {"body": FOURIER_BODY, "supports": {"BOTTOM": 0.0}, "tractions": {"TOP": top}}
     return Structure(joint, **setup | more)
 
@@ -128,7 +147,12 @@ def free_blocks(
 ) -> Structure:
     """Two blocks, 1 wide, with free sides, clamped below, under a traction on top.
 
-    Cells have the size h_S on S, and h_ends at the ends of S.
+    Args:
+        h_ends: cell size at the ends of S.
+        load: the traction.
+        heights: heights of the lower and the upper block.
+        h_S: cell size on S.
+        more: arguments of `Structure` that replace those above.
     """
     return loaded(sandwich(1.0, *heights, h=1 / 8, h_S=h_S, h_ends=h_ends, cell="quadrilateral"), load, **more)
 
@@ -136,14 +160,15 @@ def free_blocks(
 def pressed(h: float, path: LoadPath) -> Problem:
     """Two blocks, 2 wide and 0.5 high, pressed together more at one end than at the other, and sheared.
 
-    The lower side is clamped, the lateral sides (the layer's too) are on rollers, so that nothing is singular at the ends
-    of S; the upper side carries (q sin(pi x/2), -p - r cos(pi x/2)). Without units. The bodies have E = 100 and nu = 0.3.
+    The lower side is clamped. The lateral sides (the layer's too) are on rollers, so that nothing is singular at the
+    ends of S. The upper side carries the traction (q sin(pi x/2), -p - r cos(pi x/2)). Lengths and stresses have no
+    units. The bodies have E = 100 and nu = 0.3.
     With a layer of `FOURIER_LAYER` the pressure on S is p + (0.88 r - 0.36 q) cos(pi x/2). The shear traction is
     (0.13 r + 0.08 q) sin(pi x/2).
 
     Args:
         h: cell size; the mesh is a grid of squares.
-        path: time -> p, r and q, linear in between.
+        path: time -> coefficients p, r and q of the traction, linear in between.
 
     Returns:
         The joint, and the arguments of its `Structure`.
@@ -159,7 +184,10 @@ def pressed(h: float, path: LoadPath) -> Problem:
 
 
 def sheared(h: float) -> Problem:
-    """The blocks of `fourier` under pressure, sheared up to t = 1 and then back; joint, arguments of `Structure`."""
+    """The blocks of `fourier` under pressure, sheared up to t = 1 and then back; return joint and arguments.
+
+    The arguments are those of `Structure`; h is the cell size.
+    """
     joint, setup = fourier(h, cell="quadrilateral")
 
     def load(x: Expr, t: Expr) -> tuple[Expr, Expr]:
@@ -172,13 +200,14 @@ def sheared(h: float) -> Problem:
 def sliding_bar(n: int, *, depth: bool = False, **cells: Unpack[GridArgs]) -> Problem:
     """The bar of Fig. 7: a square of 40 mm, in plane strain, pushed along a rigid base AB by 100 MPa and onto it by 50 MPa.
 
-    u_1 = 0 on the right side, and its lower corner B is fixed. With `depth` it is a cube whose back side is on rollers,
-    and whose corner is not fixed.
+    The right side cannot move along x, and its lower corner B is fixed. The cube's back side is on rollers, and its
+    corner is not fixed.
 
     Args:
-        n: squares along each side; S has n + 1 nodes along x.
+        n: number of cells along each side; S has n + 1 nodes along x.
         depth: whether it is a cube.
-        **cells: as in `geometry.block`; a grid unless `structured` is False.
+        **cells: arguments of `geometry.block` on the type and arrangement of cells; a grid unless `structured` is
+            False.
 
     Returns:
         The joint, and the arguments of its `Structure`.
@@ -204,14 +233,20 @@ ARCH_RADIUS, MIDDLE = 1.15, 0.1  # m: joints are measured over the middle two th
 
 
 def glued_hub(h: float) -> Problem:
-    """A hollow shaft, fixed inside, glued into a hub pushed down on its upper half; joint, arguments of `Structure`."""
+    """A hollow shaft, fixed inside, glued into a hub pushed down on its upper half; return joint and arguments.
+
+    The arguments are those of `Structure`; h is the cell size, mm.
+    """
     tractions = {"OUTSIDE": lambda x, t: (0.0, -ufl.conditional(x[1] > 0, 10.0 * x[1] / RADII[2], 0.0))}
     joint, bodies = ring(*RADII, h=h, cell="quadrilateral", degree=2), {"INNER": STEEL, "OUTER": ALUMINIUM}
     return joint, {"body": bodies, "supports": {"INSIDE": 0.0}, "tractions": tractions}
 
 
 def arch(element: str) -> Problem:
-    """Five stones, from a mesh file, under their weight and a load on the right half; all four joints are one seam."""
+    """Five stones, from a mesh file, under their weight and a load on the right half; all four joints are one seam.
+
+    It returns the joint and the arguments of its `Structure`; `element` is the finite element of the displacements.
+    """
     tractions = {"EXTRADOS": lambda x, t: (0.0, ufl.conditional(x[0] > 0, -0.4, -0.1))}
     setup: StructureArguments = {"body": STONE, "tractions": tractions, "body_force": WEIGHT, "element": element}
     setup["supports"] = {"SPRINGINGS": 0.0}
@@ -219,12 +254,12 @@ def arch(element: str) -> Problem:
 
 
 def inside_joints(x: Array) -> BoolArray:
-    """Whether points x are away from the ends of the arch's joints."""
+    """Whether points x lie in the middle two thirds of the arch's joints, away from their ends."""
     return np.asarray(abs(np.sqrt(x[0] ** 2 + x[1] ** 2) - ARCH_RADIUS) < MIDDLE)
 
 
 def phases_on_s(state: State) -> tuple[Array, Array]:
-    """First coordinates (n,) of the facets of S in ascending order, and phases (n,) of the layer there."""
+    """Return x of the n facets of S in ascending order, and the phases (n,) of the layer there in a state."""
     surface = Surface(state.model)
     x, phase = surface.x[0].mean(axis=1), surface.phase(state)[:, 0]
     return np.sort(x), phase[np.argsort(x)]

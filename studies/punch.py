@@ -33,16 +33,16 @@ PRESSURES = (0.7, 1.0, 1.2, 1.3, 1.35)  # over K; elastic up to 0.75, the limit 
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Solve a punch and a cylinder, and check them against closed forms.
+    """Solve a punch and a cylinder of ideally plastic metal, and check them against closed forms.
 
-    punch.csv: half of a rough, rigid punch is pushed into a block of ideally plastic metal; its mean pressure against
-    (2 + pi) k under mesh refinement.
-    cylinder.csv: a nearly incompressible cylinder (nu = 0.499) under inner pressure, partly plastic, in plane strain
-    and axisymmetric. Displacements inside and outside, and the radial stress on S, an almost rigid bond, against the
-    closed form.
+    punch.csv has the mean pressure of a rough, rigid punch on a block, on finer and finer meshes; the closed form is
+    (2 + pi) k with the shear strength k. By symmetry half of it is solved.
+    cylinder.csv is of a nearly incompressible cylinder (nu = 0.499) under inner pressure, partly plastic, in plane
+    strain and axisymmetric. It has the displacements inside and outside, and the radial stress on S, an almost rigid
+    interface.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         quick: coarser meshes.
     """
     punched(record, (5, 10) if quick else (5, 10, 16))
@@ -51,7 +51,10 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 # ---------------------------------------------------------------- punch
 def half_space(n: int) -> Joint:
-    """Half of a block, 4 wide and 2 high, with n cells over the half-width 1 of the punch, graded towards its edge."""
+    """Joint of half of the block, 4 wide and 2 high, with n cells over the half-width 1 of the punch.
+
+    Cells become smaller towards the edge of the punch.
+    """
     grid = block(4.0, 2.0, 1 / n, structured=True, arrangement="AlternateLeft")
     x, y = grid.points.T
     below, outside = 1 - np.abs(1 - x) ** GRADING, 1 + 3 * (np.abs(x - 1) / 3) ** GRADING
@@ -63,12 +66,12 @@ def half_space(n: int) -> Joint:
 
 
 def pressure(state: State) -> float:
-    """Mean pressure of the punch, whose half-width is 1."""
+    """Mean pressure under the punch, whose half-width is 1, in a state."""
     return -float(state.reaction("PUNCH").force[1])
 
 
 def punched(record: Record, cells: Sequence[int]) -> None:
-    """Push the punch into the block on each mesh, and check its pressure."""
+    """Push the punch into the block on meshes with these numbers of cells over its half-width; check its pressure."""
     table, limit = record.table("punch.csv"), formulas.prandtl_pressure(K)
     metal = VonMises.young(E=1000.0, nu=0.45, strength=STRENGTH)
     supports: dict[str, Support] = {"LEFT": {"x": 0.0}, "RIGHT": {"x": 0.0}, "PUNCH": {"x": 0.0, "y": lambda x, t: -t}}
@@ -85,10 +88,13 @@ def punched(record: Record, cells: Sequence[int]) -> None:
 
 # ---------------------------------------------------------------- cylinder
 def cylinders(h: float) -> dict[str, tuple[Joint, StructureArguments, str, str]]:
-    """Name -> joint, arguments of `Structure`, names of the boundaries inside and outside, for two models of the cylinder.
+    """Make two models of the cylinder, "plane strain" and "axisymmetric", with cells of the size h.
 
-    One is a quarter of its cross section in plane strain. The other is axisymmetric, and its ends do not move along the
-    axis. S is the cylinder of radius CUT in both.
+    The first is a quarter of the cross section. The second is a section through the axis; its ends do not move along
+    the axis. S is the cylinder of radius `CUT` in both.
+
+    Returns:
+        Name of the model -> its joint, arguments of its `Structure`, and names of the inner and the outer side.
     """
     c = CYLINDER
     quarter = ring(c.a, CUT, c.b, h, angle=math.pi / 2, cell="triangle", degree=2)
@@ -106,7 +112,7 @@ def cylinders(h: float) -> dict[str, tuple[Joint, StructureArguments, str, str]]
 
 
 def inflated(record: Record, h: float) -> None:
-    """Raise the pressure in both models of the cylinder, and check them against the closed form."""
+    """Raise the pressure in both models of the cylinder, of cell size h, and check them against the closed form."""
     c, nu, table = CYLINDER, 0.499, record.table("cylinder.csv")
     metal = VonMises.young(E=2 * c.mu * (1 + nu), nu=nu, strength=STRENGTH)
     bond = ThinLayer(LinearElastic(BOND, BOND), 1e-3, at=1.0)
@@ -128,7 +134,7 @@ def inflated(record: Record, h: float) -> None:
 
 
 def moved(state: State, name: str, r: float) -> float:
-    """Mean outward displacement of the boundary `name` with the radius r."""
+    """Mean outward displacement, in a state, of the boundary `name` of the cylinder, whose radius is r."""
     mesh, there = state.model.domain.mesh, state.model.ds(state.model.domain.values(name))
     axisymmetric = state.model.plane == "axisymmetric"
     outward = state.u[0] if axisymmetric else ufl.dot(state.u, ufl.SpatialCoordinate(mesh)) / r
@@ -136,7 +142,7 @@ def moved(state: State, name: str, r: float) -> float:
 
 
 def draw(record: Record) -> None:
-    """Draw the pressure under the punch, and the cylinder."""
+    """Draw the pressure under the punch, and displacements and stress of the cylinder, from the tables."""
     limit, sunk = formulas.prandtl_pressure(K), np.array([0.0, max(SUNK)])
     curves, styles = Curves(), {"(2 + pi) k": ":"}
     for n, part in record.load("punch.csv").split("n").items():

@@ -51,21 +51,24 @@ ONE_BRANCH_FLOOR, GAIN_FLOOR = {"traction": (0.12, 0.16), "jump": (0.29, 0.35)},
 
 
 def early(_: Solution, limit: Solution) -> dict[str, float]:
-    """L2 norms on S of the interface law's traction and jump at the time EARLY."""
+    """L2 norms on S of the interface law's traction and jump at the time `EARLY`, by name."""
     assert isinstance(limit, History)
     state, surface = limit.at(EARLY), Surface(limit.model)
     return {f"early_{field.__name__}": surface.norm(field(state)) for field in (surface.traction, surface.jump)}
 
 
 def spectral(record: Record, tables: Tables) -> None:
-    """Check norms on S against a spectral solution."""
+    """Check the norms of `early` for the Norton layer against a spectral solution."""
     for name, value in SPECTRAL.items():
         norm, tolerance = tables["norton"][f"early_{name}"][-1], 5e-4 if record.options.get("quick") else 1e-4
         record.check(f"{name} at t = {EARLY:g}, from a spectral solution", abs(norm / value - 1), high=tolerance)
 
 
 def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
-    """L2 norms on S of [u_N], projected to the multiplier's degree 1, over the norm of the interface model's [u]."""
+    """L2 norms on S of the normal jump in both models, over the norm of the interface model's jump, by name.
+
+    The normal jump is projected to functions linear on each facet, as the Lagrange multiplier of the interface law is.
+    """
     surface = Surface(last(limit).model)
     size = surface.norm(surface.jump(last(limit)))
     norms = {}
@@ -76,7 +79,7 @@ def normal_jumps(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def no_normal_jump(record: Record, tables: Tables) -> None:
-    """Check that [u_N] is zero on S, and O(eps) in the meshed layer."""
+    """Check that the normal jump of incompressible layers is zero on S, and O(eps) in the meshed layer."""
     table = tables["incompressible"]
     record.check("largest [u_N]/[u] of the interface law, projected", table["normal_jump_interface"].max(), high=1e-10)
     if len(table) > 1:
@@ -85,11 +88,11 @@ def no_normal_jump(record: Record, tables: Tables) -> None:
 
 
 def less_fraction(record: Record, tables: Tables) -> None:
-    """Check that a smaller elastic fraction h leaves a larger error of pulled layers.
+    """Check that the error of pulled frictional layers is larger for a smaller elastic fraction h.
 
-    Where the tension exceeds C cot(Omega) only h resists shear, and the layer contracts along S where it is pulled
-    along n. The interface law assumes that strains along S are small against strains along n. This holds only if eps is
-    small against sqrt(h) times the length of S (an estimate).
+    Where the tension exceeds C cot(Omega), only the elastic fraction h resists shear, and the layer contracts along S
+    where it is pulled along n. The interface law assumes that strains along S are small against strains along n. This
+    holds only if eps is small against sqrt(h) times the length of S (an estimate).
     """
     for name in ERROR_COLUMNS:
         less, more = (tables[f"monodirectional {case}"][f"error_{name}"][-1] for case in ("pulled_less", "pulled"))
@@ -98,7 +101,10 @@ def less_fraction(record: Record, tables: Tables) -> None:
 
 
 def third_order(record: Record, tables: Tables) -> None:
-    """Check that the traction's order tends to 3 from below, as eps E_layer/E_body becomes small against the width."""
+    """Check that the traction's rate of convergence tends to 3 from below for layers that may be as hard as the bodies.
+
+    It does so as eps E_layer/E_body becomes small against the width.
+    """
     for name, law in HARD.items():
         if len(table := tables[name]) > 1:
             low = 2.5 if table["eps"][-1] * law.mu / FOURIER_BODY.mu < 0.05 else 2.0
@@ -106,7 +112,7 @@ def third_order(record: Record, tables: Tables) -> None:
 
 
 def dissipated(_: Solution, limit: Solution) -> dict[str, float]:
-    """Energies dissipated in bodies and joint in a march of the interface model, over the energy stored at the end."""
+    """Energies dissipated in bodies and layer in a march of the interface model, over the energy stored at the end."""
     assert isinstance(limit, History)
     whole, bodies = (float(limit.table[name].sum()) for name in ("dissipated", "dissipated bodies"))
     stored = limit.last.audit.total
@@ -114,7 +120,7 @@ def dissipated(_: Solution, limit: Solution) -> dict[str, float]:
 
 
 def both_yield(record: Record, tables: Tables) -> None:
-    """Check that bodies and joint both dissipate energy."""
+    """Check that the bodies and the layer both dissipate energy."""
     for name in ("bodies", "joint"):
         dissipation = tables["mohr_coulomb metal"][name][-1]
         record.check(f"energy dissipated in the {name}, over the stored energy", dissipation, low=0.01)
@@ -122,12 +128,15 @@ def both_yield(record: Record, tables: Tables) -> None:
 
 # ---------------------------------------------------------------- problems
 def bar(sizes: tuple[float, float, float]) -> Problem:
-    """The bar of Fig. 2 under the loads R1, in mm and MPa; joint, arguments of its `Structure`."""
+    """The bar of Fig. 2 under the loads R1, in mm and MPa; return its joint and the arguments of its `Structure`.
+
+    `sizes` are those of cells inside the bar, at S and at the ends of S, mm.
+    """
     return fig3.meshed(sizes), fig3.READINGS["R1"].setup
 
 
 def of_metal(h: float) -> Problem:
-    """The blocks of `sheared`, of hardening metal; joint, arguments of its `Structure`."""
+    """The blocks of `sheared`, of hardening metal; return their joint and the arguments of their `Structure`."""
     joint, setup = sheared(h)
     return joint, setup | {"body": VonMises(FOURIER_BODY.lmbda, FOURIER_BODY.mu, strength=3.0, hardening=20.0)}
 
@@ -177,14 +186,21 @@ at_once, to_and_fro = (partial(bands.blocks, path=path) for path in (bands.ONCE,
 
 
 def switches(case: str, label: str) -> Row:
-    """Return a row for a two-phase layer, the case of this name in `phases.CASES`."""
+    """Return a row for a layer with phases, the case of this name in `phases.CASES`, with this label."""
     law, shear, pull = phases.CASES[case]
     problem = partial(phases.blocks, shear=shear, pull=pull)
     return fine(of(law), label, problem, cells_through=2, pictured=None, more=phases.shares, along=phases.along_s)
 
 
 def switches_wrongly(case: str, label: str, law: TractionLaw, floors: Floors) -> Row:
-    """Return the row of `switches` with a wrong law on S, and the errors that it leaves."""
+    """Return a row for a layer with phases that has a wrong law on S, to show the error that the law leaves.
+
+    Args:
+        case: name of the layer in `phases.CASES`.
+        label: text that names the row in pictures.
+        law: the wrong law.
+        floors: "traction" or "jump" -> range of the relative error.
+    """
     return replace(switches(case, label), instead=law, floors=floors, orders=None, more=None, along=None)
 
 
@@ -271,12 +287,12 @@ def run(
         "mohr_coulomb", "friction", "non_monotone", "bar",
     ] = "all", eps: Sequence[float] = (), quick: bool = False,
 ) -> None:
-    """Sweep the thickness of layers, meshed and as interface laws; the parameters of a family of layers are fixed.
+    """Compare meshed layers with their interface laws for decreasing thickness, and check the rates of convergence.
 
     Args:
-        record: where to write; table_LAW.csv has a law's first row, table_LAW_OTHER.csv another row.
-        law: law whose rows are swept, or all.
-        eps: thicknesses, in place of the rows' thicknesses.
+        record: folder of the results; table_LAW.csv is of a law's first layer, table_LAW_OTHER.csv of another one.
+        law: law whose layers are compared, or all.
+        eps: thicknesses, in place of those chosen for each layer.
         quick: coarser meshes, fewer steps and pictures, without the longest rows.
     """
     tables: Tables = {}
@@ -292,7 +308,7 @@ def run(
 
 
 def draw(record: Record) -> None:
-    """Draw the rates from the tables that exist."""
+    """Draw the errors over the thickness from the tables that exist."""
     for law in LAWS:
         rows = {row.label: name for name, row in ROWS.items() if name.split()[0] == law and record.has(table_of(name))}
         title = f"meshed against law on S: {law}" + (f", eps in {ROWS[law].unit}" if ROWS[law].unit else "")

@@ -1,4 +1,4 @@
-"""The paper's relaxation method: numbers of sweeps over omega, mesh and stiffness, also with one omega everywhere."""
+"""The paper's relaxation method (SOR): number of sweeps for factors omega, meshes and stiffnesses of the layer."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ EXPECTED = {  # sweeps of an independent code on the same meshes: (squares, lmbd
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Count sweeps with omega = 1 at the contact nodes, then with one omega everywhere.
+    """Count sweeps of relaxation with the factor omega = 1 at contact nodes, then with the same omega everywhere.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         quick: two coarse meshes.
     """
     meshes = (8, 16) if quick else (8, 16, 32)
@@ -44,7 +44,14 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -> tuple[int, bool]:
-    """Number of sweeps until the relaxation converges or fails, and whether it has converged."""
+    """Return the number of sweeps until the relaxation converges or fails, and whether it has converged.
+
+    Args:
+        n: number of cells along each side of the bar.
+        lmbda, mu: stiffness of the layer, N/mm^3.
+        omega: factor of the relaxation.
+        omega_contact: its factor at contact nodes.
+    """
     joint, setup = sliding_bar(n, arrangement="AlternateLeft")
     options = {"omega": omega, "omega_contact": omega_contact, "tolerance": TOLERANCE, "max_sweeps": MAX_SWEEPS}
     model = Structure(joint, **setup).interface(HolonomicCoulomb.of_layer(lmbda, mu, friction=1.0))
@@ -56,7 +63,7 @@ def count(n: int, lmbda: float, mu: float, omega: float, omega_contact: float) -
 
 
 def check(record: Record, table: Table) -> None:
-    """Check known numbers of sweeps, and that one omega everywhere fails in some cases."""
+    """Check known numbers of sweeps, and that the same factor omega everywhere fails in some cases."""
     unit_contact = table["omega_contact"] == 1.0
     for (n, lmbda, omega), expected in EXPECTED.items():
         at = unit_contact & (table["squares"] == n) & (table["lmbda"] == lmbda) & (table["omega"] == omega)
@@ -76,7 +83,7 @@ def check(record: Record, table: Table) -> None:
 
 
 def draw(record: Record) -> None:
-    """Draw sweeps against omega from table.csv."""
+    """Draw the number of sweeps over the factor omega, from table.csv."""
     panels = dict[str, Curves]()
     for lmbda, part in record.load("table.csv").split("omega_contact")[1].split("lmbda").items():
         for n, rows in part.split("squares").items():

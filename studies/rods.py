@@ -1,4 +1,4 @@
-"""Two cylinders, glued end to end, in `rates`: in 3D and by their section through the axis."""
+"""Row of the study `rates`: two cylinders, glued end to end, in 3D and as an axisymmetric section."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ SAME = 0.01  # relative difference of means in three dimensions and in the axisy
 
 
 def rods(sizes: tuple[float, float]) -> Problem:
-    """Two cylinders, glued end to end, under tension and bending; `sizes` of cells inside and on S.
+    """Two cylinders, glued end to end, under tension and bending; return joint and arguments.
+
+    The arguments are those of `Structure`; `sizes` are those of cells inside and on S, mm.
 
     Bending opens one half of S as much as it closes the other half. Means over S and over the top are therefore equal
     to the means under tension alone, which the section through the axis gives, too.
@@ -32,7 +34,7 @@ def rods(sizes: tuple[float, float]) -> Problem:
 
 
 def inside_rods(x: Array) -> BoolArray:
-    """Whether points x are away from the edge, where the layer's free side disturbs."""
+    """Whether points x of S lie within 3/4 of the radius, away from the free end of the layer."""
     return _radius(x) < 0.75 * RADIUS
 
 
@@ -41,7 +43,7 @@ def _radius(x: Array) -> Array:
 
 
 def against_section(full: Solution, limit: Solution) -> dict[str, float]:
-    """Mean rise of the top (mm) and mean normal traction (MPa), in 3D and in the section through the axis.
+    """Mean rise of the top (mm) and mean normal traction (MPa) of both models, in 3D and as an axisymmetric section.
 
     The mean traction is weighted with 1 - r^2/R^2, because equilibrium alone gives the plain mean. In the section x is
     the radius, and y the axis.
@@ -62,7 +64,7 @@ def against_section(full: Solution, limit: Solution) -> dict[str, float]:
 
 
 def in_section(record: Record, tables: Tables) -> None:
-    """Check that means in three dimensions are equal to the means in the section through the axis."""
+    """Check that the means in 3D are equal to those in the axisymmetric section."""
     for name in (f"{what}_{model}" for what in ("rise", "traction") for model in ("meshed", "law")):
         difference = np.abs(tables["butt_joint"][name] / tables["butt_joint"][f"{name}_axisymmetric"] - 1).max()
         record.check(f"{name} in 3D against the axisymmetric section", difference, high=SAME)

@@ -18,10 +18,12 @@ FRICTION = (0.3, 1.0, 2.0)
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Follow the error to the limit on one mesh, then count Newton steps over stiffness, friction and mesh.
+    """Measure how contact with a stiff layer tends to rigid contact, and count Newton steps.
+
+    The error is measured on one mesh, the steps for several stiffnesses, friction coefficients and meshes.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         quick: coarser meshes.
     """
     meshes = (32, 64) if quick else (32, 64, 128, 256, 512, 724)
@@ -38,14 +40,24 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def solved(record: Record, n: int, K: float, friction: float) -> tuple[Contact, int]:
-    """Contact fields and number of Newton steps of the bar on n squares."""
+    """Solve the bar, and return its results on S and the number of Newton steps.
+
+    Args:
+        record: folder of the results.
+        n: number of cells along each side of the bar.
+        K: tangential stiffness of the layer, N/mm^3; the normal stiffness is 5 K.
+        friction: friction coefficient.
+    """
     joint, setup = sliding_bar(n)
     state = record.solved(solve(Structure(joint, **setup).interface(HolonomicCoulomb(5 * K, K, friction))))
     return Surface(state.model).contact(state), state.report.iterations
 
 
 def _errors(reports: dict[float, Contact]) -> Table:
-    """Table of relative L2 differences on S to the stiffest interface, with observed orders."""
+    """Table of relative L2 differences on S from the stiffest layer, with observed rates of convergence in 1/K.
+
+    `reports`: stiffness K -> results on S.
+    """
     limit = fields(reports[LIMIT])
 
     def norm(field: np.ndarray) -> float:
@@ -60,7 +72,7 @@ def _errors(reports: dict[float, Contact]) -> Table:
 
 
 def fields(report: Contact) -> dict[str, np.ndarray]:
-    """Jump and traction at the nodes, tangential parts first."""
+    """Return "jump" and "traction" (m, 2) at the m nodes of S, tangential components first."""
     return {"jump": np.column_stack([report.u_T, report.u_N]), "traction": np.column_stack([report.t_T, report.p])}
 
 
@@ -75,7 +87,7 @@ def _check(record: Record, table: Table, steps: Table, meshes: Sequence[int]) ->
 
 
 def draw(record: Record) -> None:
-    """Draw the errors from table.csv."""
+    """Draw the differences from the stiffest layer over the stiffness, from table.csv."""
     table = record.load("table.csv")
     K = table["K_T"]
     lines = {name: (K, table[f"error_{name}"]) for name in ("jump", "traction")}

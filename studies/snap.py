@@ -46,7 +46,16 @@ Motion = Callable[[Expr, Expr], Expr]  # of place and time
 def followed(
     joint: Joint, law: Phases, delta: Motion, times: Sequence[float] | ArcLength, eps: float = 0, keep: str = "all"
 ) -> History:
-    """March the block with delta(x, t), on its interface law or a meshed layer of thickness eps; observe the force."""
+    """March the block on its layer under prescribed displacements, and observe the force on its upper side.
+
+    Args:
+        joint: joint of the block.
+        law: law of the layer.
+        delta: prescribed displacement in the middle of the upper side, a function of place and time.
+        times: ends of the time steps, or settings of an arc-length continuation.
+        eps: thickness of the meshed layer; 0: the interface law.
+        keep: states that the history keeps, "all" or "last".
+    """
 
     def force(state: State) -> float:
         reaction = state.reaction("TOP")
@@ -60,38 +69,51 @@ def followed(
 
 
 def cycle(joint: Joint, steps: int, eps: float = 0) -> History:
-    """March pure phases, up to END in equal steps and back."""
+    """March a layer of pure phases, up to the displacement 2.4 in equal steps and back."""
     times = [END * k / steps for k in range(1, 2 * steps + 1)]
     return followed(joint, NonMonotoneUnrelaxed(*SNAPPING), piecewise({0: 0, END: END, 2 * END: 0}), times, eps)
 
 
 def path(joint: Joint, r: float, first: float, *, back: bool = False) -> Table:
-    """Table of equilibria from delta = 0 to END, or from END to 0, by arc length."""
+    """Table of the equilibria of the third law along a path by arc length.
+
+    Args:
+        joint: joint of the block.
+        r: part of the energy gain of mixtures that the law has.
+        first: length of the first step.
+        back: False: from delta = 0 to 2.4; True: from 2.4 to 0.
+    """
     law, arc = NonMonotone(*SNAPPING, mixing=r), ArcLength(end=END, first=first)
     history = followed(joint, law, lambda x, t: END - t if back else t, arc, keep="last")
     return rows(f"path by arc length, r = {r:g}", history, END - history.t if back else history.t)
 
 
 def rows(curve: str, history: History, delta: Array) -> Table:
-    """Displacement, force, energy and share of phase 1 of all states of a march."""
+    """Table of displacement, force, energy and fraction of S in phase 1 of all states of a march.
+
+    Args:
+        curve: name of the curve, a column of the table.
+        history: the march.
+        delta: prescribed displacements of the states.
+    """
     force, energy, phase = (history.table[name] for name in ("force", "energy", "plus"))
     return Table.of({"curve": curve, "delta": delta, "force": force, "energy": energy, "phase": phase})
 
 
 def moved(t: npt.ArrayLike) -> Array:
-    """The prescribed displacement delta at times of a cycle."""
+    """Prescribed displacement delta at times t of a march up and back."""
     return np.asarray(END - np.abs(np.asarray(t, float) - END))
 
 
 def switches(history: History) -> Array:
-    """Displacements (columns, 2) at which each column of a cycle changes to phase 1, and back."""
+    """Displacements (facets, 2) at which the layer at each facet of S changes to phase 1, and back, in a `cycle`."""
     phases = np.array([phases_on_s(state)[1] for state in history]) > 0.5
     first, last = phases.argmax(axis=0), len(phases) - phases[::-1].argmax(axis=0)
     return np.column_stack([history.t[first], 2 * END - history.t[last]])
 
 
 def distance(points: Array, vertices: Array) -> Array:
-    """Distances (n,) of points (n, d) from a polygon (m, d), over the size of its components."""
+    """Distances (n,) of points (n, d) from a polygon with vertices (m, d); coordinates are scaled by their ranges."""
     size = np.ptp(vertices, axis=0)
     vectors = vectors_from_segments(points / size, vertices[:-1] / size, vertices[1:] / size)
     return np.asarray(np.linalg.norm(vectors, axis=2).min(axis=1))
@@ -99,10 +121,10 @@ def distance(points: Array, vertices: Array) -> Array:
 
 # ---------------------------------------------------------------- the study
 def run(record: Record, *, quick: bool = False) -> None:
-    """Move the upper side up and down, and follow paths from both ends.
+    """Move the upper side of the block up and down, and follow its equilibria by arc length from both ends.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         quick: coarser mesh, a path with a smaller snap-back.
     """
     cells, steps, r, step = (12, 12, 0.4, 0.06) if quick else (32, 48, 0.3, 0.02)
@@ -128,7 +150,19 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float, *, quick: bool) -> Table:
-    """Follow a path; check it from the other end, with shorter steps, and its end against the relaxed law."""
+    """Follow the equilibria by arc length, check the path, and return its table.
+
+    The path is compared with the one from the other end, with one of shorter steps, and at its end with the relaxed
+    law.
+
+    Args:
+        record: folder of the results.
+        joint: joint of the block.
+        relaxed: march of the relaxed law.
+        r: part of the energy gain of mixtures that the law has.
+        step: length of the first step.
+        quick: whether to leave out the path of shorter steps.
+    """
     first, name = path(joint, r, step), f"r = {r:g}"
     others = {"from the other end": path(joint, r, step, back=True)}
     if not quick:
@@ -145,7 +179,7 @@ def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float
 
 
 def check_energies(record: Record, pure: History, relaxed: History) -> None:
-    """Check that the energy lost is the area of the loop, and that relaxed energies do not exceed pure phases'."""
+    """Check that the loop's area is the energy lost in snaps, and that relaxed energies are at most those of pure phases."""
     area = float(np.trapezoid(pure.table["force"], moved(pure.t)))
     lost = sum(snap.lost for snap in pure.snaps)
     record.check_near("energy lost in all snaps over the area of the loop", lost / area, 1.0, ROUNDING)

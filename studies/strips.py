@@ -38,7 +38,7 @@ def run(record: Record, *, quick: bool = False) -> None:
     """Solve the shear lag and the bending, each with the layer meshed and as an interface law.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         quick: coarser meshes.
     """
     shear_lag(record, 5.0 if quick else 2.5)
@@ -47,7 +47,16 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 # ---------------------------------------------------------------- strips
 def strips(h: float, mu: float, supports: Mapping[Place, Support]) -> dict[str, Model]:
-    """Return name -> model of the right halves of two cooled strips with a layer of the shear modulus mu."""
+    """Make models of the right halves of two cooled strips with a layer between them.
+
+    Args:
+        h: cell size, mm.
+        mu: shear modulus of the layer, MPa.
+        supports: supports in addition to the symmetry at the left end.
+
+    Returns:
+        "meshed layer" and "interface law" -> model.
+    """
     joint = sandwich(LENGTH, HEIGHTS["LOWER"], HEIGHTS["UPPER"], h, cell="quadrilateral", structured=True)
     cooled = {name: ThermalExpansion(alpha, COOLING) for name, alpha in ALPHA.items()}
     bodies, conditions = {"LOWER": ALUMINIUM, "UPPER": STEEL}, {"LEFT": {"x": 0.0}, **supports}
@@ -62,7 +71,9 @@ def difference() -> float:
 
 
 def compliances(eps: float = 0.0) -> tuple[float, float]:
-    """Sum of 1/(E h) of both strips in plane strain, and the compliance from bending under forces at their inner sides.
+    """Compliances of the strips against axial forces at their inner sides, from stretching and from bending.
+
+    The first is the sum of 1/(E h) of both strips with the moduli of plane strain.
 
     Args:
         eps: distance of the strips, which adds to the lever arm of these forces.
@@ -73,18 +84,21 @@ def compliances(eps: float = 0.0) -> tuple[float, float]:
 
 
 def arm(eps: float = 0.0) -> float:
-    """Distance between the mid-planes of the strips."""
+    """Distance between the mid-planes of the strips, which are `eps` apart, mm."""
     return sum(HEIGHTS.values()) / 2 + eps
 
 
 def lag(mu: float, x: npt.NDArray[np.floating]) -> Array:
-    """Shear stress on S of strips that do not bend, at distances x from the middle: Volkersen's shear lag."""
+    """Closed form of the shear stress on S of strips that do not bend (Volkersen), at distances x from the middle.
+
+    `mu` is the shear modulus of the layer, MPa.
+    """
     B = np.sqrt(mu / EPS * compliances()[0])
     return np.asarray(mu * difference() * np.sinh(B * x) / (EPS * B * np.cosh(B * LENGTH)))
 
 
 def shear_lag(record: Record, h: float) -> None:
-    """Solve strips between smooth plates, and check the shear stress on S."""
+    """Solve strips between smooth rigid plates with cells of the size h, and check the shear stress on S."""
     table = record.table("shear_lag.csv")
     for mu in SHEAR:
         models = strips(h, mu, {"BOTTOM": {"y": 0.0}, "TOP": {"y": 0.0}})
@@ -103,26 +117,36 @@ def shear_lag(record: Record, h: float) -> None:
 
 
 def timoshenko(eps: float = 0.0) -> float:
-    """Curvature of two bonded strips at the distance eps (Timoshenko 1925)."""
+    """Curvature of two bonded strips that are `eps` apart (Timoshenko 1925), 1/mm."""
     stretch, bend = compliances(eps)
     return float(-difference() * bend / arm(eps) / (stretch + bend))
 
 
 def bent(mu: float, eps: float = 0.0) -> float:
-    """Curvature in the middle with a layer in between (Suhir 1986): axial forces build up over the shear-lag length."""
+    """Curvature in the middle of two strips with a layer between them (Suhir 1986), 1/mm.
+
+    Axial forces build up over the shear-lag length from the ends.
+
+    Args:
+        mu: shear modulus of the layer, MPa.
+        eps: distance of the strips, mm.
+    """
     k = np.sqrt(mu / EPS * sum(compliances(eps)))
     return float(timoshenko(eps) * (1 - 1 / np.cosh(min(k * LENGTH, 700.0))))
 
 
 def curvature(surface: Surface, state: State) -> float:
-    """Curvature near the middle of the strips, from a parabola fitted to the mean displacements of both sides of S."""
+    """Curvature near the middle of the strips in a state, 1/mm, from a parabola fitted to mean displacements on S."""
     x, v = surface.profile(surface.displacements(state).mean(axis=0))
     near = x[:, 0] < 0.1 * LENGTH
     return float(2 * np.polyfit(x[near, 0] ** 2, v[near, 1], 1)[0])
 
 
 def bending(record: Record, h: float) -> None:
-    """Solve strips that are free to bend, with layers of growing stiffness, and check their curvature."""
+    """Solve strips that are free to bend, for increasing stiffnesses of the layer, and check their curvature.
+
+    h is the cell size, mm.
+    """
     table = record.table("bending.csv")
     gaps = {"meshed layer": EPS, "interface law": 0.0}  # the interface law neglects the thickness in the lever arm
     for mu in STIFFENING:
@@ -138,7 +162,7 @@ def bending(record: Record, h: float) -> None:
 
 # ---------------------------------------------------------------- pictures
 def draw(record: Record) -> None:
-    """Draw the shear lag, at every fourth point, and the bending, from the tables."""
+    """Draw the shear stress of the shear lag and the curvature of the bending strips, from the tables."""
     lines, grid = Curves(), np.linspace(0, LENGTH, 200)
     for mu, of_mu in record.load("shear_lag.csv").split("mu").items():
         for name, part in of_mu.split("model").items():

@@ -32,7 +32,7 @@ ON_S = "interface law"
 
 
 def halves(k: int, n: int = 4) -> tuple[float, ...]:
-    """n thicknesses 2^-k, 2^-(k+1), ...; blocks are 0.5 high."""
+    """Return the n thicknesses 2^-k, 2^-(k+1), ..."""
     return tuple(2.0**-exponent for exponent in range(k, k + n))
 
 
@@ -41,29 +41,32 @@ SQUARES, EIGHTHS = partial(fourier, cell="quadrilateral"), halves(3)
 
 @dataclass(frozen=True)
 class Row:
-    """A layer whose thickness is swept: one structure, solved with the layer meshed and with its interface law.
+    """A comparison of a meshed layer with its interface law in one structure for decreasing thickness.
 
     Attributes:
-        layer: thickness -> the layer.
-        label: text that distinguishes the row from the other rows of its law.
-        problem: cell size, or another argument of the mesh -> the joint, and the arguments of its `Structure`.
+        layer: function of the thickness that returns the layer.
+        label: text that distinguishes the row from other rows of its law.
+        problem: function of the cell size, or another argument of the mesh, that returns the joint and the arguments of
+            its `Structure`.
         h: argument of `problem`, and its value with --quick.
         eps: thicknesses.
-        orders: range of the last observed orders of traction and jump; None for an open end, or for no such check.
-        times: ends of the steps to march, from rest under loads that act from t = 0 on; the last states are compared.
-            None: a static solve.
-        steps: slice of `times` with --quick.
-        instead: a law in place of the layer's, only in the interface model, to show the error of a wrong law.
-        bodies, cells_through: options of the meshed layer, see `Structure.full`. `bodies` also applies to interface
-            models of order 1.
-        where: part of S to measure on, see `thinlayer.compare`.
-        other_layers: end of column names -> thickness -> layer of another law, whose errors are further columns.
-        more: full and interface model's solutions -> further columns of the table.
-        along: state and S -> points x along S, and fields there that are drawn for both models.
-        floors: errors that a wrong law leaves, see `check_floors`. The right law's row has the same name without the
-            last word.
-        check: further checks of the tables of its law's rows up to this one.
-        pictured: function that chooses the thickness at which deformed structures are drawn; None for no picture.
+        orders: smallest and largest allowed value of the last observed rates of convergence of traction and jump; None
+            in place of the second: no upper bound. None: no such check.
+        times: ends of the time steps, from rest under loads that act from t = 0 on; the last states are compared. None:
+            a static solve.
+        steps: slice that selects the `times` with --quick.
+        instead: law that replaces the layer's in the interface model, to show the error of a wrong law; None: none.
+        bodies: "kept" or "extended" bodies of the full model, and of interface models of order 1.
+        cells_through: number of cells through the meshed layer.
+        where: function of the coordinates that selects the part of S to measure on; None: all of S.
+        other_layers: end of names of columns -> function from the thickness to a layer with another interface law. The
+            errors of this law are further columns.
+        more: function of the solutions of the full and the interface model that returns further columns; None: none.
+        along: function of a state and S that returns x and fields along S, drawn for both models; None: none.
+        floors: "traction" or "jump" -> range of the error that a wrong law leaves (`check_floors`). The name of the row
+            is then that of the right law's row and another word.
+        check: function that makes further checks, from the record and the tables so far of this law; None: none.
+        pictured: function that chooses the thickness at which deformed structures are drawn; None: no picture.
         unit: unit of lengths.
         long: whether the row is left out with --quick.
     """
@@ -90,7 +93,17 @@ class Row:
     long: bool = False
 
     def sweep(self, record: Record, name: str, eps: Sequence[float], *, quick: bool, pictured: bool) -> Table:
-        """Sweep the thickness and return the table; print the laws, draw one thickness, check the last orders."""
+        """Compute the table of errors over the thickness, and check the last rates of convergence.
+
+        The laws are printed, and deformed structures are drawn for one thickness.
+
+        Args:
+            record: folder of the results.
+            name: name of the row.
+            eps: thicknesses.
+            quick: whether to use coarser meshes and fewer steps.
+            pictured: whether to draw deformed structures.
+        """
         joint, setup = self.problem(self.h[quick])
         structure, case = Structure(joint, **setup), name.replace(" ", "_")
         times = self.times[self.steps] if self.times and quick else self.times
@@ -136,35 +149,35 @@ class Row:
 
 
 def elastic_fraction(law: Law) -> dict[str, float]:
-    """Column h of a table with a law's elastic fraction, the largest in a stack; empty for laws without it."""
+    """Return {"h": elastic fraction of a law}, the largest one of its sublayers; {} for laws without one."""
     parameters = (sublayer.parameters() for _, sublayer in law.sublayers)
     fractions = [values["elastic_fraction"] for values in parameters if "elastic_fraction" in values]
     return {"h": max(fractions)} if fractions else {}
 
 
 def middle(eps: Sequence[float]) -> float:
-    """The thickness in the middle of a sweep."""
+    """The middle one of these thicknesses, in order of size."""
     return sorted(eps)[len(eps) // 2]
 
 
 def last(solution: Solution) -> State:
-    """The state itself, or the last state of a history."""
+    """Return a state itself, or the last state of a history."""
     return solution if isinstance(solution, State) else solution.last
 
 
 def layer_of(solution: Solution) -> ThinLayer:
-    """The only layer of a model, with its thickness."""
+    """Return the layer of the model of a state or history, which has only one layer."""
     (layer,) = last(solution).model.layers.values()
     return layer.as_thin_layer
 
 
 def last_order(table: Table, column: str) -> float:
-    """The last observed order of a column of errors; NaN if there is none."""
+    """Rate of convergence between the last two rows of a column of errors; NaN if it is not known."""
     return table.orders(column)[-1] or math.nan
 
 
 def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> dict[str, float]:
-    """Relative error of the consistent traction from the bodies' nodal forces on S.
+    """Relative L2 error on S, by name, of the tractions equivalent to the bodies' nodal forces (`Surface.reaction`).
 
     Errors of the laws' own tractions do not show the next term in eps, which nearly cancels in them.
     """
@@ -173,13 +186,28 @@ def by_reaction(full: Solution, limit: Solution, where: Where | None = None) -> 
 
 
 def difference(surface: Surface, field: Field, state: State, reference: State, where: OnSurface | float = 1.0) -> float:
-    """Relative L2 difference, on a part of S, of a field in a state and in a reference state."""
+    """Relative L2 difference on S between a field in a state and in a reference state.
+
+    Args:
+        surface: S.
+        field: function of S and a state that returns the field.
+        state: the state.
+        reference: the reference state, whose field's norm is the divisor.
+        where: part of S, a function of the coordinates, or weights on S.
+    """
     wanted = field(surface, reference)
     return surface.norm(field(surface, state) - wanted, where) / surface.norm(wanted, where)
 
 
 def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: Floors) -> None:
-    """Check a wrong law's errors: their ranges, that they no longer fall, and that the right law's are smaller."""
+    """Check that a wrong law's errors lie in their ranges, do not decrease with eps, and exceed those of the right law.
+
+    Args:
+        record: folder of the results.
+        name: name of the wrong law's row.
+        wrong, right: tables of both laws.
+        floors: "traction" or "jump" -> range of the wrong law's relative error at the smallest thickness.
+    """
     for of, (low, high) in floors.items():
         errors = wrong[f"error_{of}"]
         record.check(f"error of the {of} that {name} leaves", errors[-1], low=low, high=high)
@@ -189,17 +217,23 @@ def check_floors(record: Record, name: str, wrong: Table, right: Table, floors: 
 
 
 def table_of(case: str) -> str:
-    """File name of the table of a sweep."""
+    """Name of the csv file with the table of the row `case`."""
     return f"table_{case.replace(' ', '_')}.csv" if case else "table.csv"
 
 
 def along_of(case: str, eps: float) -> str:
-    """File name of the table along S for one thickness of a sweep."""
+    """Name of the csv file with fields along S of the row `case` at one thickness."""
     return f"along_{case.replace(' ', '_')}_{eps:g}.csv"
 
 
 def draw_along(record: Record, cases: Mapping[str, str], name: str) -> None:
-    """Draw the last column of tables along S for all eps and the interface law; `cases`: label -> case."""
+    """Draw a field along S in meshed layers of all thicknesses and under the interface law.
+
+    Args:
+        record: folder of the results.
+        cases: title of a panel -> name of a row; the last column of its tables along S is drawn.
+        name: name of the picture, without ending.
+    """
     panels: dict[str, Curves] = {}
     for label, case in cases.items():
         for eps in record.load(table_of(case))["eps"]:

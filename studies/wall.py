@@ -37,16 +37,17 @@ SHARES = ("seam", "size", "elastic", "sliding", "crushed", "torn", "open")  # co
 def run(record: Record, *, quick: bool = False) -> None:
     """Push the top of walls along with growing shear stress, until no equilibrium exists.
 
-    The limit is at most the strength of a bed along which all bricks above slide: C + tan(Omega) p, per length of the
-    wall.
+    The limit is at most the strength of a bed joint along which all bricks above slide: C + tan(Omega) p, per length of
+    the wall, with the cohesion C, friction angle Omega and pressure p.
 
-    table.csv: shear stress on the top against its shift.
-    joints.csv: the share of each seam that is elastic, slides, or is open, at 0.9 of a bed's strength and at the limit.
-    panel.csv: the top of a panel of five bricks with Mohr-Coulomb mortar is moved along, with the interface law and
-    meshed. Its moduli are real at the first thickness.
+    table.csv has the shear stress on the top and the mean displacement of the top.
+    joints.csv has the fractions of each seam's area that are elastic, slide, or are open, at 0.9 of a bed joint's
+    strength and at the limit.
+    panel.csv is of a panel of five bricks with Mohr-Coulomb mortar, whose top is moved along the wall. It has the shear
+    stress with the interface law and with meshed joints of several thicknesses.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         quick: fewer bricks, longer steps, one thickness of the panel's joints.
     """
     push_panel(record, THICKNESSES[:1] if quick else THICKNESSES)
@@ -54,12 +55,12 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def push_walls(record: Record, bricks: int, courses: int, cells: int, step: float) -> None:
-    """Push walls with mortar in their heads and without to the limit.
+    """Push two walls to the limit, with mortar in their head joints and without.
 
     Args:
-        record: where to write.
-        bricks, courses: numbers of bricks along the walls, and of courses.
-        cells: number of cells along the height of a brick.
+        record: folder of the results.
+        bricks, courses: number of bricks along the walls, and of courses.
+        cells: number of cells over the height of a brick.
         step: increment of the shear stress on the top, MPa.
     """
     table, joints = record.table("table.csv"), record.table("joints.csv")
@@ -83,7 +84,10 @@ def push_walls(record: Record, bricks: int, courses: int, cells: int, step: floa
 
 
 def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
-    """Move the top of a panel with mortar of `MohrCoulomb`; compare its force by the interface law and meshed."""
+    """Move the top of a panel with mortar of the law `MohrCoulomb`, and compare the force in both models.
+
+    `thicknesses` are those of the meshed joints, mm.
+    """
     supports: dict[str, Support] = {"BOTTOM": 0.0, "TOP": {"x": lambda x, t: t}}
     panel, pressed = wall(*PANEL, BRICK, BRICK[1] / 6, cell="quadrilateral"), {"TOP": (0.0, -PRESSURE)}
     structure = Structure(panel, body=CLAY, supports=supports, tractions=pressed, element="Q1")
@@ -111,7 +115,13 @@ def push_panel(record: Record, thicknesses: tuple[float, ...]) -> None:
 
 
 def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceModel:
-    """The interface model of a wall on a rigid foot, pressed at t = 0 and pushed along by a shear stress t, MPa."""
+    """Make the interface model of a wall, clamped at the bottom, pressed, and sheared by the stress t (MPa) on its top.
+
+    Args:
+        bricks, courses: number of bricks along the wall, and of courses.
+        h: cell size, mm.
+        heads: whether there is mortar in the head joints.
+    """
     law = partial(MohrCoulombMonodirectional, MORTAR.lmbda, MORTAR.mu, friction_angle=ANGLE)
     layers = {name: ThinLayer(law(cohesion=C, unilateral=name == "BED"), EPS) for name, C in COHESION.items()}
     joint, loads = wall(bricks, courses, BRICK, h), {"TOP": lambda x, t: (t, -PRESSURE)}
@@ -120,7 +130,13 @@ def sheared(bricks: int, courses: int, h: float, *, heads: bool) -> InterfaceMod
 
 
 def pushed(model: InterfaceModel, step: float, end: float) -> tuple[History, float]:
-    """March up to the limit; return the states before it, and the shear stress there, MPa."""
+    """March up to the limit load; return the states before it, and the shear stress at the limit, MPa.
+
+    Args:
+        model: model of the wall.
+        step: increment of the shear stress, MPa.
+        end: shear stress that cannot be reached, MPa.
+    """
     try:
         march(model, [float(t) for t in np.arange(step, end, step)])
     except LimitLoad as limit:
@@ -129,7 +145,7 @@ def pushed(model: InterfaceModel, step: float, end: float) -> tuple[History, flo
 
 
 def shift(state: State) -> float:
-    """Mean displacement of the top along the wall, mm."""
+    """Mean displacement of the top along the wall in a state, mm."""
     top = state.model.ds(state.model.domain.values("TOP"))
     return state.integral(state.u[0] * top) / state.integral(1.0 * top)
 

@@ -50,11 +50,13 @@ Compared = Callable[[State], tuple[float, ...]]
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Measure the errors of the laws in two set-ups, against exact solutions (rollers) and meshed layers (free ends).
+    """Measure the errors of interface laws for blocks between rollers and for blocks with free ends.
+
+    The reference is an exact solution between rollers, and a meshed layer at free ends.
 
     Args:
-        record: where to write.
-        quick: three thicknesses and five ratios, a coarser mesh.
+        record: folder of the results.
+        quick: three thicknesses and five Poisson's ratios, a coarser mesh.
     """
     table = record.table("table.csv")
     for name, set_up in (("rollers", Rollers(1 / 16 if quick else 1 / 32)), ("free", FreeEnds(quick))):
@@ -66,7 +68,14 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: float) -> dict[str, float | None]:
-    """Errors of the laws; the reported factor by which order 0 is too stiff; whether each law gives a warning."""
+    """Table row with the errors of the laws, the factor "too_stiff" of order 0, and whether each law gives a warning.
+
+    Args:
+        record: folder of the results.
+        set_up: the blocks.
+        mu, nu: shear modulus and Poisson's ratio of the layer.
+        eps: its thickness.
+    """
     lmbda = 2 * nu / (1 - 2 * nu) * mu if nu < 0.5 else math.inf
     compared, structure = set_up.against(record, lmbda, mu, eps), set_up.structure(eps)
     errors = [f"{quantity}_{law}" for law in LAWS for quantity in QUANTITIES]
@@ -83,7 +92,10 @@ def _row(record: Record, set_up: Rollers | FreeEnds, mu: float, nu: float, eps: 
 
 
 def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-    """Layers with the laws that accept a material: no order 1 of `LinearElastic` at nu = 1/2, no `Rubber` at nu = 0."""
+    """Name of a law -> layer, for the laws that accept a material, without correction at free ends.
+
+    Order 1 of `LinearElastic` is left out at nu = 1/2, `Rubber` at nu = 0.
+    """
     rubber, first = _rubber(lmbda, mu), partial(ThinLayer, eps=eps, order=1, edges="plain")
     if math.isinf(lmbda):
         return {"order_0": ThinLayer(rubber, eps), "rubber": first(rubber)}
@@ -93,7 +105,7 @@ def _layers(lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
 
 
 def _rubber(lmbda: float, mu: float) -> Rubber | Incompressible | LinearElastic:
-    """The law whose meshed layer does not lock."""
+    """Law of a material whose meshed layer does not lock: `Rubber`, `Incompressible` or, at nu = 0, `LinearElastic`."""
     return Incompressible(mu) if math.isinf(lmbda) else Rubber(lmbda, mu) if lmbda else LinearElastic(lmbda, mu)
 
 
@@ -108,15 +120,18 @@ class Rollers:
         self._wave = Wave(math.pi, 0.5, (FOURIER_BODY.lmbda, FOURIER_BODY.mu), (0.5 * LOAD, LOAD))
 
     def structure(self, eps: float) -> Structure:
-        """The blocks."""
+        """The structure of the blocks, the same for all thicknesses."""
         return self._structure
 
     def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-        """Layers with the laws that accept a material; there are no free ends."""
+        """Name of a law -> layer, for the laws that accept a material; there are no free ends to correct."""
         return _layers(lmbda, mu, eps)
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
-        """Return a function of a state: relative errors of traction and jump (L2 on S), and of the compliance."""
+        """Return a function from a state to its relative errors of traction and jump (L2 on S) and of the compliance.
+
+        lmbda, mu and eps are Lamé's moduli and the thickness of the layer.
+        """
         *exact, work = self._wave.solved(lmbda, mu, eps)
 
         def errors(state: State) -> tuple[float, ...]:
@@ -133,27 +148,33 @@ class Rollers:
 
 
 class FreeEnds:
-    """Blocks of height 1/2 and width 1, pressed and sheared, with free sides; meshed layers that do not lock."""
+    """Blocks of height 1/2 and width 1 with free sides, pressed and sheared; the references are meshed layers."""
 
     def __init__(self, quick: bool) -> None:
         self._cells, self._structures = (16, 10, 2) if quick else (32, 15, 4), dict[float, Structure]()
 
     def structure(self, eps: float) -> Structure:
-        """The blocks, with cells at the ends of S that are a fraction of the thickness."""
+        """The structure of the blocks; cells at the ends of S are smaller than the thickness by a fixed factor."""
         along, ends, _ = self._cells
         if eps not in self._structures:
             self._structures[eps] = free_blocks(min(eps, 1 / 8) / ends, (0.3 * LOAD, -LOAD), h_S=1 / along)
         return self._structures[eps]
 
     def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-        """Layers with the laws that accept a material; corrected at ends if nu and the bodies' stiffness allow this."""
+        """Name of a law -> layer, for the laws that accept a material, also corrected at free ends where this is allowed.
+
+        Poisson's ratio and the bodies' stiffness decide whether it is.
+        """
         layers = _layers(lmbda, mu, eps)
         corrected = {name: replace(layers[law], edges=None) for name, law in CORRECTED.items() if law in layers}
         legal = {name: self.structure(eps).interface(layer).free_ends("S") is None for name, layer in corrected.items()}
         return layers | {name: layer for name, layer in corrected.items() if legal[name]}
 
     def against(self, record: Record, lmbda: float, mu: float, eps: float) -> Compared:
-        """Return a function of a state: relative errors of traction, jump (L2 on inner half of S) and compliance."""
+        """Return a function from a state to its relative errors of traction, jump (inner half of S) and compliance.
+
+        lmbda, mu and eps are Lamé's moduli and the thickness of the layer.
+        """
         layer = ThinLayer(_rubber(lmbda, mu), eps)
         full = record.solved(solve(self.structure(eps).full(layer, cells_through=self._cells[2])))
         work = full.energies()["loads"]
@@ -168,12 +189,15 @@ class FreeEnds:
 
 
 def _worst(table: Table, law: str) -> Array:
-    """The larger of the errors of traction and jump (rows,)."""
+    """The larger one of the errors of traction and jump of a law, (rows,)."""
     return np.maximum(table[f"traction_{law}"], table[f"jump_{law}"])
 
 
 def _check(record: Record, name: str, table: Table) -> None:
-    """Check the order of Rubber, 2 on rollers and 1 at free ends, and warnings of LinearElastic for large errors."""
+    """Check the convergence of Rubber, and that LinearElastic of order 1 warns of large errors.
+
+    The error of Rubber is O(eps^2) between rollers and O(eps) at free ends. `name` is "rollers" or "free".
+    """
     eps, errors = table["eps"], _worst(table, "rubber")
     order, high, fine = (2, 2.0, eps > 0.03) if name == "rollers" else (1, 0.3, eps < 0.1)
     record.check(f"{name}: largest error of Rubber over eps^{order}", np.nanmax((errors / eps**order)[fine]), high=high)
@@ -207,10 +231,16 @@ def draw(record: Record) -> None:
 
 
 def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, Panel], dict[str, str]]:
-    """Find the first law, corrected at ends if possible, whose error is allowed; else the meshed layer.
+    """Find for each material and thickness the first law whose error is small enough, else the meshed layer.
+
+    A law is corrected at free ends if this is possible.
+
+    Args:
+        laws: names of the laws, the cheapest first.
+        errors: "LAW; E/mu = NUMBER" -> errors over Poisson's ratio and thickness.
 
     Returns:
-        Panels of `maps` with numbers and letters of laws; letter -> law.
+        Title of a panel of `maps` -> numbers and letters of the laws; letter -> name of the law.
     """
     corrected = {law: name for name, law in CORRECTED.items() if name in laws}
     laws = [law for law in laws if law in LETTERS]
@@ -227,7 +257,7 @@ def _cheapest(laws: list[str], errors: Mapping[str, Array]) -> tuple[dict[str, P
 
 
 def _percent(error: float, warned: bool) -> str:
-    """Text for an error in per cent, with two digits; "-" for a law that does not accept the material."""
+    """Text for an error in per cent; "-" for NaN (the law does not accept the material), "!" after a warning."""
     if math.isnan(error):
         return "-"
     number = 100 * error

@@ -1,4 +1,4 @@
-"""Stresses at free ends of a layer that is not meshed, and stress intensities of its corners, against meshed ends."""
+"""Stresses inside a layer by `Zoom`, and strengths of its stress singularities, against those of a meshed layer."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ STATES["estimate"] = lambda *case: estimate(_by_law(*case)).better
 
 
 def run(record: Record, *, quick: bool = False) -> None:
-    """Compare stresses in a meshed layer between two blocks with stresses in the layer solved as a subproblem.
+    """Compare stresses in a meshed layer between two blocks with those of `Zoom` into interface models.
 
     Args:
-        record: where to write.
+        record: folder of the results.
         quick: two thicknesses, one ratio of moduli for each Poisson's ratio.
     """
     for nu, ratio in CASES[::3] if quick else CASES:
@@ -48,7 +48,14 @@ def run(record: Record, *, quick: bool = False) -> None:
 
 
 def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float]) -> None:
-    """Write the errors of stresses and strengths for one material."""
+    """Write the errors of stresses and strengths for one material of the layer, and check them.
+
+    Args:
+        record: folder of the results.
+        nu: Poisson's ratio of the layer.
+        ratio: Young's modulus of the bodies over the layer's shear modulus at the first thickness.
+        thicknesses: thicknesses of the layer.
+    """
     table = record.table(f"errors_{nu:g}_{ratio:g}.csv")
     law = LinearElastic.shear(100.0 / ratio, nu)
     for eps in track(list(thicknesses), "zoom", f"nu = {nu:g}, E/mu = {ratio:g}, eps = {{:g}}"):
@@ -69,7 +76,12 @@ def _errors(record: Record, nu: float, ratio: float, thicknesses: Sequence[float
 
 
 def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
-    """Relative root mean square errors of stresses at the ends and inside, and the largest relative error of H."""
+    """Compare a zoom into an interface model with one into a full model.
+
+    Returns:
+        Relative root mean square errors of stresses near the ends ("end") and elsewhere ("inside"), and the largest
+        error of the strengths at corners over the largest strength ("H").
+    """
     eps, samples = zoom.eps, []
     for end, (start, *_) in zoom.ends:
         d, y = (grid.ravel() for grid in np.meshgrid(DISTANCES[DISTANCES * eps <= 0.5], HEIGHTS))
@@ -84,7 +96,7 @@ def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
 
 
 def draw(record: Record) -> None:
-    """Draw errors against the thickness."""
+    """Draw the errors over the thickness, from the tables."""
     parts, lines = {}, {"order 0": "o:", "order 1, free": "o--", "estimate": "o-"}
     names = [f"{key} {state}" for state in STATES for key in ("end", "inside", "H")]
     for nu, ratio in CASES:

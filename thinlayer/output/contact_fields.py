@@ -214,7 +214,7 @@ def balance_errors(state: State) -> tuple[float, float]:
 
     Returns:
         Two numbers, zero in equilibrium and NaN for models with compiled laws of layers. The first is the largest
-        component of the sum of all forces on dofs without supports, over the sum of the sizes of all nodal forces. The
+        component of the sum of all forces on dofs without supports, over the sum of the sizes of nodal forces. The
         second is the work of loads and supports less that of stresses and contact tractions, over the largest of them.
     """
     model, comm, d = state.model, state.model.comm, state.model.joint.dim

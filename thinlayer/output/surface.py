@@ -169,8 +169,8 @@ class Surface(SurfaceMesh):
         - "normal_force": under contact laws the integral of the pressure, a force.
         - "plus", "minus": in non-monotone layers of both kinds of models, the volume fractions of phases 1 and -1;
           "boundary": the thickness of phase 0, if the other phases lie above it. Other laws may add other columns.
-        - "too_stiff": factor by which an interface law of order 0 or 1 of an isotropic elastic layer overestimates the
-          layer's stiffness against the openings of the state. These laws let no material flow along S. The factor is
+        - "too_stiff": factor by which an interface law of order 0 or 1 overestimates the stiffness of an isotropic
+          elastic layer against the openings of the state. These laws let no material flow along S. The factor is
           that of the layer alone, whatever its shear; the error of a structure with soft bodies is smaller. Above 1.1,
           and if this changes the traction by more than 10 %, a RangeWarning advises `Rubber` with order=1, or a meshed
           layer.

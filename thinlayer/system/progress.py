@@ -76,8 +76,8 @@ class ProgressReporter:
     def report(self, what: str) -> Iterator[Callable[..., None]]:
         """Context of some work, which yields a function to report its progress; also a decorator.
 
-        The function has the arguments `share`, fraction of the work that is done, `now`, text on the present piece,
-        `piece`, fraction of the work in this piece, and `at_once`, whether to print before the next report is due.
+        The function has the arguments `share`, fraction of the work that is done, and `now`, text on its present piece.
+        Further ones are `piece`, fraction of the work in this piece, and `at_once`, whether to print in any case.
 
         Args:
             what: name of the work.

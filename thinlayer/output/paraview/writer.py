@@ -32,8 +32,8 @@ def write(solution: Solution, path: str | Path, *, surface: Surface | None = Non
     these blocks:
 
     - "bodies": at nodes the displacement "u"; each side of S has its own nodes, so that jumps are kept. On cells the
-      means of "stress" and of the internal variables of laws by their names, "von Mises", and "region", the position of
-      the region's name in the field "regions".
+      means of "stress" and of the internal variables of laws by their names, and "von Mises". Also on cells "region",
+      the position of the region's name in the field "regions".
     - "layer", of a full model: the same, and "seam", the position of the seam's name in the field "seams".
     - "S", of an interface model, or with `surface`: facets, each with its own nodes. At nodes "traction", "jump",
       "normal", the displacements "u_upper" and "u_lower" of both sides, and their mean "u" (to warp S by). "t_N" and

@@ -88,8 +88,8 @@ class DeformedShape:
 
     Attributes:
         regions: number of a region -> its cells in deformed positions; meshed layers have negative numbers and are
-            last. Point data are "u", (n,) the component of the displacement for colours, "moved", (n, 3) the
-            displacement as drawn, and "double", (n,) 1 for nodes on S and 0 elsewhere.
+            last. Point data are "u", (n,) the component of the displacement for colours, and "moved", (n, 3) the
+            displacement as drawn. "double", (n,), is 1 at nodes on S and 0 elsewhere.
         base: facets of the rigid base; None if S lies between two bodies.
         plane: normal and origin of the plane that cuts the structure, as arguments of pyvista's `clip`; None: it is not
             cut.
