@@ -124,7 +124,7 @@ def run(record: Record, *, eps: Sequence[float] = EPS, quick: bool = False) -> N
     The differences are O(eps) away from junctions and free ends. If cells of the bodies at junctions and ends are as
     small as eps, they are O(eps) on all of S. On other meshes jumps on all of S, and energies, converge at a lower rate
     until eps is much smaller than the cells. If junctions are as stiff as the bodies, nothing converges, as they tie
-    the corners of the bodies together. With cells as small as eps the effect of this tie decreases as 1 / (c - log eps).
+    the corners of the bodies together. With cells as small as eps this effect decreases as 1 / (c - log eps).
 
     Args:
         record: folder of the results.
@@ -159,8 +159,8 @@ def differences(case: JunctionCase, full: State, by_law: State) -> dict[str, flo
     """Compare the states of the full and the interface model of a network.
 
     Returns:
-        Name -> relative L2 difference on S of jump and traction, relative difference of the stored energies, and the
-        fraction of the energy that is stored in junctions.
+        Relative L2 differences on S of jump and traction, relative difference of the stored energies, and fraction of
+        the energy in junctions, by name.
     """
     surface, energy = Surface(by_law.model), stored_in(full)
     on_s, inner = partial(difference, surface, state=full, reference=by_law), far_from_junctions(surface, case.distance)

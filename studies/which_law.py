@@ -161,7 +161,7 @@ class FreeEnds:
         return self._structures[eps]
 
     def layers(self, lmbda: float, mu: float, eps: float) -> dict[str, ThinLayer]:
-        """Name of a law -> layer, for the laws that accept a material, also corrected at free ends where this is allowed.
+        """Name of a law -> layer, for the laws that accept a material, also corrected at free ends if this is allowed.
 
         Poisson's ratio and the bodies' stiffness decide whether it is.
         """
