@@ -76,7 +76,7 @@ def same_zones(record: Record, tables: Tables) -> None:
 
 
 def sine_leaves_an_error(record: Record, tables: Tables) -> None:
-    """Check that contact with the friction coefficient sin(Omega) is wrong for this layer, for which tan(Omega) is right.
+    """Check that contact with the friction coefficient sin(Omega) is wrong for this layer, and tan(Omega) right.
 
     A layer of the law `MohrCoulomb` under lasting shear has sin(Omega); this layer slips only along S.
     """

@@ -134,7 +134,7 @@ class Dropped:
 
     @property
     def estimated(self) -> dict[str, float]:
-        """Name -> estimated change if the layers are meshed: relative for traction and jump on S, absolute for goals."""
+        """Name -> estimated change if layers are meshed: relative for traction and jump on S, absolute for goals."""
         on_s = {name: float(getattr(self.estimate, name)) for name in ESTIMATED_FIELDS}
         return on_s | {name: goal.change for name, goal in self.estimate.goals.items()}
 

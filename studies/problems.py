@@ -198,7 +198,7 @@ def sheared(h: float) -> Problem:
 
 
 def sliding_bar(n: int, *, depth: bool = False, **cells: Unpack[GridArgs]) -> Problem:
-    """The bar of Fig. 7: a square of 40 mm, in plane strain, pushed along a rigid base AB by 100 MPa and onto it by 50 MPa.
+    """The bar of Fig. 7, a square of 40 mm in plane strain, pushed along a rigid base AB by 100 MPa, onto it by 50 MPa.
 
     The right side cannot move along x, and its lower corner B is fixed. The cube's back side is on rollers, and its
     corner is not fixed.

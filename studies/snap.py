@@ -179,7 +179,7 @@ def follow(record: Record, joint: Joint, relaxed: History, r: float, step: float
 
 
 def check_energies(record: Record, pure: History, relaxed: History) -> None:
-    """Check that snaps lose the energy of the loop's area, and that relaxed energies are not above those of pure phases."""
+    """Check that snaps lose the energy of the loop's area, and that relaxed energies do not exceed pure phases'."""
     area = float(np.trapezoid(pure.table["force"], moved(pure.t)))
     lost = sum(snap.lost for snap in pure.snaps)
     record.check_near("energy lost in all snaps over the area of the loop", lost / area, 1.0, ROUNDING)

@@ -79,8 +79,8 @@ def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
     """Compare a zoom into an interface model with one into a full model.
 
     Returns:
-        "end", "inside": relative root mean square errors of stresses near the ends and elsewhere; "H": largest error of
-        the strengths at corners over the largest strength.
+        Relative root mean square errors of stresses near the ends, "end", and elsewhere, "inside", and the largest error
+        of the strengths at corners over the largest strength, "H".
     """
     eps, samples = zoom.eps, []
     for end, (start, *_) in zoom.ends:

@@ -141,7 +141,7 @@ class LooseBody(SolveError):
 
 
 class TurningPoint(SolveError):
-    """Error of a march at a limit point of a softening structure, beyond which the loads cannot grow (snap-back).
+    """Error of a march at a limit point of a softening structure, beyond which the loads cannot grow.
 
     The loads, or the displacements of supports, have a maximum there, so that steps in time cannot continue. Arc-length
     continuation can.
@@ -187,7 +187,8 @@ class LimitLoad(SolveError):
         failed_at: earliest time at which no equilibrium was found.
         resultant: (d,) sum in d dimensions of the tractions and body forces on the bodies at the time t, a force.
         growth: norm of the change of displacements from t to `failed_at` with the weakest springs, over this norm with
-            an elastic layer. If the layer's flow is associated, any equilibrium has at least such displacements.
+            an elastic layer. If the layer's flow is associated, an equilibrium without springs would have at least this
+            ratio.
         shares: name of a seam -> its fraction of the integral of the squared jumps of these displacements, over layers
             that yield and contact. They show which seams fail, the largest first; empty if there is only one seam.
         history: `History` of the accepted steps.

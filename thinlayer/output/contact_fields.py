@@ -54,7 +54,8 @@ class Contact:
     zero at nodes without a contact law, as at tips of S and on seams with other laws.
 
     Attributes:
-        surface: the surface; its `places` has the coordinates of the nodes, its `nodes` their numbers in each facet.
+        surface: the surface; its `places` (m, d) are the coordinates of the nodes, its `nodes` (n, k) the positions in
+            these arrays of the k corners of n facets.
         status: (m,) "separated", "sliding", "stick"; "pinned" if supports prescribe the whole jump; "no contact law".
         u_T: (m, d - 1) tangential jump, components in `frames`; d is the number of dimensions.
         u_N: (m,) penetration of the upper side into the lower side, after closing the initial gap; negative where S is
@@ -63,7 +64,7 @@ class Contact:
         t_T: (m, d - 1) tangential traction on the lower side; the traction on the upper side is opposite.
         threshold: (m,) largest |t_T| that the law allows at this pressure. With elements of degree 2, the forces of
             nodes between vertices are divided equally among these vertices. p, t_T and threshold are then means.
-        slip: (m, d - 1) accumulated slip that the law stores; zero for laws that store none.
+        slip: (m, d - 1) slip that the law stores from step to step; zero for laws that store none.
         areas: (m,) area of S around each node, as in the contact law.
         frames: (m, d, d) unit vectors; the rows of each matrix are the tangential axes and then the normal of S.
         equilibrium: largest component of the sum of the nodal forces where no supports act, over the sum of the sizes

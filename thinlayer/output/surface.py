@@ -24,7 +24,7 @@ STATUSES = (*YIELD_STATUSES, NO_LAYER, BONDED, *CONTACT_STATUSES)  # those of fu
 
 
 class Surface(SurfaceMesh):
-    """S of a joint, or one of its seams, on which it evaluates states of all models of this joint.
+    """S of a joint, or one of its seams, with methods that evaluate states of all models of this joint there.
 
     A field on S is an array with a value at each of q quadrature points of each of n facets: (n, q), for vectors
     (d, n, q) in d dimensions. A field that is constant on facets is (n, 1). The constructor and all methods that take a

@@ -94,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: words of the command line after the program's name; None: those of this process.
 
     Returns:
-        0: success, and all checks of a study hold; 1: a check failed; 2: wrong input; 3: a study did not finish.
+        0 after success, 1 if a check of a study failed, 2 after wrong input, 3 if a study did not finish.
 
     Raises:
         Exception: a defect of the package, unchanged (`start` turns it into a message).

@@ -48,7 +48,7 @@ C_ARRAY_TYPES = {"i": "int32_t[]", "l": "intptr_t[]", "?": "uint8_t[]", "d": "do
 
 
 class SourceError(ThinlayerError, RuntimeError):
-    """A C source cannot be read or compiled; the compiler prints its messages to standard error."""
+    """Error of a C source that cannot be read or compiled; the compiler prints its messages to standard error."""
 
 
 def acquire(folder: Path, name: str) -> None:

@@ -59,19 +59,19 @@ def describe(value: object) -> object:
     other objects are described by the data that a copy needs. Users' functions are described by their bytecode, the
     hash of their file, and the values that they read: closure variables, defaults, attributes and globals. Users'
     classes are described by their functions and files, users' modules by their files. Functions, classes and modules of
-    libraries are described by their names. Any other object, such as an open file or a function on a mesh, differs from all
-    objects of another process. The description leaves out files that a run reads, modules that a function itself
+    libraries are described by their names. Any other object, such as an open file or a function on a mesh, differs from
+    all objects of another process. The description leaves out files that a run reads, modules that a function itself
     imports, `sys.argv` and `os.environ`.
     """
     return _Describer().of(value)
 
 
 def code_of(description: object, *, is_code: bool = True) -> object:
-    """Return the part of a description that does not change while functions run: their code, and constants in it.
+    """Return the part of a description that is fixed while functions run: their code, and numbers they refer to.
 
     Args:
         description: a description, or a part of it.
-        is_code: whether this part describes a function; numbers and texts elsewhere are left out.
+        is_code: whether this part describes a function; numbers and texts in other parts are left out.
     """
     if isinstance(description, dict):
         parts = {key: code_of(value, is_code=CODE_KEY in description) for key, value in description.items()}

@@ -84,7 +84,7 @@ def own_folder(folder: Path | None, comm: MPI.Intracomm | None = None, name: str
 
     Args:
         folder: the folder; None: nothing is locked.
-        comm: communicator whose rank 0 writes (default: the world).
+        comm: communicator whose rank 0 writes; None: all ranks, in an `ensemble` those of the group.
         name: name of the lock file; runs that write different files of the folder use different names.
 
     Raises:

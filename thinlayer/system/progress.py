@@ -36,7 +36,7 @@ def logger(part: str, comm: MPI.Intracomm | None = None) -> logging.Logger:
     Args:
         part: what messages are about: "solve" (what a solve tries), "march" (steps in time), "study" (what a study has
             done).
-        comm: communicator of the model; None: all ranks.
+        comm: communicator of the model; None: all ranks, in an `ensemble` those of the group.
     """
     return _SILENT_LOGGER if (comm or default_comm()).rank else logging.getLogger(f"thinlayer.{part}")
 

@@ -54,7 +54,7 @@ def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
     the block if that is longer, and ends all ranks.
 
     Args:
-        comm: communicator of the ranks; None: the default communicator.
+        comm: communicator of the ranks; None: all ranks, in an `ensemble` those of the group.
 
     Raises:
         InputError: an error occurred on some ranks; it names the first of these. If all ranks have an error, each
@@ -84,7 +84,7 @@ def errors_on_all(comm: MPI.Intracomm | None) -> Iterator[None]:
 def _error_texts(comm: MPI.Intracomm, depth: int, problem: Exception | None, patience: float) -> list[str | None]:
     """Return the text of each rank's error (None: no error) when all ranks have reached the end of the same block.
 
-    Ranks in an inner block receive the errors there, and then leave this block with the same errors.
+    Ranks in an inner block receive the errors there, and then reach this block with errors of their own.
 
     Args:
         comm: communicator of the ranks.
@@ -115,7 +115,7 @@ def require_same(comm: MPI.Intracomm | None, **data: object) -> str:
     Without other ranks nothing is compared, and the hash is "".
 
     Args:
-        comm: communicator; None: the default communicator.
+        comm: communicator of the ranks; None: all ranks, in an `ensemble` those of the group.
         data: name for messages -> value of any type, with the same names on all ranks. Values are compared by their
             descriptions (`thinlayer.system.fingerprint.describe`). Objects that belong to one process, such as a
             function on a mesh, are compared by class.

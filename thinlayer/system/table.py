@@ -81,7 +81,7 @@ class Table:
 
         Args:
             path: the file.
-            comm: communicator whose rank 0 writes (default: the world).
+            comm: communicator whose rank 0 writes; None: all ranks, in an `ensemble` those of the group.
 
         Raises:
             OSError: the file could not be written; on all ranks.
@@ -121,7 +121,7 @@ class Table:
 
         Args:
             path: the file.
-            comm: communicator whose rank 0 reads (default: the world).
+            comm: communicator whose rank 0 reads; None: all ranks, in an `ensemble` those of the group.
 
         Raises:
             FileNotFoundError: the file does not exist; on all ranks.
