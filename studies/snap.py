@@ -69,7 +69,13 @@ def followed(
 
 
 def cycle(joint: Joint, steps: int, eps: float = 0) -> History:
-    """March a layer of pure phases, up to the displacement 2.4 in equal steps and back."""
+    """March a layer of pure phases, up to the displacement 2.4 in equal steps and back.
+
+    Args:
+        joint: joint of the block.
+        steps: number of steps in each direction.
+        eps: thickness of the meshed layer; 0: the interface law.
+    """
     times = [END * k / steps for k in range(1, 2 * steps + 1)]
     return followed(joint, NonMonotoneUnrelaxed(*SNAPPING), piecewise({0: 0, END: END, 2 * END: 0}), times, eps)
 

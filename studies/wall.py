@@ -41,8 +41,8 @@ def run(record: Record, *, quick: bool = False) -> None:
     the wall, with the cohesion C, friction angle Omega and pressure p.
 
     table.csv has the shear stress on the top and the mean displacement of the top.
-    joints.csv has the fractions of each seam's area that are elastic, slide, or are open, at 0.9 of the strength of a
-    bed joint and at the limit.
+    joints.csv has the fractions of each seam's area that are elastic, slide or are open. They are given at 0.9 of the
+    strength of a bed joint and at the limit.
     panel.csv is of a panel of five bricks with Mohr-Coulomb mortar, whose top is moved along the wall. It has the shear
     stress with the interface law and with meshed joints of several thicknesses.
 

@@ -79,8 +79,8 @@ def _compared(zoom: Zoom, full: Zoom) -> dict[str, float]:
     """Compare a zoom into an interface model with one into a full model.
 
     Returns:
-        Relative root mean square errors of stresses near the ends, "end", and elsewhere, "inside", and the largest error
-        of the strengths at corners over the largest strength, "H".
+        "end" and "inside", relative root mean square errors of stresses near the ends and elsewhere; "H", the largest
+        error of the strengths at corners over the largest strength.
     """
     eps, samples = zoom.eps, []
     for end, (start, *_) in zoom.ends:

@@ -43,13 +43,13 @@ def compare(
 
     Returns:
         A row, name -> number, with eps, the largest thickness of the layers;
-        error_traction and error_jump, L2(S) norms of the differences over the norms of the interface model's fields,
-        nan if the latter are zero up to rounding errors;
-        traction and jump, the L2(S) norms of the interface model's fields (stress and length times the square root of
-        length in plane problems, of area otherwise);
-        too_stiff ("too_stiff NAME" for each of several seams), the factor by which the interface law overestimates the
-        layer's stiffness against the openings of the state (`Surface.table`). It exists for isotropic elastic layers
-        whose law has no unknown pressure on S.
+        error_traction and error_jump, L2(S) norms of the differences over those of the interface model's fields, nan if
+        the latter are zero up to rounding errors;
+        traction and jump, the L2(S) norms of the interface model's fields (stress and length times the root of length,
+        in 3D and axisymmetry of area);
+        too_stiff ("too_stiff NAME" for each of several seams), the factor by which the law overestimates the layer's
+        stiffness against the openings of the state (`Surface.table`). It exists for isotropic elastic layers whose law
+        has no unknown pressure on S.
 
     Raises:
         InputError: the states do not belong to a full and an interface model of the same structure. Joint, bodies,

@@ -54,8 +54,8 @@ class Contact:
     zero at nodes without a contact law, as at tips of S and on seams with other laws.
 
     Attributes:
-        surface: the surface; its `places` (m, d) are the coordinates of the nodes, its `nodes` (n, k) the positions in
-            these arrays of the k corners of n facets.
+        surface: the surface. Its `places` (m, d) are the coordinates of the nodes. Its `nodes` (n, k) are the positions
+            in these arrays of the k corners of n facets.
         status: (m,) "separated", "sliding", "stick"; "pinned" if supports prescribe the whole jump; "no contact law".
         u_T: (m, d - 1) tangential jump, components in `frames`; d is the number of dimensions.
         u_N: (m,) penetration of the upper side into the lower side, after closing the initial gap; negative where S is

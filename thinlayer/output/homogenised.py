@@ -28,8 +28,8 @@ def homogenised_stiffness(model: Model) -> Array:
             and its prescribed mean strain are ignored.
 
     Returns:
-        (k, k) stiffness, in units of stress. As in `Anisotropic`, components have the order 11, 22, 12 in 2D
-        (k = 3), and 11, 22, 33, 23, 13, 12 in 3D (k = 6). A column is the mean stress under a unit mean strain
+        (k, k) stiffness, in units of stress. Components have the order of `Anisotropic`: 11, 22, 12 in 2D
+        (k = 3); 11, 22, 33, 23, 13, 12 in 3D (k = 6). A column is the mean stress under a unit mean strain
         in one component, or under a unit shear angle (e_12 = e_21 = 1/2). If the cell is periodic only in some
         directions and its other sides are free, rows and columns of the other directions vanish.
 

@@ -137,8 +137,8 @@ def create_submesh(mesh: Mesh, dim: int, entities: IntArray) -> tuple[Mesh, Enti
     """Make a submesh of mesh entities of dimension `dim`. Collective.
 
     Returns:
-        The submesh, its entity maps as `fem.form` of the release takes them, and for each of its cells the number in
-        the mesh of the entity.
+        The submesh, its entity maps as `fem.form` of the release takes them, and the numbers of the entities that are
+        its cells.
     """
     sub, entity_map = dolfinx.mesh.create_submesh(mesh, dim, entities)[:2]
     if hasattr(entity_map, "sub_topology_to_topology"):
