@@ -81,7 +81,7 @@ def cycle(joint: Joint, steps: int, eps: float = 0) -> History:
 
 
 def path(joint: Joint, r: float, first: float, *, back: bool = False) -> Table:
-    """Table of the equilibria of the third law along a path by arc length.
+    """Follow equilibria by arc length for a law whose mixtures of phases gain less energy; return their table.
 
     Args:
         joint: joint of the block.

@@ -154,7 +154,7 @@ class FreeEnds:
         self._cells, self._structures = (16, 10, 2) if quick else (32, 15, 4), dict[float, Structure]()
 
     def structure(self, eps: float) -> Structure:
-        """The structure of the blocks; cells at the ends of S are smaller than the thickness by a fixed factor."""
+        """The structure of the blocks; cells at the ends of S are a fixed factor smaller than the thickness."""
         along, ends, _ = self._cells
         if eps not in self._structures:
             self._structures[eps] = free_blocks(min(eps, 1 / 8) / ends, (0.3 * LOAD, -LOAD), h_S=1 / along)

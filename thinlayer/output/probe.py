@@ -131,7 +131,7 @@ class Probe:
     def _located(self, x: npt.ArrayLike, side: str | None = None, seam: str = S, on_s: bool = False) -> LocatedPoints:
         """Find the cells that contain points, with `on_s` the facets of S; errors are raised on all ranks.
 
-        `side` and `seam` are the side of S and the seam to which cells at points on S must belong; None: all cells.
+        With `side`, "lower" or "upper", only cells on this side of S, or of `seam`, count.
         """
         model = self.state.model
         with errors_on_all(self._comm):
