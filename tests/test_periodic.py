@@ -241,18 +241,18 @@ def test_a_strip_that_repeats_in_one_direction():
     structure = Structure(joint, body=ROCK, supports={"BOTTOM": 0.0}, tractions={"TOP": (0.3, -1.0)})
     model = structure.interface(springs(4.0, 1.5))
     state, M = solve(model), ROCK.lmbda + 2 * ROCK.mu
-    assert not model.supports.anchored
+    assert not model.supports.anchor_axes
     assert state.energies()["loads"] == pytest.approx(0.3**2 * (1 / ROCK.mu + 1 / 1.5) + 1 / M + 1 / 4.0, rel=1e-11)
     assert state.mean_stress()[:, 1] == pytest.approx([0.3, -1.0], rel=1e-11)
 
 
 def test_only_free_translations_are_held():
-    assert bond().interface(MORTAR).supports.anchored == ("x", "y")
+    assert bond().interface(MORTAR).supports.anchor_axes == ("x", "y")
     strip = periodic(sandwich(1.0, 0.5, 0.5, 0.25, cell="quadrilateral"), ("LEFT", "RIGHT"))
     rolling = Structure(strip, body=ROCK, supports={"BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.0, -1.0)})
-    assert rolling.interface(springs(4.0, 1.5)).supports.anchored == ("x",)
+    assert rolling.interface(springs(4.0, 1.5)).supports.anchor_axes == ("x",)
     on_springs = Structure(strip, body=ROCK, supports={}, parts=[Springs("BOTTOM", normal=1.0, tangential=2.0)])
-    assert on_springs.interface(springs(4.0, 1.5)).supports.anchored == ()
+    assert on_springs.interface(springs(4.0, 1.5)).supports.anchor_axes == ()
     pushed = Structure(strip, body=ROCK, supports={"BOTTOM": {"y": 0.0}}, tractions={"TOP": (0.1, -1.0)})
     words = r"add up to 0\.1 along x at t = 0, and nothing balances them"
     refused(InputError, words, solve, pushed.interface(springs(4.0, 1.5)))

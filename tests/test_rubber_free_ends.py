@@ -97,7 +97,7 @@ def test_coarse_ends_are_left_alone(width, wrong, monkeypatch):
         return of_layer(state.energies()["loads"], coarse) / exact - 1
 
     assert -5e-3 < error() < 0
-    ends = lambda model, _: model.joint.points[model.applicability["S"].free.vertices.ravel()]
+    ends = lambda model, _: model.joint.points[model.applicability["S"].free_rim.vertices.ravel()]
     monkeypatch.setattr(build_parts, "_free_vertices", ends)
     assert error() > wrong
 

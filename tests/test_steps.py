@@ -102,7 +102,7 @@ def test_the_estimate_is_the_error(theta, length):
 
         halves, exact = reached(2, theta), reached(64, 0.5)
         estimate = ErrorEstimate(solver.equations)
-        error = float(estimate.shares(exact, halves, estimate.sizes(begin)).max())
+        error = float(estimate.differences(exact, halves, estimate.sizes(begin)).max())
     assert error > 1e-6
     for factor, taken in ((1.15, True), (0.85, False)):
         history = march(model, Adaptive(length, first=length, tolerance=factor * error), theta=theta)

@@ -23,7 +23,7 @@ from geometry.topology import BoolArray, FloatArray
 from thinlayer.discretisation.boundary import lies_across_axis
 from thinlayer.discretisation.layer import SeamLayer, ThinLayer, law_with_numbers
 from thinlayer.discretisation.prescribed_strains import SINGULARITY_TOLERANCE
-from thinlayer.discretisation.sides import FLAT_DIRECTION_SHARE, FacetWeights, constrained_directions, side_kinds
+from thinlayer.discretisation.sides import FLAT_SQUARED_COSINE, FacetWeights, constrained_directions, side_kinds
 from thinlayer.errors import Violation
 
 MIN_STIFFNESS_CONTRAST = 40.0  # least Young's modulus of the bodies over the layer's mu
@@ -58,15 +58,15 @@ class Applicability:
             InputError: a parameter of the law or the thickness profile is out of range, or the law does not exist in
                 the joint's dimension.
         """
-        return next((refused for ask in CONDITIONS_OF_USE[question] for refused in ask(self)), None)
+        return next((violation for condition in CONDITIONS_OF_USE[question] for violation in condition(self)), None)
 
     def require(self, question: str, what: str = "") -> None:
         """Raise InputError for the first violated condition for a use of the layer; `what` begins the message.
 
         `question` names the use: a key of `CONDITIONS_OF_USE`, such as "interface law" or "mesh".
         """
-        if refused := self.why_not(question):
-            raise refused.error(what)
+        if violation := self.why_not(question):
+            raise violation.error(what)
 
     @cached_property
     def law(self) -> BulkLaw:
@@ -74,14 +74,14 @@ class Applicability:
         return law_with_numbers(self.layer.layer, self.layer.structure.kinematics)
 
     @cached_property
-    def curvature(self) -> str | None:
+    def bend_text(self) -> str | None:
         """Phrase for messages: how the layer is curved or varies in thickness; None if it is flat and uniform."""
         if self.layer.thin_layer and self.layer.thin_layer.profile is not None:
             return "of a thickness that varies"
         if not self.layer.sheet.planar:
             return "on a curved S"
-        across = lies_across_axis(self.layer.structure.kinematics, self.layer.sheet.mean_normal[None])
-        return None if across else "on an S that is not across the axis of revolution, and so curved,"
+        is_across = lies_across_axis(self.layer.structure.kinematics, self.layer.sheet.mean_normal[None])
+        return None if is_across else "on an S that is not across the axis of revolution, and so curved,"
 
     # ---------------------------------------------------------------- sides
     def rim(self, *kinds: str) -> Rim:
@@ -96,12 +96,12 @@ class Applicability:
         return side_kinds(self.layer)
 
     @cached_property
-    def free(self) -> Rim:
+    def free_rim(self) -> Rim:
         """Ridges with the local field of a free end: the layer's side is free, or constrained in oblique directions."""
         return self.rim("free", "oblique")
 
     @cached_property
-    def loose(self) -> Rim:
+    def open_rim(self) -> Rim:
         """Ridges where the layer's side is not fixed outward along S.
 
         Loads on the side reach the layer there, and a pressure in the layer falls to zero.
@@ -111,28 +111,28 @@ class Applicability:
     @cached_property
     def neglected(self) -> Rim:
         """Ridges of the free ends that the interface law does not correct: all of them, or none."""
-        return self.free[np.full(len(self.free.vertices), self.why_not("ends") is not None)]
+        return self.free_rim[np.full(len(self.free_rim.vertices), self.why_not("ends") is not None)]
 
     @cached_property
     def pressure_lengths(self) -> FloatArray:
-        """Decay lengths (n,) of the pressure in a law of order 1 at the n ridges of `loose`: eps sqrt(lmbda/(12 mu)).
+        """Decay lengths (n,) of the pressure in a law of order 1 at the n ridges of `open_rim`: eps sqrt(lmbda/(12 mu)).
 
         They are infinite for an incompressible law.
         """
-        thin, joint, at = self.layer.as_thin_layer, self.layer.sheet.joint, self.loose.vertices
+        thin, joint, at = self.layer.as_thin_layer, self.layer.sheet.joint, self.open_rim.vertices
         laws = self.law.at_places(joint.points[at].mean(axis=1).T) if self.law.fields else [self.law] * len(at)
         squares = np.array([12 * law.parameters()["mu"] * law.volume_compliance for law in laws])
-        relative = joint.relative_thickness(thin.profile, self.layer.name)[at].mean(axis=1)
+        thickness_ratio = joint.relative_thickness(thin.profile, self.layer.name)[at].mean(axis=1)
         with np.errstate(divide="ignore"):
-            return np.asarray(thin.eps * relative / np.sqrt(squares))
+            return np.asarray(thin.eps * thickness_ratio / np.sqrt(squares))
 
     @property
     def is_coarse(self) -> BoolArray:
-        """Mask (n,) of the n ridges of `loose` at which cells of S are longer than the decay length of the pressure.
+        """Mask (n,) of the n ridges of `open_rim` at which cells of S are longer than the decay length of the pressure.
 
         The pressure is not set to zero at these ridges, because it would then be too small over a whole cell.
         """
-        return np.asarray(self.loose.depth > self.pressure_lengths)
+        return np.asarray(self.open_rim.depth > self.pressure_lengths)
 
     # ---------------------------------------------------------------- better laws
     def next_order(self) -> ThinLayer:
@@ -140,13 +140,13 @@ class Applicability:
 
         The layer must meet the conditions of the use "estimate" (`why_not`). A `LinearElastic` law with lmbda > 0
         becomes `Rubber`, with a pressure, unless parameters are functions or the structure is in plane stress. If there
-        are ridges in `loose`, this is done for Poisson's ratios above `MAX_FREE_END_NU` only: for smaller ratios the
+        are ridges in `open_rim`, this is done for Poisson's ratios above `MAX_FREE_END_NU` only: for smaller ratios the
         constants of free ends need no fine mesh.
         """
-        law, loose = self.layer.as_thin_layer.law, len(self.loose.vertices) > 0
-        in_sheet = self.layer.structure.plane == "stress"  # no pressure builds up there
-        if isinstance(law, LinearElastic) and not (in_sheet or law.fields) and law.lmbda > 0:
-            known_ends = loose and poisson_ratio(law) <= MAX_FREE_END_NU + MODULUS_RATIO_TOLERANCE
+        law, has_open_rim = self.layer.as_thin_layer.law, len(self.open_rim.vertices) > 0
+        plane_stress = self.layer.structure.plane == "stress"  # no pressure builds up there
+        if isinstance(law, LinearElastic) and not (plane_stress or law.fields) and law.lmbda > 0:
+            known_ends = has_open_rim and poisson_ratio(law) <= MAX_FREE_END_NU + MODULUS_RATIO_TOLERANCE
             law = law if known_ends else Rubber(law.lmbda, law.mu)
         return replace(self.layer.as_thin_layer, law=law, order=1)
 
@@ -154,8 +154,8 @@ class Applicability:
     @property
     def free_end_text(self) -> str:
         """Phrase that says whether the interface law corrects the free ends."""
-        refused = self.why_not("ends")
-        return f"not corrected, as {refused.reason}" if refused else "corrected" if self.weights else "none"
+        violation = self.why_not("ends")
+        return f"not corrected, as {violation.reason}" if violation else "corrected" if self.weights else "none"
 
     @cached_property
     def strips(self) -> EndStrips | None:
@@ -170,7 +170,7 @@ class Applicability:
     @property
     def width(self) -> float:
         """Area of the seam over the total length of its free ends, in units of the thickness."""
-        return float(self.layer.sheet.areas.sum() / self.free.length.sum()) / self.layer.eps
+        return float(self.layer.sheet.areas.sum() / self.free_rim.length.sum()) / self.layer.eps
 
     @cached_property
     def all_weights(self) -> FacetWeights:
@@ -181,12 +181,12 @@ class Applicability:
         assert self.strips is not None
         strips = self.strips.of_spread(min(self.width, (self.contrast / BENDING_FACTOR) ** (1 / 3)))
         sheet, eps = self.layer.sheet, self.layer.eps
-        return FacetWeights.of(straight_ends(self.free, sheet), sheet, eps, strips)
+        return FacetWeights.of(straight_ends(self.free_rim, sheet), sheet, eps, strips)
 
     @cached_property
     def weights(self) -> FacetWeights | None:
         """Weights (relative losses of stiffness) on the seam's facets near free ends; None without correction."""
-        return None if self.why_not("ends") or not len(self.free.vertices) else self.all_weights
+        return None if self.why_not("ends") or not len(self.free_rim.vertices) else self.all_weights
 
 
 def softest_body(seam_layer: SeamLayer) -> float:
@@ -236,11 +236,11 @@ def _next_order_conditions(r: Applicability) -> Iterator[Violation]:
         yield Violation("pressure in a sheet", "no pressure builds up in plane stress", "use LinearElastic or order=0")
     if structure.degree != 2:
         yield Violation("element", f"order=1 has gradients on S, elements are {structure.element}", "use degree 2")
-    if r.curvature and r.bodies == "kept":
+    if r.bend_text and r.bodies == "kept":
         remedy = "use bodies='extended', for the interface and the full model alike"
-        yield Violation("bent", f"order=1 {r.curvature} needs bodies at their true places", remedy)
-    if r.curvature and len(thin.law.sublayers) > 1:
-        yield Violation("bent stack", f"order=1 of a Stack {r.curvature}: shares of the jump turn along S", MESH_REMEDY)
+        yield Violation("bent", f"order=1 {r.bend_text} needs bodies at their true places", remedy)
+    if r.bend_text and len(thin.law.sublayers) > 1:
+        yield Violation("bent stack", f"order=1 of a Stack {r.bend_text}: shares of the jump turn along S", MESH_REMEDY)
     yield from filter(None, (sample.initial_tangents.locks() for sample in r.layer.samples))
     if sheet.tip is not None:
         reason = f"order=1 has gradients at the tip, and {r.layer} ends at {place_text(sheet.tip)}, inside the bodies"
@@ -255,7 +255,7 @@ def _meshed_layer_conditions(r: Applicability) -> Iterator[Violation]:
         reason = f"the stress of {r.layer.law!r} falls as strains grow: all strain would gather in one row of cells"
         yield Violation("softens", reason, "take mixing=1, or NonMonotoneUnrelaxed with one phase for each column")
     n, tangents = r.layer.sheet.mean_normal, [sample.initial_tangents for sample in r.layer.samples]
-    for law in (law for of_sample in tangents for _, law, _ in of_sample.sublayers if law.traits.softens):
+    for law in (law for initial in tangents for _, law, _ in initial.sublayers if law.traits.softens):
         C = tangent_at_rest(law, n)
         if C is None or np.linalg.eigvals(acoustic_tensor(C, n)).real.min() <= 0:  # it supports inner nodes
             reason = f"{type(law).__name__} softens, and its stiffness at rest is not known, or not positive"
@@ -269,15 +269,15 @@ def _mean_strain_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _support_conditions(r: Applicability) -> Iterator[Violation]:
     """Yield a violation if a support acts on the layer's own side ("NAME/LAYER") but not on the bodies beside it."""
-    sheet, alone = r.layer.sheet, constrained_directions(r.layer) - constrained_directions(r.layer, of_layer=False)
-    if len(at := sheet.rim.vertices[np.abs(alone).max(axis=(1, 2)) > FLAT_DIRECTION_SHARE]):
-        reason = f"a support holds the side of {r.layer} alone, at {place_text(sheet.joint.points[at[0, 0]])}"
+    sheet, layer_only = r.layer.sheet, constrained_directions(r.layer) - constrained_directions(r.layer, of_layer=False)
+    if len(ridges := sheet.rim.vertices[np.abs(layer_only).max(axis=(1, 2)) > FLAT_SQUARED_COSINE]):
+        reason = f"a support holds the side of {r.layer} alone, at {place_text(sheet.joint.points[ridges[0, 0]])}"
         yield Violation("held alone", reason, "support the bodies too, or mesh the layer")
 
 
 def _thickness_conditions(r: Applicability) -> Iterator[Violation]:
     if r.layer.thin_layer is None:
-        yield Violation("no thickness", f"{r.layer.kind} is a law on S, without a thickness", "give a ThinLayer")
+        yield Violation("no thickness", f"{r.layer.law_name} is a law on S, without a thickness", "give a ThinLayer")
 
 
 def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
@@ -288,7 +288,7 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
     thin, joint = r.layer.as_thin_layer, r.layer.structure.joint
     if thin.order == 0:
         yield Violation("order 0", "the interface law is of order 0", "use order=1")
-    if not len(r.free.vertices):
+    if not len(r.free_rim.vertices):
         return
     if thin.edges == "plain":
         yield Violation("plain", "edges='plain' was asked for", "leave edges=None")
@@ -297,16 +297,16 @@ def _free_end_law_conditions(r: Applicability) -> Iterator[Violation]:
     if r.bodies != "kept":
         yield Violation("apart", "bodies are extended: ends of the layer may be oblique", "use bodies='kept'")
     if r.layer.structure.plane == "axisymmetric":
-        R = float(joint.points[r.free.vertices, 0].min()) / r.layer.eps
+        R = float(joint.points[r.free_rim.vertices, 0].min()) / r.layer.eps
         if R < MIN_RADIUS_RATIO * (1 - MODULUS_RATIO_TOLERANCE):
             yield Violation("radius", f"free ends have a radius of {R:.3g} thicknesses; allowed: {MIN_RADIUS_RATIO:g}")
     if r.strips is None:
         allowed = f"LinearElastic with nu from 0 to {MAX_FREE_END_NU:g}, Rubber and Incompressible, by numbers"
-        yield Violation("no constants", f"free ends are not known of this {r.layer.kind}: they are of {allowed}")
+        yield Violation("no constants", f"free ends are not known of this {r.layer.law_name}: they are of {allowed}")
         return
     yield from _straight_end_conditions(r, r.contrast)
     if r.layer.has_pressure_flow and r.is_coarse.any():
-        at, fall = place_text(joint.points[r.loose[r.is_coarse].vertices[0, 0]]), r.pressure_lengths.min()
+        at, fall = place_text(joint.points[r.open_rim[r.is_coarse].vertices[0, 0]]), r.pressure_lengths.min()
         reason = f"cells at free ends must not be longer than the fall of the pressure there, {fall:.3g}, as at {at}"
         yield Violation("coarse", reason, "make them shorter (h_ends=...)")
     if r.width < r.strips.longest:
@@ -322,16 +322,16 @@ def _straight_end_conditions(r: Applicability, contrast: float) -> Iterator[Viol
     `contrast` is Young's modulus of the softest body over the shear modulus of the layer.
     """
     sheet = r.layer.sheet
-    if r.curvature:
-        yield Violation("bent", f"free ends are not known of a layer {r.curvature}")
-    for oblique in r.rim("oblique").vertices[:1]:
-        at = place_text(sheet.joint.points[oblique[0]])
+    if r.bend_text:
+        yield Violation("bent", f"free ends are not known of a layer {r.bend_text}")
+    for ridge in r.rim("oblique").vertices[:1]:
+        at = place_text(sheet.joint.points[ridge[0]])
         yield Violation("oblique", f"something holds the layer's side at {at} neither along S nor across it")
     if contrast < MIN_STIFFNESS_CONTRAST * (1 - MODULUS_RATIO_TOLERANCE):
         reason = f"E of a body is {contrast:.4g} times mu of the layer; allowed: at least {MIN_STIFFNESS_CONTRAST:g}"
         yield Violation("contrast", f"faces must be rigid beside free ends: {reason}")
     try:
-        straight_ends(r.free, sheet)
+        straight_ends(r.free_rim, sheet)
     except InputError as error:
         yield Violation("curved end", str(error))
 
@@ -362,13 +362,13 @@ def _pressure_excess_conditions(r: Applicability) -> Iterator[Violation]:
 
 def _subproblem_conditions(r: Applicability) -> Iterator[Violation]:
     """Yield the violated conditions for solving the meshed layer by itself, with displacements prescribed on faces."""
-    traits, kind = r.layer.law.traits, r.layer.kind
+    traits, law_name = r.layer.law.traits, r.layer.law_name
     if traits.phases or traits.softens:
-        first = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
-        reason = f"{kind} has phases, or a stress that falls as strains grow"
-        yield Violation("phases", reason, f"{first}mesh the layer (structure.full)")
-    elif traits.constrained and not r.law.volume_compliance and not len(r.loose.vertices):
-        reason = f"{kind} between faces, with no side that is free, bears a pressure that these do not tell"
+        law_remedy = "take mixing=1, or NonMonotoneUnrelaxed, and " * (traits.phases and traits.softens)
+        reason = f"{law_name} has phases, or a stress that falls as strains grow"
+        yield Violation("phases", reason, f"{law_remedy}mesh the layer (structure.full)")
+    elif traits.constrained and not r.law.volume_compliance and not len(r.open_rim.vertices):
+        reason = f"{law_name} between faces, with no side that is free, bears a pressure that these do not tell"
         yield Violation("closed", reason, "take Rubber with Poisson's ratio 0.4999")
 
 
@@ -377,23 +377,23 @@ def _neumann_conditions(r: Applicability) -> Iterator[Violation]:
     slots = r.layer.structure.kinematics.slots(r.layer.structure.joint.dim)
     tangents = [C for s in r.layer.samples for _, _, C in s.initial_tangents.sublayers if C is not None]
     for C in (C[np.ix_(slots, slots)] for C in tangents):
-        sizes = np.linalg.svd(C, compute_uv=False)
-        if sizes[-1] <= SINGULARITY_TOLERANCE * sizes[0]:
-            reason = f"{r.layer.kind} has strains without stresses, as springs have along S, and moves in itself"
+        singular_values = np.linalg.svd(C, compute_uv=False)
+        if singular_values[-1] <= SINGULARITY_TOLERANCE * singular_values[0]:
+            reason = f"{r.layer.law_name} has strains without stresses, as springs have along S, and moves in itself"
             yield Violation("no stress", reason, f"solve structure.full(layer), {GOALS_REMEDY}")
 
 
 def _bonded_conditions(r: Applicability) -> Iterator[Violation]:
     """Yield a violation if bonded bodies allow no estimate: only flat, uniform layers shift them rigidly."""
-    if r.curvature:
-        reason = f"bonded bodies meet on S, where {r.layer} {r.curvature} leaves them in no place"
+    if r.bend_text:
+        reason = f"bonded bodies meet on S, where {r.layer} {r.bend_text} leaves them in no place"
         yield Violation("moved", reason, f"solve structure.full(layer, bodies='extended'), {GOALS_REMEDY}")
 
 
 def _rate_conditions(r: Applicability) -> Iterator[Violation]:
     """Yield a violation if the stress depends on strain rates, which a state does not have."""
     if r.layer.law.traits.rate:
-        yield Violation("rate", f"{r.layer.kind} has a rate, of which a state does not know", "mesh the layer")
+        yield Violation("rate", f"{r.layer.law_name} has a rate, of which a state does not know", "mesh the layer")
 
 
 def _corner_conditions(r: Applicability) -> Iterator[Violation]:
@@ -402,16 +402,16 @@ def _corner_conditions(r: Applicability) -> Iterator[Violation]:
     The exponents are those of a wedge of 90 degrees on a rigid face in plane strain.
     """
     if not r.layer.law.traits.linear:
-        yield Violation("not linear", f"exponents are known of linear laws, not of {r.layer.kind}")
+        yield Violation("not linear", f"exponents are known of linear laws, not of {r.layer.law_name}")
     sublayers, n = r.law.sublayers, r.layer.sheet.mean_normal
     outer = [] if r.law.fields else [declared_or_computed_tangent(law, n) for _, law in (sublayers[0], sublayers[-1])]
-    isotropic = [average_lame(C)[1] for C in outer if C is not None and is_isotropic(C)]
-    if len(isotropic) < 2:
+    shear_moduli = [average_lame(C)[1] for C in outer if C is not None and is_isotropic(C)]
+    if len(shear_moduli) < 2:
         yield Violation("not isotropic", "exponents are known of isotropic layers, by numbers")
         return
     if r.layer.structure.plane == "axisymmetric":
         yield Violation("radius", "free ends of a body of revolution are curved")
-    yield from _straight_end_conditions(r, softest_body(r.layer) / max(isotropic))
+    yield from _straight_end_conditions(r, softest_body(r.layer) / max(shear_moduli))
 
 
 Condition = Callable[[Applicability], Iterator[Violation]]

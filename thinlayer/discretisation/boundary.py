@@ -35,11 +35,11 @@ def require_revolution(kinematics: Kinematics, joint: Joint) -> None:
 
     A joint for other kinematics than axisymmetric ones always passes.
     """
-    r, on = kinematics.radius(joint.points), nodes_on_axis(kinematics, joint)
+    r, on_axis = kinematics.radius(joint.points), nodes_on_axis(kinematics, joint)
     message = f"plane={kinematics.name!r}: x is the distance from the axis of revolution, and {{bad}} points have x < 0"
-    refuse((r < 0) & ~on, joint.points, f"{message}, the first at {{at}}; allowed: x >= 0")
+    refuse((r < 0) & ~on_axis, joint.points, f"{message}, the first at {{at}}; allowed: x >= 0")
     for name in joint.seams if joint.band is None else ():
-        if on[joint.table.vertices[joint.rows_of(name)]].all(axis=1).any():
+        if on_axis[joint.table.vertices[joint.rows_of(name)]].all(axis=1).any():
             raise InputError(f"plane={kinematics.name!r}: the seam {name!r} lies on the axis, where it has no area")
     if joint.periods:
         radial = np.delete(joint.periods.vectors(joint.points), kinematics.translations(joint.dim), axis=1)
@@ -83,16 +83,16 @@ def boundary_values(
     base = joint.band.base if joint.band else joint
     names = ", ".join(sorted(base.facets.keys() - {S}))
     require(isinstance(name, str), f"{what}: a place", name, f"it must be the name of a facet set; known: {names}")
-    part = FacetName.parse(name)
+    facet_name = FacetName.parse(name)
     refuse_periodic(joint, name, what)
-    if name in base.seams or part.whole == S or not (inside or domain.is_outer(name)):
+    if name in base.seams or facet_name.whole == S or not (inside or domain.is_outer(name)):
         raise InputError(f"{what}: its facets lie inside, or below a layer; take a facet set on the outer boundary")
-    facets = joint.facets.get(name, joint.facets.get(part.whole))
+    facets = joint.facets.get(name, joint.facets.get(facet_name.whole))
     if not inside and facets is not None and len(facets) and nodes_on_axis(kinematics, joint)[facets].all():
         raise InputError(f"{what}: these facets are the axis of revolution, which is not a boundary")
     require_known("facet set", name, domain.facet_values, what)
-    if not domain.values(name) and not (side and part.region == LAYER):
-        why = ", as the layer is a surface here: mesh it (structure.full)" * (part.region == LAYER)
+    if not domain.values(name) and not (side and facet_name.region == LAYER):
+        why = ", as the layer is a surface here: mesh it (structure.full)" * (facet_name.region == LAYER)
         raise InputError(f"{what}: this facet set is empty{why}")
     return domain.values(name)
 
@@ -124,27 +124,27 @@ def node_normals(domain: Domain, V: fem.FunctionSpace, place: str) -> tuple[IntA
         node occurs once for each facet around it.
     """
     mesh, d = domain.mesh, domain.joint.dim
-    kind, points, layout = basix.CellType[domain.joint.cell_type], interpolation_points(V), V.dofmap.dof_layout
+    cell_type, points, layout = basix.CellType[domain.joint.cell_type], interpolation_points(V), V.dofmap.dof_layout
     facets = domain.facets(place, layer_sides=True)
     cells, local = cells_of_facets(mesh, facets)
     owned = cells < mesh.topology.index_map(d).size_local
     cells, local, continued = cells[owned], local[owned], _continued_normals(domain, place, facets[owned])
     jacobian = fem.Expression(ufl.Jacobian(mesh), points)
     J = jacobian.eval(mesh, cells).reshape(len(cells), len(points), d, d) if len(cells) else np.empty((0, 1, d, d))
-    outward, corners = basix.cell.facet_outward_normals(kind), basix.topology(kind)[d - 1]
+    outward, corners = basix.cell.facet_outward_normals(cell_type), basix.topology(cell_type)[d - 1]
     blocks, normals = [np.empty(0, np.int64)], [np.empty((0, d))]
     for number in range(len(corners)):
-        here = np.flatnonzero(local == number)
+        rows = np.flatnonzero(local == number)
         nodes = np.array(layout.entity_closure_dofs(d - 1, number))
-        n = np.einsum("cnji,j->cni", np.linalg.inv(J[here][:, nodes]), outward[number])  # normals transform with J^-T
+        n = np.einsum("cnji,j->cni", np.linalg.inv(J[rows][:, nodes]), outward[number])  # normals transform with J^-T
         n /= np.linalg.norm(n, axis=2)[..., None]
-        n = np.where(np.isnan(continued[here]), n.swapaxes(0, 1), continued[here]).swapaxes(0, 1)
-        x = mesh.geometry.x[cell_nodes(mesh)[cells[here]][:, corners[number]]]
+        n = np.where(np.isnan(continued[rows]), n.swapaxes(0, 1), continued[rows]).swapaxes(0, 1)
+        x = mesh.geometry.x[cell_nodes(mesh)[cells[rows]][:, corners[number]]]
         for k, corner in enumerate(corners[number]):
             n[:, nodes == layout.entity_dofs(0, corner)[0]] *= _weights(x, k)[:, None, None]
-        blocks.append(np.asarray(V.dofmap.list)[cells[here]][:, nodes].ravel().astype(np.int64))
+        blocks.append(np.asarray(V.dofmap.list)[cells[rows]][:, nodes].ravel().astype(np.int64))
         normals.append(n.reshape(-1, d))
-    return _at_owners(domain, V, np.concatenate(blocks), np.concatenate(normals))
+    return _send_to_owners(domain, V, np.concatenate(blocks), np.concatenate(normals))
 
 
 def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
@@ -152,10 +152,10 @@ def side_normals(joint: Joint, name: str, ridges: IntArray) -> Array:
 
     `ridges` has the vertices of each ridge, (n, k), as numbers in the joint; they may repeat.
     """
-    rows, kind = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
+    rows, simplex = joint.facets[name], {2: "triangle", 3: "tetrahedron"}[joint.dim]
     cells = joint.table.cells[joint.table.index(rows), 0]
     inward = joint.points[joint.corners[cells]].mean(axis=1) - joint.points[rows].mean(axis=1)
-    normals = facet_normals(joint.points, rows[:, : joint.dim], kind)[:, 0]
+    normals = facet_normals(joint.points, rows[:, : joint.dim], simplex)[:, 0]
     normals *= -np.sign((normals * inward).sum(axis=1))[:, None]
     out = np.full((len(ridges), joint.dim), np.nan)
     for k, ridge in enumerate(ridges):
@@ -176,10 +176,10 @@ def _continued_normals(domain: Domain, place: str, facets: Indices) -> Array:
         return out
     numbers = domain.numbers(joint.dim - 1, facets)
     regions = np.array(joint.regions)[joint.region[joint.table.cells[numbers, 0]]]
-    layers = np.flatnonzero(np.isin(regions, band.regions))
-    _, of_base = cKDTree(band.base.points).query(band.reference[joint.table.vertices[numbers[layers]]])
-    ridges, number = np.unique(np.sort(of_base, axis=1), axis=0, return_inverse=True)
-    out[layers] = side_normals(band.base, name, ridges)[number.ravel()]
+    layer_rows = np.flatnonzero(np.isin(regions, band.regions))
+    _, base_vertices = cKDTree(band.base.points).query(band.reference[joint.table.vertices[numbers[layer_rows]]])
+    ridges, number = np.unique(np.sort(base_vertices, axis=1), axis=0, return_inverse=True)
+    out[layer_rows] = side_normals(band.base, name, ridges)[number.ravel()]
     return out
 
 
@@ -193,7 +193,7 @@ def _weights(x: Array, k: int) -> Array:
     return np.asarray(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / squares.prod(axis=1))
 
 
-def _at_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Array) -> tuple[IntArray, Array]:
+def _send_to_owners(domain: Domain, V: fem.FunctionSpace, blocks: IntArray, rows: Array) -> tuple[IntArray, Array]:
     """Send rows (n, m) of numbers, one for each local node `blocks` (n,), to the nodes' owners. Collective.
 
     Returns the local numbers of the nodes, and the rows, that this rank receives.

@@ -88,13 +88,13 @@ class BrokenMesh:
         self._dim = mesh.topology.dim
         rules = dict(S) if isinstance(S, Mapping) else dict.fromkeys([S] if isinstance(S, int) else S)
         create_connectivity(mesh, self._dim - 1)
-        self._outer = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
-        self._body = self._bodies()
-        self._check_cuts(np.concatenate([np.empty(0, np.int32), *(self._owned(tag) for tag in rules)]))
+        self._exterior = np.asarray(dolfinx.mesh.exterior_facet_indices(mesh.topology))
+        self._body = self._cell_tags()
+        self._check_cuts(np.concatenate([np.empty(0, np.int32), *(self._owned_facets(tag) for tag in rules)]))
         self._sides: dict[int, Indices] = {}
         for tag, upper in rules.items():
-            facets = self._owned(tag)
-            counts = len(facets), int(np.isin(facets, self._outer).sum())
+            facets = self._owned_facets(tag)
+            counts = len(facets), int(np.isin(facets, self._exterior).sum())
             total, outer = map(self.comm.allreduce, counts)
             if not total:
                 tags = np.unique(np.concatenate(self.comm.allgather(np.unique(facet_tags.values))))
@@ -102,8 +102,8 @@ class BrokenMesh:
             if outer not in (0, total):
                 raise InputError(f"S: {outer} of {total} facets with tag {tag} lie on the boundary; all or none may")
             if not outer:
-                self._sides[tag] = self._oriented(tag, facets, upper)
-        self._bases = rules.keys() - self._sides.keys()
+                self._sides[tag] = self._oriented_facets(tag, facets, upper)
+        self._base_tags = rules.keys() - self._sides.keys()
         data = [(tag, rows.ravel()) for tag, rows in sorted(self._sides.items())]  # DOLFINx loses unsorted tags
         self.dS = ufl.Measure("dS", domain=mesh, subdomain_data=data)
         self._tags = tuple(rules)
@@ -128,16 +128,16 @@ class BrokenMesh:
         if isinstance(element, tuple):
             family, degree, *shape = element
             element = basix.ufl.element(family, self.mesh.basix_cell(), degree, shape=shape[0] if shape else None)
-        values = np.unique(np.concatenate([np.unique(self._body), *self.comm.allgather(np.unique(self._body))]))
-        number = np.searchsorted(values, self._body)
-        count = partial(cpp.mesh.cell_num_entities, self.mesh.topology.cell_type)
-        components = [np.tile(number, (count(dim), 1)).T for dim in range(self._dim)]
+        body_tags = np.unique(np.concatenate([np.unique(self._body), *self.comm.allgather(np.unique(self._body))]))
+        body_number = np.searchsorted(body_tags, self._body)
+        entity_count = partial(cpp.mesh.cell_num_entities, self.mesh.topology.cell_type)
+        components = [np.tile(body_number, (entity_count(dim), 1)).T for dim in range(self._dim)]
         return broken_space(self.comm, SharedDofs.of_components(self.comm, self.mesh, element, components))
 
     def interface(self, tag: int) -> Interface:
         """Return the two sides of the facets of S with a tag: normal, jump, and the measure of integrals over them."""
         self._require(tag)
-        if tag in self._bases:
+        if tag in self._base_tags:
             ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
             return Interface.on_rigid_base(ds(tag), self.kinematics)
         return Interface.between_bodies(self.dS(tag), self.kinematics)
@@ -171,13 +171,13 @@ class BrokenMesh:
             raise InputError(f"order=1 of a thickness that varies needs bodies at their true places; {remedy}")
         if order:
             self._require_no_locking(tag, law)
-        sides = replace(self.interface(tag), law_on_surface=partial(self._law_on, tag))
+        sides = replace(self.interface(tag), law_on_surface=partial(self._law_on_facets, tag))
         thickness = fem.Constant(self.mesh, float(eps))
         if profile is not None:
-            shape = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))  # linear between vertices
+            relative_thickness = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1)))  # linear between vertices
             with errors_on_all(self.comm):
-                interpolate(shape, lambda x: profile(x[: self._dim]))
-            thickness = thickness * sides.upper(shape)
+                interpolate(relative_thickness, lambda x: profile(x[: self._dim]))
+            thickness = thickness * sides.upper(relative_thickness)
         return [replace(term, law=law_of_terms(term.law, self.mesh)) for term in surface(law, sides, thickness, order)]
 
     def contact_surface(self, tag: int, V: fem.FunctionSpace) -> ContactSurface:
@@ -195,9 +195,9 @@ class BrokenMesh:
         fits = V.mesh is self.mesh and element.reference_value_shape == (self._dim,) and element.family_name == "P"
         fits = fits and element.degree <= (1 if self.mesh.topology.cell_name() == "tetrahedron" else 2)
         require(fits, "V", V, f"{wanted} of this mesh, or but for tetrahedra of degree 2")
-        facets = self._owned(tag)
-        based = tag in self._bases
-        upper, lower = (cells_of_facets(self.mesh, facets)[0], None) if based else self._sides[tag][:, [0, 2]].T
+        facets = self._owned_facets(tag)
+        on_base = tag in self._base_tags
+        upper, lower = (cells_of_facets(self.mesh, facets)[0], None) if on_base else self._sides[tag][:, [0, 2]].T
         return ContactSurface(V, self.comm, facets, upper, lower, kinematics=self.kinematics)
 
     def _require(self, tag: int) -> None:
@@ -208,8 +208,8 @@ class BrokenMesh:
         """Raise InputError if lmbda/mu is so large somewhere on the facets with a tag that the law of order 1 locks."""
         with errors_on_all(self.comm):
             for local_law in law.at_places(self._at_vertices(tag)[2]) if law.fields else [law]:
-                if refused := InitialTangents(local_law, np.eye(self._dim)[-1]).locks():
-                    raise refused.error()
+                if violation := InitialTangents(local_law, np.eye(self._dim)[-1]).locks():
+                    raise violation.error()
 
     def _at_vertices(self, tag: int) -> tuple[fem.Function, Indices, Array]:
         """Return a function of degree 1, its n dofs on the facets with a tag, and coordinates (d, n) of these dofs."""
@@ -217,73 +217,73 @@ class BrokenMesh:
         dofs = fem.locate_dofs_topological(f.function_space, self._dim - 1, self.facet_tags.find(tag))
         return f, dofs, f.function_space.tabulate_dof_coordinates()[dofs, : self._dim].T
 
-    def _law_on(self, tag: int, law: BulkLaw) -> BulkLaw:
+    def _law_on_facets(self, tag: int, law: BulkLaw) -> BulkLaw:
         """The law on the facets with a tag, with parameters in UFL.
 
         Parameters that are functions become expressions on S, linear between vertices, and numbers become Constants.
         """
-        on_s = {}
+        expressions = {}
         for name in law.fields:
             f, dofs, x = self._at_vertices(tag)
             with errors_on_all(self.comm):
                 f.x.array[dofs] = law.fields_at(x)[name]
             f.x.scatter_forward()
-            on_s[name] = self.interface(tag).upper(f)
-        return law_with_expressions(law, self.mesh, on_s)
+            expressions[name] = self.interface(tag).upper(f)
+        return law_with_expressions(law, self.mesh, expressions)
 
     # ---------------------------------------------------------------- the tags
-    def _owned(self, tag: int) -> Indices:
+    def _owned_facets(self, tag: int) -> Indices:
         """Facets with a tag that this rank owns, sorted."""
         facets = self.facet_tags.find(tag)
         return np.sort(facets[facets < self.mesh.topology.index_map(self._dim - 1).size_local])
 
-    def _bodies(self) -> Indices:
+    def _cell_tags(self) -> Indices:
         """Tag of the body of each local cell, ghosts included, (n_cells,)."""
         imap = self.mesh.topology.index_map(self._dim)
         body, owned = la.vector(imap, dtype=np.int32), self.bodies.indices < imap.size_local
         body.array[self.bodies.indices[owned]] = self.bodies.values[owned]
-        if lost := self.comm.allreduce(imap.size_local - len(np.unique(self.bodies.indices[owned]))):
-            raise InputError(f"bodies: {lost} cells have no tag; each cell belongs to a body")
+        if n_untagged := self.comm.allreduce(imap.size_local - len(np.unique(self.bodies.indices[owned]))):
+            raise InputError(f"bodies: {n_untagged} cells have no tag; each cell belongs to a body")
         body.scatter_forward()
         return np.asarray(body.array)
 
     def _check_cuts(self, cuts: Indices) -> None:
         """Raise InputError for missing ghost cells, bodies that meet outside S, and facets of S inside a body."""
         topology = self.mesh.topology
-        inner = np.setdiff1d(np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32), self._outer)
-        cells_of = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
-        if lost := self.comm.allreduce(np.count_nonzero(cells_of[inner] < 2)):
+        inner = np.setdiff1d(np.arange(topology.index_map(self._dim - 1).size_local, dtype=np.int32), self._exterior)
+        cell_counts = np.diff(topology.connectivity(self._dim - 1, self._dim).offsets)
+        if n_lacking := self.comm.allreduce(np.count_nonzero(cell_counts[inner] < 2)):
             remedy = "create it, or a partitioner, with ghost_mode=dolfinx.mesh.GhostMode.shared_facet"
-            raise InputError(f"the mesh has no ghost cells across {lost} facets between ranks; {remedy}")
+            raise InputError(f"the mesh has no ghost cells across {n_lacking} facets between ranks; {remedy}")
         pairs, to_facets = interior_facet_entities(self.mesh, inner), topology.connectivity(self._dim, self._dim - 1)
-        number = to_facets.array[to_facets.offsets[pairs[:, 0]] + pairs[:, 1]]
+        facets = to_facets.array[to_facets.offsets[pairs[:, 0]] + pairs[:, 1]]
         border = self._body[pairs[:, 0]] != self._body[pairs[:, 2]]
-        cut = np.isin(number, cuts)
-        self._refuse(number[border & ~cut], "where two bodies meet are not in S: tag them, or give both one value")
-        self._refuse(number[cut & ~border], "of S lie inside a body: give the bodies on its two sides different values")
+        cut = np.isin(facets, cuts)
+        self._refuse(facets[border & ~cut], "where two bodies meet are not in S: tag them, or give both one value")
+        self._refuse(facets[cut & ~border], "of S lie inside a body: give the bodies on its two sides different values")
 
     def _refuse(self, facets: Indices, what: str) -> None:
         if count := self.comm.allreduce(len(facets)):
             places = dolfinx.mesh.compute_midpoints(self.mesh, self._dim - 1, facets[:1])[:, : self._dim]
-            first = next(p[0] for p in self.comm.allgather(places) if len(p))
-            raise InputError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in first)})")
+            place = next(p[0] for p in self.comm.allgather(places) if len(p))
+            raise InputError(f"{count} facets {what}; one is at ({', '.join(f'{c:g}' for c in place)})")
 
-    def _oriented(self, tag: int, facets: Indices, upper: Upper) -> Indices:
+    def _oriented_facets(self, tag: int, facets: Indices, upper: Upper) -> Indices:
         """Rows (n, 4) for n facets between bodies: upper cell, facet's number in it, lower cell, facet's number in it.
 
         `upper` is the rule that chooses the upper side, see `BrokenMesh`.
         """
         rows = interior_facet_entities(self.mesh, facets)
-        first, second = rows[:, 0], rows[:, 2]
+        first_cells, second_cells = rows[:, 0], rows[:, 2]
         if upper is None:
-            swap = self._body[first] < self._body[second]
+            swap = self._body[first_cells] < self._body[second_cells]
         elif isinstance(upper, int | np.integer | set | frozenset):
             above = np.isin(self._body, list(upper) if isinstance(upper, set | frozenset) else [upper])
-            what = f"with tag {tag} do not have one side in {upper} and the other outside"
-            self._refuse(facets[above[first] == above[second]], what)
-            swap = above[second]
+            text = f"with tag {tag} do not have one side in {upper} and the other outside"
+            self._refuse(facets[above[first_cells] == above[second_cells]], text)
+            swap = above[second_cells]
         else:
-            swap = ~self._points_to(first, tag, facets, np.asarray(upper, float))
+            swap = ~self._points_to(first_cells, tag, facets, np.asarray(upper, float))
         rows[swap] = rows[swap][:, [2, 3, 0, 1]]
         return rows
 
@@ -293,8 +293,8 @@ class BrokenMesh:
             raise InputError(f"S: the upper side of {tag} is {direction}; allowed: {self._dim} numbers, not all 0")
         normals = cpp.mesh.cell_normals(self.mesh._cpp_object, self._dim - 1, facets)[:, : self._dim]
         cosines = normals @ direction / np.linalg.norm(direction)
-        what = f"with tag {tag} are parallel to {tuple(map(float, direction))}, which does not tell their upper side"
-        self._refuse(facets[np.abs(cosines) < MIN_COSINE], what)
-        middle = dolfinx.mesh.compute_midpoints
-        towards = middle(self.mesh, self._dim, cells) - middle(self.mesh, self._dim - 1, facets)
-        return np.asarray(np.einsum("fk,fk->f", towards[:, : self._dim], normals) * cosines > 0)
+        text = f"with tag {tag} are parallel to {tuple(map(float, direction))}, which does not tell their upper side"
+        self._refuse(facets[np.abs(cosines) < MIN_COSINE], text)
+        midpoints = dolfinx.mesh.compute_midpoints
+        to_middle = midpoints(self.mesh, self._dim, cells) - midpoints(self.mesh, self._dim - 1, facets)
+        return np.asarray(np.einsum("fk,fk->f", to_middle[:, : self._dim], normals) * cosines > 0)

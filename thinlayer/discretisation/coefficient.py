@@ -70,7 +70,7 @@ class Coordinates(FormerNames):
     clock: Clock
     places: Array
     cache: dict[tuple[object, ...], Coefficient] = field(default_factory=dict, repr=False, compare=False)
-    planned: list[set[float]] = field(default_factory=list, repr=False, compare=False)
+    planned_breaks: list[set[float]] = field(default_factory=list, repr=False, compare=False)
 
     @classmethod
     def of(cls, domain: Domain) -> Self:
@@ -80,9 +80,9 @@ class Coordinates(FormerNames):
         """
         mesh, band = domain.mesh, domain.joint.band
         x, points = ufl.SpatialCoordinate(mesh), (band.base if band else domain.joint).points
-        chosen = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
-        kept = band is not None and band.bodies != "extended"
-        return cls(mesh, x - inflation_shift(domain) if kept else x, Clock(mesh), points[sorted(chosen)])
+        sample_points = {0, *(int(k) for c in points.T for k in (c.argmin(), c.argmax(), np.abs(c).argmin()))}
+        is_kept = band is not None and band.bodies != "extended"
+        return cls(mesh, x - inflation_shift(domain) if is_kept else x, Clock(mesh), points[sorted(sample_points)])
 
     @property
     def t(self) -> TimeConstant:
@@ -92,7 +92,7 @@ class Coordinates(FormerNames):
     @property
     def detached(self) -> Self:
         """A copy that shares the clock but keeps its own break times, for loads and supports that may be replaced."""
-        return changed(self, cache={}, planned=[])
+        return changed(self, cache={}, planned_breaks=[])
 
     def moved(self, x: Expr) -> Self:
         """A copy with other UFL coordinates x (d,)."""
@@ -114,9 +114,9 @@ class Coordinates(FormerNames):
         key = (id(value), what, shapes, id(self.x))
         if key not in self.cache:
             self.cache[key] = coefficient = Coefficient(value, what, shapes, self, of_place=of_place)
-            if self.planned and (late := sorted(coefficient.breaks - self.planned[0])):
-                slope = f"changes its slope at t = {late[0]:g}, where no step ends"
-                raise InputError(f"{what} is given after a march has begun, and {slope}; give it in check(model)")
+            if self.planned_breaks and (late_breaks := sorted(coefficient.breaks - self.planned_breaks[0])):
+                reason = f"changes its slope at t = {late_breaks[0]:g}, where no step ends"
+                raise InputError(f"{what} is given after a march has begun, and {reason}; give it in check(model)")
         return self.cache[key]
 
     def traction(self, load: Load | Pressure, what: str, n: Expr) -> Expr:
@@ -132,8 +132,8 @@ class Coordinates(FormerNames):
     @property
     def breaks(self) -> set[float]:
         """Times at which coefficients made so far change their slope; once read, no new times are allowed."""
-        self.planned[:] = [set[float]().union(*(coefficient.breaks for coefficient in self.cache.values()))]
-        return self.planned[0]
+        self.planned_breaks[:] = [set[float]().union(*(coefficient.breaks for coefficient in self.cache.values()))]
+        return self.planned_breaks[0]
 
 
 class Coefficient:
@@ -165,26 +165,26 @@ class Coefficient:
         self.value, self.what, self._shapes, self._of_place = value, what, shapes, of_place
         self.at = at.detached  # does not refer to this object: both are freed with their model
         is_function = callable(value) and not isinstance(value, ufl.core.expr.Expr)
-        self.components = self._on_mesh(self._of_function() if is_function else self._read(value))
+        self.components = self._on_mesh(self._function_components() if is_function else self._read(value))
         self.varies = is_function or any(isinstance(c, ufl.core.expr.Expr) for c in self.components.flat)
         self.shape = self.components.shape
 
     # ---------------------------------------------------------------- reading
-    def _called(self, x: Expr, t: Expr) -> Nested:
+    def _call(self, x: Expr, t: Expr) -> Nested:
         assert callable(self.value)
         return self.value(x) if self._of_place else self.value(x, t)
 
-    def _of_function(self) -> Components:
+    def _function_components(self) -> Components:
         """Return the components of the user's function for symbols; its values for plain numbers must agree."""
         try:
-            content = self._called(self.at.x, self.at.t)
+            content = self._call(self.at.x, self.at.t)
         except Exception as error:
             if self._of_place:
                 return self._read(self._interpolated())
-            raise self._no_function(f"{type(error).__name__}: {error}") from error
+            raise self._function_error(f"{type(error).__name__}: {error}") from error
         components = self._read(content)
         plain = isinstance(self.at.x, ufl.SpatialCoordinate)
-        self._compare(components if plain else self._read(self._called(ufl.SpatialCoordinate(self.at.mesh), self.at.t)))
+        self._compare(components if plain else self._read(self._call(ufl.SpatialCoordinate(self.at.mesh), self.at.t)))
         return components
 
     def _interpolated(self) -> fem.Function:
@@ -192,7 +192,7 @@ class Coefficient:
         f = fem.Function(fem.functionspace(self.at.mesh, ("DG", NUMPY_DEGREE)))
         x = places_in_cells(f.function_space, self.at.x).reshape(-1, self.at.mesh.geometry.dim)
         try:
-            values = np.asarray(self._called(x.T, None), float)
+            values = np.asarray(self._call(x.T, None), float)
         except Exception as error:
             raise InputError(f"{self.what} is not a function of x, in UFL or numpy: {error}") from error
         if values.shape not in ((), (len(x),)):
@@ -200,10 +200,10 @@ class Coefficient:
         f.x.array[np.asarray(f.function_space.dofmap.list).ravel()] = values
         return f
 
-    def _no_function(self, why: str) -> InputError:
+    def _function_error(self, why: str) -> InputError:
         return InputError(f"{self.what} is not a function (x, t) of UFL coordinates: {why}; {NUMPY_HINT}")
 
-    def _refusal(self, content: Nested, more: str = "") -> InputError:
+    def _components_error(self, content: Nested, more: str = "") -> InputError:
         shapes = [" x ".join(map(str, shape)) for shape in self._shapes]
         need = " or ".join(f"{shape} finite components" if shape else "a finite number" for shape in shapes)
         if callable(self.value):
@@ -217,7 +217,7 @@ class Coefficient:
         except Exception:  # of any user's object
             shape = (-1,)
         if shape not in self._shapes:
-            raise self._refusal(content)
+            raise self._components_error(content)
         components = np.empty(shape, object)
         for index in np.ndindex(*shape):
             components[index] = self._component(reduce(lambda rows, k: rows[k], index, content))
@@ -231,34 +231,34 @@ class Coefficient:
             return float(component)
         scalar = isinstance(component, ufl.core.expr.Expr) and component.ufl_shape == ()
         if not scalar or isinstance(component, Condition) or not has_finite_numbers(component):
-            raise self._refusal(component, f", of finite real numbers; {NUMPY_HINT}")
+            raise self._components_error(component, f", of finite real numbers; {NUMPY_HINT}")
         return component
 
     def _on_mesh(self, components: Components) -> Components:
         """Replace functions on other meshes by their interpolants on this mesh. Collective if there are any."""
-        fields = {f for c in components.flat for f in _fields(c) if isinstance(f, fem.Function)}
+        fields = {f for c in components.flat for f in _functions_in(c) if isinstance(f, fem.Function)}
         others = sorted((f for f in fields if f.function_space.mesh is not self.at.mesh), key=lambda f: f.count())
         replacements = {f: sampled_function(f, self.at.mesh, self.at.x, self.what) for f in others}
         for index in np.ndindex(*components.shape):
-            if _fields(components[index]):
+            if _functions_in(components[index]):
                 components[index] = ufl_replace(components[index], replacements)
         return components
 
     def _compare(self, components: Components) -> None:
         """Raise InputError if the function gives other values for plain numbers than for symbols (`components`)."""
-        if any(map(_fields, components.flat)):
+        if any(map(_functions_in, components.flat)):
             return
-        places, (first, *later) = self.at.places, COMPARISON_TIMES
-        for place, t in [*product(places, [first]), *product(places[:1], later)]:
+        places, (first_time, *later_times) = self.at.places, COMPARISON_TIMES
+        for place, t in [*product(places, [first_time]), *product(places[:1], later_times)]:
             try:
-                plain = self._read(self._called(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
+                plain = self._read(self._call(ufl.as_vector([*map(float, place)]), ufl.as_ufl(t)))
             except Exception:  # the function accepts symbols only, as with ufl.grad
                 continue
             a, b = (np.array([evaluate_component(c, t, place) for c in some.flat]) for some in (components, plain))
             comparable = a.shape == b.shape and np.isfinite([a, b]).all()
             if comparable and np.abs(a - b).max() > FUNCTION_TOLERANCE * np.abs([a, b]).max():
-                both = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
-                raise self._no_function(f"at {at_place(place)}, t = {t:g} it gives {both}")
+                text = f"{a.tolist()} for symbols and {b.tolist()} for numbers, as functions with ==, != and `in` do"
+                raise self._function_error(f"at {at_place(place)}, t = {t:g} it gives {text}")
 
     # ---------------------------------------------------------------- values
     @cached_property
@@ -270,15 +270,15 @@ class Coefficient:
 
     def in_space(self, V: fem.FunctionSpace) -> fem.Function:
         """Return the interpolant of this scalar value in a scalar space V. Collective."""
-        f, on_mesh = fem.Function(V), self.expression + fem.Constant(self.at.mesh, 0.0)
-        interpolate(f, fem.Expression(on_mesh, interpolation_points(V)))
+        f, expression = fem.Function(V), self.expression + fem.Constant(self.at.mesh, 0.0)
+        interpolate(f, fem.Expression(expression, interpolation_points(V)))
         return f
 
     @cached_property
     def breaks(self) -> set[float]:
         """Times at which the slope of the value changes."""
         components = [c for c in self.components.flat if isinstance(c, ufl.core.expr.Expr)]
-        return set[float]().union(*(reading.breaks for c in components for reading in time_constants(c)))
+        return set[float]().union(*(constant.breaks for c in components for constant in time_constants(c)))
 
     def once(self, body: str) -> Coefficient:
         """Return this coefficient; raises InputError if it depends on the place.
@@ -335,10 +335,10 @@ def values_by_body(values: T | Mapping[str, T], joint: Joint, what: str = "", mo
     Raises:
         InputError: a name that is neither a body nor in `more`; the message begins with `what`.
     """
-    each = values if isinstance(values, Mapping) else dict.fromkeys(joint.bodies, values)
-    for name in (name for name in each if name not in more):
+    by_body = values if isinstance(values, Mapping) else dict.fromkeys(joint.bodies, values)
+    for name in (name for name in by_body if name not in more):
         require_known("body", name, joint.bodies, what)
-    return {name: each[name] for name in joint.bodies if name in each}
+    return {name: by_body[name] for name in joint.bodies if name in by_body}
 
 
 # ---------------------------------------------------------------- content
@@ -350,8 +350,8 @@ def _shape_of(content: Nested) -> Shape:
         return content.shape
     if not isinstance(content, (list, tuple)):
         return ()
-    inner = {_shape_of(row) for row in content}
-    return (len(content), *inner.pop()) if len(inner) == 1 else (len(content), -1)
+    row_shapes = {_shape_of(row) for row in content}
+    return (len(content), *row_shapes.pop()) if len(row_shapes) == 1 else (len(content), -1)
 
 
 def has_finite_numbers(expression: Expr) -> bool:
@@ -365,7 +365,7 @@ def depends_on_place(expression: Expr) -> bool:
     return any(isinstance(node, (ufl.Coefficient, GeometricQuantity)) for node in unique_pre_traversal(expression))
 
 
-def _fields(component: Expr) -> list[fem.Function]:
+def _functions_in(component: Expr) -> list[fem.Function]:
     return extract_coefficients(component) if isinstance(component, ufl.core.expr.Expr) else []
 
 

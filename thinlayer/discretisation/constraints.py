@@ -77,7 +77,7 @@ class _ConditionGroup:
         return np.asarray(np.abs(self.N @ self.frame[:, : self.rank] @ (self.inverse @ c) - c))
 
     @cached_property
-    def shares(self) -> Array:
+    def force_map(self) -> Array:
         """Matrix (r, k) from forces on the unknowns to the least-norm forces of the conditions that balance them."""
         return np.asarray(np.linalg.pinv(self.N.T, rcond=INDEPENDENCE_TOLERANCE))
 
@@ -94,7 +94,7 @@ class Constraints:
 
     Args:
         prescribed: conditions of supports, at nodes.
-        ties: the multi-point constraints.
+        mpcs: the multi-point constraints.
 
     Attributes:
         bc_dofs: (h,) local numbers, increasing, of the h constrained unknowns of this rank, those at slaves included.
@@ -104,17 +104,17 @@ class Constraints:
             constant values contradict each other.
     """
 
-    def __init__(self, prescribed: Prescribed, ties: Sequence[MultiPointConstraint] = ()) -> None:
-        self.prescribed, self.mpcs = prescribed, list(ties)
+    def __init__(self, prescribed: Prescribed, mpcs: Sequence[MultiPointConstraint] = ()) -> None:
+        self.prescribed, self.mpcs = prescribed, list(mpcs)
         self.comm: MPI.Intracomm = prescribed.comm
         self.d, self.n = prescribed.d, prescribed.size
-        self.first, self._total = int(self.comm.scan(self.n) - self.n), int(self.comm.allreduce(self.n))
+        self.row_start, self._n_global = int(self.comm.scan(self.n) - self.n), int(self.comm.allreduce(self.n))
         self.slaves = self._all_slaves()
-        self.masters = {mpc.key: self._slots_of(mpc) for mpc in self.mpcs}
-        self._slots = np.concatenate([np.empty(0, np.int64), *self.masters.values()])
-        self._T0 = self._tie()
-        self._rows = self._conditions()
-        self._resolve()
+        self.masters = {mpc.key: self._masters_of(mpc) for mpc in self.mpcs}
+        self._all_masters = np.concatenate([np.empty(0, np.int64), *self.masters.values()])
+        self._T0 = self._motion_matrix()
+        self._all_conditions = self._conditions()
+        self._group_conditions()
         self.Q = self._frames()
         T, Q = self._T0, self.Q
         self.T = Q or T if T is None or Q is None else T.matMult(Q)
@@ -125,45 +125,45 @@ class Constraints:
     def _all_slaves(self) -> IntArray:
         """Local numbers of all slaves; raises InputError if two multi-point constraints have a common slave."""
         rows = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in self.mpcs]
-        slaves, uses = np.unique(np.concatenate([np.empty(0, np.int64), *rows]), return_counts=True)
-        names = [mpc.key for mpc, mine in zip(self.mpcs, rows, strict=True) if np.isin(mine, slaves[uses > 1]).any()]
-        if several := [keys for keys in self.comm.allgather(names) if keys]:
-            raise InputError(f"{' and '.join(several[0])} share a node: their motions would not be independent")
+        slaves, counts = np.unique(np.concatenate([np.empty(0, np.int64), *rows]), return_counts=True)
+        names = [mpc.key for mpc, mine in zip(self.mpcs, rows, strict=True) if np.isin(mine, slaves[counts > 1]).any()]
+        if conflicts := [keys for keys in self.comm.allgather(names) if keys]:
+            raise InputError(f"{' and '.join(conflicts[0])} share a node: their motions would not be independent")
         return slaves
 
-    def _slots_of(self, tie: MultiPointConstraint) -> np.ndarray:
+    def _masters_of(self, mpc: MultiPointConstraint) -> np.ndarray:
         """Global numbers (m,) of the unknowns that are the m motions of a constraint, in place of its first slaves."""
-        rows = self.first + np.flatnonzero(np.diff(tie.R.indptr))
-        least = np.sort(np.concatenate(self.comm.allgather(rows[: tie.count])))[: tie.count]
-        if len(least) < tie.count:
-            raise InputError(f"{tie.key} has fewer displacements than motions")
-        return least
+        rows = self.row_start + np.flatnonzero(np.diff(mpc.R.indptr))
+        masters = np.sort(np.concatenate(self.comm.allgather(rows[: mpc.count])))[: mpc.count]
+        if len(masters) < mpc.count:
+            raise InputError(f"{mpc.key} has fewer displacements than motions")
+        return masters
 
-    def _tie(self) -> PETSc.Mat | None:
+    def _motion_matrix(self) -> PETSc.Mat | None:
         """Matrix T0 that maps unknowns y, motions among them, to displacements; None for the identity."""
         if not self.comm.allreduce(len(self.slaves) + len(self.mpcs)):
             return None
         free = np.setdiff1d(np.arange(self.n), self.slaves)
-        of_ties = [(self.masters[mpc.key], mpc.R.tocoo()) for mpc in self.mpcs]
-        entries = [(R.row, masters[R.col], R.data) for masters, R in of_ties]
-        return self._matrix((free, self.first + free, np.ones(len(free))), *entries)
+        blocks = [(self.masters[mpc.key], mpc.R.tocoo()) for mpc in self.mpcs]
+        entries = [(R.row, masters[R.col], R.data) for masters, R in blocks]
+        return self._matrix((free, self.row_start + free, np.ones(len(free))), *entries)
 
     def _matrix(self, *entries: tuple[np.ndarray, np.ndarray, Array]) -> PETSc.Mat:
         """Make a square PETSc matrix from lists of entries: local rows, global columns and values, which add up.
 
         The diagonal is stored even where it is zero, as matrix products need it.
         """
-        diagonal = np.arange(self.n), self.first + np.arange(self.n), np.zeros(self.n)
+        diagonal = np.arange(self.n), self.row_start + np.arange(self.n), np.zeros(self.n)
         i, j, v = map(np.concatenate, zip(*entries, diagonal, strict=True))
-        A = scipy.sparse.csr_matrix((v, (i.astype(np.int64), j.astype(np.int64))), (self.n, self._total))
+        A = scipy.sparse.csr_matrix((v, (i.astype(np.int64), j.astype(np.int64))), (self.n, self._n_global))
         return create_aij(A, self.comm, ((self.n, None), (self.n, None)))
 
     # ---------------------------------------------------------------- conditions
     def _conditions(self) -> Sparse:
         """Coefficients (r, N) of this rank's r conditions on all N unknowns; prescribed motions are last, on rank 0."""
         rows = self.prescribed.conditions
-        on_y = rows.data, self.first + rows.indices, rows.indptr  # unknowns that are displacements
-        conditions = scipy.sparse.csr_matrix(on_y, (rows.shape[0], self._total))
+        csr = rows.data, self.row_start + rows.indices, rows.indptr  # unknowns that are displacements
+        conditions = scipy.sparse.csr_matrix(csr, (rows.shape[0], self._n_global))
         if self._T0 is not None:
             A = create_aij(conditions, self.comm, ((rows.shape[0], None), (self.n, None)))
             product = A.matMult(self._T0)
@@ -172,13 +172,13 @@ class Constraints:
         self._motions = [(mpc, k, value) for mpc in self.mpcs for k, value in mpc.motion.items() if self.comm.rank == 0]
         columns = [self.masters[mpc.key][k] for mpc, k, _ in self._motions]
         k = len(columns)
-        more = scipy.sparse.csr_matrix((np.ones(k), (np.arange(k), columns)), (k, self._total))
-        conditions = scipy.sparse.vstack([conditions, more], format="csr")
+        motion_rows = scipy.sparse.csr_matrix((np.ones(k), (np.arange(k), columns)), (k, self._n_global))
+        conditions = scipy.sparse.vstack([conditions, motion_rows], format="csr")
         conditions.data[np.abs(conditions.data) < COEFFICIENT_TOLERANCE] = 0.0
         conditions.eliminate_zeros()
         return conditions
 
-    def of_supports(self, forces: Array, motions: Callable[[IntArray], Array]) -> Array:
+    def support_works(self, forces: Array, motions: Callable[[IntArray], Array]) -> Array:
         """Work (s, k) of the forces of each of s supports in k motions, from this rank's conditions alone.
 
         Args:
@@ -193,43 +193,43 @@ class Constraints:
         return np.concatenate([self.prescribed.values(t), [value(t) for _, _, value in self._motions]])
 
     # ---------------------------------------------------------------- constrained unknowns
-    def _resolve(self) -> None:
+    def _group_conditions(self) -> None:
         """Divide the conditions into groups that share no unknowns, and set `bc_dofs`.
 
         A condition on a single unknown that no other condition involves is in no group. All ranks have all groups.
         """
-        A, counts = self._rows, np.diff(self._rows.indptr)
+        A, counts = self._all_conditions, np.diff(self._all_conditions.indptr)
         foreign = np.ones(len(A.indices), bool)
         foreign[self._owned(A.indices)[0]] = False
-        columns, uses = np.unique(A.indices, return_counts=True)
-        shared = np.concatenate([A.indices[foreign | (counts > 1).repeat(counts)], columns[uses > 1]])
-        everywhere = self.comm.allgather(np.unique(np.concatenate([shared, self._slots])))
+        columns, column_counts = np.unique(A.indices, return_counts=True)
+        shared = np.concatenate([A.indices[foreign | (counts > 1).repeat(counts)], columns[column_counts > 1]])
+        shared_by_rank = self.comm.allgather(np.unique(np.concatenate([shared, self._all_masters])))
         single = counts == 1
-        single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], np.concatenate(everywhere))
+        single[single] = ~np.isin(A.indices[A.indptr[:-1][single]], np.concatenate(shared_by_rank))
         self._single, self._grouped = np.flatnonzero(single), np.flatnonzero(~single & (counts > 0))
-        at = A.indptr[self._single]
-        self._columns, self._coefficient = A.indices[at] - self.first, A.data[at]
+        starts = A.indptr[self._single]
+        self._columns, self._coefficient = A.indices[starts] - self.row_start, A.data[starts]
         self._groups = _connected_rows(scipy.sparse.vstack(self.comm.allgather(A[self._grouped]), format="csr"))
         fixed = np.concatenate([self._columns, *(self._owned(g.columns[: g.rank])[1] for g in self._groups)])
-        self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, self._slots - self.first)).astype(np.int32)
+        self.bc_dofs = np.union1d(fixed, np.setdiff1d(self.slaves, self._all_masters - self.row_start)).astype(np.int32)
 
     def _frames(self) -> PETSc.Mat | None:
         """Matrix Q of the groups' frames, which maps final unknowns z to y = Q z; None for the identity."""
-        turned = [group for group in self._groups if not np.array_equal(group.frame, np.eye(len(group.columns)))]
-        if not turned:
+        rotated = [group for group in self._groups if not np.array_equal(group.frame, np.eye(len(group.columns)))]
+        if not rotated:
             return None
-        entries = [(np.arange(self.n), self.first + np.arange(self.n), np.ones(self.n))]
-        for group in turned:
+        entries = [(np.arange(self.n), self.row_start + np.arange(self.n), np.ones(self.n))]
+        for group in rotated:
             owned, places = self._owned(group.columns)
             rows, columns = np.meshgrid(places, group.columns, indexing="ij")
-            added = (group.frame - np.eye(len(group.columns)))[owned]  # to the identity
-            entries.append((rows.ravel(), columns.ravel(), added.ravel()))
+            difference = (group.frame - np.eye(len(group.columns)))[owned]  # to the identity
+            entries.append((rows.ravel(), columns.ravel(), difference.ravel()))
         return self._matrix(*entries)
 
     def _owned(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions in `columns`, global numbers, of those that this rank owns, and their local numbers."""
-        owned = np.flatnonzero((columns >= self.first) & (columns < self.first + self.n))
-        return owned, columns[owned] - self.first
+        owned = np.flatnonzero((columns >= self.row_start) & (columns < self.row_start + self.n))
+        return owned, columns[owned] - self.row_start
 
     def _assign(self, y: Array, columns: np.ndarray, values: Array) -> None:
         """Set the entries of y (n,) with global numbers `columns` to `values`, as far as this rank owns them."""
@@ -249,21 +249,21 @@ class Constraints:
         self._require_agreement(c, when=f" at t = {t:g}")
         y = np.zeros(self.n)
         y[self._columns] = c[self._single] / self._coefficient
-        for group, values in self._with_values(c):
+        for group, values in self._group_values(c):
             self._assign(y, group.columns[: group.rank], group.inverse @ values)
         return y[self.bc_dofs]
 
-    def _with_values(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
+    def _group_values(self, c: Array) -> list[tuple[_ConditionGroup, Array]]:
         """Pair each group with the prescribed values of its conditions; c (r,) are those of this rank's conditions."""
-        every = np.concatenate(self.comm.allgather(c[self._grouped]))
-        return [(group, every[group.rows]) for group in self._groups]
+        all_values = np.concatenate(self.comm.allgather(c[self._grouped]))
+        return [(group, all_values[group.rows]) for group in self._groups]
 
-    def _by_rows(self, of_groups: Sequence[Array]) -> Array:
+    def _from_groups(self, of_groups: Sequence[Array]) -> Array:
         """Return one number for each of this rank's r conditions (r,), zero for conditions in no group.
 
         `of_groups` has an array for each group, with a number for each of its conditions.
         """
-        out, every = np.zeros(self._rows.shape[0]), np.zeros(sum(len(group.rows) for group in self._groups))
+        out, every = np.zeros(self._all_conditions.shape[0]), np.zeros(sum(len(group.rows) for group in self._groups))
         for group, numbers in zip(self._groups, of_groups, strict=True):
             every[group.rows] = numbers
         last = int(self.comm.scan(len(self._grouped)))
@@ -272,7 +272,7 @@ class Constraints:
 
     def _require_agreement(self, c: Array, when: str = "") -> None:
         """Raise InputError if the prescribed values c (r,) contradict each other; `when` is added to the message."""
-        residual = self._by_rows([group.residual(values) for group, values in self._with_values(c)])
+        residual = self._from_groups([group.residual(values) for group, values in self._group_values(c)])
         largest = self.comm.allreduce(float(np.abs(c).max(initial=0.0)), max)
         limit, message = max(AGREEMENT_TOLERANCE * largest, LENGTH_TOLERANCE * self.prescribed.extent), ""
         if residual.max(initial=0.0) > limit:
@@ -282,8 +282,8 @@ class Constraints:
 
     def _contradiction(self, row: int, c: Array) -> str:
         """Message about the condition `row`, which contradicts others on its unknowns; c (r,) are prescribed values."""
-        of_entries, columns = self._rows.nonzero()
-        touched = np.unique(of_entries[np.isin(columns, self._rows[row].indices)])
+        rows, columns = self._all_conditions.nonzero()
+        touched = np.unique(rows[np.isin(columns, self._all_conditions[row].indices)])
         where = self.prescribed.place_of(int(touched[0])) if touched[0] < len(self.prescribed.entry) else None
         place = f" at {at_place(where)}" if where is not None else ""
         texts = dict.fromkeys(self._condition_text(int(k), c[k]) for k in touched)
@@ -292,13 +292,13 @@ class Constraints:
     def _condition_text(self, row: int, value: float) -> str:
         if row < len(self.prescribed.entry):
             return self.prescribed.condition_text(row, value)
-        tie, k, _ = self._motions[row - len(self.prescribed.entry)]
-        return f"the {tie.key} prescribes {tie.names[k]} = {value:.6g}"
+        mpc, k, _ = self._motions[row - len(self.prescribed.entry)]
+        return f"the {mpc.key} prescribes {mpc.names[k]} = {value:.6g}"
 
     # ---------------------------------------------------------------- displacements and forces
     def displacements(self, y: Array) -> Array:
         """Return this rank's displacements u = T y (n,) from its unknowns y (n,)."""
-        return self._times(self.T, y)
+        return self._multiply(self.T, y)
 
     def unknowns(self, u: Array) -> Array:
         """Return the unknowns y (n,) of displacements u (n,); u is projected onto the multi-point constraints."""
@@ -306,13 +306,13 @@ class Constraints:
         y[self.slaves] = 0.0
         for mpc in self.mpcs:
             self._assign(y, self.masters[mpc.key], self.motion(mpc, u))
-        return self._times(self.Q, y, transposed=True)
+        return self._multiply(self.Q, y, transposed=True)
 
     def forces(self, f: Array) -> Array:
         """Return the forces T^T f (n,) on this rank's unknowns, from its nodal forces f (n,)."""
-        return self._times(self.T, f, transposed=True)
+        return self._multiply(self.T, f, transposed=True)
 
-    def _times(self, matrix: PETSc.Mat | None, values: Array, *, transposed: bool = False) -> Array:
+    def _multiply(self, matrix: PETSc.Mat | None, values: Array, *, transposed: bool = False) -> Array:
         if matrix is None:
             return values
         x, b = matrix.createVecs()
@@ -323,17 +323,17 @@ class Constraints:
         destroy(x, b)
         return np.asarray(product)
 
-    def motion(self, tie: MultiPointConstraint, u: Array) -> Array:
+    def motion(self, mpc: MultiPointConstraint, u: Array) -> Array:
         """Motions (m,) of a multi-point constraint that fit displacements u (n,) by least squares, on every rank."""
-        return self._solved(tie, self.comm.allreduce(tie.R.T @ u))
+        return self._least_squares(mpc, self.comm.allreduce(mpc.R.T @ u))
 
     def loads_at(self, t: float) -> Array:
         """Least-norm nodal forces (n,) that have the prescribed resultants of the multi-point constraints at a time."""
-        return sum((mpc.R @ self._solved(mpc, mpc.resultant(t)) for mpc in self.mpcs), np.zeros(self.n))
+        return sum((mpc.R @ self._least_squares(mpc, mpc.resultant(t)) for mpc in self.mpcs), np.zeros(self.n))
 
-    def _solved(self, tie: MultiPointConstraint, b: Array) -> Array:
+    def _least_squares(self, mpc: MultiPointConstraint, b: Array) -> Array:
         """Solution x (m,) of R^T R x = b (m,), where the R of a multi-point constraint has the rows of all ranks."""
-        return np.asarray(np.linalg.lstsq(self.comm.allreduce((tie.R.T @ tie.R).toarray()), b, rcond=None)[0])
+        return np.asarray(np.linalg.lstsq(self.comm.allreduce((mpc.R.T @ mpc.R).toarray()), b, rcond=None)[0])
 
     # ---------------------------------------------------------------- reactions
     def support_forces(self, r: Array) -> Array:
@@ -341,13 +341,13 @@ class Constraints:
 
         r are nodal forces on this rank's n displacements.
         """
-        f = self._times(self._T0, r, transposed=True)
+        f = self._multiply(self._T0, r, transposed=True)
         columns = np.concatenate([np.empty(0, np.int64), *(group.columns for group in self._groups)])
         owned, places = self._owned(columns)
-        every = np.zeros(len(columns))
-        every[owned] = f[places]
-        parts = np.split(self.comm.allreduce(every), np.cumsum([len(group.columns) for group in self._groups]))
-        out = self._by_rows([group.shares @ part for group, part in zip(self._groups, parts, strict=False)])
+        forces = np.zeros(len(columns))
+        forces[owned] = f[places]
+        parts = np.split(self.comm.allreduce(forces), np.cumsum([len(group.columns) for group in self._groups]))
+        out = self._from_groups([group.force_map @ part for group, part in zip(self._groups, parts, strict=False)])
         out[self._single] = f[self._columns] / self._coefficient
         return out[: len(self.prescribed.entry)]
 
@@ -356,8 +356,8 @@ class Constraints:
 
         They are zero unless the constraint is among `holders`: numbers of supports, then of multi-point constraints.
         """
-        first, shift = len(self.prescribed.supports.entries), np.tile(direction, self.n // self.d)
-        return {tie.key: self.motion(tie, shift) * (first + k in holders) for k, tie in enumerate(self.mpcs)}
+        n_supports, shift = len(self.prescribed.supports.entries), np.tile(direction, self.n // self.d)
+        return {mpc.key: self.motion(mpc, shift) * (n_supports + k in holders) for k, mpc in enumerate(self.mpcs)}
 
     def prescribed_resultant(self, holders: Sequence[int], direction: Array, t: float) -> float:
         """Sum of the prescribed forces on chosen multi-point constraints at a time, along a direction (d,).
@@ -368,7 +368,7 @@ class Constraints:
             t: the time.
         """
         shifts = self._shifts(holders, direction)
-        return float(sum(shifts[tie.key] @ tie.resultant(t) for tie in self.mpcs))
+        return float(sum(shifts[mpc.key] @ mpc.resultant(t) for mpc in self.mpcs))
 
     def dual_to_resultant(self, holders: Sequence[int], direction: Array) -> Array:
         """Return weights g (n,) that give the force of chosen supports along a direction from forces on the unknowns.
@@ -381,14 +381,14 @@ class Constraints:
         """
         prescribed, shifts = self.prescribed, self._shifts(holders, direction)
         along = np.isin(prescribed.entry, holders) * (prescribed.directions @ direction)
-        along = np.append(along, [shifts[tie.key][k] for tie, k, _ in self._motions])
+        along = np.append(along, [shifts[mpc.key][k] for mpc, k, _ in self._motions])
         g = np.zeros(self.n)
-        for tie in self.mpcs:  # motions that are not prescribed: the forces that balance their resultants
-            self._assign(g, self.masters[tie.key], shifts[tie.key])
+        for mpc in self.mpcs:  # motions that are not prescribed: the forces that balance their resultants
+            self._assign(g, self.masters[mpc.key], shifts[mpc.key])
         g[self._columns] = along[self._single] / self._coefficient
-        for group, values in self._with_values(along):
-            self._assign(g, group.columns, group.shares.T @ values)
-        return self._times(self.Q, g, transposed=True)
+        for group, values in self._group_values(along):
+            self._assign(g, group.columns, group.force_map.T @ values)
+        return self._multiply(self.Q, g, transposed=True)
 
     # ---------------------------------------------------------------- motions
     def admissible(self, motions: Sparse) -> tuple[Sparse, Sparse]:
@@ -402,15 +402,15 @@ class Constraints:
             quadratic form of the Gram matrix (c + m, c + m) is zero for a motion that the constraints admit.
         """
         c, m = motions.shape[1], sum(mpc.count for mpc in self.mpcs)
-        first = dict(zip(self.masters, np.cumsum([0, *(mpc.count for mpc in self.mpcs)]).tolist(), strict=False))
-        owned, places = self._owned(self._slots)
-        of_ties = scipy.sparse.csr_matrix((np.ones(len(owned)), (places, owned)), (self.n, m))
-        y = scipy.sparse.hstack([_without_rows(motions, self.slaves), of_ties], format="csr")
-        wide = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
+        starts = dict(zip(self.masters, np.cumsum([0, *(mpc.count for mpc in self.mpcs)]).tolist(), strict=False))
+        owned, places = self._owned(self._all_masters)
+        selection = scipy.sparse.csr_matrix((np.ones(len(owned)), (places, owned)), (self.n, m))
+        y = scipy.sparse.hstack([_without_rows(motions, self.slaves), selection], format="csr")
+        padded = scipy.sparse.hstack([motions, scipy.sparse.csr_matrix((self.n, m))], format="csr")
         diagonal = np.zeros(c + m)
-        diagonal[[c + first[tie.key] + k for tie, k, _ in self._motions]] = 1.0
+        diagonal[[c + starts[mpc.key] + k for mpc, k, _ in self._motions]] = 1.0
         gram = scipy.sparse.diags(diagonal, format="csr")
-        for rows in (self.prescribed.conditions @ wide, (distributed_product(self._T0, y) - wide)[self.slaves]):
+        for rows in (self.prescribed.conditions @ padded, (distributed_product(self._T0, y) - padded)[self.slaves]):
             gram = gram + rows.T @ rows
         z = _without_rows(distributed_product(self.Q, y, transposed=True), self.bc_dofs)
         return distributed_product(self.T, z), self.comm.allreduce(gram)
@@ -424,8 +424,8 @@ class Constraints:
         if self._T0 is None:
             rows = self._along_conditions(motions)
             return np.asarray(self.comm.allreduce(rows.T @ rows))
-        whole = motions(np.arange(self.n))
-        c, gram = whole.shape[1], self.admissible(scipy.sparse.csr_matrix(whole))[1].toarray()
+        values = motions(np.arange(self.n))
+        c, gram = values.shape[1], self.admissible(scipy.sparse.csr_matrix(values))[1].toarray()
         return np.asarray(gram[:c, :c] - gram[:c, c:] @ np.linalg.pinv(gram[c:, c:]) @ gram[c:, :c])
 
     def _along_conditions(self, motions: Callable[[IntArray], Array]) -> Array:
@@ -444,18 +444,18 @@ def distributed_product(matrix: PETSc.Mat | None, columns: Sparse, *, transposed
     """
     if matrix is None:
         return columns
-    wide = create_aij(columns, matrix.comm, ((columns.shape[0], None), (None, columns.shape[1])))
-    product = matrix.transposeMatMult(wide) if transposed else matrix.matMult(wide)
+    column_matrix = create_aij(columns, matrix.comm, ((columns.shape[0], None), (None, columns.shape[1])))
+    product = matrix.transposeMatMult(column_matrix) if transposed else matrix.matMult(column_matrix)
     rows = local_csr(product)
-    destroy(wide, product)
+    destroy(column_matrix, product)
     return rows
 
 
 def _without_rows(A: Sparse, rows: np.ndarray) -> Sparse:
     """Return a copy of a matrix with zeros in some rows and the same sparsity pattern."""
-    kept = np.ones(A.shape[0])
-    kept[rows] = 0.0
-    return scipy.sparse.csr_matrix((A.data * kept.repeat(np.diff(A.indptr)), A.indices, A.indptr), A.shape)
+    row_factors = np.ones(A.shape[0])
+    row_factors[rows] = 0.0
+    return scipy.sparse.csr_matrix((A.data * row_factors.repeat(np.diff(A.indptr)), A.indices, A.indptr), A.shape)
 
 
 def _connected_rows(A: Sparse) -> list[_ConditionGroup]:
@@ -465,12 +465,12 @@ def _connected_rows(A: Sparse) -> list[_ConditionGroup]:
         return []
     B = scipy.sparse.csr_matrix((A.data, local, A.indptr), (A.shape[0], len(columns)))
     label = connected_components(scipy.sparse.bmat([[None, B], [B.T, None]]), directed=False)[1]
-    of_rows, of_columns = label[: A.shape[0]], label[A.shape[0] :]
+    row_labels, column_labels = label[: A.shape[0]], label[A.shape[0] :]
     groups = []
-    for r, c in zip(_rows_by_label(of_rows), _rows_by_label(of_columns), strict=True):
+    for r, c in zip(_rows_by_label(row_labels), _rows_by_label(column_labels), strict=True):
         N = B[r][:, c].toarray()
-        _, sizes, right = np.linalg.svd(N)
-        rank = int((sizes > INDEPENDENCE_TOLERANCE * max(1.0, sizes[0])).sum())
+        _, sigma, right = np.linalg.svd(N)
+        rank = int((sigma > INDEPENDENCE_TOLERANCE * max(1.0, sigma[0])).sum())
         frame = np.eye(len(c)) if rank == len(c) else right.T
         groups.append(_ConditionGroup(r, columns[c].astype(np.int64), N, frame, rank))
     return groups
@@ -487,14 +487,14 @@ def create_aij(A: Sparse, comm: MPI.Intracomm, sizes: object = None) -> PETSc.Ma
     `sizes` is ((local rows, rows), (local columns, columns)), in which PETSc computes sizes that are None. By default
     it is the shape of A.
     """
-    csr = (*(places.astype(PETSc.IntType, copy=False) for places in (A.indptr, A.indices)), A.data)
+    csr = (*(array.astype(PETSc.IntType, copy=False) for array in (A.indptr, A.indices)), A.data)
     return PETSc.Mat().createAIJ(sizes or A.shape, csr=csr, comm=comm)
 
 
 def local_csr(A: PETSc.Mat) -> Sparse:
     """This rank's rows of a PETSc matrix, as CSR."""
-    begins, columns, entries = A.getValuesCSR()
-    return scipy.sparse.csr_matrix((entries, columns, begins), (A.getLocalSize()[0], A.getSize()[1]))
+    indptr, columns, entries = A.getValuesCSR()
+    return scipy.sparse.csr_matrix((entries, columns, indptr), (A.getLocalSize()[0], A.getSize()[1]))
 
 
 __getattr__ = former_names(__name__, {"Tied": MultiPointConstraint})

@@ -31,8 +31,8 @@ def body_pairs(joint: Joint, seam: str, file_numbers: IntArray) -> tuple[IntArra
     the edge or facet. The pair is the bodies on the two sides of S. `file_numbers` (n,) identify the n nodes, see
     `ContactNodes`.
     """
-    here = joint.seam_numbers == list(joint.seams).index(seam)
-    rows, facets = joint.surface_rows[here], joint.pairs[here]
+    in_seam = joint.seam_numbers == list(joint.seams).index(seam)
+    rows, facets = joint.surface_rows[in_seam], joint.pairs[in_seam]
     k = facets.shape[1]
     node, corner = np.nonzero((file_numbers[:, None] >> np.arange(k)) & 1)
     return node, np.asarray(facets[np.searchsorted(rows, file_numbers[node] >> k), corner])
@@ -48,7 +48,7 @@ class ContactSurface:
         facets: (n,) local numbers of the facets, ascending.
         upper: (n,) local cells on the upper side.
         lower: (n,) local cells on the lower side; None on a rigid base.
-        rows: (n,) numbers of the facets in the joint, for files; empty without a joint.
+        table_rows: (n,) numbers of the facets in the joint, for files; empty without a joint.
         kinematics: kinematics of the mesh, for areas.
     """
 
@@ -57,7 +57,7 @@ class ContactSurface:
     facets: Indices
     upper: Indices
     lower: Indices | None
-    rows: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    table_rows: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     kinematics: Kinematics = PLANE_STRAIN
 
     @classmethod
@@ -66,8 +66,8 @@ class ContactSurface:
         domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
         facets = domain.facets(name)
         facets = np.sort(facets[facets < mesh.topology.index_map(d - 1).size_local])
-        based = name in model.joint.base_seams
-        upper, lower = (cells_of_facets(mesh, facets)[0], None) if based else seam_entities(domain, name)[:, [0, 2]].T
+        on_base = name in model.joint.base_seams
+        upper, lower = (cells_of_facets(mesh, facets)[0], None) if on_base else seam_entities(domain, name)[:, [0, 2]].T
         return cls(model.V, model.comm, facets, upper, lower, domain.numbers(d - 1, facets), model.kinematics)
 
 
@@ -100,11 +100,11 @@ class NodePairs:
         self._first, self._size = imap.local_range[0], imap.size_local
 
     @staticmethod
-    def joined(several: Sequence[NodePairs]) -> NodePairs:
+    def joined(by_seam: Sequence[NodePairs]) -> NodePairs:
         """Return the nodes of several seams as one object."""
-        surface = next((nodes.surface for nodes in several if nodes.surface.lower is not None), several[0].surface)
-        of_seams = ((s.upper, s.lower_numbers, s.x, s.weights, s.frames, s.gap) for s in several)
-        return NodePairs(surface, *map(np.concatenate, zip(*of_seams, strict=True)))
+        surface = next((nodes.surface for nodes in by_seam if nodes.surface.lower is not None), by_seam[0].surface)
+        arrays = ((s.upper, s.lower_numbers, s.x, s.weights, s.frames, s.gap) for s in by_seam)
+        return NodePairs(surface, *map(np.concatenate, zip(*arrays, strict=True)))
 
     @property
     def pairs(self) -> IntArray:
@@ -115,13 +115,13 @@ class NodePairs:
         """Local numbers of this rank's nodes of V that are the lower node in a pair of another rank. Collective."""
         if self.lower is None:
             return np.empty(0, np.int64)
-        each, count = self.lower.createVecLeft(), self.zero()
-        each.set(1.0)
-        self.lower.multTranspose(each, count)
-        here = self.lower_numbers - self._first
-        local_count = np.bincount(here[(here >= 0) & (here < self._size)], minlength=self._size)
-        nodes = np.flatnonzero(count.array_r[:: self.dim] > local_count + 0.5)
-        destroy(each, count)
+        ones, counts = self.lower.createVecLeft(), self.zero()
+        ones.set(1.0)
+        self.lower.multTranspose(ones, counts)
+        local = self.lower_numbers - self._first
+        local_count = np.bincount(local[(local >= 0) & (local < self._size)], minlength=self._size)
+        nodes = np.flatnonzero(counts.array_r[:: self.dim] > local_count + 0.5)
+        destroy(ones, counts)
         return nodes
 
     # ---------------------------------------------------------------- displacements, jumps and forces
@@ -139,9 +139,9 @@ class NodePairs:
         """Matrix (n d, N) that selects the lower side's displacements from all N of them; None on a rigid base."""
         if self.surface.lower is None:
             return None
-        n, d, there = len(self.upper), self.dim, self.lower_numbers >= 0
-        columns = (self.lower_numbers[there, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
-        rows = np.append(0, np.cumsum(there.repeat(d))).astype(PETSc.IntType)
+        n, d, has_lower = len(self.upper), self.dim, self.lower_numbers >= 0
+        columns = (self.lower_numbers[has_lower, None] * d + np.arange(d)).ravel().astype(PETSc.IntType)
+        rows = np.append(0, np.cumsum(has_lower.repeat(d))).astype(PETSc.IntType)
         csr, size = (rows, columns, np.ones(len(columns))), self._size * d
         return PETSc.Mat().createAIJ(((n * d, None), (size, None)), csr=csr, comm=self.comm)
 
@@ -149,10 +149,10 @@ class NodePairs:
         """Displacements (n, d) of the lower side in global axes; zero on a rigid base."""
         if self.lower is None:
             return np.zeros((len(self.upper), self.dim))
-        there = self.lower.createVecLeft()
-        self.lower.mult(u, there)
-        values = there.array_r.reshape(-1, self.dim).copy()
-        there.destroy()
+        vector = self.lower.createVecLeft()
+        self.lower.mult(u, vector)
+        values = vector.array_r.reshape(-1, self.dim).copy()
+        vector.destroy()
         return values
 
     def jump(self, u: PETSc.Vec) -> Array:
@@ -173,20 +173,20 @@ class NodePairs:
         forces = np.einsum("nji,nj->ni", self.frames, t * self.weights[:, None])
         np.add.at(out.array.reshape(-1, self.dim), self.upper, forces)  # where S branches, nodes share an upper side
         if self.lower is not None:
-            sent, there = self.lower.createVecLeft(), out.duplicate()
-            sent.array[:] = -forces.ravel()
-            self.lower.multTranspose(sent, there)
-            out.axpy(1.0, there)
-            destroy(sent, there)
+            lower_forces, all_forces = self.lower.createVecLeft(), out.duplicate()
+            lower_forces.array[:] = -forces.ravel()
+            self.lower.multTranspose(lower_forces, all_forces)
+            out.axpy(1.0, all_forces)
+            destroy(lower_forces, all_forces)
 
     def stiffness(self, tangent: Array) -> PETSc.Mat:
         """Stiffness matrix over all displacements, from derivatives (n, d, d) of tractions by jumps in local axes."""
         d, size = self.dim, self._size * self.dim
-        sides = self.pairs[:, :1] if self.lower is None else self.pairs
-        dofs = (sides[:, :, None] * d + np.arange(d)).reshape(-1, sides.shape[1] * d).astype(PETSc.IntType)
-        signs = np.array([1.0, -1.0])[: sides.shape[1]].repeat(d)
+        nodes = self.pairs[:, :1] if self.lower is None else self.pairs
+        dofs = (nodes[:, :, None] * d + np.arange(d)).reshape(-1, nodes.shape[1] * d).astype(PETSc.IntType)
+        signs = np.array([1.0, -1.0])[: nodes.shape[1]].repeat(d)
         blocks = np.einsum("n,nki,nkl,nlj->nij", self.weights, self.frames, tangent, self.frames)
-        values = np.tile(blocks, (1, sides.shape[1], sides.shape[1])) * np.outer(signs, signs)
+        values = np.tile(blocks, (1, nodes.shape[1], nodes.shape[1])) * np.outer(signs, signs)
         begins = np.arange(0, values.size + 1, dofs.shape[1], dtype=PETSc.IntType)
         columns = dofs.repeat(dofs.shape[1], axis=0).ravel()
         out = PETSc.Mat().createAIJ(((size, None), (size, None)), comm=self.comm)
@@ -223,17 +223,17 @@ class ContactNodes(NodePairs):
             gap: function of n places (d, n) that returns the initial gaps (n,), lengths.
         """
         V, comm, d = surface.V, surface.comm, surface.V.mesh.topology.dim
-        imap, rows = V.dofmap.index_map, _corners(surface)
+        imap, rows = V.dofmap.index_map, _corner_rows(surface)
         owners = np.concatenate([np.full(imap.size_local, comm.rank), imap.owners])
-        corners = send(comm, owners[rows[:, 0].astype(int)], np.column_stack([_global(V, rows[:, 0]), rows[:, 1:]]))
+        corners = send(comm, owners[rows[:, 0].astype(int)], np.column_stack([_to_global(V, rows[:, 0]), rows[:, 1:]]))
         pairs, node = np.unique(corners[:, :2], axis=0, return_inverse=True)
         node = node.ravel()
         total = sum_by_number(node, corners[:, 2 : 3 + d], len(pairs))
         weights, vectors = total[:, 0].copy(), total[:, 1:]  # contiguous, as compiled code reads it
         upper = (pairs[:, 0] - imap.local_range[0]).astype(np.int32)
-        self._corners_of = corners[:, 3 + d].astype(np.int64), node
+        self._facet_corners = corners[:, 3 + d].astype(np.int64), node
         self.file_numbers = np.full(len(pairs), np.iinfo(np.int64).max)
-        np.minimum.at(self.file_numbers, node, self._corners_of[0])
+        np.minimum.at(self.file_numbers, node, self._facet_corners[0])
         x = V.tabulate_dof_coordinates()[upper, :d]
         if not comm.allreduce(len(upper)):
             raise InputError("contact: S has no node where the bodies can part; it is one cell long, or has no facets")
@@ -244,27 +244,27 @@ class ContactNodes(NodePairs):
         with errors_on_all(comm):
             gaps = gap(np.ascontiguousarray(x.T))
         super().__init__(surface, upper, pairs[:, 1].astype(np.int64), x, weights, frames, gaps)
-        mark = self.zero()
-        mark.array[bc_dofs] = 1.0
-        self.is_fixed_upper = mark.array_r.reshape(-1, self.dim)[self.upper] > 0
-        self.is_fixed = self.is_fixed_upper & (self.lower is None or self.lower_side(mark) > 0)
-        mark.destroy()
+        fixed = self.zero()
+        fixed.array[bc_dofs] = 1.0
+        self.is_fixed_upper = fixed.array_r.reshape(-1, self.dim)[self.upper] > 0
+        self.is_fixed = self.is_fixed_upper & (self.lower is None or self.lower_side(fixed) > 0)
+        fixed.destroy()
 
     @property
     def lines(self) -> IntArray:
         """Indices (m, 2) of m pairs of this rank's nodes that are neighbours along S; empty in three dimensions."""
-        number, node = self._corners_of
-        along = np.array([0, 0, 2, 1])[number & 3]  # first end, second end, middle
-        order = np.lexsort((along, number >> 2))[: len(number) if self.dim == 2 else 0]
+        number, node = self._facet_corners
+        position = np.array([0, 0, 2, 1])[number & 3]  # first end, second end, middle
+        order = np.lexsort((position, number >> 2))[: len(number) if self.dim == 2 else 0]
         return node[order][np.flatnonzero(np.diff(number[order] >> 2) == 0)[:, None] + [0, 1]]
 
 
-def _global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
+def _to_global(V: fem.FunctionSpace, local: Array | Indices) -> Array:
     """Global numbers of local nodes, as floats, because they are sent together with areas."""
     return V.dofmap.index_map.local_to_global(local.astype(np.int32)).astype(float)
 
 
-def _corners(surface: ContactSurface) -> Array:
+def _corner_rows(surface: ContactSurface) -> Array:
     """Return a row for each node of each facet of S that this rank owns.
 
     The first columns are the node's local number on the upper side and its global number on the lower side, -1 on a
@@ -277,31 +277,31 @@ def _corners(surface: ContactSurface) -> Array:
         topology.create_connectivity(a, b)
     vertices = _entities(mesh, d - 1, 0)[facets]
     # DOLFINx does not accept an empty list
-    places = entities_to_geometry(mesh, 0, vertices.ravel()).reshape(vertices.shape) if vertices.size else vertices
-    corners = mesh.geometry.x[places][..., :d]
+    x_dofs = entities_to_geometry(mesh, 0, vertices.ravel()).reshape(vertices.shape) if vertices.size else vertices
+    corners = mesh.geometry.x[x_dofs][..., :d]
     areas, normals = _vertex_areas(corners)
     nodes = V.tabulate_dof_coordinates()[np.asarray(V.dofmap.list)[upper]]
-    inside = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
-    normals[np.einsum("fk,fk->f", normals, inside) < 0] *= -1  # n points from the lower to the upper side
-    numbers, kinematics = np.asarray(mesh.geometry.input_global_indices, np.int64)[places], surface.kinematics
+    upward = nodes[..., :d].mean(axis=1) - corners.mean(axis=1)
+    normals[np.einsum("fk,fk->f", normals, upward) < 0] *= -1  # n points from the lower to the upper side
+    numbers, kinematics = np.asarray(mesh.geometry.input_global_indices, np.int64)[x_dofs], surface.kinematics
     bits, rows = 1 << numbers.argsort(axis=1).argsort(axis=1), list[Array]()
     for e in range(d if simpson else 1):  # nodes at vertices, edges and facets
-        here = vertices if e == 0 else facets[:, None] if e == d - 1 else _entities(mesh, d - 1, e)[facets]
-        ends = vertices[:, None] if e == d - 1 else _entities(mesh, e, 0)[here] if e else vertices[..., None]
+        entities = vertices if e == 0 else facets[:, None] if e == d - 1 else _entities(mesh, d - 1, e)[facets]
+        ends = vertices[:, None] if e == d - 1 else _entities(mesh, e, 0)[entities] if e else vertices[..., None]
         adjacent = (ends[..., None] == vertices[:, None, None]).any(axis=2)  # (n, nodes, k)
         shares = adjacent / adjacent.sum(axis=2, keepdims=True)
-        around = kinematics.node_areas(corners, areas)
+        node_areas = kinematics.node_areas(corners, areas)
         if simpson:
             factors = 4**e / 3 ** (d - 1) * kinematics.factor_at(shares @ corners)
-            around = factors * np.einsum("fak,fk->fa", shares, areas)
-        above = _nodes(V, upper, here, e).ravel()
-        below = np.full(above.size, -1.0) if lower is None else _global(V, _nodes(V, lower, here, e).ravel())
-        vectors = (around[:, :, None] * normals[:, None]).reshape(-1, d)
+            node_areas = factors * np.einsum("fak,fk->fa", shares, areas)
+        above = _nodes(V, upper, entities, e).ravel()
+        below = np.full(above.size, -1.0) if lower is None else _to_global(V, _nodes(V, lower, entities, e).ravel())
+        vectors = (node_areas[:, :, None] * normals[:, None]).reshape(-1, d)
         number = (adjacent * bits[:, None]).sum(axis=2)
-        if len(surface.rows):
-            number += surface.rows[:, None] << vertices.shape[1]
-        has_jump = (below != _global(V, above)) & (around.ravel() > 0)  # at a tip of S there is no jump
-        rows.append(np.column_stack([above, below, around.ravel(), vectors, number.ravel()])[has_jump])
+        if len(surface.table_rows):
+            number += surface.table_rows[:, None] << vertices.shape[1]
+        has_jump = (below != _to_global(V, above)) & (node_areas.ravel() > 0)  # at a tip of S there is no jump
+        rows.append(np.column_stack([above, below, node_areas.ravel(), vectors, number.ravel()])[has_jump])
     return np.concatenate(rows)
 
 
@@ -313,10 +313,10 @@ def _entities(mesh: Mesh, a: int, b: int) -> Indices:
 
 def _nodes(V: fem.FunctionSpace, cells: Indices, entities: Indices, e: int) -> Indices:
     """Local numbers (n, k) of the nodes of V at k entities (n, k), of dimension e, of each of n cells (n,)."""
-    of_cells = _entities(V.mesh, V.mesh.topology.dim, e)[cells]
-    which = (of_cells[:, None, :] == entities[:, :, None]).argmax(axis=2)
-    places = np.array([V.dofmap.dof_layout.entity_dofs(e, k)[0] for k in range(of_cells.shape[1])])
-    return np.asarray(np.take_along_axis(np.asarray(V.dofmap.list)[cells], places[which], axis=1), np.int32)
+    cell_entities = _entities(V.mesh, V.mesh.topology.dim, e)[cells]
+    local_index = (cell_entities[:, None, :] == entities[:, :, None]).argmax(axis=2)
+    layout_dofs = np.array([V.dofmap.dof_layout.entity_dofs(e, k)[0] for k in range(cell_entities.shape[1])])
+    return np.asarray(np.take_along_axis(np.asarray(V.dofmap.list)[cells], layout_dofs[local_index], axis=1), np.int32)
 
 
 def _vertex_areas(corners: Array) -> tuple[Array, Array]:
@@ -325,15 +325,15 @@ def _vertex_areas(corners: Array) -> tuple[Array, Array]:
     `corners` (n, k, d) are the vertices' places in d dimensions. Normals have either sign.
     """
     if corners.shape[2] == 2:
-        along = corners[:, 1] - corners[:, 0]
-        length = np.linalg.norm(along, axis=1)
-        return np.repeat(length[:, None] / 2, 2, axis=1), np.column_stack([along[:, 1], -along[:, 0]]) / length[:, None]
+        edge = corners[:, 1] - corners[:, 0]
+        length = np.linalg.norm(edge, axis=1)
+        return np.repeat(length[:, None] / 2, 2, axis=1), np.column_stack([edge[:, 1], -edge[:, 0]]) / length[:, None]
     triangle, quadrilateral = ([(1, 2), (2, 0), (0, 1)], 6), ([(1, 2), (3, 0), (0, 3), (2, 1)], 4)
-    neighbours, share = triangle if corners.shape[1] == 3 else quadrilateral
+    neighbours, divisor = triangle if corners.shape[1] == 3 else quadrilateral
     edges = [(corners[:, a] - corners[:, k], corners[:, b] - corners[:, k]) for k, (a, b) in enumerate(neighbours)]
     spans = np.stack([np.cross(a, b) for a, b in edges], axis=1)
     mean = spans.mean(axis=1)
-    return np.linalg.norm(spans, axis=2) / share, mean / np.linalg.norm(mean, axis=1)[:, None]
+    return np.linalg.norm(spans, axis=2) / divisor, mean / np.linalg.norm(mean, axis=1)[:, None]
 
 
 def normal_frames(n: Array) -> Array:
@@ -344,8 +344,8 @@ def normal_frames(n: Array) -> Array:
     if n.shape[1] == 2:
         return np.stack([np.column_stack([n[:, 1], -n[:, 0]]), n], axis=1)
     e = np.eye(3)
-    down = n[:, 1] < -1 + 1e-12
-    shares = n[:, [0, 2]] / np.where(down, 1.0, 1 + n[:, 1])[:, None]
-    tangents = e[[0, 2]] - shares[:, :, None] * (n + e[1])[:, None]
-    tangents[down] = -e[0], e[2]
+    is_down = n[:, 1] < -1 + 1e-12
+    factors = n[:, [0, 2]] / np.where(is_down, 1.0, 1 + n[:, 1])[:, None]
+    tangents = e[[0, 2]] - factors[:, :, None] * (n + e[1])[:, None]
+    tangents[is_down] = -e[0], e[2]
     return np.concatenate([tangents, n[:, None]], axis=1)

@@ -84,21 +84,21 @@ class Forces:
             values = boundary_values(domain, kinematics, name, f"traction on {name!r}", side=True)
             self._add(f"traction on {name!r}", load, ds(values) if values else None)
             self._warn_of_gaps(name)
-            side = str(FacetName(FacetName.parse(name).whole, LAYER))
-            if side not in tractions and (share := self._share(name)):
-                what, loaded, *_ = self._loads[-1]
-                self.add_weighted("", what, share * loaded, LoadRegion(ds(domain.values(side)), 1))
+            side_name = str(FacetName(FacetName.parse(name).whole, LAYER))
+            if side_name not in tractions and (share := self._layer_share(name)):
+                text, traction, *_ = self._loads[-1]
+                self.add_weighted("", text, share * traction, LoadRegion(ds(domain.values(side_name)), 1))
         seams = (*(domain.joint.band.base if domain.joint.band else domain.joint).seams, S)
-        of_bodies: dict[str, Load] = values_by_body(body_force, domain.joint, "body_force", seams)
-        for name, load in of_bodies.items():
-            what = f"body force in {name!r}"
-            require(not isinstance(load, Pressure), what, load, "there is no normal inside a body; give a vector")
-            self._add(what, load, dx(domain.cell_values(name)))
+        body_loads: dict[str, Load] = values_by_body(body_force, domain.joint, "body_force", seams)
+        for name, load in body_loads.items():
+            text = f"body force in {name!r}"
+            require(not isinstance(load, Pressure), text, load, "there is no normal inside a body; give a vector")
+            self._add(text, load, dx(domain.cell_values(name)))
         for concentrated_load in structure.loads:
             self.user_loads[f"{concentrated_load.what}, {len(self.user_loads)}"] = concentrated_load
             for density, measure in points.terms(concentrated_load):  # total forces: without the factor of measures
                 self.add_weighted("", concentrated_load.what, density, LoadRegion(measure, 1))
-        self._everywhere = dx
+        self._whole_dx = dx
 
     def add_layer(self, name: str, load: Load, place: LoadRegion, at: Coordinates) -> None:
         """Add a force per volume of a layer.
@@ -109,9 +109,9 @@ class Forces:
             place: region of the layer.
             at: coordinates in the layer, with the time of the other loads.
         """
-        what = f"body force in the layer {name!r}"
-        self.user_loads[what] = load
-        self.add_weighted(name, what, at.coefficient(load, what, (self.domain.joint.dim,)).expression, place)
+        text = f"body force in the layer {name!r}"
+        self.user_loads[text] = load
+        self.add_weighted(name, text, at.coefficient(load, text, (self.domain.joint.dim,)).expression, place)
 
     def add_weighted(self, name: str, what: str, force: Expr, place: LoadRegion) -> None:
         """Add a force per volume or area, a UFL vector (d,), in a region.
@@ -137,11 +137,11 @@ class Forces:
             return
         for seam in band.eps.keys() - band.of_seam.keys():
             if Sheet(band.base, seam).rim.on(band.base.facets[whole]).any():
-                less = "bodies gave up a part of their faces to it; the load is smaller than the interface model's"
-                what = f"traction on {name!r}: the gap {seam!r} ends there, and {less}. Use bodies='kept'"
-                warn("end of a gap", what, self.domain.comm)
+                effect = "bodies gave up a part of their faces to it; the load is smaller than the interface model's"
+                text = f"traction on {name!r}: the gap {seam!r} ends there, and {effect}. Use bodies='kept'"
+                warn("end of a gap", text, self.domain.comm)
 
-    def _share(self, name: str) -> float:
+    def _layer_share(self, name: str) -> float:
         """Fraction of a traction on bodies that also acts on the layer's side, for the room that these bodies gave up.
 
         `name` is the facet set of the traction. The fraction is 0 for kept bodies. With it the full and the interface
@@ -161,21 +161,21 @@ class Forces:
             return 0.0
         joint, sheet = band.base, Sheet(band.base)
         ends = sheet.rim[sheet.rim.on(joint.facets[part.whole])]
-        sides = [side for side in joint.surface_cells[sheet.parts[0][ends.simplex]].T if (side >= 0).all()]
-        loaded = [joint.regions.index(body) for body in ([part.region] if part.region else joint.bodies)]
-        covered = [np.isin(joint.region[side], loaded) for side in sides]
-        if any(some.any() and not some.all() for some in covered):
-            less = "which carries no part of it; the load is smaller than the interface model's"
-            what = f"traction on {name!r}: other bodies than {part.region!r} end at the layer's side too, {less}"
-            warn("other bodies", f"{what}. Load {part.whole!r}, or '{layer_side}' as well", self.domain.comm)
-        return sum(bool(some.all()) for some in covered) / len(covered)
+        side_cells = [side for side in joint.surface_cells[sheet.parts[0][ends.simplex]].T if (side >= 0).all()]
+        loaded_regions = [joint.regions.index(body) for body in ([part.region] if part.region else joint.bodies)]
+        covered = [np.isin(joint.region[side], loaded_regions) for side in side_cells]
+        if any(mask.any() and not mask.all() for mask in covered):
+            effect = "which carries no part of it; the load is smaller than the interface model's"
+            text = f"traction on {name!r}: other bodies than {part.region!r} end at the layer's side too, {effect}"
+            warn("other bodies", f"{text}. Load {part.whole!r}, or '{layer_side}' as well", self.domain.comm)
+        return sum(bool(mask.all()) for mask in covered) / len(covered)
 
     def work(self, v: Expr, *, layers: bool = False) -> Expr:
         """Virtual work of all loads in v, or with `layers` of loads on layers only.
 
         It is a UFL form, linear in v, that takes its time from the model's clock.
         """
-        form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._everywhere
+        form = ufl.inner(fem.Constant(self.domain.mesh, np.zeros(self.domain.joint.dim)), v) * self._whole_dx
         loads = [entry for entry in self._loads if entry[3] or not layers]
         return sum((ufl.inner(load, region.mean(v)) * region.measure for _, load, region, _ in loads), form)
 
@@ -184,11 +184,11 @@ class Forces:
 
         The UFL forms are linear in v and take their time from the model's clock.
         """
-        works: dict[str, Expr] = {}
+        forms: dict[str, Expr] = {}
         for _, load, region, name in self._loads:
             if region.base_test:
-                works[name] = works.get(name, ufl.Form([])) + ufl.inner(load, region.base_test(v)) * region.measure
-        return works
+                forms[name] = forms.get(name, ufl.Form([])) + ufl.inner(load, region.base_test(v)) * region.measure
+        return forms
 
     def nodal_at(self, V: fem.FunctionSpace, t: float, *, layers: bool = False) -> PETSc.Vec:
         """Nodal forces in V of all loads at a time, or with `layers` of loads on layers only. Collective.
@@ -205,10 +205,10 @@ class Forces:
             b = dolfinx.fem.petsc.assemble_vector(form)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
         if not np.isfinite(b.norm()):
-            raise InputError(": ".join([f"the loads are not finite at t = {t:g}", *self._not_finite(t)]))
+            raise InputError(": ".join([f"the loads are not finite at t = {t:g}", *self._nonfinite_loads(t)]))
         return b
 
-    def _not_finite(self, t: float) -> list[str]:
+    def _nonfinite_loads(self, t: float) -> list[str]:
         """Labels of the loads that are not finite at a time. Collective."""
         with self.at.clock.at(t):
             sums = [fem.assemble_scalar(compiled(ufl.inner(f, f) * region.measure)) for _, f, region, _ in self._loads]

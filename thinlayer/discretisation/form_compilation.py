@@ -57,17 +57,17 @@ def whole_structure_form(form: ufl.Form, model: Model, what: str = "a form") -> 
     require(isinstance(form, ufl.Form), what, form, "it must be a UFL form, such as f * model.dx")
     if time_constants(form):
         raise InputError(f"{what} depends on the time; only loads and supports may")
-    real = all(np.isrealobj(constant.value) and np.isfinite(constant.value).all() for constant in form.constants())
-    if not (real and all(has_finite_numbers(part.integrand()) for part in form.integrals())):
+    is_real = all(np.isrealobj(constant.value) and np.isfinite(constant.value).all() for constant in form.constants())
+    if not (is_real and all(has_finite_numbers(part.integrand()) for part in form.integrals())):
         raise InputError(f"{what} has a number that is not finite, or not real: {str(form)[:80]}")
     for integral in form.integrals():
         kind = integral.integral_type()
-        name, asked = MEASURE_OF_INTEGRAL.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
-        if any(isinstance(tag, bool) for tag in asked):
-            raise InputError(f"{what} integrates over {name}{(*asked,)}; tags are whole numbers")
+        name, ids = MEASURE_OF_INTEGRAL.get(kind, kind), [*np.atleast_1d(np.array(integral.subdomain_id(), object))]
+        if any(isinstance(tag, bool) for tag in ids):
+            raise InputError(f"{what} integrates over {name}{(*ids,)}; tags are whole numbers")
         data = form.subdomain_data()[integral.ufl_domain()][kind]
         present = model.comm.allgather({"everywhere", "otherwise"}.union(*(_tags(item, kind, model) for item in data)))
-        if missing := ", ".join(str(tag) for tag in asked if tag not in set[object]().union(*present)):
+        if missing := ", ".join(str(tag) for tag in ids if tag not in set[object]().union(*present)):
             tags = TAGS_OF_INTEGRAL.get(name, "model.domain.values(name)")
             raise InputError(f"{what} integrates over {name}({missing}), which is nothing here; tags: {tags}")
     factor = model.kinematics.factor
@@ -100,13 +100,13 @@ def compiled_summands(form: Expr) -> list[fem.Form]:
 def zero_matrix(V: fem.FunctionSpace, form: Expr) -> PETSc.Mat:
     """Zero matrix with the sparsity pattern of bilinear forms on V over the same cells and facets as a form."""
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    same, across = ufl.inner(u, v), ufl.inner(u("+") + u("-"), v("+") + v("-"))
-    parts = {}
+    one_sided, two_sided = ufl.inner(u, v), ufl.inner(u("+") + u("-"), v("+") + v("-"))
+    integrals = {}
     for integral in form.integrals():
-        integrand = across if integral.integral_type() == "interior_facet" else same
+        integrand = two_sided if integral.integral_type() == "interior_facet" else one_sided
         key = integral.integral_type(), id(integral.subdomain_data()), integral.subdomain_id()
-        parts[key] = integral.reconstruct(integrand=integrand, metadata={})
-    A = assemble_matrix(compiled(ufl.Form(list(parts.values()))))
+        integrals[key] = integral.reconstruct(integrand=integrand, metadata={})
+    A = assemble_matrix(compiled(ufl.Form(list(integrals.values()))))
     A.zeroEntries()
     return A
 
@@ -126,7 +126,7 @@ def compiled_scalars(form: Expr) -> list[fem.Form]:
     return [compiled(ufl.Form(integrals)) for integrals in by_rule.values()]
 
 
-def per_unit(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Array:
+def unit_values(comm: MPI.Intracomm, form: Expr, constant: fem.Constant) -> Array:
     """Values (k,) of a UFL form without arguments, for each of the k unit vectors as `constant` (k,). Collective.
 
     The form is linear in the constant.
@@ -155,8 +155,8 @@ def origin_of(domain: Domain) -> MeshOrigin:
     columns = partial(column_numbers, joint)
     if joint.parted is None:
         return MeshOrigin(domain.comm, x, domain.numbers, columns)
-    on_s = x + cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
-    return MeshOrigin(domain.comm, x, domain.numbers, columns, on_s, points_on_middle(joint))
+    x_on_s = x + cellwise_function(domain, ("DG", joint.degree, (joint.dim,)), offset_to_middle(joint))
+    return MeshOrigin(domain.comm, x, domain.numbers, columns, x_on_s, points_on_middle(joint))
 
 
 def checked_term(term: Term, V: fem.FunctionSpace, origin: MeshOrigin) -> Term:
@@ -203,6 +203,6 @@ def compiled_terms(terms: Iterable[Term]) -> dict[str, Term]:
         if p.law.traits.compiled:
             by_key.setdefault(p.key or (BODY_KIND if p.n is None else LAYER_KIND), []).append(p)
     keys: dict[str, Term] = {}
-    for name, some in by_key.items():
-        keys |= {str(Key.parse(name).numbered(k)) if len(some) > 1 else name: p for k, p in enumerate(some, 1)}
+    for name, group in by_key.items():
+        keys |= {str(Key.parse(name).numbered(k)) if len(group) > 1 else name: p for k, p in enumerate(group, 1)}
     return keys

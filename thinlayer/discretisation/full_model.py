@@ -50,10 +50,10 @@ class FullModel(Model):
     ) -> None:
         self._bodies, self._cells_through = bodies, cells_through
         self._junctions = () if junctions is None else (junctions,)
-        chosen = {} if junctions is None else {"junctions": junctions}
-        super().__init__(structure, layer, bodies=bodies, cells_through=cells_through, **chosen)
+        options = {} if junctions is None else {"junctions": junctions}
+        super().__init__(structure, layer, bodies=bodies, cells_through=cells_through, **options)
 
-    def _checked(self) -> Joint:
+    def _checked_joint(self) -> Joint:
         check_layering(self._cells_through, self._bodies)
         if self._bodies == "kept":
             require_shifts(self.structure.kinematics, self.joint)
@@ -63,8 +63,8 @@ class FullModel(Model):
         thin = {name: seam_layer.as_thin_layer for name, seam_layer in self.layers.items()}
         eps = {name: layer.eps for name, layer in (thin | self.gaps).items()}
         if (thickest := max(eps.values(), default=0.0)) > MAX_THICKNESS * self.joint.size:
-            sizes = f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}"
-            raise InputError(f"{sizes}: their shape is lost in rounding; is eps in the unit of the mesh?")
+            text = f"the layer's thickness eps is {thickest:g}, the bodies measure {self.joint.size:g}"
+            raise InputError(f"{text}: their shape is lost in rounding; is eps in the unit of the mesh?")
         profiles = {name: layer.profile for name, layer in thin.items()}
         fractions = {name: layer.fractions for name, layer in thin.items()}
         first_seams, count, gaps = (*self._junctions, *thin), self._cells_through, [*self.gaps]
@@ -101,8 +101,8 @@ class FullModel(Model):
                 why = "has one phase for each column of a layer, and cells where layers meet are in none"
             elif region in band.aligned or not needs_director(law):
                 continue
-            law_of = f"{type(law).__name__} of the seam {name!r}"
-            raise InputError(f"{law_of} {why}; give junctions=... the name of a seam with another law")
+            subject = f"{type(law).__name__} of the seam {name!r}"
+            raise InputError(f"{subject} {why}; give junctions=... the name of a seam with another law")
 
     def _layer_terms(self) -> list[forms.Term]:
         mesh, band, n = self.domain.mesh, band_of(self.domain.joint), director(self.domain)
@@ -111,20 +111,20 @@ class FullModel(Model):
             sublayers = law_with_numbers(seam_layer.layer, self.kinematics).sublayers
             for (_, law), region in zip(sublayers, band.of_seam[name], strict=True):
                 if law.traits.softens:  # at points as dense along S as on S in an interface model
-                    law, rule = law if law.traits.compiled else law.for_points(), self._rule(ufl.dS, always=True)
+                    law, rule = law if law.traits.compiled else law.for_points(), self._metadata(ufl.dS, always=True)
                 else:  # UFL would take degree 100 for the square root of the director
-                    rule = self._rule(self.dx, always=needs_director(law))
-                cells = self.dx(self.domain.cell_values(region, *self._shared(name)), **rule)
+                    rule = self._metadata(self.dx, always=needs_director(law))
+                cells = self.dx(self.domain.cell_values(region, *self._junction_regions(name)), **rule)
                 law = law if law.traits.compiled else law_with_constants(law, mesh)
                 term = forms.band(law, cells, n, self.kinematics)
                 terms.append(replace(term, key=seam_layer.key, prescribed_strain=self.layer_strains[name]))
         return terms
 
-    def _place_of(self, layer: SeamLayer) -> LoadRegion:
-        regions = [*band_of(self.domain.joint).of_seam[layer.name], *self._shared(layer.name)]
+    def _load_region(self, layer: SeamLayer) -> LoadRegion:
+        regions = [*band_of(self.domain.joint).of_seam[layer.name], *self._junction_regions(layer.name)]
         return LoadRegion(self.dx(self.domain.cell_values(*regions)), self.kinematics.factor)
 
-    def _shared(self, name: str) -> list[str]:
+    def _junction_regions(self, name: str) -> list[str]:
         """Names of the junctions' cell regions that have the law of the seam `name`."""
         return [region for region, seam in band_of(self.domain.joint).junctions.items() if seam == name]
 
@@ -135,7 +135,7 @@ class LayerModel(FullModel):
     Each rank has the whole mesh. The faces of the layers are not constrained, so that the model alone cannot be solved.
 
     Attributes:
-        divided: the layers' cells, refined towards free ends and junctions; None if they are the cells of `inflated`.
+        refined_layers: the layers' cells, refined towards free ends and junctions; None if they are the cells of `inflated`.
 
     Args:
         model: the interface model.
@@ -148,7 +148,7 @@ class LayerModel(FullModel):
     """
 
     name = "layer"
-    divided: RefinedLayers | None = None
+    refined_layers: RefinedLayers | None = None
 
     def __init__(
         self, model: InterfaceModel, layers: Mapping[str, ThinLayer], cells_through: int, at_ends: float | None = None
@@ -157,21 +157,21 @@ class LayerModel(FullModel):
         if at_ends is not None:
             require(is_finite(at_ends) and at_ends > 0, "at_ends", at_ends, "allowed: > 0, over the thickness")
             at_ends *= min(float(layer.eps) for layer in layers.values())
-        if structure.joint.tip is not None and (refused := meeting_layers(joint, structure.joint.seams)):
-            raise refused.error()
-        free = [model.applicability[name].free.vertices.ravel() for name in layers]
+        if structure.joint.tip is not None and (violation := meeting_layers(joint, structure.joint.seams)):
+            raise violation.error()
+        free = [model.applicability[name].free_rim.vertices.ravel() for name in layers]
         self._ends, self._at_ends = joint.points[np.unique(np.concatenate([*free, joint.branch_vertices]))], at_ends
         super().__init__(structure, layers, bodies=model._bodies, cells_through=cells_through, junctions=None)
 
-    def _checked(self) -> Joint:
-        layers = without_bodies(super()._checked())
+    def _checked_joint(self) -> Joint:
+        layers = without_bodies(super()._checked_joint())
         if self._at_ends is not None and len(self._ends):
             distance, _ = cKDTree(self._ends).query(layers.reference)
             try:
-                self.divided = refined_towards_ends(layers, distance, self._at_ends)
+                self.refined_layers = refined_towards_ends(layers, distance, self._at_ends)
             except InputError:
                 raise InputError("cells at ends are so short that nodes coincide; make at_ends larger") from None
-            layers = self.divided.joint
+            layers = self.refined_layers.joint
 
         def has(place: Place) -> bool:
             if isinstance(place, str):
@@ -193,10 +193,10 @@ class LayerModel(FullModel):
 def meeting_layers(joint: Joint, seams: Iterable[str]) -> Violation | None:
     """Return why the layers on `seams` cannot be solved without others; None if they meet no other seam."""
     vertices = {name: joint.masters[joint.table.vertices[joint.rows_of(name)]] for name in joint.seams}
-    mine = np.concatenate([vertices[name].ravel() for name in seams])
-    others = [name for name in joint.seams if name not in seams and np.isin(vertices[name], mine).any()]
-    if not others:
+    own_vertices = np.concatenate([vertices[name].ravel() for name in seams])
+    other_seams = [name for name in joint.seams if name not in seams and np.isin(vertices[name], own_vertices).any()]
+    if not other_seams:
         return None
-    reason = f"{', '.join(seams)} meets {', '.join(others)}, where bodies part without a layer among these"
+    reason = f"{', '.join(seams)} meets {', '.join(other_seams)}, where bodies part without a layer among these"
     remedy = "take all seams that meet, or mesh the layers: structure.full, with a Gap in an open seam"
     return Violation("beside", f"layers by themselves: {reason}", remedy)

@@ -52,7 +52,7 @@ class InterfaceModel(Model):
         self._bodies = bodies
         super().__init__(structure, layer, **({} if bodies == "kept" else {"bodies": bodies}))
 
-    def _checked(self) -> Joint:
+    def _checked_joint(self) -> Joint:
         check_layering(1, self._bodies)
         self.require("interface law")
         if self._bodies == "kept":
@@ -84,8 +84,8 @@ class InterfaceModel(Model):
     def _check_compatible(self, other: Self) -> None:
         self.require("interface law")
         if self.bonds != other.bonds:
-            both = f"{list(other.bonds)}, not {list(self.bonds)}"
-            raise InputError(f"this model has bonds on the seams {both}; make a model of its own")
+            text = f"{list(other.bonds)}, not {list(self.bonds)}"
+            raise InputError(f"this model has bonds on the seams {text}; make a model of its own")
         if self._bodies != "kept":
             self._require_shapes(other)
 
@@ -102,8 +102,8 @@ class InterfaceModel(Model):
         if strain is None or not (self._middle or extract_coefficients(strain)):
             return strain
         sides = self.sides_of(layer.name)
-        both = not (self._middle or layer.name in self.joint.base_seams)
-        return (sides.upper(strain) + sides.lower(strain)) / 2 if both else sides.upper(strain)
+        two_sided = not (self._middle or layer.name in self.joint.base_seams)
+        return (sides.upper(strain) + sides.lower(strain)) / 2 if two_sided else sides.upper(strain)
 
     @cached_property
     def dS(self) -> ufl.Measure:
@@ -121,10 +121,10 @@ class InterfaceModel(Model):
         joint, to_s = self.joint, self._middle.offset if self._middle else None
         joint.rows_of(name)
         names = tuple(joint.seams) if name == S else (name,)
-        based = [seam in joint.base_seams for seam in names]
-        if all(based):
+        on_base = [seam in joint.base_seams for seam in names]
+        if all(on_base):
             return Interface.on_rigid_base(self.ds(self.domain.values(name)), self.kinematics, to_s)
-        if any(based):
+        if any(on_base):
             raise InputError(f"S lies between bodies and on a rigid base; name one of the seams {', '.join(names)}")
         numbers = tuple(list(joint.seams).index(seam) + 1 for seam in names)
         measure = self.dS(numbers if len(numbers) > 1 else numbers[0])
@@ -178,7 +178,7 @@ class InterfaceModel(Model):
         """Return the terms on S of a layer without a contact law."""
         mesh, law, sides = self.domain.mesh, law_with_numbers(layer.layer, self.kinematics), self.sides_of(layer.name)
         # UFL would estimate a high degree for slopes and lengths of the middle
-        measure = sides.measure.reconstruct(**self._rule(sides.measure, always=self._middle))
+        measure = sides.measure.reconstruct(**self._metadata(sides.measure, always=self._middle))
         on_surface = partial(_law_on_surface, self.domain, self.joint, layer.name, sides.upper)
         sides = replace(sides, measure=measure, law_on_surface=on_surface)
         if layer.thin_layer is None:
@@ -189,8 +189,8 @@ class InterfaceModel(Model):
             weights = self.applicability[layer.name].weights
             ends = weights.expressions(self.domain, sides) if weights else None
             if weights:
-                finer = {"quadrature_degree": quadrature_degree(self.V, measure) + END_DEGREE_INCREASE}
-                sides = replace(sides, measure=measure.reconstruct(metadata=finer))
+                finer_rule = {"quadrature_degree": quadrature_degree(self.V, measure) + END_DEGREE_INCREASE}
+                sides = replace(sides, measure=measure.reconstruct(metadata=finer_rule))
             terms = forms.surface(law, sides, eps, layer.thin_layer.order, self.layer_strains[layer.name], slope, ends)
         return [replace(term, key=layer.key, law=law_of_terms(term.law, mesh)) for term in terms]
 
@@ -201,20 +201,20 @@ class InterfaceModel(Model):
         profile = layer.as_thin_layer.profile
         return eps if profile is None else eps * sides.upper(relative_thickness(self.domain, profile, layer.name))
 
-    def _data(self) -> dict[str, Any]:
+    def _description(self) -> dict[str, Any]:
         names = [name for name, applicability in self.applicability.items() if applicability.weights]
-        return super()._data() | ({"free ends": names} if names else {})
+        return super()._description() | ({"free ends": names} if names else {})
 
-    def _place_of(self, layer: SeamLayer) -> LoadRegion:
+    def _load_region(self, layer: SeamLayer) -> LoadRegion:
         """Region on S of a layer's loads: each side carries half of a load; a rigid base carries the lower half."""
         sides = self.sides_of(layer.name)
 
         def on_base(v: Expr) -> Expr:  # the base moves and rotates as the facets of the body above it do
             return sides.upper(v + ufl.dot(ufl.grad(v), 2 * self._middle.offset) if self._middle else v) / 2
 
-        based = on_base if layer.name in self.joint.base_seams else None
+        v_base = on_base if layer.name in self.joint.base_seams else None
         weight = self._thickness(layer, sides) * sides.factor
-        return LoadRegion(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, based)
+        return LoadRegion(sides.measure, weight, sides.upper, lambda v: (sides.upper(v) + sides.lower(v)) / 2, v_base)
 
 
 def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSide, law: BulkLaw) -> BulkLaw:
@@ -222,9 +222,9 @@ def _law_on_surface(domain: Domain, joint: Joint, name: str, upper: InterfaceSid
 
     Parameters that are functions become expressions on S, linear between vertices, and numbers become Constants.
     """
-    on_s, vertices = {}, np.unique(joint.table.vertices[joint.rows_of(name)])
+    expressions, vertices = {}, np.unique(joint.table.vertices[joint.rows_of(name)])
     for key, vertex_values in law.fields_at(joint.points[vertices].T).items():
         values = np.full(len(joint.points), vertex_values[0])  # values elsewhere have no meaning
         values[vertices] = vertex_values
-        on_s[key] = upper(cellwise_function(domain, ("Lagrange", 1), values[joint.corners][..., None]))
-    return law_with_expressions(law, domain.mesh, on_s)
+        expressions[key] = upper(cellwise_function(domain, ("Lagrange", 1), values[joint.corners][..., None]))
+    return law_with_expressions(law, domain.mesh, expressions)

@@ -90,11 +90,11 @@ class ThinLayer:
     at: float | None = None
 
     def __post_init__(self) -> None:
-        of_strains = "it must be a law of strains; a law on S, without a thickness, stands alone: interface(law)"
-        require(isinstance(self.law, BulkLaw), "the layer's law", self.law, of_strains)
-        first, *others = (law for _, law in self.law.sublayers)
-        if first.traits.linear and all(law == first for law in others):
-            object.__setattr__(self, "law", first)
+        hint = "it must be a law of strains; a law on S, without a thickness, stands alone: interface(law)"
+        require(isinstance(self.law, BulkLaw), "the layer's law", self.law, hint)
+        first_law, *other_laws = (law for _, law in self.law.sublayers)
+        if first_law.traits.linear and all(law == first_law for law in other_laws):
+            object.__setattr__(self, "law", first_law)
         _check_thickness("layer's thickness eps", self.eps)
         if self.at is not None:
             _check_thickness("thickness at which the law's parameters hold, at,", self.at)
@@ -209,18 +209,18 @@ class InitialTangents:
     """
 
     def __init__(self, law: BulkLaw, n: Array) -> None:
-        self.law, self.n, self._over = law, n, dict[float, list[Array | None]]()
+        self.law, self.n, self._by_duration = law, n, dict[float, list[Array | None]]()
         self.sublayers = [(a, material, declared_or_computed_tangent(material, n)) for a, material in law.sublayers]
 
-    def over(self, dt: float) -> list[Array | None]:
+    def tangents_after(self, dt: float) -> list[Array | None]:
         """Effective stiffnesses (6, 6) of the sublayers under loads that have lasted for a time dt > 0.
 
         An entry is None if the law is not linear or cannot be evaluated, or if the tangent at rest is valid for all dt.
         """
-        if dt not in self._over:
+        if dt not in self._by_duration:
             laws = [law for _, law, _ in self.sublayers]
-            self._over[dt] = [tangent_over(law, self.n, dt) if law.traits.compiled else None for law in laws]
-        return self._over[dt]
+            self._by_duration[dt] = [tangent_over(law, self.n, dt) if law.traits.compiled else None for law in laws]
+        return self._by_duration[dt]
 
     def require_stable(self) -> None:
         """Raise InputError if the stiffness of a sublayer at rest is negative: equilibria would be unstable."""
@@ -233,15 +233,15 @@ class InitialTangents:
 
         It locks if lmbda/mu of a sublayer is large, because displacements are linear through the layer.
         """
-        largest = min(station.largest_ratio for station in self.law.stations())
+        max_ratio = min(station.largest_ratio for station in self.law.stations())
         for _, law, C in self.sublayers:
             lmbda, mu = (0.0, 1.0) if C is None else average_lame(C)
-            if lmbda > largest * mu:
-                ratio, most = (f"{x:.4g} (nu = {x / (x + 1) / 2:.4f})" for x in (lmbda / mu, largest))
+            if lmbda > max_ratio * mu:
+                ratio, most = (f"{x:.4g} (nu = {x / (x + 1) / 2:.4f})" for x in (lmbda / mu, max_ratio))
                 reason = f"order=1 of {type(law).__name__} with lmbda/mu = {ratio} at rest locks; allowed: {most}"
                 elastic = not (law.traits.remembers or law.traits.rate)
-                rubber = ", or Rubber or LinearElastic if it is isotropic" if elastic else ""
-                return Violation("locks", reason, f"use order=0, or mesh the layer (structure.full){rubber}")
+                alternative = ", or Rubber or LinearElastic if it is isotropic" if elastic else ""
+                return Violation("locks", reason, f"use order=0, or mesh the layer (structure.full){alternative}")
         return None
 
 
@@ -253,7 +253,7 @@ class SeamLayer:
         layer: the layer as the user wrote it.
         structure: the data of the bodies, a `Structure`.
         law: the law as the user wrote it.
-        kind: name of the law's class.
+        law_name: name of the law's class.
         thin_layer: the layer if it has a law of strains; else None.
         contact: the law if it is a contact law, which acts at nodes; else None.
         remembers: whether the law depends on its history, and may dissipate energy.
@@ -273,7 +273,7 @@ class SeamLayer:
         self.law: Law = layer.law if isinstance(layer, ThinLayer) else layer
         self.thin_layer = layer if isinstance(layer, ThinLayer) else None
         self.contact = layer if isinstance(layer, ContactLaw) else None
-        self.kind, traits = type(self.law).__name__, self.law.traits
+        self.law_name, traits = type(self.law).__name__, self.law.traits
         self.remembers = traits.rate or traits.remembers
         self.has_pressure_flow = isinstance(layer, ThinLayer) and layer.order == 1 and traits.constrained
         self.key = str(
@@ -390,8 +390,8 @@ def nodes_of_sides(model: Model, V: fem.FunctionSpace, name: str) -> tuple[IntAr
     position of both arrays face each other.
     """
     domain, mesh, d = model.domain, model.domain.mesh, model.joint.dim
-    based, layout = name in model.joint.base_seams, V.dofmap.dof_layout
-    rows = exterior_facet_entities(mesh, np.sort(domain.facets(name))) if based else seam_entities(domain, name)
+    on_base, layout = name in model.joint.base_seams, V.dofmap.dof_layout
+    rows = exterior_facet_entities(mesh, np.sort(domain.facets(name))) if on_base else seam_entities(domain, name)
     entities = rows.astype(np.int64)
     closures = np.array([layout.entity_closure_dofs(d - 1, k) for k in range(entities[:, 1::2].max(initial=0) + 1)])
     vertices, sides = mesh.topology.connectivity(d, 0).array.reshape(len(V.dofmap.list), -1), []

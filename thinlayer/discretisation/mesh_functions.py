@@ -114,7 +114,7 @@ def sampled_function(f: fem.Function, mesh: Mesh, x: Expr, what: str) -> fem.Fun
     interpolant = fem.Function(fem.functionspace(mesh, ("DG", degree, f.ufl_shape)))
     places = places_in_cells(interpolant.function_space, x)
     places = (places + INWARD_SHARE * (places.mean(axis=1, keepdims=True) - places)).reshape(-1, mesh.geometry.dim)
-    values = _values(f, places)
+    values = _evaluate(f, places)
     missing = np.concatenate(communicator(mesh).allgather(places[np.isnan(values).any(axis=1)][:1]))
     if len(missing):
         raise InputError(f"{what}: a function is unknown at {place_text(missing[0])}; its mesh must cover all")
@@ -130,22 +130,22 @@ def places_in_cells(V: fem.FunctionSpace, x: Expr) -> Array:
     return np.asarray(points.eval(mesh, cells).reshape(len(cells), -1, d))
 
 
-def _values(f: fem.Function, x: Array) -> Array:
+def _evaluate(f: fem.Function, x: Array) -> Array:
     """Values (n, m) of a function of m components at n places (n, d), from all ranks of its mesh; NaN outside it.
 
     Every rank gets the places and values of all ranks, so its memory grows with the total number of cells.
     """
     mesh = f.function_space.mesh
     comm = communicator(mesh)
-    every = comm.allgather(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))))
-    places = np.concatenate(every)
-    tree = geometry.bb_tree(mesh, mesh.topology.dim)
-    cells = geometry.compute_colliding_cells(mesh, geometry.compute_collisions_points(tree, places), places)
-    first, inside = cells.offsets[:-1], np.diff(cells.offsets) > 0
+    x_of_ranks = comm.allgather(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))))
+    places = np.concatenate(x_of_ranks)
+    bb_tree = geometry.bb_tree(mesh, mesh.topology.dim)
+    cells = geometry.compute_colliding_cells(mesh, geometry.compute_collisions_points(bb_tree, places), places)
+    starts, has_cell = cells.offsets[:-1], np.diff(cells.offsets) > 0
     values = np.full((len(places), int(np.prod(f.ufl_shape))), np.nan)
-    if inside.any():
-        values[inside] = f.eval(places[inside], cells.array[first[inside]]).reshape(-1, values.shape[1])
-    start = sum(map(len, every[: comm.rank]))
+    if has_cell.any():
+        values[has_cell] = f.eval(places[has_cell], cells.array[starts[has_cell]]).reshape(-1, values.shape[1])
+    start = sum(map(len, x_of_ranks[: comm.rank]))
     return np.asarray(np.fmax.reduce(comm.allgather(values))[start : start + len(x)])
 
 
@@ -154,16 +154,16 @@ class SharedDofs:
     """Identification of dofs of the local cells, ghosts included: dofs with the same key are one dof.
 
     Attributes:
-        whole: the ordinary continuous space.
-        keys: (n,) keys of the dofs, the same on all ranks, in the order of the dofs of `whole`.
+        continuous_space: the ordinary continuous space.
+        keys: (n,) keys of the dofs, the same on all ranks, in the order of the dofs of `continuous_space`.
         meeting: (n,) for each key the rank that collects which ranks use it, the same on all ranks.
-        of_cells: (cells, dofs per cell) positions in `keys`.
+        cell_dofs: (cells, dofs per cell) positions in `keys`.
     """
 
-    whole: fem.FunctionSpace
+    continuous_space: fem.FunctionSpace
     keys: IntArray
-    meeting: IntArray
-    of_cells: IntArray
+    meeting_rank: IntArray
+    cell_dofs: IntArray
 
     @classmethod
     def of_components(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, components: EntityKeys) -> SharedDofs:
@@ -179,17 +179,17 @@ class SharedDofs:
             components: for each dimension of entities below that of the mesh an array (local cells, entities of a
                 cell), ghosts included: number >= 0 of the cell's component around each entity, the same on all ranks.
         """
-        whole = fem.functionspace(mesh, element)
-        base_map, component = whole.dofmap.index_map, _of_unknowns(whole, components, 0)
+        space = fem.functionspace(mesh, element)
+        base_map, component = space.dofmap.index_map, _dof_values(space, components, 0)
         count = comm.allreduce(int(component.max(initial=0)) + 1, op=max)
         n_base = base_map.size_local + base_map.num_ghosts
-        copies = np.asarray(whole.dofmap.list, np.int64) * count + component
+        copies = np.asarray(space.dofmap.list, np.int64) * count + component
         used = np.zeros(n_base * count, bool)
         used[copies] = True
-        place, number = np.divmod(np.flatnonzero(used), count)
+        base_dof, number = np.divmod(np.flatnonzero(used), count)
         owner = np.concatenate([np.full(base_map.size_local, comm.rank), base_map.owners]).astype(np.int64)[:n_base]
         numbers = np.asarray(base_map.local_to_global(np.arange(n_base, dtype=np.int32)))
-        return cls(whole, numbers[place] * count + number, owner[place], (used.cumsum() - 1)[copies])
+        return cls(space, numbers[base_dof] * count + number, owner[base_dof], (used.cumsum() - 1)[copies])
 
     @classmethod
     def of_entities(cls, comm: MPI.Intracomm, mesh: Mesh, element: Element, keys: EntityKeys) -> SharedDofs:
@@ -202,17 +202,17 @@ class SharedDofs:
             keys: for each dimension of entities an array (local cells, entities of a cell) of numbers >= 0. Entities of
                 different dimensions have different numbers.
         """
-        whole = fem.functionspace(mesh, element)
-        distinct, positions = np.unique(_of_unknowns(whole, keys, -1), return_inverse=True)
-        place = np.full(len(distinct), np.iinfo(np.int64).max)
-        np.minimum.at(place, positions.ravel(), np.asarray(whole.dofmap.list, np.int64).ravel())
-        order = np.lexsort((distinct, place))
-        distinct, positions = distinct[order], np.argsort(order)[positions.reshape(np.shape(whole.dofmap.list))]
+        space = fem.functionspace(mesh, element)
+        distinct, positions = np.unique(_dof_values(space, keys, -1), return_inverse=True)
+        first_dof = np.full(len(distinct), np.iinfo(np.int64).max)
+        np.minimum.at(first_dof, positions.ravel(), np.asarray(space.dofmap.list, np.int64).ravel())
+        order = np.lexsort((distinct, first_dof))
+        distinct, positions = distinct[order], np.argsort(order)[positions.reshape(np.shape(space.dofmap.list))]
         meeting = distinct * comm.size // comm.allreduce(int(distinct.max(initial=0)) + 1, op=max)
-        return cls(whole, distinct, meeting, positions)
+        return cls(space, distinct, meeting, positions)
 
 
-def _of_unknowns(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: int) -> IntArray:
+def _dof_values(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: int) -> IntArray:
     """Values (cells, dofs per cell) of the mesh entity to which each dof of a local cell belongs.
 
     `of_entities` has for each dimension the values (cells, entities of a cell); dofs of others get `otherwise`.
@@ -226,16 +226,16 @@ def _of_unknowns(whole: fem.FunctionSpace, of_entities: EntityKeys, otherwise: i
 
 def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace:
     """Return the function space with one dof for each key of `unknowns`. Collective."""
-    rank, whole, keys, meeting = comm.rank, unknowns.whole, unknowns.keys, unknowns.meeting
+    rank, whole, keys, meeting = comm.rank, unknowns.continuous_space, unknowns.keys, unknowns.meeting_rank
     n_cells = whole.mesh.topology.index_map(whole.mesh.topology.dim).size_local
     used = np.zeros(len(keys), np.int64)
-    used[unknowns.of_cells[:n_cells]] = 1
+    used[unknowns.cell_dofs[:n_cells]] = 1
     owner = ask(comm, meeting, np.column_stack([keys, used]), lambda q, src: _elect_owners(q, src, rank))
     owned = owner == rank
     n_own = int(owned.sum())
-    first = comm.exscan(n_own) or 0
+    start = comm.exscan(n_own) or 0
     number = np.full(len(keys), -1, np.int64)
-    number[owned] = first + np.arange(n_own)
+    number[owned] = start + np.arange(n_own)
     order = np.argsort(keys[owned])
     owned_keys, numbers = keys[owned][order], number[owned][order]
     foreign = ~owned
@@ -243,7 +243,7 @@ def broken_space(comm: MPI.Intracomm, unknowns: SharedDofs) -> fem.FunctionSpace
     local = np.empty(len(keys), np.int32)
     local[owned] = np.arange(n_own)
     local[foreign] = n_own + np.arange(len(keys) - n_own)
-    return space_with_dofmap(whole, local[unknowns.of_cells], index_map(comm, n_own, number[foreign], owner[foreign]))
+    return space_with_dofmap(whole, local[unknowns.cell_dofs], index_map(comm, n_own, number[foreign], owner[foreign]))
 
 
 def _elect_owners(questions: IntArray, source: IntArray, rank: int) -> IntArray:
@@ -273,8 +273,8 @@ def vector_space(domain: Domain, cut: Splitting, degree: int, family: str) -> fe
     mesh, dim, comm = domain.mesh, domain.joint.dim, domain.comm
     element = basix.ufl.element(family, mesh.basix_cell(), degree, shape=(dim,))
     if domain.joint.periods:
-        of_entities = [domain.on_cells(of_dim) for of_dim in cut.keys]
-        return broken_space(comm, SharedDofs.of_entities(comm, mesh, element, of_entities))
+        entity_keys = [domain.on_cells(of_dim) for of_dim in cut.keys]
+        return broken_space(comm, SharedDofs.of_entities(comm, mesh, element, entity_keys))
     used = [any(map(len, of_dim)) for of_dim in element.basix_element.entity_dofs]
     none = np.empty((0, 0), np.int64)
     components = [domain.on_cells(cut.components(k) if k else cut.of_vertices) if used[k] else none for k in range(dim)]

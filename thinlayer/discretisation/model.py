@@ -62,7 +62,7 @@ from thinlayer.discretisation.rigid_motions import (
     free_axes,
     moment_centre,
     require_support,
-    resistance_matrices,
+    resistance_matrix,
     resultants_of_loads,
     scaled_motions,
 )
@@ -109,7 +109,7 @@ class ModelFamily:
         several: whether a model was made from another one; if not, no matrices are stored for later solvers.
     """
 
-    several: bool = False
+    is_shared: bool = False
     _idle: Freeable | None = None  # matrices that no solver has at present; they end with the last model
 
     def acquire(self) -> Freeable | None:
@@ -119,10 +119,10 @@ class ModelFamily:
 
     def release(self, matrices: Freeable) -> None:
         """Leave matrices to the next solver of the family, in place of others that wait; free them if none can come."""
-        unused = self._idle if self.several else matrices
+        unused = self._idle if self.is_shared else matrices
         if unused is not None:
             unused.free()
-        self._idle = matrices if self.several else None
+        self._idle = matrices if self.is_shared else None
 
 
 class Model(ABC):
@@ -180,7 +180,7 @@ class Model(ABC):
         self.structure, self.joint, self.plane = structure, structure.joint, structure.plane
         self.element, self.body_laws, self.parts = structure.element, structure.body_laws, structure.parts
         self._options, self.family, self.issued_warnings = options, ModelFamily(), set[tuple[Hashable, ...]]()
-        inflated = self._lay(layer, self._checked)
+        inflated = self._set_layers(layer, self._checked_joint)
         self.domain = Domain.of(inflated, structure.comm)
         self.comm = self.domain.comm
         self.centre = moment_centre(structure.kinematics, np.asarray(inflated.points.mean(axis=0), float))
@@ -200,7 +200,7 @@ class Model(ABC):
             if not (strain is None and stress is None):
                 self.require("mean strain")
             self.strain = None if strain is None else MeanStrain(strain, self.coordinates, self.joint)
-        self.bodies = self._strained(self._terms_of_bodies())
+        self.bodies = self._with_mean_strain(self._terms_of_bodies())
         self.layer_terms = self._terms_of_layers()
         with errors_on_all(self.comm):
             self.forces = self._forces()
@@ -208,9 +208,9 @@ class Model(ABC):
             self.stress = None if stress is None else MeanStress(stress, self.coordinates, self.joint, self.solids)
         with errors_on_all(self.comm):
             check_part_definitions(self.parts, self)
-        self.constraints = self._constrained()
+        self.constraints = self._make_constraints()
         self.require_supported()
-        self.description = self._data()
+        self.description = self._description()
 
     def warn(self, key: str, message: str, *of: Hashable) -> None:
         """Issue a RangeWarning of the kind `key`, once for each subject `of`, such as a seam and a time. Collective."""
@@ -224,13 +224,13 @@ class Model(ABC):
         In a periodic joint translations that nothing prevents are first fixed at one vertex.
         """
         if not (self.broken and any(name in self.layers for name in self.joint.base_seams)):
-            of_parts = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
+            resistances = [partial(part.resistance, self) for part in self.parts if not part.ties_nodes]
             if self.joint.periods:
-                self.supports.anchored = free_axes(self.joint, self.kinematics, resistance_matrices(self, of_parts))
-                self.constraints = self._constrained()
-            require_support([*scaled_motions(self.domain.joint, self.kinematics)], resistance_matrices(self, of_parts))
+                self.supports.anchor_axes = free_axes(self.joint, self.kinematics, resistance_matrix(self, resistances))
+                self.constraints = self._make_constraints()
+            require_support([*scaled_motions(self.domain.joint, self.kinematics)], resistance_matrix(self, resistances))
 
-    def _lay(self, data: Layers, check: Callable[[], T]) -> T:
+    def _set_layers(self, data: Layers, check: Callable[[], T]) -> T:
         """Set the layers of the seams from a user's `data`, and return the result of `check()` on them. Collective."""
         structure = self.structure
         with errors_on_all(structure.comm):
@@ -242,10 +242,10 @@ class Model(ABC):
             self.contacts = {name: layer.contact for name, layer in self.layers.items() if layer.contact}
             self.contact = next(iter(self.contacts.values()), None)
             self.applicability = {name: Applicability(layer, self._bodies) for name, layer in self.layers.items()}
-            checked = check()
-        same = require_same(structure.comm, model=self.name, layer=data, options=self._options)
-        self.data_hash = structure.data_hash + same
-        return checked
+            result = check()
+        layer_hash = require_same(structure.comm, model=self.name, layer=data, options=self._options)
+        self.data_hash = structure.data_hash + layer_hash
+        return result
 
     def _body_strain(self, name: str) -> Expr | None:
         """Return the strain (3, 3) to add to that of displacements in a body, minus its eigenstrain; None: zero."""
@@ -270,15 +270,15 @@ class Model(ABC):
             law = self.kinematics.law(self.body_laws[names[0]])
             law = law if law.traits.compiled else law_with_constants(law, self.domain.mesh)
             regions = {str(Key(BODY_KIND, name)): [name] for name in names} if law.traits.compiled else {"": names}
-            for key, here in regions.items():
-                cells = self.dx(self.domain.cell_values(*here), **self._rule(self.dx))
+            for key, bodies in regions.items():
+                cells = self.dx(self.domain.cell_values(*bodies), **self._metadata(self.dx))
                 term = forms.body(law, cells, self.kinematics, self.volume_degree(law))
                 term = replace(term, key=key, prescribed_strain=self.body_strains[names[0]])
                 terms.append(checked_term(term, self.V, self.origin))
         return terms
 
     def _terms_of_layers(self) -> list[forms.Term]:
-        return self._strained([checked_term(term, self.V, self.origin) for term in self._layer_terms()])
+        return self._with_mean_strain([checked_term(term, self.V, self.origin) for term in self._layer_terms()])
 
     def _supports(self, supports: ByPlace) -> Supports:
         clamped = [name for name in self.bonds if name in self.joint.base_seams]
@@ -291,7 +291,7 @@ class Model(ABC):
         points = ConcentratedForms(self.domain, self.joint, self.structure.degree, at)
         forces = Forces(self.domain, self.kinematics, points, self.structure)
         for name, load in loads_of_layers(self).items():
-            forces.add_layer(name, load, self._place_of(self.layers[name]), self._coordinates_on(at))
+            forces.add_layer(name, load, self._load_region(self.layers[name]), self._coordinates_on(at))
         return forces
 
     def _coordinates_on(self, at: Coordinates) -> Coordinates:
@@ -299,7 +299,7 @@ class Model(ABC):
         return at
 
     @abstractmethod
-    def _place_of(self, layer: SeamLayer) -> LoadRegion:
+    def _load_region(self, layer: SeamLayer) -> LoadRegion:
         """Region over which the loads of a layer per volume act."""
 
     def require(self, question: str, what: str = "") -> None:
@@ -316,7 +316,7 @@ class Model(ABC):
         return self.joint.points  # which joints with other seams or periods take from the first one
 
     @abstractmethod
-    def _checked(self) -> Joint:
+    def _checked_joint(self) -> Joint:
         """Check that the layer suits the structure, and return the joint to distribute. Not collective."""
 
     @abstractmethod
@@ -335,20 +335,20 @@ class Model(ABC):
         Raises:
             InputError: the layer does not suit the model; a meshed layer of another shape.
         """
-        return self._relative()._replace_layers(self, layer)
+        return self._family_copy()._replace_layers(self, layer)
 
     def improved(self, layers: Mapping[str, ThinLayer]) -> Self:
         """Return this model with better interface laws of some layers; issued warnings are not repeated.
 
         `layers`: name of a seam -> its new layer. The models share mesh, space, supports, loads and bodies' matrix.
         """
-        new = self._relative()
+        new = self._family_copy()
         new.issued_warnings = self.issued_warnings
         return new._replace_layers(self, {**self.on_seams, **layers})
 
     def _replace_layers(self, other: Self, layer: Layers) -> Self:
         """Set the layers of this model, a copy of the model `other`, and return it. Collective."""
-        self._lay(layer, partial(self._check_compatible, other))
+        self._set_layers(layer, partial(self._check_compatible, other))
         with errors_on_all(self.comm):
             self.layer_strains = {name: self._layer_strain(seam_layer) for name, seam_layer in self.layers.items()}
         self.layer_terms = self._terms_of_layers()
@@ -359,8 +359,8 @@ class Model(ABC):
             if self.stress and not self.broken:
                 raise InputError("with_layer: under a mean stress a meshed layer is a part of the cell; build a model")
         if self.constraints.mpcs:  # the thickness is a lever arm of plates
-            self.constraints = self._constrained()
-        self.description = self._data()
+            self.constraints = self._make_constraints()
+        self.description = self._description()
         return self
 
     @abstractmethod
@@ -376,8 +376,8 @@ class Model(ABC):
         shapes = ({name: layer.shape[:count] for name, layer in model.layers.items()} for model in (self, other))
         needed, made = (model.gaps | shape for model, shape in zip((self, other), shapes, strict=True))
         for name in (name for name in needed if needed[name] != made.get(name)):
-            room = f"{name!r} of (thickness, profile, fractions) {made.get(name)}, not {needed[name]}"
-            raise InputError(f"bodies have made room for a layer {room}; make a model of its own")
+            text = f"{name!r} of (thickness, profile, fractions) {made.get(name)}, not {needed[name]}"
+            raise InputError(f"bodies have made room for a layer {text}; make a model of its own")
 
     def with_loads(
         self,
@@ -399,28 +399,28 @@ class Model(ABC):
             InputError: a load or support that `Structure` refuses; supports of other places or components.
         """
         with errors_on_all(self.comm):
-            checked = None if loads is None else check_loads(loads)
-        new = self._relative()
+            checked_loads = None if loads is None else check_loads(loads)
+        new = self._family_copy()
         new.structure = structure = self.structure.with_loads(
-            tractions=tractions, body_force=body_force, loads=checked, supports=supports
+            tractions=tractions, body_force=body_force, loads=checked_loads, supports=supports
         )
         new.data_hash = digest([self.data_hash, structure.data_hash])
         with errors_on_all(self.comm):
             if supports is not None:
                 new.supports = self._supports(supports)
-                new.supports.anchored = self.supports.anchored
-                both = self.supports, new.supports
-                expected, other = ([(place, sorted(components)) for place, components in bcs.entries] for bcs in both)
+                new.supports.anchor_axes = self.supports.anchor_axes
+                pair = self.supports, new.supports
+                expected, other = ([(place, sorted(components)) for place, components in bcs.entries] for bcs in pair)
                 if expected != other:
                     raise InputError(f"supports hold {other}, those of the model {expected}; build another structure")
-                new.constraints = new._constrained()
+                new.constraints = new._make_constraints()
             new.forces = new._forces()
-        new.description = new._data()
+        new.description = new._description()
         return new
 
-    def _constrained(self) -> Constraints:
-        ties = [part.multi_point_constraint(self) for part in self.parts if part.ties_nodes]
-        return Constraints(Prescribed(self.supports, self.V), ties)
+    def _make_constraints(self) -> Constraints:
+        mpcs = [part.multi_point_constraint(self) for part in self.parts if part.ties_nodes]
+        return Constraints(Prescribed(self.supports, self.V), mpcs)
 
     def under_mean_strain(self, strain: Strain) -> Self:
         """Return this model of a periodic cell under a mean strain alone, without loads and eigenstrains. Collective.
@@ -431,15 +431,15 @@ class Model(ABC):
         new = copied(self, keep=CACHES_OF_MESH)
         new.family, new.coordinates = ModelFamily(), Coordinates.of(self.domain)
         new.strain, new.stress = MeanStrain(strain, new.coordinates, self.joint), None
-        new.bodies = new._strained([replace(p, prescribed_strain=None) for p in self.bodies])
-        new.layer_terms = new._strained([replace(p, prescribed_strain=None) for p in self.layer_terms])
+        new.bodies = new._with_mean_strain([replace(p, prescribed_strain=None) for p in self.bodies])
+        new.layer_terms = new._with_mean_strain([replace(p, prescribed_strain=None) for p in self.layer_terms])
         new.structure = self.structure.with_loads(tractions={}, body_force={}, loads=())
         new.forces = new._forces()
         return new
 
-    def _relative(self) -> Self:
+    def _family_copy(self) -> Self:
         """Return a copy that shares mesh, space and matrices, without issued warnings and without caches of laws."""
-        self.family.several = True
+        self.family.is_shared = True
         new = copied(self, keep=CACHES_OF_MESH)
         new.issued_warnings = set()
         return new
@@ -479,7 +479,7 @@ class Model(ABC):
         return vector_space(self.domain, cut, degree, family or "Lagrange")
 
     # ---------------------------------------------------------------- where laws act
-    def _rule(self, measure: ufl.Measure, *, always: object = False) -> dict[str, dict[str, int]]:
+    def _metadata(self, measure: ufl.Measure, *, always: object = False) -> dict[str, dict[str, int]]:
         """Metadata of a law's measure: the quadrature degree on quadrilaterals and hexahedra; else none, UFL chooses.
 
         With `always` they have a degree on all cells, for laws of which UFL would estimate a high degree.
@@ -498,7 +498,7 @@ class Model(ABC):
         straight = not (is_tensor(self.joint.cell_type) or self.kinematics.degree)
         return self.structure.degree - 1 if law.traits.isochoric and not straight else None
 
-    def _strained(self, terms: list[forms.Term]) -> list[forms.Term]:
+    def _with_mean_strain(self, terms: list[forms.Term]) -> list[forms.Term]:
         """Return the terms with the prescribed mean strain of a periodic cell added; terms on S are unchanged."""
         on_s = any(p.measure.integral_type() != "cell" for p in terms)
         return forms.with_added_strain(terms, self.strain.expression) if self.strain and not on_s else terms
@@ -537,8 +537,8 @@ class Model(ABC):
 
     def by_seam(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the sum of values, given by keys of laws, for the layer of each seam; empty if there is one seam."""
-        several = self.layers if len(self.joint.seams) > 1 else {}
-        return {name: sum(v for key, v in values.items() if layer.owns_key(key)) for name, layer in several.items()}
+        layers = self.layers if len(self.joint.seams) > 1 else {}
+        return {name: sum(v for key, v in values.items() if layer.owns_key(key)) for name, layer in layers.items()}
 
     def bc_dofs_in(self, V: fem.FunctionSpace) -> Indices:
         """Dofs of a space (local, unrolled, with ghosts) on which supports and multi-point constraints act. Collective.
@@ -558,24 +558,24 @@ class Model(ABC):
 
         In this order: supports, clamped facets, places of multi-point constraints, rigid bases below layers on S.
         """
-        based = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
+        bases = [name for name in self.layers if name in self.joint.base_seams] if self.broken else []
         plates = [part.place for part in self.parts if part.ties_nodes]
-        return [*(place for place, _ in self.supports.entries), *plates, *based]
+        return [*(place for place, _ in self.supports.entries), *plates, *bases]
 
     def by_place(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return sums of values, given by the key of a law, by seam, and under "bodies" for all bodies.
 
         With one seam there is no sum for its layer; "bodies" is there only if a body's law has memory or rate.
         """
-        of_bodies = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
-        remember = any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
-        return self.by_seam(values) | ({BODIES: of_bodies} if remember else {})
+        body_sum = sum(values.get(p.key, 0.0) for p in self.bodies if p.key)
+        has_memory = any(law.traits.rate or law.traits.remembers for law in self.body_laws.values())
+        return self.by_seam(values) | ({BODIES: body_sum} if has_memory else {})
 
     @cached_property
     def linear(self) -> bool:
         """Whether all laws and all further parts of the balance (`parts`) are linear."""
-        of_laws = not self.contact and all(p.law.traits.linear for p in self.terms)
-        return of_laws and all(part.is_linear(self) for part in self.parts)
+        linear_laws = not self.contact and all(p.law.traits.linear for p in self.terms)
+        return linear_laws and all(part.is_linear(self) for part in self.parts)
 
     @cached_property
     def symmetric(self) -> bool:
@@ -616,7 +616,7 @@ class Model(ABC):
         """Data that identify the model, as JSON: the same in another process and on any number of ranks."""
         return {"model": repr(self), **self.domain.joint.identity(), **self.description}
 
-    def _data(self) -> dict[str, Any]:
+    def _description(self) -> dict[str, Any]:
         return {
             "plane": self.plane,
             "law": {name: describe(layer.law) for name, layer in self.layers.items()},

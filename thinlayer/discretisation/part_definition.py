@@ -99,11 +99,11 @@ class PartDefinition(FormerNames):
         Entry (i, j) is the work in motion j of the part's forces under motion i. Supports and parts together must
         resist every rigid motion.
         """
-        rest, stiffness = fem.Function(model.V), np.zeros((len(motions), len(motions)))
-        form = self.work(model, rest, ufl.TestFunction(model.V))
+        zero_u, stiffness = fem.Function(model.V), np.zeros((len(motions), len(motions)))
+        form = self.work(model, zero_u, ufl.TestFunction(model.V))
         if form.empty():
             return stiffness
-        A = dolfinx.fem.petsc.assemble_matrix(compiled(ufl.derivative(form, rest, ufl.TrialFunction(model.V))))
+        A = dolfinx.fem.petsc.assemble_matrix(compiled(ufl.derivative(form, zero_u, ufl.TrialFunction(model.V))))
         A.assemble()
         forces = A.createVecLeft()
         for row, motion in zip(stiffness, motions, strict=True):
@@ -142,8 +142,8 @@ class PartDefinition(FormerNames):
         By default it is the work of the prescribed resultants of its multi-point constraint.
         """
         constraints, u = model.constraints, state.u.x.array[: model.constraints.n]
-        ties = [tie for tie in constraints.mpcs if tie.key == self.key]
-        return sum((float(tie.resultant(state.t) @ constraints.motion(tie, u)) for tie in ties), 0.0)
+        mpcs = [mpc for mpc in constraints.mpcs if mpc.key == self.key]
+        return sum((float(mpc.resultant(state.t) @ constraints.motion(mpc, u)) for mpc in mpcs), 0.0)
 
     def part(self, model: HostModel) -> Any:
         """Return the `thinlayer.parts.part.Part` with this key that adds forces, or None without forces. Collective."""
@@ -152,15 +152,15 @@ class PartDefinition(FormerNames):
 
 def check_part_definitions(parts: Sequence[PartDefinition], model: HostModel) -> None:
     """Raise InputError unless `parts` are part definitions that fit the model and have distinct keys. Collective."""
-    of_seams = {Key(kind, name) for kind in (LAYER_KIND, CONTACT_KIND, PRESSURE_KIND) for name in model.joint.seams}
-    keys = {*RESERVED_KEYS, *map(str, of_seams), *(str(Key(BODY_KIND, name)) for name in model.joint.bodies)}
+    seam_keys = {Key(kind, name) for kind in (LAYER_KIND, CONTACT_KIND, PRESSURE_KIND) for name in model.joint.seams}
+    keys = {*RESERVED_KEYS, *map(str, seam_keys), *(str(Key(BODY_KIND, name)) for name in model.joint.bodies)}
     for part in parts:
         require(isinstance(part, PartDefinition), "one of parts", part, "allowed: Springs, UflPart, PartDefinition")
         if not part.ties_nodes and type(part).part is PartDefinition.part:
             raise InputError(f"{part.key!r} does nothing: it has neither part(model) nor multi_point_constraint(model)")
-        whole = replace(Key.parse(part.key), part="")
-        sublayer = whole.kind == LAYER_KIND and whole.name.isdecimal()
-        if sublayer or whole in {Key(LAYER_KIND), *of_seams} or part.key in keys:
+        base_key = replace(Key.parse(part.key), part="")
+        is_sublayer = base_key.kind == LAYER_KIND and base_key.name.isdecimal()
+        if is_sublayer or base_key in {Key(LAYER_KIND), *seam_keys} or part.key in keys:
             raise InputError(f"two parts are called {part.key!r}; give one of them another name")
         keys.add(part.key)
         part.check(model)

@@ -31,28 +31,28 @@ class LoadNodes:
     Attributes:
         cells: (n,) numbers of the cells in the joint.
         points: (n, k, d) places in the reference cell, in d dimensions.
-        along: (n, k, d) vectors in the reference cell, whose length in space is the weight of the load at the place;
+        spans: (n, k, d) vectors in the reference cell, whose length in space is the weight of the load at the place;
             None: all weights are 1.
     """
 
     cells: IntArray
     points: Array
-    along: Array | None = None
+    spans: Array | None = None
 
     def in_space(self, joint: Joint, cell_points: Array) -> tuple[Array, Array]:
-        """Return the places in space (n, k, d), and the vectors `along` in space (zero if there are none).
+        """Return the places in space (n, k, d), and the vectors `spans` in space (zero if there are none).
 
         `cell_points` (n_cells, m, d) are the places of the m nodes of each cell of the joint.
         """
         kind = basix.CellType[joint.cell_type]
         element = basix.create_element(basix.ElementFamily.P, kind, joint.degree, basix.LagrangeVariant.equispaced)
-        places, along = np.zeros_like(self.points), np.zeros_like(self.points)
+        places, vectors = np.zeros_like(self.points), np.zeros_like(self.points)
         for row, cell in enumerate(self.cells):
             table = element.tabulate(1, self.points[row])[..., 0]
             places[row] = table[0] @ cell_points[cell]
-            if self.along is not None:
-                along[row] = np.einsum("jkn,ni,kj->ki", table[1:], cell_points[cell], self.along[row])
-        return places, along
+            if self.spans is not None:
+                vectors[row] = np.einsum("jkn,ni,kj->ki", table[1:], cell_points[cell], self.spans[row])
+        return places, vectors
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ class PointLoad:
             InputError: there is no vertex at the place, or several bodies have a node there.
         """
         vertex = joint.nearest_point(self.place)
-        same = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
-        cells, corners = np.nonzero(same[joint.corners])
-        chosen = _in_one_body(joint, cells, joint.split_mesh.components(0)[cells, corners], self)
+        is_vertex = joint.masters == joint.masters[vertex] if joint.periods else np.arange(len(joint.points)) == vertex
+        cells, corners = np.nonzero(is_vertex[joint.corners])
+        row = _in_one_body(joint, cells, joint.split_mesh.components(0)[cells, corners], self)
         X = np.asarray(basix.geometry(basix.CellType[joint.cell_type]))
-        return LoadNodes(cells[chosen : chosen + 1], X[corners[chosen : chosen + 1], None])
+        return LoadNodes(cells[row : row + 1], X[corners[row : row + 1], None])
 
 
 @dataclass(frozen=True)
@@ -133,21 +133,21 @@ class LineLoad:
             require_known("facet set", name, joint.facets, self.what)
             refuse_periodic(joint, name, f"line load on {name!r}")
         table = joint.table
-        first, second = (table.index(joint.facets[name]) for name in (self.first, self.second))
-        if len(np.intersect1d(first, second)):
+        first_rows, second_rows = (table.index(joint.facets[name]) for name in (self.first, self.second))
+        if len(np.intersect1d(first_rows, second_rows)):
             raise InputError(f"{self.what}: both have the same facets; a line lies between two sides")
         kind, numbers = basix.CellType[joint.cell_type], joint.split_mesh.entities(1, joint.corners)
         _, edges, facets, _ = basix.topology(kind)
         inside = np.array([[k for k, edge in enumerate(edges) if {*edge} <= {*facet}] for facet in facets])
-        of_sides = (numbers[table.cells[rows, :1], inside[table.local[rows, 0]]] for rows in (first, second))
-        shared = np.intersect1d(*of_sides)
-        if not len(shared):
+        of_sides = (numbers[table.cells[rows, :1], inside[table.local[rows, 0]]] for rows in (first_rows, second_rows))
+        shared_edges = np.intersect1d(*of_sides)
+        if not len(shared_edges):
             raise InputError(f"{self.what}: they have no edge in common")
-        every, places = np.nonzero(np.isin(numbers, shared))
-        components = joint.split_mesh.components(1)[every, places]
-        around = [np.flatnonzero(numbers[every, places] == number) for number in shared]
-        chosen = [rows[_in_one_body(joint, every[rows], components[rows], self)] for rows in around]
-        cells, columns = every[chosen], places[chosen]
+        all_cells, local_edges = np.nonzero(np.isin(numbers, shared_edges))
+        components = joint.split_mesh.components(1)[all_cells, local_edges]
+        rows_of_edge = [np.flatnonzero(numbers[all_cells, local_edges] == number) for number in shared_edges]
+        chosen = [rows[_in_one_body(joint, all_cells[rows], components[rows], self)] for rows in rows_of_edge]
+        cells, columns = all_cells[chosen], local_edges[chosen]
         s, w = basix.make_quadrature(basix.CellType.interval, 2 * EDGE_GAUSS_POINTS - 1)
         X = np.asarray(basix.geometry(kind))[np.array(edges)[columns]][:, :, None]  # (n, 2, 1, d)
         return LoadNodes(cells, X[:, 0] + s[:, :1] * (X[:, 1] - X[:, 0]), w[:, None] * (X[:, 1] - X[:, 0]))
@@ -159,19 +159,19 @@ def _in_one_body(joint: Joint, cells: IntArray, components: Indices, load: Conce
     `components` (n,) are the numbers of the nodes that the cells have at the place. Raises InputError if the loaded
     cells have several nodes there.
     """
-    regions, body, what = joint.region[cells], load.body, load.what
+    regions, body, text = joint.region[cells], load.body, load.what
     kept: IntArray = np.arange(len(cells))
     if body is not None:
-        require_known("body", body, joint.bodies, what)
+        require_known("body", body, joint.bodies, text)
         kept = np.flatnonzero(regions == joint.regions.index(body))
         if not len(kept):
-            around = ", ".join(sorted({joint.regions[r] for r in regions}))
-            raise InputError(f"{what}: body {body!r} does not reach this place; around it: {around}")
+            region_names = ", ".join(sorted({joint.regions[r] for r in regions}))
+            raise InputError(f"{text}: body {body!r} does not reach this place; around it: {region_names}")
     if len(np.unique(components[kept])) > 1:
         names = sorted({joint.regions[r] for r in regions[kept]})
         hint = f"give body=..., one of {', '.join(map(repr, names))}" if len(names) > 1 else "move it off S"
-        where = at_place(joint.points[joint.corners[cells[kept[0]]]].mean(axis=0))
-        raise InputError(f"{what} acts where S parts bodies, near {where}, and each of them has a node there; {hint}")
+        place = at_place(joint.points[joint.corners[cells[kept[0]]]].mean(axis=0))
+        raise InputError(f"{text} acts where S parts bodies, near {place}, and each of them has a node there; {hint}")
     return int(kept[cells[kept].argmin()])
 
 
@@ -209,28 +209,28 @@ class ConcentratedForms:
         self._element = self._ufl.basix_element
         X, w = basix.make_quadrature(kind, 2 * degree)
         phi = self._element.tabulate(0, X)[0, :, :, 0]
-        self._inverse = np.linalg.inv(phi.T @ (w[:, None] * phi))
+        self._inverse_mass = np.linalg.inv(phi.T @ (w[:, None] * phi))
         self._jacobian = abs(ufl.JacobianDeterminant(domain.mesh))
 
     def terms(self, load: ConcentratedLoad) -> list[tuple[Expr, ufl.Measure]]:
         """Return forces per volume (d,) that add up to a load, each with the measure of its integral. Collective."""
         nodes, d, joint, terms = load.nodes(self.joint), self.joint.dim, self.domain.joint, []
         lengths = np.ones(nodes.points.shape[:2])
-        if nodes.along is not None:
+        if nodes.spans is not None:
             lengths = np.linalg.norm(nodes.in_space(self.joint, joint.cell_points)[1], axis=2)
         kept = joint.band is not None and joint.band.bodies == "kept"
         x = nodes.in_space(joint, joint.reference[joint.cells] if kept else joint.cell_points)[0]
         # if the load varies each node has its own place, so that nodes in one cell are in different terms
-        split = self.at.coefficient(load.force, load.what, (d,)).varies
-        bodies = self._dx(self.domain.cell_values(*self.joint.bodies))
+        varies = self.at.coefficient(load.force, load.what, (d,)).varies
+        body_dx = self._dx(self.domain.cell_values(*self.joint.bodies))
         parts = [(r, slice(j, j + 1)) for r in _disjoint_groups(nodes.cells) for j in range(lengths.shape[1])]
-        for some, column in parts if split else [(np.arange(len(nodes.cells)), slice(None))]:
-            part = LoadNodes(nodes.cells[some], nodes.points[some, column])
-            g = cellwise_function(self.domain, self._ufl, self._densities(part, lengths[some, column])) / self._jacobian
+        for rows, column in parts if varies else [(np.arange(len(nodes.cells)), slice(None))]:
+            part = LoadNodes(nodes.cells[rows], nodes.points[rows, column])
+            g = cellwise_function(self.domain, self._ufl, self._densities(part, lengths[rows, column])) / self._jacobian
             places = np.zeros((len(joint.cells), 1, d))
-            places[part.cells] = x[some, column][:, :1]
-            at = self.at.moved(cellwise_function(self.domain, ("DG", 0, (d,)), places)) if split else self.at
-            terms.append((at.coefficient(load.force, load.what, (d,)).expression * g, bodies))
+            places[part.cells] = x[rows, column][:, :1]
+            at = self.at.moved(cellwise_function(self.domain, ("DG", 0, (d,)), places)) if varies else self.at
+            terms.append((at.coefficient(load.force, load.what, (d,)).expression * g, body_dx))
         return terms
 
     def _densities(self, nodes: LoadNodes, weights: Array) -> Array:
@@ -239,12 +239,12 @@ class ConcentratedForms:
         The polynomials of the k places in each of n cells are summed.
         """
         phi = self._element.tabulate(0, nodes.points.reshape(-1, self.joint.dim))[0, :, :, 0]
-        g = (phi @ self._inverse.T).reshape(*nodes.points.shape[:2], -1)
+        g = (phi @ self._inverse_mass.T).reshape(*nodes.points.shape[:2], -1)
         return sum_by_number(nodes.cells, np.einsum("nk,nkm->nm", weights, g), len(self.domain.joint.cells))[..., None]
 
 
 def _disjoint_groups(cells: IntArray) -> Iterable[IntArray]:
     """Group positions in `cells` so that each cell occurs at most once in a group."""
     order = np.argsort(cells, kind="stable")
-    turn = np.arange(len(cells)) - np.searchsorted(cells[order], cells[order])
-    return [order[turn == k] for k in range(int(turn.max(initial=-1)) + 1)]
+    occurrence = np.arange(len(cells)) - np.searchsorted(cells[order], cells[order])
+    return [order[occurrence == k] for k in range(int(occurrence.max(initial=-1)) + 1)]

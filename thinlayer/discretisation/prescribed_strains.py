@@ -28,7 +28,7 @@ MEAN_STRAIN = "mean strain"  # key of the mean strain under a mean stress, in th
 Strain = Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Sequence[Sequence[Expr]]]
 VOIGT_PAIRS_OF_DIM = {2: ((0, 0), (1, 1), (0, 1)), 3: ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))}  # Voigt's order
 VOIGT_POSITIONS_OF_DIM = {2: np.array([[0, 2], [2, 1]]), 3: np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])}  # of entries
-Rows = list[list[Expr]]  # numbers, or UFL scalars of place and time
+TensorRows = list[list[Expr]]  # numbers, or UFL scalars of place and time
 Tensor = float | Sequence[Sequence[float]] | Array | Callable[[Expr, Expr], Expr]
 SYMMETRY_TOLERANCE = 1e-12  # largest difference of a table from its transpose, over its largest entry
 # smallest singular value of a stiffness, over its largest, up to which it is singular: no strain causes some stresses
@@ -133,7 +133,7 @@ class EigenstrainContext:
     kinematics: Kinematics
     at: Coordinates
 
-    def rows(self, value: object, what: str) -> Rows:
+    def tensor_rows(self, value: object, what: str) -> TensorRows:
         """Return the rows of a user's tensor, (d, d) or (3, 3); a number becomes a multiple of the identity (3, 3).
 
         `what` names the tensor in messages.
@@ -145,7 +145,7 @@ class EigenstrainContext:
         coefficient = self.at.coefficient(value, what, (), (d, d), (3, 3))
         if not coefficient.shape:
             return [[coefficient.components[()] if i == j else 0.0 for j in range(3)] for i in range(3)]
-        rows: Rows = coefficient.components.tolist()
+        rows: TensorRows = coefficient.components.tolist()
         require_symmetric(rows, what)
         return rows
 
@@ -154,13 +154,13 @@ class EigenstrainContext:
         return self.at.coefficient(value, f"{what} of {self.name}", ()).components[()]
 
 
-def require_symmetric(rows: Rows | Array, what: str) -> None:
+def require_symmetric(rows: TensorRows | Array, what: str) -> None:
     """Raise InputError if a table is not symmetric; components in UFL must be the same expression."""
     numbers = [abs(c) for row in rows for c in row if isinstance(c, float)]
     for i, j in combinations(range(len(rows)), 2):
         a, b = rows[j][i], rows[i][j]
-        both = isinstance(a, float) and isinstance(b, float)
-        if not (abs(a - b) <= SYMMETRY_TOLERANCE * max(numbers) if both else ufl.as_ufl(a) == ufl.as_ufl(b)):
+        are_numbers = isinstance(a, float) and isinstance(b, float)
+        if not (abs(a - b) <= SYMMETRY_TOLERANCE * max(numbers) if are_numbers else ufl.as_ufl(a) == ufl.as_ufl(b)):
             raise InputError(f"{what} is not symmetric: components {j + 1}{i + 1} and {i + 1}{j + 1} are {a}, {b}")
 
 
@@ -168,7 +168,7 @@ class Eigenstrain(ABC):
     """A strain that a material would have without stress: the strain minus the eigenstrain causes the stress."""
 
     @abstractmethod
-    def components(self, matter: EigenstrainContext) -> Rows:
+    def components(self, matter: EigenstrainContext) -> TensorRows:
         """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
 
 
@@ -178,9 +178,9 @@ class PrescribedEigenstrain(Eigenstrain):
 
     value: object
 
-    def components(self, matter: EigenstrainContext) -> Rows:
+    def components(self, matter: EigenstrainContext) -> TensorRows:
         """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
-        rows = matter.rows(self.value, "the eigenstrain")
+        rows = matter.tensor_rows(self.value, "the eigenstrain")
         return [[rows[i][j] if max(i, j) < len(rows) else 0.0 for j in range(3)] for i in range(3)]
 
 
@@ -227,7 +227,7 @@ class ThermalExpansion(Eigenstrain):
         for name, value in (("the change of temperature T", self.T), ("factor", self.factor)):
             require(callable(value) or is_finite(value), name, value, "allowed: a finite number or a function (x, t)")
 
-    def components(self, matter: EigenstrainContext) -> Rows:
+    def components(self, matter: EigenstrainContext) -> TensorRows:
         """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
         T, factor = matter.scalar(self.T, "the change of temperature T"), matter.scalar(self.factor, "the factor of T")
         T, alpha = factor * T, np.array(self.alpha, float)
@@ -263,19 +263,19 @@ class Prestress(Eigenstrain):
 
     sigma: Tensor
 
-    def components(self, matter: EigenstrainContext) -> Rows:
+    def components(self, matter: EigenstrainContext) -> TensorRows:
         """Return the eigenstrain, (3, 3) numbers or UFL scalars; raises InputError if it does not suit the material."""
-        sigma = matter.rows(self.sigma, "the prestress")
+        sigma = matter.tensor_rows(self.sigma, "the prestress")
         if matter.kinematics.name == "stress":
-            out = [sigma[i][2] for i in range(3)] if len(sigma) == 3 else []
-            if any(not isinstance(c, float) or c for c in out):
+            out_of_plane = [sigma[i][2] for i in range(3)] if len(sigma) == 3 else []
+            if any(not isinstance(c, float) or c for c in out_of_plane):
                 raise InputError(f"the prestress of {matter.name} has components out of the plane; give (2, 2)")
             sigma = [row[:2] for row in sigma[:2]]
         if len(sigma) == 2 and 2 in matter.kinematics.slots(2):
             raise InputError(f"the prestress of {matter.name} lacks that of hoops, sigma_33; give (3, 3)")
         slots = [slot for slot, (_, j) in enumerate(MANDEL_PAIRS) if j < len(sigma)]
         pairs = [(*MANDEL_PAIRS[slot], 1.0 if slot < 3 else SQRT2) for slot in slots]
-        strain: Rows = [[0.0] * 3 for _ in range(3)]
+        strain: TensorRows = [[0.0] * 3 for _ in range(3)]
         for row, (i, j, scale) in zip(self._compliance(matter, slots), pairs, strict=True):
             summands = [-float(c) * s / scale * sigma[k][m] for c, (k, m, s) in zip(row, pairs, strict=True) if c]
             strain[i][j] = strain[j][i] = sum(summands, 0.0)
@@ -285,23 +285,23 @@ class Prestress(Eigenstrain):
         """Compliance (k, k), strain per stress, in the k Mandel components `slots`; strains in the others are zero."""
         law = matter.law
 
-        def refused(why: str) -> InputError:
+        def prestress_error(why: str) -> InputError:
             return InputError(f"the prestress of {matter.name}: {why}; give its eigenstrain instead")
 
         if len(law.sublayers) > 1:
-            raise refused("its sublayers have stiffnesses of their own")
+            raise prestress_error("its sublayers have stiffnesses of their own")
         try:
             C = tangent_at_rest(law, matter.n)
         except TypeError as error:
             if not law.fields:
                 raise
-            raise refused(f"its stiffness varies from place to place ({', '.join(law.fields)})") from error
+            raise prestress_error(f"its stiffness varies from place to place ({', '.join(law.fields)})") from error
         if C is None or not np.isfinite(C).all():
-            raise refused(f"the stiffness of {type(law).__name__} is not known at rest")
+            raise prestress_error(f"the stiffness of {type(law).__name__} is not known at rest")
         C = C[np.ix_(slots, slots)]
-        sizes = np.linalg.svd(C, compute_uv=False)
-        if sizes[-1] <= SINGULARITY_TOLERANCE * sizes[0]:
-            raise refused(f"no strain of {type(law).__name__} causes some stresses")
+        singular_values = np.linalg.svd(C, compute_uv=False)
+        if singular_values[-1] <= SINGULARITY_TOLERANCE * singular_values[0]:
+            raise prestress_error(f"no strain of {type(law).__name__} causes some stresses")
         compliance = np.asarray(np.linalg.inv(C))
         if law.traits.constrained and not law.volume_compliance:
             volume = np.array(slots) < 3  # the pressure carries volumetric stresses
@@ -369,12 +369,12 @@ class VaryingStrainIntegrals:
             integrals = [np.asarray(fem.assemble_vector(form).array) for _, form in self._forms]
         for (p, _), values in zip(self._forms, integrals, strict=True):
             if self._at.mesh.comm.allreduce(int(not np.isfinite(values).all())):
-                what = "layer" if p.n is not None else "bodies"
-                raise InputError(f"the eigenstrain of the {p.key or what} is not finite at t = {t:g}")
+                text = "layer" if p.n is not None else "bodies"
+                raise InputError(f"the eigenstrain of the {p.key or text} is not finite at t = {t:g}")
         return integrals
 
 
-def _negative_tensor(rows: Rows, matter: EigenstrainContext) -> Expr:
+def _negative_tensor(rows: TensorRows, matter: EigenstrainContext) -> Expr:
     """Return minus a table in UFL. Numbers become Constants, so that forms are compiled once; zeros stay zeros."""
     numbers = np.array([[-c if isinstance(c, float) else 0.0 for c in row] for row in rows])
     constant = fem.Constant(matter.at.mesh, numbers)

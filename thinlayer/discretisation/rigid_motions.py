@@ -22,7 +22,7 @@ from geometry.refusals import place_text as at_place
 from geometry.seam import FacetName
 from geometry.topology import IntArray
 from thinlayer.discretisation.boundary import AXIS_NAMES
-from thinlayer.discretisation.form_compilation import per_unit
+from thinlayer.discretisation.form_compilation import unit_values
 from thinlayer.discretisation.supports import Place
 from thinlayer.discretisation.time_functions import TimeLevel
 
@@ -50,14 +50,14 @@ def motion_fields(x: Array, about: Array) -> Array:
     The motions are d translations, then rotations about the point `about` (d,).
     """
     n, d = x.shape
-    shifts, turns = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", UNIT_ROTATIONS[d], x - about)
-    return np.concatenate([shifts, turns], axis=2)
+    shifts, rotations = np.broadcast_to(np.eye(d), (n, d, d)), np.einsum("kij,nj->nik", UNIT_ROTATIONS[d], x - about)
+    return np.concatenate([shifts, rotations], axis=2)
 
 
 def balanced_motions(kinematics: Kinematics, dim: int) -> Array:
     """Factors (k,) of the k unit rigid motions, translations first: 0 if resultants vanish by axisymmetry, else 1."""
-    free = np.isin(np.arange(dim), kinematics.translations(dim))
-    return np.append(free, np.full(motion_count(dim) - dim, kinematics.rotations)).astype(float)
+    has_resultant = np.isin(np.arange(dim), kinematics.translations(dim))
+    return np.append(has_resultant, np.full(motion_count(dim) - dim, kinematics.rotations)).astype(float)
 
 
 def moment_centre(kinematics: Kinematics, x: Array) -> Array:
@@ -72,9 +72,9 @@ def motion_expression(mesh: Mesh, about: Array) -> tuple[fem.Constant, Expr]:
     """
     x, d = ufl.SpatialCoordinate(mesh), len(about)
     motion = fem.Constant(mesh, np.zeros(motion_count(d)))
-    arm, turns = x - ufl.as_vector(about.tolist()), enumerate(UNIT_ROTATIONS[d].tolist())
-    turned = (motion[d + k] * ufl.dot(ufl.as_matrix(turn), arm) for k, turn in turns)
-    return motion, sum(turned, ufl.as_vector([motion[i] for i in range(d)]))
+    arm, rotations = x - ufl.as_vector(about.tolist()), enumerate(UNIT_ROTATIONS[d].tolist())
+    rotated = (motion[d + k] * ufl.dot(ufl.as_matrix(rotation), arm) for k, rotation in rotations)
+    return motion, sum(rotated, ufl.as_vector([motion[i] for i in range(d)]))
 
 
 def motion_values(x: Array, about: Array, rows: IntArray) -> Array:
@@ -94,23 +94,23 @@ def scaled_motions(joint: Joint, kinematics: Kinematics) -> dict[str, Array]:
     in 3D. Others would move one side against the other. In axisymmetry only the translation along the axis is left.
     """
     d, size, basis = joint.dim, joint.size, np.eye(motion_count(joint.dim))
-    shares = {f"translation {AXIS_NAMES[i]}": basis[i] for i in kinematics.translations(d)}
+    coefficients = {f"translation {AXIS_NAMES[i]}": basis[i] for i in kinematics.translations(d)}
     if joint.periods:
         vectors = joint.periods.vectors(joint.points)
         if d == 3 and np.linalg.matrix_rank(vectors) == 1:
             axis = vectors[0] / np.linalg.norm(vectors[0])
-            shares[f"rotation about ({', '.join(f'{c:.3g}' for c in axis)})"] = axis @ basis[d:] / size
+            coefficients[f"rotation about ({', '.join(f'{c:.3g}' for c in axis)})"] = axis @ basis[d:] / size
     elif kinematics.rotations:
         for k, (i, j, sense) in reversed([*enumerate(ROTATION_PLANES[d])]):
-            shares[f"rotation {AXIS_NAMES[i]}{AXIS_NAMES[j]}"] = basis[d + k] * sense / size
-    return shares
+            coefficients[f"rotation {AXIS_NAMES[i]}{AXIS_NAMES[j]}"] = basis[d + k] * sense / size
+    return coefficients
 
 
 def model_motion_values(model: Model, rows: IntArray, kinematics: Kinematics | None = None) -> Array:
     """Values (m, k) of the k rigid motions of `scaled_motions` at the displacement dofs `rows` (m,), local numbers."""
     joint = model.domain.joint
-    shares = [*scaled_motions(joint, kinematics or model.kinematics).values()]
-    return motion_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(shares)
+    coefficients = [*scaled_motions(joint, kinematics or model.kinematics).values()]
+    return motion_values(model.places, joint.points.mean(axis=0), rows) @ np.transpose(coefficients)
 
 
 def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[str, fem.Function]:
@@ -122,7 +122,7 @@ def model_motions(model: Model, kinematics: Kinematics | None = None) -> dict[st
     return modes
 
 
-def resistance_matrices(model: Model, resistances: Sequence[Resistance]) -> Array:
+def resistance_matrix(model: Model, resistances: Sequence[Resistance]) -> Array:
     """Gram matrix (m, m) of the constraint violations of m rigid motions, plus scaled stiffnesses. Collective.
 
     A motion that nothing prevents is in its null space.
@@ -135,17 +135,17 @@ def resistance_matrices(model: Model, resistances: Sequence[Resistance]) -> Arra
     matrix = model.constraints.resistance(partial(model_motion_values, model))
     motions = [*model_motions(model).values()] if resistances else []
     for resistance in resistances:
-        work = resistance(motions)
-        size = np.abs(work).max()
+        stiffness = resistance(motions)
+        size = np.abs(stiffness).max()
         if np.isfinite(size) and size > 0:
-            matrix = matrix + (work + work.T) / (2 * size)
+            matrix = matrix + (stiffness + stiffness.T) / (2 * size)
     return np.asarray(matrix, float)
 
 
 def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[str, ...]:
     """Return the names of the axes along which nothing prevents a translation.
 
-    `resistance` (m, m) is the matrix of `resistance_matrices` for the motions of `scaled_motions`.
+    `resistance` (m, m) is the matrix of `resistance_matrix` for the motions of `scaled_motions`.
     """
     # translations are the first motions of `scaled_motions`
     axes = [*kinematics.translations(joint.dim)]
@@ -157,12 +157,12 @@ def free_axes(joint: Joint, kinematics: Kinematics, resistance: Array) -> tuple[
 def require_support(names: Sequence[str], resistance: Array) -> None:
     """Raise InputError if nothing prevents one of m rigid motions with these names, or a combination of them.
 
-    `resistance` (m, m) is the matrix of `resistance_matrices` for these motions.
+    `resistance` (m, m) is the matrix of `resistance_matrix` for these motions.
     """
     values, vectors = np.linalg.eigh(resistance)
     if values[0] <= MIN_RELATIVE_EIGENVALUE * max(values[-1], 1.0):
-        free = names[int(np.argmax(np.abs(vectors[:, 0])))]
-        raise InputError(f"no support against rigid motion of the structure ({free}); add supports")
+        motion = names[int(np.argmax(np.abs(vectors[:, 0])))]
+        raise InputError(f"no support against rigid motion of the structure ({motion}); add supports")
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,8 +186,8 @@ class Resultant:
         return Resultant(self.force, self.moment + (moment if len(moment) > 1 else moment[0]), point)
 
     def __add__(self, other: Resultant) -> Resultant:
-        there = other.at(self.about)
-        return Resultant(self.force + there.force, self.moment + there.moment, self.about)
+        shifted = other.at(self.about)
+        return Resultant(self.force + shifted.force, self.moment + shifted.moment, self.about)
 
     def __neg__(self) -> Resultant:
         return Resultant(-self.force, -self.moment, self.about)
@@ -209,8 +209,8 @@ def centroid(domain: Domain, name: str) -> Array:
     """Centroid (d,) of a named facet set, including the side of a layer that continues it. Collective."""
     mesh = domain.mesh
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=domain.facet_tags)(domain.values(name, layer_sides=True))
-    chosen = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
-    sums = per_unit(domain.comm, ufl.dot(chosen, ufl.as_vector([*ufl.SpatialCoordinate(mesh), 1.0])) * ds, chosen)
+    unit = fem.Constant(mesh, np.zeros(domain.joint.dim + 1))
+    sums = unit_values(domain.comm, ufl.dot(unit, ufl.as_vector([*ufl.SpatialCoordinate(mesh), 1.0])) * ds, unit)
     centre = sums[:-1] / sums[-1]
     return np.asarray(np.where(np.abs(centre) > COMPONENT_TOLERANCE * domain.joint.size, centre, 0.0))
 
@@ -222,7 +222,7 @@ def resultants_of_loads(model: Model, t: float, work: Callable[[Expr], Mapping[s
     """
     level = TimeLevel(t)
     motion, v = motion_expression(model.domain.mesh, model.centre)
-    return {name: resultant(model, per_unit(model.comm, level.of(form), motion)) for name, form in work(v).items()}
+    return {name: resultant(model, unit_values(model.comm, level.of(form), motion)) for name, form in work(v).items()}
 
 
 def resultant(model: Model, values: Array) -> Resultant:

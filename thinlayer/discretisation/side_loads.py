@@ -66,10 +66,10 @@ class SideLoad:
         """Yield the tractions on the side of a layer, except those that are zero."""
         rim = layer.sheet.rim
         for name, load in sorted((model.structure.tractions or {}).items()):
-            whole, value = FacetName.parse(name).continued, load.p if isinstance(load, Pressure) else load
-            zero = not callable(value) and not np.any(np.asarray(value, float))
-            if whole != name and not zero and (here := rim.on(model.joint.facets[whole])).any():
-                yield cls(f"traction on {name!r}", load, rim[here])
+            facet_set, value = FacetName.parse(name).continued, load.p if isinstance(load, Pressure) else load
+            is_zero = not callable(value) and not np.any(np.asarray(value, float))
+            if facet_set != name and not is_zero and (on_rim := rim.on(model.joint.facets[facet_set])).any():
+                yield cls(f"traction on {name!r}", load, rim[on_rim])
 
 
 def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interface) -> None:
@@ -81,11 +81,11 @@ def add_side_loads(forces: Forces, model: Model, layer: SeamLayer, sides: Interf
         InputError: it is not known how the force is distributed over the faces there.
     """
     r = model.applicability[layer.name]
-    loose = ridge_keys(r.loose.vertices)
+    open_keys = ridge_keys(r.open_rim.vertices)
     for load in SideLoad.of(model, layer):
-        if layer.has_pressure_flow or r.weights is None or not np.isin(ridge_keys(load.rim.vertices), loose).all():
-            refused = None if layer.has_pressure_flow else r.why_not("ends")
-            why = "a support holds the side" if not refused else refused.reason
+        if layer.has_pressure_flow or r.weights is None or not np.isin(ridge_keys(load.rim.vertices), open_keys).all():
+            violation = None if layer.has_pressure_flow else r.why_not("ends")
+            why = "a support holds the side" if not violation else violation.reason
             why = "its pressure of order 1 is zero at free ends" if layer.has_pressure_flow else why
             reason = f"the {load.what} acts on the side of {layer}, and how it reaches the faces is not known: {why}"
             raise Violation("loaded side", reason, "use order=0, which leaves it out, or mesh the layer").error()
@@ -98,18 +98,18 @@ def _end_load(load: SideLoad, at: Coordinates, model: Model, layer: SeamLayer, s
 
     The forces are distributed over strips along the ends. `at` has the place and the time as arguments of loads.
     """
-    mesh, based = model.domain.mesh, layer.name in model.joint.base_seams
+    mesh, on_base = model.domain.mesh, layer.name in model.joint.base_seams
     for end in straight_ends(load.rim, layer.sheet):
-        shares = np.zeros((len(model.joint.cells), 1, 5))
+        densities = np.zeros((len(model.joint.cells), 1, 5))
         upper = model.joint.surface_cells[layer.sheet.facets, 1]
-        shares[upper, 0] = _shares(end, load.rim, layer)
-        facet_shares = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), shares))
+        densities[upper, 0] = _load_densities(end, load.rim, layer)
+        facet_densities = sides.upper(cellwise_function(model.domain, ("DG", 0, (5,)), densities))
         m, offset = fem.Constant(mesh, end.m), fem.Constant(mesh, end.offset)
         place = at.moved(at.x + (offset - ufl.dot(m, at.x)) * m)
-        yield place.traction(load.load, load.what, m), _transferred_load(facet_shares, m, sides, based)
+        yield place.traction(load.load, load.what, m), _transferred_load(facet_densities, m, sides, on_base)
 
 
-def _shares(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
+def _load_densities(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
     """Densities (n, 5) on the n facets of S, by which a traction on the side of a free end is multiplied.
 
     The first three give the forces per area of S along m (outward), n and the end. They integrate to the total force on
@@ -121,34 +121,34 @@ def _shares(end: StraightEnd, rim: Rim, layer: SeamLayer) -> FloatArray:
     strips, points, within = EndStrips.of(constants), sheet.joint.points, partial(shares_within, end, sheet)
     area = mean_on_facets(sheet, kinematics.factor_at(points[sheet.vertices].mean(axis=1)))
     factor = area * np.bincount(np.searchsorted(sheet.facets, sheet.parts[0]), sheet.areas)
-    ends = points[rim.vertices].mean(axis=1)
-    at_end = kinematics.factor_at(ends[end.has(ends)]).mean()
+    middles = points[rim.vertices].mean(axis=1)
+    end_factor = kinematics.factor_at(middles[end.has(middles)]).mean()
     l_N, l_T = strips.opening.length, strips.shear.length
     shares = [within(eps * reach) for reach in (strips.r_N, strips.r_T, 2 * ANTIPLANE_MOMENT)]
-    forces = [eps * end.length * at_end * share / (share @ factor) for share in shares]
-    drawn = constants.drawn_in / l_N * within(eps * l_N), constants.c_T / l_T * within(eps * l_T)
-    return np.stack([*forces, *drawn], axis=1)
+    forces = [eps * end.length * end_factor * share / (share @ factor) for share in shares]
+    jump_densities = constants.drawn_in / l_N * within(eps * l_N), constants.c_T / l_T * within(eps * l_T)
+    return np.stack([*forces, *jump_densities], axis=1)
 
 
 def _transferred_load(shares: Expr, m: Expr, sides: Interface, based: bool) -> LoadRegion:
-    """Return the region on S of a load on the layer's side, from its five densities `shares`, see `_shares`.
+    """Return the region on S of a load on the layer's side, from its five densities `shares`, see `_load_densities`.
 
     m (d,) is the outward normal of the end in S; `based`: S stands on a rigid base.
     """
     n = sides.n
     along_m, along_n, along_end, opening, shear = (shares[k] for k in range(5))
 
-    def of_mean(v: Expr) -> Expr:
-        parts = (along_m - along_end) * ufl.dot(m, v) * m + (along_n - along_end) * ufl.dot(n, v) * n
-        return along_end * v + parts
+    def mean_test(v: Expr) -> Expr:
+        face_part = (along_m - along_end) * ufl.dot(m, v) * m + (along_n - along_end) * ufl.dot(n, v) * n
+        return along_end * v + face_part
 
-    def of_jump(w: Expr) -> Expr:
+    def jump_test(w: Expr) -> Expr:
         return opening * ufl.dot(n, w) * m + shear * ufl.dot(m, w) * n
 
-    def moved(v: Expr) -> Expr:
-        return of_mean((sides.upper(v) + sides.lower(v)) / 2) - of_jump(sides.jump(v))
+    def faces_test(v: Expr) -> Expr:
+        return mean_test((sides.upper(v) + sides.lower(v)) / 2) - jump_test(sides.jump(v))
 
-    def on_base(v: Expr) -> Expr:
-        return of_mean(sides.upper(v) / 2) + of_jump(sides.upper(v))
+    def base_test(v: Expr) -> Expr:
+        return mean_test(sides.upper(v) / 2) + jump_test(sides.upper(v))
 
-    return LoadRegion(sides.measure, sides.factor, sides.upper, moved, on_base if based else None)
+    return LoadRegion(sides.measure, sides.factor, sides.upper, faces_test, base_test if based else None)

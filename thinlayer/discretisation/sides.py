@@ -23,8 +23,8 @@ from thinlayer.discretisation.mesh_functions import cellwise_function
 from thinlayer.discretisation.part_definition import PartDefinition
 
 COSINE_TOLERANCE = 1e-6  # tolerance of squared cosines between directions
-FLAT_DIRECTION_SHARE = 1e-3  # squared cosine up to which directions count as orthogonal: within 2 degrees
-CURVED_DIRECTION_SHARE = 0.03  # the same for curved S, from which straight facets deviate by 10 degrees
+FLAT_SQUARED_COSINE = 1e-3  # squared cosine up to which directions count as orthogonal: within 2 degrees
+CURVED_SQUARED_COSINE = 0.03  # the same for curved S, from which straight facets deviate by 10 degrees
 NO_END = 1e3  # distance of the nearest end, over the size of the joint, where there is no end
 
 
@@ -40,10 +40,10 @@ def side_kinds(layer: SeamLayer) -> npt.NDArray[np.str_]:
     sheet, projectors = layer.sheet, constrained_directions(layer)
     normals = sheet.joint.interface_normals[sheet.parts[0][sheet.rim.simplex]]
     shares = np.stack([np.einsum("ni,nij,nj->n", e, projectors, e) for e in (sheet.rim.outward, normals)], axis=1)
-    slight = FLAT_DIRECTION_SHARE if sheet.planar else CURVED_DIRECTION_SHARE
-    along, across = (shares > slight).T
+    tolerance = FLAT_SQUARED_COSINE if sheet.planar else CURVED_SQUARED_COSINE
+    along, across = (shares > tolerance).T
     kinds = np.array([["free", "antisymmetric"], ["symmetric", "held"]])[along.astype(int), across.astype(int)]
-    return np.where(((shares <= slight) | (shares >= 1 - slight)).all(axis=1), kinds, "oblique")
+    return np.where(((shares <= tolerance) | (shares >= 1 - tolerance)).all(axis=1), kinds, "oblique")
 
 
 def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArray:
@@ -61,14 +61,14 @@ def constrained_directions(layer: SeamLayer, of_layer: bool = True) -> FloatArra
         name = FacetName.parse(place).continued if isinstance(place, str) else S
         if name in (S, *joint.seams) or name not in joint.facets or (name != place and not of_layer):
             continue  # a vertex, the side of one body, or that of the layer
-        on = np.isin(keys, continued_ridges(joint, joint.facets[name]))
+        on_rim = np.isin(keys, continued_ridges(joint, joint.facets[name]))
         for axis in components:
-            direction = np.eye(d)[axes.index(axis)] if axis in axes else _normals(joint, rim, name)
-            dyads += np.where(on[:, None], direction, 0.0)[:, :, None] * direction[..., None, :]
+            direction = np.eye(d)[axes.index(axis)] if axis in axes else _rim_normals(joint, rim, name)
+            dyads += np.where(on_rim[:, None], direction, 0.0)[:, :, None] * direction[..., None, :]
     return np.asarray(dyads @ np.linalg.pinv(dyads, rcond=COSINE_TOLERANCE, hermitian=True))
 
 
-def _normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
+def _rim_normals(joint: Joint, rim: Rim, name: str) -> FloatArray:
     """Mean unit normals (n, d) of a named facet set at n ridges; where it has no facets, the outward direction in S."""
     normals = side_normals(joint, name, rim.vertices)
     return np.where(np.isnan(normals), rim.outward, normals)

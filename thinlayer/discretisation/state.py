@@ -18,7 +18,7 @@ from forms.tensors import MANDEL_PAIRS, Expr, mandel_tensor, mandel_vector, thre
 from forms.work import Term, energy, stress, with_added_strain
 from geometry.seam import BASE, S
 from geometry.topology import IntArray
-from thinlayer.discretisation.form_compilation import compiled_scalars, per_unit, whole_structure_form
+from thinlayer.discretisation.form_compilation import compiled_scalars, unit_values, whole_structure_form
 from thinlayer.discretisation.key import BODY_KIND, LAYER_KIND, PRESSURE_KIND, Key
 from thinlayer.discretisation.layer import BODIES
 from thinlayer.discretisation.model import Model
@@ -173,9 +173,9 @@ class State(Configuration):
             InputError: it is no form, or depends on the time; a number in it is not finite or not real; no cell or
                 facet has one of its tags.
         """
-        return self._sum(whole_structure_form(form, self.model))
+        return self._integral(whole_structure_form(form, self.model))
 
-    def _sum(self, form: ufl.Form) -> float:
+    def _integral(self, form: ufl.Form) -> float:
         return float(self.model.comm.allreduce(sum(map(fem.assemble_scalar, compiled_scalars(form)))))
 
     def energies(self) -> dict[str, float]:
@@ -200,7 +200,7 @@ class State(Configuration):
     def load_work(self) -> float:
         """Work of the loads in the displacements. Collective."""
         part_work = sum(part.load_work(self.model, self) for part in self.model.parts)
-        return self._sum(self.model.external_work(self.u, self.t)) + part_work
+        return self._integral(self.model.external_work(self.u, self.t)) + part_work
 
     def reaction(self, place: Place, about: Sequence[float] | None = None) -> Resultant:
         """Return the reaction of a place: of its supports and springs, or of the rigid base of a layer. Collective.
@@ -219,16 +219,16 @@ class State(Configuration):
         Raises:
             InputError: the place is free: it has no supports, springs or rigid base.
         """
-        model, every = self.model, self.reactions_by_place()
+        model, reactions = self.model, self.reactions_by_place()
         bases = {BASE, *model.joint.base_seams}
-        chosen = [name for name in every if is_part(name, place)]
-        if place == S or (place in bases and not chosen):
-            chosen = [name for name in every if name in bases]
-        if not chosen:
-            holders = ", ".join(map(repr, every)) or "nothing"
+        places = [name for name in reactions if is_part(name, place)]
+        if place == S or (place in bases and not places):
+            places = [name for name in reactions if name in bases]
+        if not places:
+            holders = ", ".join(map(repr, reactions)) or "nothing"
             raise InputError(f"nothing holds {place!r}: it is free of supports and springs; held are: {holders}")
-        point = moment_centre(model.kinematics, default_moment_point(model, place, chosen)) if about is None else about
-        return reduce(add, (every[name] for name in chosen)).at(point)
+        point = moment_centre(model.kinematics, default_moment_point(model, place, places)) if about is None else about
+        return reduce(add, (reactions[name] for name in places)).at(point)
 
     def reactions_by_place(self, about: Sequence[float] | None = None) -> dict[Place, Resultant]:
         """Reactions of all places that support the structure, by place.
@@ -238,8 +238,8 @@ class State(Configuration):
         model = self.model
         if self.reactions is None:
             raise InputError("this state has no reactions: it was not solved for")
-        of_parts = [row for part in model.parts for row in part.reaction(model, self.u)]
-        rows = [*zip(model.holders, self.reactions, strict=True), *of_parts]
+        part_rows = [row for part in model.parts for row in part.reaction(model, self.u)]
+        rows = [*zip(model.holders, self.reactions, strict=True), *part_rows]
         reactions = [(place, resultant(model, values)) for place, values in rows]
         on_bases = resultants_of_loads(model, self.t, model.forces.work_on_bases)
         reactions += [(name, -load) for name, load in on_bases.items()]
@@ -270,12 +270,12 @@ class State(Configuration):
     @cached_property
     def bodies(self) -> list[Term]:
         """Terms of the bodies' laws at the state's time, with prescribed strains and the mean strain. Collective."""
-        return self._strained(self.model.bodies)
+        return self._terms_at_time(self.model.bodies)
 
     @cached_property
     def layers(self) -> list[Term]:
         """Terms of the layers' laws at the state's time, with prescribed strains and, if meshed, the mean strain."""
-        return self._strained(self.model.layer_terms, on_s=self.model.broken)
+        return self._terms_at_time(self.model.layer_terms, on_s=self.model.broken)
 
     @cached_property
     def elastic_share(self) -> float:
@@ -292,14 +292,14 @@ class State(Configuration):
                 values = law.parameters() | law.fields_at(points.joint_x)
                 term = next(new for old, new in zip(self.model.terms, terms, strict=True) if old is points.term)
                 e = points.values(mandel_vector(term.strain(self.u)))
-                springs = values["lmbda"] * e[:, :3].sum(axis=1) ** 2 + 2 * values["mu"] * (e**2).sum(axis=1)
-                springs *= values["elastic_fraction"]
-                rest = abs((self.stresses[key] * e).sum(axis=1) - springs)
-                work[int(Key.parse(key).kind == BODY_KIND)] += points.weights @ springs, points.weights @ rest
+                spring_work = values["lmbda"] * e[:, :3].sum(axis=1) ** 2 + 2 * values["mu"] * (e**2).sum(axis=1)
+                spring_work *= values["elastic_fraction"]
+                other_work = abs((self.stresses[key] * e).sum(axis=1) - spring_work)
+                work[int(Key.parse(key).kind == BODY_KIND)] += points.weights @ spring_work, points.weights @ other_work
         work = self.model.comm.allreduce(work)
         return float((work[:, 0] / np.maximum(work.sum(axis=1), np.finfo(float).tiny)).max())
 
-    def _strained(self, terms: list[Term], *, on_s: bool = False) -> list[Term]:
+    def _terms_at_time(self, terms: list[Term], *, on_s: bool = False) -> list[Term]:
         """Return terms at the time of the state; unless they are on S, the mean strain under a mean stress is added."""
         terms = TimeLevel(self.t).terms(terms)
         if on_s or not self.model.stress:
@@ -312,13 +312,13 @@ class State(Configuration):
         For a compiled law it exists only at the quadrature points of the term: integrate it over these, as `work` does.
         On S see `Surface.traction`.
         """
-        return next(self._stressed([term]))[1]
+        return next(self._terms_with_stress([term]))[1]
 
     def work(self, terms: Iterable[Term], v: Expr) -> Expr:
         """Virtual work of terms' stresses in the strains of v, a UFL form; not for compiled laws on S. Collective."""
-        return sum(ufl.inner(s, p.strain(v)) * p.weight * measure for p, s, measure in self._stressed(terms))
+        return sum(ufl.inner(s, p.strain(v)) * p.weight * measure for p, s, measure in self._terms_with_stress(terms))
 
-    def _stressed(self, terms: Iterable[Term]) -> Iterator[tuple[Term, Expr, ufl.Measure]]:
+    def _terms_with_stress(self, terms: Iterable[Term]) -> Iterator[tuple[Term, Expr, ufl.Measure]]:
         """Yield terms with their stresses (3, 3) and measures of integration; InputError for compiled laws on S."""
         for p in terms:
             if not p.law.traits.compiled:
@@ -337,18 +337,18 @@ class State(Configuration):
         In a periodic cell it is the stress of the cell as a whole, a layer on S included, see `Model.volume`.
         """
         model, d = self.model, self.model.joint.dim
-        chosen = fem.Constant(model.domain.mesh, np.zeros(len(VOIGT_PAIRS_OF_DIM[d])))
+        components = fem.Constant(model.domain.mesh, np.zeros(len(VOIGT_PAIRS_OF_DIM[d])))
         terms = self.bodies if model.broken else [*self.bodies, *self.layers]
-        unit = three_dimensional(voigt_strain(chosen))
-        works = sum(ufl.inner(s, unit) * p.weight * measure for p, s, measure in self._stressed(terms))
-        return per_unit(model.comm, works, chosen)[VOIGT_POSITIONS_OF_DIM[d]] / model.volume
+        unit = three_dimensional(voigt_strain(components))
+        work_form = sum(ufl.inner(s, unit) * p.weight * measure for p, s, measure in self._terms_with_stress(terms))
+        return unit_values(model.comm, work_form, components)[VOIGT_POSITIONS_OF_DIM[d]] / model.volume
 
     def _stored(self, terms: Sequence[Term]) -> float:
         """Stored energy of the terms whose laws are in UFL forms; NaN if one declares no energy. Collective."""
         in_forms = [p for p in terms if not p.law.traits.compiled]
         if not all(p.law.traits.has_energy for p in in_forms):
             return math.nan
-        return self._sum(energy(in_forms, self.u)) if in_forms else 0.0
+        return self._integral(energy(in_forms, self.u)) if in_forms else 0.0
 
 
 def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
@@ -360,9 +360,9 @@ def cell_values(f: fem.Function, model: Model, cells: IntArray) -> Array:
     dofmap, n_owned = f.function_space.dofmap, model.domain.mesh.topology.index_map(model.joint.dim).size_local
     nodes, values = dofmap.list[:n_owned], f.x.array.reshape(-1, dofmap.bs)
     by_cell, owned = values[nodes].reshape(n_owned, nodes.shape[1] * dofmap.bs), model.domain.original_cells[:n_owned]
-    wanted, at = np.unique(cells, return_inverse=True)
+    wanted, positions = np.unique(cells, return_inverse=True)
     cell_data = carry_cell_values(model.comm, owned, lambda k: by_cell[k], wanted)
-    return np.asarray(cell_data.reshape(-1, nodes.shape[1], dofmap.bs)[at.reshape(cells.shape)])
+    return np.asarray(cell_data.reshape(-1, nodes.shape[1], dofmap.bs)[positions.reshape(cells.shape)])
 
 
 def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model) -> fem.Function:
@@ -370,10 +370,10 @@ def transfer(f: fem.Function, source: Model, V: fem.FunctionSpace, target: Model
 
     Both models are of one joint. Values in meshed layers of `target` are zero.
     """
-    there = target.domain.original_cells
-    wanted = np.flatnonzero(there < len(source.joint.cells))
+    cell_numbers = target.domain.original_cells
+    in_source = np.flatnonzero(cell_numbers < len(source.joint.cells))
     out = fem.Function(V)
-    out.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[wanted]] = cell_values(f, source, there[wanted])
+    out.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[in_source]] = cell_values(f, source, cell_numbers[in_source])
     out.x.scatter_forward()
     return out
 

@@ -53,9 +53,9 @@ class Supports:
 
     Attributes:
         values: (position in `entries`, component) -> its `Coefficient`; clamped facets have none.
-        moving: places where a component is a function, or a number that is not 0.
+        moving_places: places where a component is a function, or a number that is not 0.
         user_entries: (place, components) of each support of the user; `entries` also has clamped facets.
-        anchored: components that are fixed at one vertex of a periodic joint, because nothing else prevents the
+        anchor_axes: components that are fixed at one vertex of a periodic joint, because nothing else prevents the
             translation; the reactions there are zero.
         on_axis: mask (n,) of the points of the joint that lie on an axis of revolution.
 
@@ -77,19 +77,19 @@ class Supports:
                 domain.joint.nearest_point(place)
             entries.append((place, self._components(place, support)))
         self.user_entries = tuple(entries)
-        self.values, self.moving = dict[tuple[int, str], Coefficient](), list[Place]()
+        self.values, self.moving_places = dict[tuple[int, str], Coefficient](), list[Place]()
         for number, (place, components) in enumerate(entries):
             for axis, value in components.items():
                 self.values[number, axis] = coeff = at.coefficient(value, f"support on {place!r}: component {axis}", ())
-                self.moving += [place] if coeff.varies or coeff.value != 0 else []
-        self.anchored: tuple[str, ...] = ()
+                self.moving_places += [place] if coeff.varies or coeff.value != 0 else []
+        self.anchor_axes: tuple[str, ...] = ()
         self.on_axis = nodes_on_axis(kinematics, domain.joint)
 
     @property
     def entries(self) -> tuple[tuple[Place, Components], ...]:
         """(place, components) of all supports, clamped facets last."""
-        nothing: Components = dict.fromkeys(self.axes, 0.0)
-        return (*self.user_entries, *((place, nothing) for place in self.clamped))
+        zeros: Components = dict.fromkeys(self.axes, 0.0)
+        return (*self.user_entries, *((place, zeros) for place in self.clamped))
 
     def _components(self, place: Place, support: Support) -> Components:
         require(not callable(support) and support is not None, f"support on {place!r}", support, "give {axis: value}")
@@ -100,7 +100,7 @@ class Supports:
         return components
 
     def dofs(self, V: fem.FunctionSpace, place: Place, axis: str) -> Indices:
-        """Local degrees of freedom in V (unrolled, ghosts included) of one component, `axis`, at a place. Collective.
+        """Local degrees of freedom in V (unrolled, ghosts included) of one component, `axis_dofs`, at a place. Collective.
 
         For the normal component these are the dofs of all components.
         """
@@ -118,33 +118,33 @@ class Supports:
             V: the space.
             clamped: whether to include the dofs of clamped facets and of an anchored vertex.
         """
-        entries, anchors = (self.entries, [self.anchors(V)]) if clamped else (self.user_entries, [])
+        entries, anchors = (self.entries, [self.anchor_dofs(V)]) if clamped else (self.user_entries, [])
         dofs = [self.dofs(V, place, axis) for place, components in entries for axis in components]
-        return np.unique(np.concatenate([*dofs, *anchors, self.axis(V)]))
+        return np.unique(np.concatenate([*dofs, *anchors, self.axis_dofs(V)]))
 
-    def anchors(self, V: fem.FunctionSpace) -> Indices:
-        """Local degrees of freedom (unrolled, with ghosts) of the components `anchored`, at one vertex. Collective."""
-        if not self.anchored:
+    def anchor_dofs(self, V: fem.FunctionSpace) -> Indices:
+        """Local degrees of freedom (unrolled, with ghosts) of the components `anchor_axes`, at one vertex. Collective."""
+        if not self.anchor_axes:
             return np.empty(0, np.int32)
         owned = self.domain.mesh.topology.index_map(self.domain.joint.dim).size_local
         cells = np.flatnonzero(self.domain.original_cells[:owned] == 0)
-        corner = np.asarray(V.dofmap.list)[cells][:, V.dofmap.dof_layout.entity_dofs(0, 0)].ravel()
-        mark = fem.Function(V)
-        for axis in self.anchored:
-            mark.x.array[corner * V.dofmap.bs + self.axes.index(axis)] = 1.0
-        mark.x.scatter_reverse(la.InsertMode.add)  # another rank may own the corner of this rank's cell
-        mark.x.scatter_forward()
-        return np.flatnonzero(mark.x.array).astype(np.int32)
+        corner_dofs = np.asarray(V.dofmap.list)[cells][:, V.dofmap.dof_layout.entity_dofs(0, 0)].ravel()
+        marked = fem.Function(V)
+        for axis in self.anchor_axes:
+            marked.x.array[corner_dofs * V.dofmap.bs + self.axes.index(axis)] = 1.0
+        marked.x.scatter_reverse(la.InsertMode.add)  # another rank may own the corner of this rank's cell
+        marked.x.scatter_forward()
+        return np.flatnonzero(marked.x.array).astype(np.int32)
 
     def require_balance(self, b: PETSc.Vec, t: float) -> None:
-        """Raise InputError if nodal forces b at a time have a resultant along a component in `anchored`. Collective."""
+        """Raise InputError if nodal forces b at a time have a resultant along a component in `anchor_axes`. Collective."""
         total = self.domain.comm.allreduce(b.array_r.reshape(-1, len(self.axes)).sum(axis=0))
-        for axis in self.anchored:
+        for axis in self.anchor_axes:
             if abs(force := float(total[self.axes.index(axis)])) > LOAD_SUM_TOLERANCE * b.norm(PETSc.NormType.NORM_1):
-                what = f"the loads of the periodic joint add up to {force:g} along {axis} at t = {t:g}"
-                raise InputError(f"{what}, and nothing balances them; add supports, or loads whose sum is zero")
+                text = f"the loads of the periodic joint add up to {force:g} along {axis} at t = {t:g}"
+                raise InputError(f"{text}, and nothing balances them; add supports, or loads whose sum is zero")
 
-    def axis(self, V: fem.FunctionSpace) -> Indices:
+    def axis_dofs(self, V: fem.FunctionSpace) -> Indices:
         """Local degrees of freedom (unrolled, with ghosts) of the component x on an axis of revolution. Collective."""
         if not self.on_axis.any():
             return np.empty(0, np.int32)
@@ -152,19 +152,19 @@ class Supports:
         points, d = domain.original_points, domain.joint.dim
         for dim in (0, d - 1):
             topology.create_connectivity(dim, d)
-        local = [np.arange(m.size_local + m.num_ghosts, dtype=np.int32) for m in map(topology.index_map, (0, d - 1))]
-        vertices = local[0][self.on_axis[points[entities_to_geometry(domain.mesh, 0, local[0]).ravel()]]]
-        facets = local[1][self.on_axis[domain.joint.table.vertices[domain.numbers(d - 1, local[1])]].all(axis=1)]
-        along = fem.locate_dofs_topological(V.sub(0), d - 1, facets)
-        return np.union1d(along, vertex_dofs(V, vertices, 0)).astype(np.int32)
+        entities = [np.arange(m.size_local + m.num_ghosts, dtype=np.int32) for m in map(topology.index_map, (0, d - 1))]
+        vertices = entities[0][self.on_axis[points[entities_to_geometry(domain.mesh, 0, entities[0]).ravel()]]]
+        facets = entities[1][self.on_axis[domain.joint.table.vertices[domain.numbers(d - 1, entities[1])]].all(axis=1)]
+        facet_dofs = fem.locate_dofs_topological(V.sub(0), d - 1, facets)
+        return np.union1d(facet_dofs, vertex_dofs(V, vertices, 0)).astype(np.int32)
 
 
 def vertex_dofs(V: fem.FunctionSpace, vertices: Indices, component: int) -> Indices:
     """Local degrees of freedom in V (unrolled) of one component at some local vertices, in all cells around them."""
-    dofmap, of_cells = V.dofmap, V.mesh.topology.connectivity(V.mesh.topology.dim, 0)
-    corners = of_cells.array.reshape(of_cells.num_nodes, -1)
-    places = [dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(corners.shape[1])]
-    blocks = np.asarray(dofmap.list)[:, places][np.isin(corners, vertices)]
+    dofmap, connectivity = V.dofmap, V.mesh.topology.connectivity(V.mesh.topology.dim, 0)
+    cell_vertices = connectivity.array.reshape(connectivity.num_nodes, -1)
+    layout_dofs = [dofmap.dof_layout.entity_dofs(0, k)[0] for k in range(cell_vertices.shape[1])]
+    blocks = np.asarray(dofmap.list)[:, layout_dofs][np.isin(cell_vertices, vertices)]
     return np.unique(blocks * dofmap.bs + component).astype(np.int32)
 
 
@@ -229,21 +229,21 @@ class Prescribed:
         along_axes = ((k, c) for k, c in enumerate(self._sources) if c.axis != NORMAL_COMPONENT)
         source_dofs = [(k, supports.dofs(V, c.place, c.axis)) for k, c in along_axes]
         conditions: list[tuple[np.ndarray, np.ndarray, Array]] = []
-        for number, dofs in (*source_dofs, (-1, supports.anchors(V)), (-1, supports.axis(V))):
+        for number, dofs in (*source_dofs, (-1, supports.anchor_dofs(V)), (-1, supports.axis_dofs(V))):
             owned = np.unique(dofs[dofs < self.size])
             conditions.append((np.full(len(owned), number), owned, np.eye(d)[owned % d]))
         conditions.append(self._normal_conditions())
         source, dof, directions = (np.concatenate(column) for column in zip(*conditions, strict=True))
         entry = np.array([*(component.entry for component in self._sources), -1])[source]
         clamped = entry >= len(supports.user_entries)  # other conditions are dropped at a base
-        fast = np.zeros(self.size, bool)
-        fast[dof[clamped]] = True
-        kept = clamped | ~((np.abs(directions) > 0) & fast.reshape(-1, d)[dof // d]).any(axis=1)
+        is_clamped = np.zeros(self.size, bool)
+        is_clamped[dof[clamped]] = True
+        kept = clamped | ~((np.abs(directions) > 0) & is_clamped.reshape(-1, d)[dof // d]).any(axis=1)
         self.entry, self._source_of = entry[kept], source[kept]
         self._dof, self.directions = dof[kept], directions[kept]
         self.blocks = self._dof // d
-        rows = self.directions[:, None], self.blocks, np.arange(len(self.entry) + 1)
-        self.conditions = scipy.sparse.bsr_matrix(rows, (len(self.entry), self.size)).tocsr()
+        bsr = self.directions[:, None], self.blocks, np.arange(len(self.entry) + 1)
+        self.conditions = scipy.sparse.bsr_matrix(bsr, (len(self.entry), self.size)).tocsr()
         self.conditions.eliminate_zeros()
 
     def _normal_conditions(self) -> tuple[np.ndarray, np.ndarray, Array]:
@@ -256,10 +256,10 @@ class Prescribed:
                 columns.append(np.column_stack([np.full(len(nodes), number), nodes, n]))
         table, rows = np.concatenate(columns), [np.empty((0, d + 2))]
         table = table[np.argsort(table[:, 1], kind="stable")]
-        for same in np.split(table, np.flatnonzero(np.diff(table[:, 1])) + 1) if len(table) else []:
-            surface, unit = smooth_surfaces(same[:, 2:])
-            pairs = np.unique(np.column_stack([same[:, 0], surface]), axis=0).astype(int)
-            rows += [np.array([[source, same[0, 1] * d, *unit[k]]]) for source, k in pairs]
+        for node_rows in np.split(table, np.flatnonzero(np.diff(table[:, 1])) + 1) if len(table) else []:
+            surface, unit = smooth_surfaces(node_rows[:, 2:])
+            pairs = np.unique(np.column_stack([node_rows[:, 0], surface]), axis=0).astype(int)
+            rows += [np.array([[source, node_rows[0, 1] * d, *unit[k]]]) for source, k in pairs]
         conditions = np.concatenate(rows)
         return conditions[:, 0].astype(int), conditions[:, 1].astype(int), conditions[:, 2:]
 
@@ -276,8 +276,8 @@ class Prescribed:
             for number, source in enumerate(self._sources):
                 if source.expression is not None:
                     interpolate(source.value, source.expression)
-                rows = self._source_of == number
-                values[rows] = source.value.x.array[self._dof[rows]]
+                mask = self._source_of == number
+                values[mask] = source.value.x.array[self._dof[mask]]
         return values
 
     def condition_text(self, row: int, value: float) -> str:

@@ -49,15 +49,15 @@ class Clock:
     def at(self, t: float) -> Iterator[None]:
         """Return a context in which forms are assembled at the time t."""
         before = float(self.symbol)
-        self._show(t)
+        self._set_time(t)
         try:
             yield
         finally:
-            self._show(before)
+            self._set_time(before)
 
-    def _show(self, t: float) -> None:
-        for reading in self.symbol.time_constants:
-            reading.value = reading.at(t)
+    def _set_time(self, t: float) -> None:
+        for constant in self.symbol.time_constants:
+            constant.value = constant.at(t)
 
 
 class TimeConstant(fem.Constant):
@@ -103,8 +103,8 @@ class TimeConstant(fem.Constant):
             return set()
         y = np.array([self._argument_at(t) for t in SAMPLE_TIMES])
         rate, start = float(y[2] - y[1]), float(y[1])
-        straight = np.abs(start + rate * SAMPLE_TIMES - y).max() <= TIME_TOLERANCE * np.abs(y).max()  # False for NaN
-        return {(t - start) / rate for t in self._table.breaks} if straight and rate else set()
+        is_linear = np.abs(start + rate * SAMPLE_TIMES - y).max() <= TIME_TOLERANCE * np.abs(y).max()  # False for NaN
+        return {(t - start) / rate for t in self._table.breaks} if is_linear and rate else set()
 
 
 def time_constants(expression: Expr) -> list[TimeConstant]:
@@ -157,13 +157,13 @@ class StepStrains:
 
     def __init__(self, mesh: Mesh, terms: Iterable[Term]) -> None:
         self._varies = any(p.prescribed_strain is not None and time_constants(p.prescribed_strain) for p in terms)
-        self._before, self._theta, self._present = (fem.Constant(mesh, 1.0) for _ in range(3))
+        self._old_factor, self._theta, self._now_factor = (fem.Constant(mesh, 1.0) for _ in range(3))
         self._old, self._new, self._now = TimeLevel(), TimeLevel(), TimeLevel()
         self.grows = True
 
     def begin(self, old: float, new: float, theta: float, *, at_rest: bool) -> None:
         """Begin a step from time `old`, or from rest, to `new`; forces balance at the fraction theta of it."""
-        self._before.value, self._theta.value = 0.0 if at_rest else 1.0, theta
+        self._old_factor.value, self._theta.value = 0.0 if at_rest else 1.0, theta
         self.grows = at_rest or self._varies
         self._old.set(old)
         self._new.set(new)
@@ -172,19 +172,19 @@ class StepStrains:
         """Value of f where forces balance, theta f(new) + (1 - theta) f(old), as for displacements."""
         if not time_constants(f):
             return f
-        return self._theta * self._new.of(f) + (1 - self._theta) * self._before * self._old.of(f)
+        return self._theta * self._new.of(f) + (1 - self._theta) * self._old_factor * self._old.of(f)
 
     def growth(self, f: Expr) -> Expr:
         """Increment f(new) - f(old) over the step."""
-        return self._new.of(f) - self._before * self._old.of(f)
+        return self._new.of(f) - self._old_factor * self._old.of(f)
 
     def now(self, f: Expr) -> Expr:
-        """Value of f at the time set by `look_at`."""
-        return self._present * self._now.of(f)
+        """Value of f at the time set by `set_now`."""
+        return self._now_factor * self._now.of(f)
 
-    def look_at(self, t: float, *, at_rest: bool = False) -> None:
+    def set_now(self, t: float, *, at_rest: bool = False) -> None:
         """Set the time of `now`; at rest the values of `now` are zero."""
-        self._present.value = 0.0 if at_rest else 1.0
+        self._now_factor.value = 0.0 if at_rest else 1.0
         self._now.set(t)
 
 
@@ -210,25 +210,25 @@ class PiecewiseLinear:
             y = [*map(float, self.at(float(t)))]
         else:
             t = ufl.as_ufl(t)
-            now = _time(t)
+            now = _time_constant(t)
             y = [self._line(c, t) for c in self.columns.T] if now is None else [*TimeConstant(now.mesh, now, t, self)]
         return y[0] if self.scalar else y
 
     def at(self, t: float) -> Array:
         """Values (m,) of the m components at a time."""
         first, last = self.times[[0, -1]]
-        near = TIME_TOLERANCE * max(abs(first), abs(last))
-        if not first - near <= t <= last + near:
+        tolerance = TIME_TOLERANCE * max(abs(first), abs(last))
+        if not first - tolerance <= t <= last + tolerance:
             return np.full(self.columns.shape[1], np.nan)
         return np.array([np.interp(t, self.times, column) for column in self.columns.T])
 
     def _line(self, column: Array, t: Expr) -> Expr:
         """UFL expression of a component with values `column` (n,) at an argument t that also depends on the place."""
-        times, steps = [*map(float, self.times)], map(float, np.diff(column) / np.diff(self.times))
-        inside = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))
-        within = (ufl.max_value(0, ufl.min_value(t, b) - a) for a, b in pairwise(times))
-        value = sum((slope * length for slope, length in zip(steps, within, strict=True)), float(column[0]))
-        return ufl.conditional(inside, value, ufl.sqrt(-1 - t * t))
+        times, slopes = [*map(float, self.times)], map(float, np.diff(column) / np.diff(self.times))
+        in_range = ufl.And(ufl.ge(t, times[0]), ufl.le(t, times[-1]))
+        lengths = (ufl.max_value(0, ufl.min_value(t, b) - a) for a, b in pairwise(times))
+        value = sum((slope * length for slope, length in zip(slopes, lengths, strict=True)), float(column[0]))
+        return ufl.conditional(in_range, value, ufl.sqrt(-1 - t * t))
 
 
 def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr, Expr], Expr]:
@@ -269,9 +269,9 @@ def piecewise(values: Mapping[float, float | Sequence[float]]) -> Callable[[Expr
     return at
 
 
-def _time(expression: Expr) -> TimeConstant | None:
+def _time_constant(expression: Expr) -> TimeConstant | None:
     """Return the time constant in an expression that depends on the time alone; else None."""
     terminals = [node for node in unique_pre_traversal(expression) if isinstance(node, Terminal)]
     others = {node for node in terminals if not isinstance(node, (ConstantValue, MultiIndex))}
-    only = others.pop() if len(others) == 1 else None
-    return only if isinstance(only, TimeConstant) and only._time is None else None
+    terminal = others.pop() if len(others) == 1 else None
+    return terminal if isinstance(terminal, TimeConstant) and terminal._time is None else None

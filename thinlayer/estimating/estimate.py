@@ -86,56 +86,56 @@ def estimate(
     """
     start = time.perf_counter()
     solution = state.last if isinstance(state, History) else state
-    wanted = "it takes what solve or march returns; a description of a mesh file: thinlayer estimate"
-    require(isinstance(solution, State), "estimate: the state", solution, wanted)
+    hint = "it takes what solve or march returns; a description of a mesh file: thinlayer estimate"
+    require(isinstance(solution, State), "estimate: the state", solution, hint)
     with errors_on_all(solution.model.comm):
         require(is_finite(width) and width > 0, "estimate: width", width, "allowed: > 0, over the change of a goal")
         checked = _checked_goals(goals)
     model = _with_layers(solution, layer)
-    chosen = _checked_seams(model, solution.model.bonds, seam)
+    seams = _checked_seams(model, solution.model.bonds, seam)
     with errors_on_all(model.comm):
-        _require_subproblem(model, state, [model.layers[name] for name in chosen])
+        _require_subproblem(model, state, [model.layers[name] for name in seams])
         for name in solution.model.bonds:
             model.applicability[name].require("bonded", "estimate: ")
         for goal in checked.values():
             goal.check(model)
-    better = {name: _of_order_1(model.applicability[name]) for name in chosen}
-    meshed = {name: replace(thin_layer, order=0, edges=None) for name, thin_layer in better.items()}
+    order_1 = {name: _order_1_layer(model.applicability[name]) for name in seams}
+    meshed = {name: replace(thin_layer, order=0, edges=None) for name, thin_layer in order_1.items()}
     layers = LayerSubproblem(model, meshed, solution.t)
     values = {name: goal.value(solution, model) for name, goal in checked.items()}
     bounds: dict[str, GoalBounds] = {}
     old: State | None = None
     failed: list[SolveError] = []
-    bounded = model.linear and model.symmetric and isinstance(state, State)
-    narrow = width if bounded else None
-    for order, laws in enumerate(_models(model, better)):  # their tangents are preconditioners of the iteration
+    has_bounds = model.linear and model.symmetric and isinstance(state, State)
+    bound_width = width if has_bounds else None
+    for order, candidate in enumerate(_models(model, order_1)):  # their tangents are preconditioners of the iteration
         try:
-            *earlier, first = _states_of_path(state, laws, order > 0, options)
+            *earlier, first = _states_of_path(state, candidate, order > 0, options)
             before = earlier[-1] if earlier else None
             old = before if solution.model.bonds or not order else old
             _advance_layers(earlier, first, layers, options)
             with Adjoint(first, before, options) as adjoint:
                 iteration = GlobalLocal(adjoint, layers)
-                iterate, weights = iteration.run(checked, values, bounds, narrow)
+                iterate, weights = iteration.run(checked, values, bounds, bound_width)
                 energy = None if model.linear or before else iteration.energy(solution, iterate)
-                (last, inside), failed = iteration.states(iterate), []
-                if iteration.is_near(iterate, values, bounds, narrow):
+                (last, layer_state), failed = iteration.states(iterate), []
+                if iteration.is_near(iterate, values, bounds, bound_width):
                     break
         except SolveError as error:
-            if bounded:
+            if has_bounds:
                 raise
             failed = [error.with_traceback(None)]  # as in `Solver._try_in_turn`
     if failed:
         raise failed.pop()
-    squares = {name: squared_norms(solution, last, model.layers[name], inside) for name in chosen}
+    squares = {name: squared_norms(solution, last, model.layers[name], layer_state) for name in seams}
     errors = {name: LayerError(meshed[name], *relative_errors(square)) for name, square in squares.items()}
     goal_errors = {}
     for name, goal in checked.items():
-        at = bounds.get(name, GoalBounds(goal.value(last, model), math.nan, math.nan))
-        goal_errors[name] = _goal_error(name, values[name], goal.scale(last, model), at, bounded)
+        goal_bounds = bounds.get(name, GoalBounds(goal.value(last, model), math.nan, math.nan))
+        goal_errors[name] = _goal_error(name, values[name], goal.scale(last, model), goal_bounds, has_bounds)
     traction, jump = relative_errors(sum(squares.values(), np.zeros(4)))
-    seconds, by = time.perf_counter() - start, (layers, first, old, weights, checked, options)
-    return Estimate(solution, last, errors, goal_errors, traction, jump, seconds, inside, energy, *by)
+    seconds, data = time.perf_counter() - start, (layers, first, old, weights, checked, options)
+    return Estimate(solution, last, errors, goal_errors, traction, jump, seconds, layer_state, energy, *data)
 
 
 def _checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> list[str]:
@@ -153,39 +153,39 @@ def _checked_seams(model: InterfaceModel, bonds: Collection[str], seam: str) -> 
         raise InputError("estimate: the model has no layer whose mesh could be dropped; give a model with layers")
     require_known("layer", seam, (S, *model.layers), "estimate")
     if bonds and seam not in (S, *bonds):
-        what = f"estimate: {seam!r} has a layer, and bonds are at {', '.join(bonds)}"
-        raise InputError(f"{what}; ask of a bond, or of all, or solve it with layers alone")
+        text = f"estimate: {seam!r} has a layer, and bonds are at {', '.join(bonds)}"
+        raise InputError(f"{text}; ask of a bond, or of all, or solve it with layers alone")
     return [name for name in model.layers if seam in (S, name)]
 
 
-def _goal_error(name: str, value: float, scale: float, at: GoalBounds, bounded: bool) -> GoalError:
+def _goal_error(name: str, value: float, scale: float, bounds: GoalBounds, bounded: bool) -> GoalError:
     """Error of a goal, with bounds widened by rounding.
 
     Args:
         name: name of the goal.
         value: its value in the state.
         scale: its reference magnitude, see `Goal.scale`.
-        at: its estimate and bounds with the layer meshed.
+        bounds: its estimate and bounds with the layer meshed.
         bounded: whether the bounds hold; otherwise the error has none.
 
     Raises:
         SolveError: the estimate is not finite, or the bounds contradict each other.
     """
-    has_bounds = bounded and at.upper - at.lower < math.inf
-    slack = GOAL_TOLERANCE * max(abs(value), abs(at.estimate)) + at.rounding if has_bounds else math.nan
-    if not math.isfinite(at.estimate):
+    has_bounds = bounded and bounds.upper - bounds.lower < math.inf
+    slack = GOAL_TOLERANCE * max(abs(value), abs(bounds.estimate)) + bounds.rounding if has_bounds else math.nan
+    if not math.isfinite(bounds.estimate):
         raise SolveError(f"estimate: {name} is not finite where a law fails", advice=MESH_REMEDY)
-    if at.lower - at.upper > slack + FIXED_GOAL_SHARE * scale:
-        conflict = f"at least {at.lower:.9g}, and at most {at.upper:.9g}"
+    if bounds.lower - bounds.upper > slack + FIXED_GOAL_SHARE * scale:
+        conflict = f"at least {bounds.lower:.9g}, and at most {bounds.upper:.9g}"
         raise SolveError(f"estimate: the bounds of {name} contradict each other: {conflict}", advice=MESH_REMEDY)
-    return GoalError(value, at.estimate, scale, at.lower - slack, at.upper + slack)
+    return GoalError(value, bounds.estimate, scale, bounds.lower - slack, bounds.upper + slack)
 
 
-def _models(model: InterfaceModel, better: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
-    """Yield the model, then, if it exists, the same model with the layers `better`, whose laws are of order 1."""
+def _models(model: InterfaceModel, layers: Mapping[str, ThinLayer]) -> Iterator[InterfaceModel]:
+    """Yield the model, then, if it exists, the same model with the layers `layers`, whose laws are of order 1."""
     yield model
     try:
-        yield model.improved(better)
+        yield model.improved(layers)
     except InputError:  # as for laws of order 1 at junctions
         return
 
@@ -218,15 +218,15 @@ def _advance_layers(earlier: Sequence[State], last: State, layers: LayerSubprobl
         options: PETSc options, {name without prefix: value}.
     """
     path, before = [*earlier, last], None
-    inside = layers.rest(path[0].t)
-    layers.begin(inside, path[0].t)
+    layer_state = layers.rest(path[0].t)
+    layers.begin(layer_state, path[0].t)
     for now, following in pairwise(path):
         if not now.at_rest:
             with Adjoint(now, before, options) as adjoint:
                 iteration = GlobalLocal(adjoint, layers)
-                _, inside = iteration.states(iteration.newton())
+                _, layer_state = iteration.states(iteration.newton())
         before = now
-        layers.begin(inside, following.t)
+        layers.begin(layer_state, following.t)
 
 
 def _require_subproblem(model: InterfaceModel, state: State | History, dropped: Sequence[SeamLayer]) -> None:
@@ -242,16 +242,16 @@ def _require_subproblem(model: InterfaceModel, state: State | History, dropped: 
     """
     for name in model.layers:
         model.applicability[name].require("estimate", "estimate: ")
-    whole = f"mesh the {'layers' if len(model.layers) > 1 else 'layer'} (structure.full)"
+    remedy = f"mesh the {'layers' if len(model.layers) > 1 else 'layer'} (structure.full)"
     if _has_multi_point_constraints(model):
-        raise InputError(f"estimate: plates or inclined supports tie nodes on S; {whole}")
+        raise InputError(f"estimate: plates or inclined supports tie nodes on S; {remedy}")
     if isinstance(state, State) and state.sudden:
         return
     equations = Equations(model)
     try:
-        laws = [part for part in equations.layers if any(layer.owns_key(part.key) for layer in dropped)]
-        others = PartSum(part for part in equations.parts if part not in laws)
-        reason = f"estimate: {{}} remembers steps beside the layers; {whole}"
+        dropped_parts = [part for part in equations.layers if any(layer.owns_key(part.key) for layer in dropped)]
+        others = PartSum(part for part in equations.parts if part not in dropped_parts)
+        reason = f"estimate: {{}} remembers steps beside the layers; {remedy}"
         others.refuse(dict.fromkeys(("remembers", "rate"), reason))
         if isinstance(state, State):
             reason = "estimate: {} remembers, and steps in time have led to this state; give the history"
@@ -267,8 +267,8 @@ def _checked_goals(goals: Sequence[Goal]) -> dict[str, Goal]:
         good, allowed = isinstance(goal.name, str) and goal.name not in ESTIMATED_FIELDS, ", ".join(ESTIMATED_FIELDS)
         require(good, "estimate: the name of a goal", goal.name, f"allowed: words other than {allowed}")
     names = [goal.name for goal in goal_list]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"estimate: two goals have the name {twice[0]!r}")
+    if repeated := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"estimate: two goals have the name {repeated[0]!r}")
     return dict(zip(names, goal_list, strict=True))
 
 
@@ -278,13 +278,13 @@ def _has_multi_point_constraints(model: InterfaceModel) -> bool:
     if constraints.T is None:
         return False
     rows = local_csr(constraints.T)
-    turned = abs(rows - scipy.sparse.eye(*rows.shape, k=constraints.first)).sum(axis=1) > 0
+    turned = abs(rows - scipy.sparse.eye(*rows.shape, k=constraints.row_start)).sum(axis=1) > 0
     nodes = np.concatenate([side.ravel() for name in model.layers for side in nodes_of_sides(model, model.V, name)])
     dofs = (nodes[:, None] * d + np.arange(d)).ravel()
     return bool(model.comm.allreduce(int(np.asarray(turned)[dofs[dofs < constraints.n]].any()), max))
 
 
-def _of_order_1(applicability: Applicability) -> ThinLayer:
+def _order_1_layer(applicability: Applicability) -> ThinLayer:
     """The layer with its law of order 1, without correction at free ends; unchanged if there is no such law.
 
     There is none, for example, for anisotropic sublayers.

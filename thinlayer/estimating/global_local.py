@@ -129,16 +129,16 @@ class GlobalLocal:
         self.adjoint, self.equations, self.state, self.layers = adjoint, adjoint.equations, adjoint.state, layers
         self.model, self.n = adjoint.model, adjoint.equations.n_displacements
         dropped = [self.model.layers[name] for name in layers.seams]
-        self._laws = [part for part in self.equations.layers if any(layer.owns_key(part.key) for layer in dropped)]
-        others = PartSum(part for part in self.equations.parts if part not in self._laws)
+        self._law_parts = [part for part in self.equations.layers if any(layer.owns_key(part.key) for layer in dropped)]
+        others = PartSum(part for part in self.equations.parts if part not in self._law_parts)
         if others.with_own:
             key = others.with_own[0].key
             raise InputError(f"estimate: {key!r} has unknowns of its own; mesh the layer (structure.full)")
-        self._others, self._nonlinear = others.parts, others.traits.nonlinear
+        self._other_parts, self._nonlinear = others.parts, others.traits.nonlinear
         self._K_b = adjoint.tangent_of(others)
         self._x = self.equations.u.x.petsc_vec.duplicate()
         self._loads = self.equations.loads.array_r - adjoint.layer_loads
-        self._shares = layers.on_free(layers.K.diagonal())[:, None]
+        self._shares = layers.free_face_values(layers.K.diagonal())[:, None]
         gram = layers.R.T @ (self._shares * layers.R)
         self._R = layers.R @ np.linalg.inv(np.linalg.cholesky(gram)).T if gram.size else layers.R
         self._reset()
@@ -153,12 +153,12 @@ class GlobalLocal:
 
     def _missing_forces(self, u: Array) -> Array:
         """Nodal loads minus forces of all parts except the layers' laws, at displacements u; both (m,) on this rank."""
-        others = self.adjoint.forces(self._others, self.state, self._field(u), self.adjoint.interval)
+        others = self.adjoint.forces(self._other_parts, self.state, self._field(u), self.adjoint.interval)
         return np.asarray(self._loads - others)
 
     def _face_forces(self, forces: Array) -> Array:
         """Forces (n,) on the layers' faces, from nodal forces (m,) of the interface model."""
-        return self.layers.on_free(self.layers.at_faces(forces))
+        return self.layers.free_face_values(self.layers.at_faces(forces))
 
     def _resistance(self, d: Array) -> Array:
         """Linearised forces of all parts except the layers' laws, at small displacements d; both (m,) on this rank."""
@@ -171,7 +171,7 @@ class GlobalLocal:
 
     def _displacements_under(self, r: Array) -> tuple[Array, Array]:
         """Displacements (m,) of the interface model under face forces r (n,), and forces (n,) on its layers."""
-        d = self.adjoint.displacements(*self.layers.of_faces(r))
+        d = self.adjoint.displacements(*self.layers.face_values(r))
         return d, r - self._face_forces(self._resistance(d))
 
     def _with_couples(self, u: Array, F: Array, load: Array, values: Array) -> BodyEquilibrium:
@@ -205,9 +205,9 @@ class GlobalLocal:
         Args:
             along: the resultant, as coefficients of the orthonormal rigid motions of the layers.
         """
-        new = along - self._axes @ (self._axes.T @ along)
-        if norm(new) > NEW_AXIS_SHARE * norm(along):  # a smaller part is left to the next pass, or is rounding
-            axis = new / norm(new)
+        new_part = along - self._axes @ (self._axes.T @ along)
+        if norm(new_part) > NEW_AXIS_SHARE * norm(along):  # a smaller part is left to the next pass, or is rounding
+            axis = new_part / norm(new_part)
             couple = self._shares[:, 0] * (self._R @ axis)
             d, pulled = self._displacements_under(couple)
             self._couples.append((d, pulled - couple))
@@ -220,12 +220,12 @@ class GlobalLocal:
         return np.abs(layers.R.T @ total).max(initial=0.0), RESULTANT_TOLERANCE * float(np.abs(total).sum()) + rounding
 
     # ---------------------------------------------------------------- iterates
-    def first(self) -> BodyEquilibrium:
+    def first_iterate(self) -> BodyEquilibrium:
         """First iterate: the displacements of the state, with couples; the layers are linearised there."""
         u = self.state.u.x.array[: self.n].copy()
-        first = self._with_couples(u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.values)
-        self._start = first.F
-        return self._linearised(first)
+        start = self._with_couples(u, self._face_forces(self._missing_forces(u)), self.layers.load, self.layers.values)
+        self._start_forces = start.F
+        return self._linearised(start)
 
     def weights(self, goal: Goal) -> tuple[Array, BodyEquilibrium]:
         """Nodal weights q (m,) of a goal at this rank's displacements, and its adjoint solution z, an iterate."""
@@ -251,7 +251,7 @@ class GlobalLocal:
             self.adjoint.transposed = False
             self._reset()
 
-    def inside(self, iterate: BodyEquilibrium) -> Array:
+    def layer_unknowns(self, iterate: BodyEquilibrium) -> Array:
         """Unknowns (n,) of the layers in equilibrium with the face displacements of an iterate."""
         return self.layers.dirichlet_displacements(iterate.v, iterate.load, iterate.values)
 
@@ -261,11 +261,11 @@ class GlobalLocal:
 
     def step(self, old: BodyEquilibrium) -> BodyEquilibrium:
         """Next iterate, after one conjugate-gradient step from `old` towards the structure with meshed layers."""
-        layers, r, no = self.layers, self.residual(old), np.zeros_like(old.v)
+        layers, r, zero = self.layers, self.residual(old), np.zeros_like(old.v)
         d, F = self._displacements_under(r)
-        new = self._with_couples(d, F, no, no)
+        new = self._with_couples(d, F, zero, zero)
         d, v, F = new.u, new.v, new.F - r
-        Kd = layers.dirichlet_reactions(v, no, no) - F
+        Kd = layers.dirichlet_reactions(v, zero, zero) - F
         for d_old, v_old, F_old, Kd_old in old.directions:
             share = (v_old @ Kd) / (v_old @ Kd_old)
             d, v, F, Kd = d - share * d_old, v - share * v_old, F - share * F_old, Kd - share * Kd_old
@@ -286,7 +286,7 @@ class GlobalLocal:
         if not self._nonlinear:
             return iterate
         missing = self._missing_forces(iterate.u)
-        missing[self.layers.of_faces(iterate.F)[0]] = 0.0
+        missing[self.layers.face_values(iterate.F)[0]] = 0.0
         d = self.adjoint.displacements(np.arange(self.n), missing)
         v, F = iterate.v + self.layers.at_faces(d), iterate.F - self._face_forces(self._resistance(d))
         return iterate._replace(u=iterate.u + d, v=v, F=F, gained=iterate.gained + self._work(missing, d))
@@ -306,25 +306,25 @@ class GlobalLocal:
 
         Conjugate-gradient steps with the layers' tangent give its direction, and a line search its length.
         """
-        aim = self._equilibrate_bodies(iterate)
+        target = self._equilibrate_bodies(iterate)
         for _ in range(MAX_CG_STEPS):
-            before, aim = aim.gained, self.step(aim)
-            if aim.gained - before <= MIN_CG_GAIN * (aim.gained - iterate.gained):
+            before, target = target.gained, self.step(target)
+            if target.gained - before <= MIN_CG_GAIN * (target.gained - iterate.gained):
                 break
         else:
             text = f"estimate: the interface law is too far from its layer: {MAX_CG_STEPS} steps hardly lead to it"
             raise SolveError(text, advice=MESH_REMEDY)
-        du, dv, new = aim.u - iterate.u, aim.v - iterate.v, iterate
+        du, dv, new = target.u - iterate.u, target.v - iterate.v, iterate
 
-        def slope(share: float) -> float:
+        def decrease(share: float) -> float:
             nonlocal new
             u = iterate.u + share * du
-            lack = self._missing_forces(u)
-            new = self._linearised(aim._replace(u=u, v=iterate.v + share * dv, F=self._face_forces(lack)))
-            return self._work(lack, du) - float(self.layers.dirichlet_reactions(new.v, new.load, new.values) @ dv)
+            missing = self._missing_forces(u)
+            new = self._linearised(target._replace(u=u, v=iterate.v + share * dv, F=self._face_forces(missing)))
+            return self._work(missing, du) - float(self.layers.dirichlet_reactions(new.v, new.load, new.values) @ dv)
 
-        if (start := aim.gained - iterate.gained) > GAIN_TOLERANCE * abs(iterate.F @ iterate.v):
-            line_search_share(slope, start)
+        if (start := target.gained - iterate.gained) > GAIN_TOLERANCE * abs(iterate.F @ iterate.v):
+            line_search_share(decrease, start)
         return new
 
     def newton(self) -> BodyEquilibrium:
@@ -333,7 +333,7 @@ class GlobalLocal:
         Raises:
             SolveError: no convergence.
         """
-        iterate, u = self.first(), self.state.u.x.array
+        iterate, u = self.first_iterate(), self.state.u.x.array
         moved = self.model.comm.allreduce(float(np.abs(u).max(initial=0.0)), op=MPI.MAX)
         rounding = ROUNDING_SHARE * self.equations.scale.stiffness[0] * moved
         if norm(iterate.F) <= rounding:  # supports have moved a structure without forces on the layers
@@ -341,8 +341,8 @@ class GlobalLocal:
         least = RELATIVE_RESIDUAL * norm(self.residual(iterate)) + RESULTANT_TOLERANCE * norm(iterate.F)
         for _ in range(MAX_NEWTON_STEPS):
             old, iterate = iterate, self.newton_step(iterate)
-            gained, lost = iterate.gained - old.gained, GAIN_TOLERANCE * abs(float(iterate.F @ iterate.v))
-            if gained <= max(ENERGY_TOLERANCE * iterate.gained, lost) and norm(self.residual(iterate)) <= least:
+            gained, tolerance = iterate.gained - old.gained, GAIN_TOLERANCE * abs(float(iterate.F @ iterate.v))
+            if gained <= max(ENERGY_TOLERANCE * iterate.gained, tolerance) and norm(self.residual(iterate)) <= least:
                 return iterate
         text = f"estimate: the structure with its layers is not found in {MAX_NEWTON_STEPS} of Newton's steps"
         raise SolveError(f"{text}, at t = {self.state.t:g}", advice=MESH_REMEDY)
@@ -357,7 +357,7 @@ class GlobalLocal:
         if left > 2 * least:
             raise SolveError(f"estimate: forces on the layers have a resultant, {left:.2g}; allowed: {least:.2g}")
 
-    def gap(self, iterate: BodyEquilibrium) -> float:
+    def energy_gap(self, iterate: BodyEquilibrium) -> float:
         """Upper bound r . E^+ r of twice the energy of the iterate above that of the solution (Prager and Synge)."""
         return self.layers.compliance(self.residual(iterate))[1]
 
@@ -378,13 +378,13 @@ class GlobalLocal:
         try:
             self._require_balance(iterate)
             w = layers.equilibrate_dirichlet(iterate.v)
-            borne = layers.equilibrate_neumann(w, iterate.F)
-            gap = layers.bregman_divergence(w, borne)[1]
-            between = layers.bregman_divergence(layers.equilibrate_dirichlet(layers.at_faces(u)), borne)
+            w_neumann = layers.equilibrate_neumann(w, iterate.F)
+            gap = layers.bregman_divergence(w, w_neumann)[1]
+            law_bounds = layers.bregman_divergence(layers.equilibrate_dirichlet(layers.at_faces(u)), w_neumann)
         except SolveError:
             return None
-        in_bodies = self._dot(du, self._resistance(du)) / 2
-        lower, upper = (in_bodies + part for part in between)
+        body_energy = self._dot(du, self._resistance(du)) / 2
+        lower, upper = (body_energy + part for part in law_bounds)
         return GoalBounds((lower - gap + upper) / 2, max(lower - gap, 0.0), upper)
 
     def is_near(
@@ -402,10 +402,10 @@ class GlobalLocal:
         if width is None:
             return True
         narrow, share = all(b.is_narrow(values[name], width) for name, b in bounds.items()), min(width, DEFAULT_WIDTH)
-        if not narrow or self.gap(last) > share**2 * last.gained:
+        if not narrow or self.energy_gap(last) > share**2 * last.gained:
             return False
         # a small energy may hide large forces, as in incompressible layers
-        allowed = share * norm(last.F - self._start) + MISSING_FORCE_SHARE * norm(last.F)
+        allowed = share * norm(last.F - self._start_forces) + MISSING_FORCE_SHARE * norm(last.F)
         return bool(norm(self.residual(last)) <= allowed)
 
     # ---------------------------------------------------------------- goals
@@ -425,11 +425,11 @@ class GlobalLocal:
         self._require_balance(last)
         self._require_balance(z)
         (moved, work), (_, work_z) = map(self.layers.compliance, (r, r_z))
-        half = math.sqrt(work) * math.sqrt(work_z) / 2 if max(work, work_z) < math.inf else math.inf
+        half_width = math.sqrt(work) * math.sqrt(work_z) / 2 if max(work, work_z) < math.inf else math.inf
         estimate = self.goal_estimate(at_rest, q, last, z)
         middle = float(estimate + r_z @ moved / 2)
         rounding = float(self.equations.scale.rounding(np.abs(last.v).max())[0]) * math.sqrt(self._dot(z.u, z.u))
-        return GoalBounds(estimate, middle - half, middle + half, rounding)
+        return GoalBounds(estimate, middle - half_width, middle + half_width, rounding)
 
     def goal_estimate(self, at_rest: float, q: Array, last: BodyEquilibrium, z: BodyEquilibrium) -> float:
         """Value of a linear goal with the layer meshed, corrected by the residual on S times the weights. Collective.
@@ -440,7 +440,7 @@ class GlobalLocal:
             last: the last iterate.
             z: the goal's adjoint solution; its weights in the layers are z.load.
         """
-        layers, w, w_z = self.layers, self.inside(last), self.inside(z)
+        layers, w, w_z = self.layers, self.layer_unknowns(last), self.layer_unknowns(z)
         bulk = self._dot(q, self.equations.constraints.unknowns(last.u)) + self._dot(z.u, self._missing_forces(last.u))
         return float(at_rest + bulk + z.load @ w - w_z @ (layers.K @ w - last.load))
 
@@ -456,11 +456,11 @@ class GlobalLocal:
         """
         adjoint = self.adjoint
         if bonded:
-            pulls = self._missing_forces(u.x.array[: self.n])
-            pulls[self.equations.constraints.bc_dofs] = 0.0
-            return z.u * pulls
-        adjoint.forces(self._laws, self.state, u, adjoint.interval)
-        return adjoint.work(self._laws, Configuration(self._field(z.u), self.state.t)) - z.u * adjoint.layer_loads
+            forces = self._missing_forces(u.x.array[: self.n])
+            forces[self.equations.constraints.bc_dofs] = 0.0
+            return z.u * forces
+        adjoint.forces(self._law_parts, self.state, u, adjoint.interval)
+        return adjoint.work(self._law_parts, Configuration(self._field(z.u), self.state.t)) - z.u * adjoint.layer_loads
 
     def states(self, last: BodyEquilibrium) -> tuple[State, State]:
         """State of the interface model, and state of the meshed layers, at the last iterate."""
@@ -478,10 +478,10 @@ class GlobalLocal:
             width: largest width of narrow bounds, relative to the change of the goal. None: there are no bounds, and
                 Newton's method iterates to convergence.
         """
-        iterate = self.newton() if width is None else self.first()
+        iterate = self.newton() if width is None else self.first_iterate()
         weights = {name: self.weights(goal) for name, goal in goals.items()}
         # goals whose adjoint solution is the state itself, such as the compliance
-        same = [name for name, (_, z) in weights.items() if iterate.is_near(z)]
+        same_names = [name for name, (_, z) in weights.items() if iterate.is_near(z)]
         linear = {name: goal for name, goal in goals.items() if goal.is_linear(self.model)}
         at_rest = {name: goal.at_rest(self.state, self.model) for name, goal in linear.items()}
         for step in range(MAX_STEPS + 1):
@@ -494,5 +494,5 @@ class GlobalLocal:
             if step == MAX_STEPS or self.is_near(iterate, values, bounds, width):
                 break
             iterate = self.step(iterate)
-            weights = {name: (q, iterate if name in same else self.step(z)) for name, (q, z) in weights.items()}
+            weights = {name: (q, iterate if name in same_names else self.step(z)) for name, (q, z) in weights.items()}
         return iterate, {name: z for name, (_, z) in weights.items()}

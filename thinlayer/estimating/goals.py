@@ -123,8 +123,8 @@ class Compliance(Goal):
     name: ClassVar[str] = "compliance"  # type: ignore[misc]
 
     def value(self, state: State, model: InterfaceModel) -> float:
-        by_plates = [value(state.t) for tie in model.constraints.mpcs for value in tie.motion.values()]
-        if not (model.supports.moving or any(by_plates)):
+        plate_motions = [value(state.t) for tie in model.constraints.mpcs for value in tie.motion.values()]
+        if not (model.supports.moving_places or any(plate_motions)):
             return state.load_work()
         if math.isnan(state.prescribed_work):
             raise InputError("compliance of supports that move: the state was read from a file, and lacks their work")
@@ -184,14 +184,14 @@ class Reaction(DirectedGoal):
         return max(force_sum, sum(loads))
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
-        model, along = adjoint.model, self.unit(adjoint.model)
+        model, direction = adjoint.model, self.unit(adjoint.model)
         if self.place in (S, BASE, *model.joint.base_seams):
             raise InputError(f"{self.name}: a rigid base holds it, and has no weights; ask for another place")
         du, q = ufl.TestFunction(model.V), adjoint.zero_vector()
         for part in model.parts:
             if any(is_part(place, self.place) for place, _ in part.reaction(model, adjoint.state.u)):
-                q.axpy(-1.0, adjoint.form_weights(part.work(model, du, ufl.as_vector(along.tolist()))))
-        return q, adjoint.reaction_motions(self.place, along)
+                q.axpy(-1.0, adjoint.form_weights(part.work(model, du, ufl.as_vector(direction.tolist()))))
+        return q, adjoint.reaction_motions(self.place, direction)
 
     def at_rest(self, state: State, model: InterfaceModel) -> float:
         return model.constraints.prescribed_resultant(model.holder_rows(self.place), self.unit(model), state.t)
@@ -217,8 +217,8 @@ class MeanTraction(DirectedGoal):
     @property
     def name(self) -> str:  # type: ignore[override]
         """Name of the goal."""
-        of = "" if self.seam == S else f" {self.seam}"
-        return f"mean traction{of} along {vector_text(self.direction)}"
+        seam_text = "" if self.seam == S else f" {self.seam}"
+        return f"mean traction{seam_text} along {vector_text(self.direction)}"
 
     def check(self, model: InterfaceModel) -> None:
         self.unit(model)
@@ -227,11 +227,11 @@ class MeanTraction(DirectedGoal):
     def value(self, state: State, model: InterfaceModel) -> float:
         if any(term.law.traits.compiled for term in model.bodies) and state.model is not model:
             raise InputError(f"{self.name} of bonded bodies: their laws are not linear")
-        v, u = self._test(model), displacements_of(state, model)
+        v, u = self._test_function(model), displacements_of(state, model)
         bodies = replace(state, model=model, u=u).bodies  # with the strains that are prescribed at its time
-        works = [state.work(bodies, v)] if state.model.V is model.V else [forms.work(bodies, u, v)]
-        works += [-model.external_work(v, state.t), model.added_work(u, v)]
-        assembled = (fem.assemble_scalar(compiled(W)) for W in works if W.integrals())
+        work_forms = [state.work(bodies, v)] if state.model.V is model.V else [forms.work(bodies, u, v)]
+        work_forms += [-model.external_work(v, state.t), model.added_work(u, v)]
+        assembled = (fem.assemble_scalar(compiled(W)) for W in work_forms if W.integrals())
         return float(sum(state.model.comm.allreduce(value) for value in assembled))
 
     def scale(self, state: State, model: InterfaceModel) -> float:
@@ -242,13 +242,13 @@ class MeanTraction(DirectedGoal):
         linear = all(term.law.traits.linear and not term.law.traits.compiled for term in model.bodies)
         if not linear or not all(part.is_linear(model) for part in model.parts):
             raise InputError(f"{self.name}: a law of the bodies, or a part, is not linear; its weights are not known")
-        u, du, v = fem.Function(model.V), ufl.TestFunction(model.V), self._test(model)
-        works = forms.work([replace(term, prescribed_strain=None) for term in model.bodies], du, v)
+        u, du, v = fem.Function(model.V), ufl.TestFunction(model.V), self._test_function(model)
+        work_form = forms.work([replace(term, prescribed_strain=None) for term in model.bodies], du, v)
         if (added := model.added_work(u, v)).integrals():
-            works += ufl.derivative(added, u, du)
-        return adjoint.form_weights(works), adjoint.zero_vector()
+            work_form += ufl.derivative(added, u, du)
+        return adjoint.form_weights(work_form), adjoint.zero_vector()
 
-    def _test(self, model: InterfaceModel) -> fem.Function:
+    def _test_function(self, model: InterfaceModel) -> fem.Function:
         """Displacements in which the work of the bodies' nodal forces on the seam is the mean traction.
 
         Each side of S contributes half of it. If a node of one side is constrained, or lies on another seam too, its
@@ -260,16 +260,16 @@ class MeanTraction(DirectedGoal):
         is_fixed, total = fem.Function(W), 0.0
         is_fixed.x.array[model.bc_dofs_in(W)] = 1.0
         for name in [self.seam] if self.seam in model.layers else [*model.layers]:
-            others = [nodes for other, both in sides.items() if other != name for nodes in both]
+            others = [nodes for other, pair in sides.items() if other != name for nodes in pair]
             mixed = nodal_sums(W, others, [np.ones(len(e))] * len(others)) + is_fixed.x.array.reshape(-1, len(e))
-            w, whole, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
+            w, v_on_S, surface = fem.Function(W), fem.Function(model.V), SurfaceMesh(model, name)
             w.x.array[:] = (_reaction_shares(W, *sides[name], mixed > 0) * e).ravel()
-            whole.interpolate(w)
-            lower, upper = surface.sides(whole, model, surface.quadrature)
+            v_on_S.interpolate(w)
+            lower, upper = surface.sides(v_on_S, model, surface.quadrature)
             area, jump = surface.integral(1.0), surface.integral(lower - upper) @ e
             if not jump > 0:
                 raise InputError(f"{self.name}: supports, plates or other seams hold all of its nodes, on both sides")
-            v.x.array[:] += area / jump * whole.x.array
+            v.x.array[:] += area / jump * v_on_S.x.array
             total += area
         v.x.array[:] /= total
         return v
@@ -287,19 +287,19 @@ def _reaction_shares(W: fem.FunctionSpace, upper: IntArray, lower: IntArray, mix
 
     def facing(values: Array | BoolArray) -> Array:
         """Sums at each node of the values at the nodes on the other side of S."""
-        return nodal_sums(W, both, [values[lower], values[upper]][: len(both)])
+        return nodal_sums(W, node_sets, [values[lower], values[upper]][: len(node_sets)])
 
-    both = [upper, lower] if len(upper) == len(lower) else []  # on a rigid base no nodes face each other
+    node_sets = [upper, lower] if len(upper) == len(lower) else []  # on a rigid base no nodes face each other
     above, below = (nodal_sums(W, [nodes], [np.ones((*nodes.shape, mixed.shape[1]))]) > 0 for nodes in (upper, lower))
     usable = (above != below) & ~mixed  # where a seam meets itself nodes may be on both sides
     whole = usable & (facing(usable) < facing(np.ones_like(usable)))
     shares = np.where(whole, 1.0, 0.5 * (usable & (facing(whole) == 0)))
     # other corners of a facet replace its corners where no reaction is usable
-    sides = both or [upper]
+    sides = node_sets or [upper]
     has_share = np.sum([shares[nodes] for nodes in sides], axis=0) > 0
-    more = np.broadcast_to(has_share.shape[1] / np.maximum(has_share.sum(axis=1, keepdims=True), 1), has_share.shape)
-    facets = nodal_sums(W, sides, [np.ones(has_share.shape)] * len(sides))
-    shares *= nodal_sums(W, sides, [more] * len(sides)) / np.maximum(facets, 1.0)
+    factor = np.broadcast_to(has_share.shape[1] / np.maximum(has_share.sum(axis=1, keepdims=True), 1), has_share.shape)
+    n_facets = nodal_sums(W, sides, [np.ones(has_share.shape)] * len(sides))
+    shares *= nodal_sums(W, sides, [factor] * len(sides)) / np.maximum(n_facets, 1.0)
     return np.where(above, -shares, shares)
 
 
@@ -312,8 +312,8 @@ def nodal_sums(W: fem.FunctionSpace, nodes: Sequence[IntArray], values: Sequence
         values: for each of these arrays, an array of its shape times d, with the values there.
     """
     f, d = fem.Function(W), W.dofmap.bs
-    for of_nodes, at_nodes in zip(nodes, values, strict=True):
-        np.add.at(f.x.array.reshape(-1, d), of_nodes, at_nodes)
+    for node_array, node_values in zip(nodes, values, strict=True):
+        np.add.at(f.x.array.reshape(-1, d), node_array, node_values)
     f.x.scatter_reverse(la.InsertMode.add)
     f.x.scatter_forward()
     return np.asarray(f.x.array.reshape(-1, d))
@@ -347,8 +347,8 @@ class Displacement(DirectedGoal):
 
     def value(self, state: State, model: InterfaceModel) -> float:
         # on the interface model, as bodies of full models are at other places
-        shown = replace(state, model=model, u=displacements_of(state, model))
-        return float(Probe(shown).displacement(self.x, side=self.side, seam=self.seam) @ self.unit(model))
+        transferred = replace(state, model=model, u=displacements_of(state, model))
+        return float(Probe(transferred).displacement(self.x, side=self.side, seam=self.seam) @ self.unit(model))
 
     def scale(self, state: State, model: InterfaceModel) -> float:
         return float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
@@ -358,8 +358,8 @@ class Displacement(DirectedGoal):
         located = cells_at(model, [self.x], self.side, self.seam)
         e, V = self.unit(model), model.V
         original = model.domain.original_cells[: model.domain.mesh.topology.index_map(d).size_local]
-        mine = np.flatnonzero(original == located.entity[0])[:1]  # none on the other ranks
-        dofs = (V.dofmap.list[mine].ravel()[:, None] * d + np.arange(d)).ravel().astype(np.int64)
+        local_cell = np.flatnonzero(original == located.entity[0])[:1]  # none on the other ranks
+        dofs = (V.dofmap.list[local_cell].ravel()[:, None] * d + np.arange(d)).ravel().astype(np.int64)
         values = (V.ufl_element().basix_element.tabulate(0, located.X[:1])[0, 0, :, 0][:, None] * e).ravel()
         return adjoint.nodal_weights(dofs, values[: len(dofs)]), adjoint.zero_vector()
 
@@ -387,8 +387,8 @@ class Functional(Goal):
             form = self.of(u, model)
         except Exception as error:
             raise InputError(f"the goal {self.name!r}: its function (u, model) fails: {error}") from error
-        good = isinstance(form, ufl.Form) and not form.arguments()
-        require(good, f"the goal {self.name!r}", form, "it must be a UFL form without test functions")
+        is_valid = isinstance(form, ufl.Form) and not form.arguments()
+        require(is_valid, f"the goal {self.name!r}", form, "it must be a UFL form without test functions")
         return whole_structure_form(form, model, f"the goal {self.name!r}")
 
     def value(self, state: State, model: InterfaceModel) -> float:
@@ -402,14 +402,14 @@ class Functional(Goal):
 
     def is_linear(self, model: InterfaceModel) -> bool:
         u = fem.Function(model.V)
-        slope = ufl.derivative(self._derivative(u, model), u, ufl.TrialFunction(model.V))
-        return bool(expand_derivatives(slope).empty())
+        hessian = ufl.derivative(self._derivative(u, model), u, ufl.TrialFunction(model.V))
+        return bool(expand_derivatives(hessian).empty())
 
     def _derivative(self, u: fem.Function, model: InterfaceModel) -> Expr:
         v = ufl.TestFunction(model.V)
         derivative = expand_derivatives(ufl.derivative(self._form(u, model), u, v))
-        none = ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.joint.dim)), v) * model.dx
-        return none if derivative.empty() else derivative
+        zero_form = ufl.inner(fem.Constant(model.domain.mesh, np.zeros(model.joint.dim)), v) * model.dx
+        return zero_form if derivative.empty() else derivative
 
     def dual(self, adjoint: Adjoint) -> tuple[PETSc.Vec, PETSc.Vec]:
         return adjoint.form_weights(self._derivative(adjoint.state.u, adjoint.model)), adjoint.zero_vector()

@@ -171,9 +171,9 @@ class Estimate:
             linear = iteration.model.linear and self._goals[goal].is_linear(iteration.model)
         total, error = Surface(self.better.model).integral(density), self.goals[goal]
         if abs(total - error.change) > DENSITY_ERROR * abs(error.change) + ZERO_GOAL_SHARE * error.scale:
-            what = f"the density of the change of {goal} adds up to {total:.3g}, not to {error.change:.3g}"
+            text = f"the density of the change of {goal} adds up to {total:.3g}, not to {error.change:.3g}"
             why = "a support holds one side of a bond's end" if linear else "laws or the goal are not linear"
-            warn("density", f"{what}, as {why}; it only shows where changes come from", self.better.model.comm)
+            warn("density", f"{text}, as {why}; it only shows where changes come from", self.better.model.comm)
         return density
 
     def by_seam(self, goal: str = "compliance") -> dict[str, float]:
@@ -202,16 +202,16 @@ class Estimate:
         Raises:
             InputError: no such goal, or a goal without bounds; `at_ends` is no number > 0, or too small.
         """
-        bounded = [name for name, error in self.goals.items() if error.bounded]
-        require_known("goal with bounds", goal, bounded, "estimate, of linear laws")
-        alone, z, model = self._layers, self._weights[goal], self.better.model
+        bounded_goals = [name for name, error in self.goals.items() if error.bounded]
+        require_known("goal with bounds", goal, bounded_goals, "estimate, of linear laws")
+        coarse, z, model = self._layers, self._weights[goal], self.better.model
         assert isinstance(model, InterfaceModel)
         layers = {name: error.layer for name, error in self.layers.items()}
-        fine = DirichletLayers(LayerModel(model, layers, alone.through, at_ends), self.state.t)
-        inside = alone.dirichlet_displacements(alone.at_faces(self.better.u.x.array), alone.load, alone.values)
-        weights, goal_values = alone.dirichlet_displacements(z.v, z.load, z.values), []
-        finer = alone.in_refined_cells(inside, fine), alone.in_refined_cells(weights, fine)
-        for subproblem, w, w_z in ((alone, inside, weights), (fine, *finer)):
+        fine = DirichletLayers(LayerModel(model, layers, coarse.n_cells_through, at_ends), self.state.t)
+        coarse_w = coarse.dirichlet_displacements(coarse.at_faces(self.better.u.x.array), coarse.load, coarse.values)
+        weights, goal_values = coarse.dirichlet_displacements(z.v, z.load, z.values), []
+        fine_vectors = coarse.in_refined_cells(coarse_w, fine), coarse.in_refined_cells(weights, fine)
+        for subproblem, w, w_z in ((coarse, coarse_w, weights), (fine, *fine_vectors)):
             load_z, values_z = self._goals[goal].in_layers(subproblem)
             w = subproblem.dirichlet_displacements(w, subproblem.load, subproblem.values)
             w_z = subproblem.dirichlet_displacements(w_z, load_z, values_z)
@@ -259,7 +259,7 @@ class Estimate:
                 sentences.append(f"the layer{where} bears no traction")
             elif where:
                 sentences.append(f"{name}: {', '.join(_fields_text(error.traction, error.jump))}")
-        cells = f"for these cells of the bodies, and {self._layers.through} cells through the layer"
+        cells = f"for these cells of the bodies, and {self._layers.n_cells_through} cells through the layer"
         return [*sentences, cells, *self.caveats]
 
     def __str__(self) -> str:

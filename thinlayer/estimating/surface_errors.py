@@ -38,16 +38,16 @@ def squared_norms(before: State, better: State, seam_layer: SeamLayer, layers: S
     t, w = (surface.traction if has_law else surface.reaction)(before), surface.jump(before)
     fields = [surface.traction(layers) - t, t] + ([surface.jump(better) - w, w] if has_law else [])
     squares = np.array([surface.norm(f) ** 2 for f in fields] + [0.0] * (4 - len(fields)))
-    moved = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(1.0)
-    least = np.square(ROUNDING_SHARES) * moved * (max(jump_stiffness(seam_layer.samples[0])) ** 2, 1.0)
+    size_squared = float(better.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)) ** 2 * surface.integral(1.0)
+    least = np.square(ROUNDING_SHARES) * size_squared * (max(jump_stiffness(seam_layer.samples[0])) ** 2, 1.0)
     squares[1::2] *= squares[1::2] > least  # rounding of bodies without forces there
     return np.asarray(squares)
 
 
 def relative_errors(squares: Array) -> tuple[float, float]:
     """Relative errors of traction and jump, from the squares of `squared_norms`; nan for a field that is zero."""
-    of_t, t, of_w, w = (float(root) for root in np.sqrt(squares))
-    errors = of_t / t if t else math.nan, of_w / w if w else math.nan
+    t_error, t, w_error, w = (float(root) for root in np.sqrt(squares))
+    errors = t_error / t if t else math.nan, w_error / w if w else math.nan
     return errors[0] * (errors[0] > ROUNDING_SHARES[1]), errors[1] * (errors[1] > ROUNDING_SHARES[1])
 
 
@@ -72,19 +72,19 @@ def change_density(iteration: GlobalLocal, state: State, better: State, z: BodyE
         loads = state.model.forces.nodal_at(state.model.V, state.t, layers=True)
         _add_nodal(sums, state.model, -loads.array_r * state.u.x.array[: loads.getLocalSize()])
         loads.destroy()
-    v, moved = layers.at_faces(u.x.array), layers.at_faces(better.u.x.array)
-    layers.equilibrate_dirichlet(moved)
+    v, better_v = layers.at_faces(u.x.array), layers.at_faces(better.u.x.array)
+    layers.equilibrate_dirichlet(better_v)
     layers.transpose()
-    inside, missing = iteration.inside(z), iteration.residual(z)
+    layer_z, z_residual = iteration.layer_unknowns(z), iteration.residual(z)
     layers.transpose()
     w = layers.equilibrate_dirichlet(v)
-    of_layers = layers.work(w, inside)
-    of_layers -= (missing * (moved - v) + z.load * w)[: len(of_layers)]
+    layer_work = layers.work(w, layer_z)
+    layer_work -= (z_residual * (better_v - v) + z.load * w)[: len(layer_work)]
     band = layers.model.domain.joint
-    of_band = np.zeros(len(band.points))
-    _add_nodal(of_band, layers.model, of_layers)
-    _, below = cKDTree(model.joint.points).query(band.reference)
-    sums = model.comm.allreduce(sums) - np.bincount(below, of_band, len(sums))
+    band_sums = np.zeros(len(band.points))
+    _add_nodal(band_sums, layers.model, layer_work)
+    _, joint_vertices = cKDTree(model.joint.points).query(band.reference)
+    sums = model.comm.allreduce(sums) - np.bincount(joint_vertices, band_sums, len(sums))
     np.add.at(areas, surface.vertices, surface.areas)
     return np.asarray(sums[surface.vertices] / areas[surface.vertices])
 
@@ -95,13 +95,13 @@ def _add_nodal(sums: Array, model: Model, values: Array) -> None:
     The value of a node is divided equally among the vertices of the edge, face or cell to which the node belongs.
     """
     V, joint = model.V, model.domain.joint
-    of_nodes = values.reshape(-1, V.dofmap.bs).sum(axis=1)
+    node_sums = values.reshape(-1, V.dofmap.bs).sum(axis=1)
     dofs = np.asarray(V.dofmap.list)
     nodes, first = np.unique(dofs.ravel(), return_index=True)
-    owned = nodes < len(of_nodes)
-    cell, place = np.divmod(first[owned], dofs.shape[1])
+    owned = nodes < len(node_sums)
+    cell, local = np.divmod(first[owned], dofs.shape[1])
     shares = np.zeros((dofs.shape[1], joint.corners.shape[1]))
     for dim, entities in enumerate(sub_entities(joint.cell_type)):
         for entity, (vertices, *_) in enumerate(entities):
             shares[np.ix_(V.dofmap.dof_layout.entity_dofs(dim, entity), vertices)] = 1 / len(vertices)
-    np.add.at(sums, joint.corners[model.domain.original_cells[cell]], shares[place] * of_nodes[nodes[owned], None])
+    np.add.at(sums, joint.corners[model.domain.original_cells[cell]], shares[local] * node_sums[nodes[owned], None])

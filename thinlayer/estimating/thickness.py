@@ -118,36 +118,36 @@ def thin_enough(
         '0.123'
     """
     on_seams, thin = _checked(structure, layer, tolerance, goal, seam, bonded)
-    chosen = list(on_seams) if seam == S else [seam]
+    seams = list(on_seams) if seam == S else [seam]
 
-    def solved(model: Model) -> State | History:
+    def solve_model(model: Model) -> State | History:
         return solve(model, t, options=options) if times is None else march(model, times, options=options)
 
     quantity, goals = (goal, []) if isinstance(goal, str) else (goal.name, [goal])
 
-    begun = structure.interface(on_seams, bodies=bodies)
-    made = begun.with_layer if bodies == "kept" else partial(structure.interface, bodies=bodies)
-    bonds = {**on_seams, **dict.fromkeys(chosen, Bond())}
-    for name in chosen if bonded else ():
-        begun.applicability[name].require("bonded", "thin_enough: ")
-    alone = solved(structure.interface(bonds, bodies=bodies)) if bonded else None
+    first_model = structure.interface(on_seams, bodies=bodies)
+    make_model = first_model.with_layer if bodies == "kept" else partial(structure.interface, bodies=bodies)
+    bonds = {**on_seams, **dict.fromkeys(seams, Bond())}
+    for name in seams if bonded else ():
+        first_model.applicability[name].require("bonded", "thin_enough: ")
+    bonded_state = solve_model(structure.interface(bonds, bodies=bodies)) if bonded else None
     issued: dict[float, list[warnings.WarningMessage]] = {}
     caveats: dict[float, list[str]] = {}
 
     def error(eps: float) -> float:
         with warnings.catch_warnings(record=True) as issued[eps]:  # warnings at the final thickness are passed on
             warnings.simplefilter("always", RangeWarning)
-            layers = dict.fromkeys(chosen, replace(thin, eps=eps, law=thin.material, at=None))
-            state = alone or solved(made({**on_seams, **layers}))
+            layers = dict.fromkeys(seams, replace(thin, eps=eps, law=thin.material, at=None))
+            state = bonded_state or solve_model(make_model({**on_seams, **layers}))
             error_estimate = estimate(state, layers if bonded else None, goals, seam=seam, options=options)
         caveats[eps] = error_estimate.caveats
         return _error(error_estimate, quantity)
 
-    thickest = min(min(begun.layers[name].sheet.heights) for name in chosen)
-    eps, at_tolerance, rows = _search(error, thickest, tolerance)
+    thickest = min(min(first_model.layers[name].sheet.heights) for name in seams)
+    eps, at_tolerance, errors = _search(error, thickest, tolerance)
     for warning in issued[eps]:
         warnings.warn(warning.message, stacklevel=3)
-    table = Table([{"eps": thickness, "error": rows[thickness]} for thickness in sorted(rows, reverse=True)])
+    table = Table([{"eps": thickness, "error": errors[thickness]} for thickness in sorted(errors, reverse=True)])
     return ThinEnough(eps, tolerance, quantity, table, at_tolerance, "; ".join(caveats[eps]), bonded)
 
 
@@ -202,30 +202,30 @@ def _search(
         tolerance: the relative error that is allowed.
     """
 
-    rows: dict[float, float] = {}
+    errors: dict[float, float] = {}
 
     def excess(eps: float) -> float:
         """Logarithm of the error at the thickness `eps` over the tolerance."""
-        if eps not in rows:
-            rows[eps] = error(eps)
-        return math.log(max(rows[eps], 1e-300) / tolerance)
+        if eps not in errors:
+            errors[eps] = error(eps)
+        return math.log(max(errors[eps], 1e-300) / tolerance)
 
-    low, passed, tried = thickest, 0, []
-    while passed < ALLOWED_IN_TURN:
-        passed = passed + 1 if excess(low) <= 0 else 0
+    low, n_passed, tried = thickest, 0, []
+    while n_passed < ALLOWED_IN_TURN:
+        n_passed = n_passed + 1 if excess(low) <= 0 else 0
         tried.append(low)
-        _require_falling([rows[eps] for eps in tried], low, passed)
+        _require_falling([errors[eps] for eps in tried], low, n_passed)
         low /= THICKNESS_RATIO
     low = tried[-ALLOWED_IN_TURN]
     if low == thickest:
-        return low, False, rows
+        return low, False, errors
     high = tried[-ALLOWED_IN_TURN - 1]
     while high > (1 + THICKNESS_TOLERANCE) * low:
         above, below = excess(high), excess(low)
         share = -below / (above - below) if math.isfinite(above) else 0.5
         middle = low * (high / low) ** min(max(share, 0.1), 0.9)
         low, high = (low, middle) if excess(middle) > 0 else (middle, high)
-    return low, True, rows
+    return low, True, errors
 
 
 def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
@@ -238,6 +238,6 @@ def _require_falling(errors: Sequence[float], low: float, passed: int) -> None:
     """
     least = STALLED_ERROR_RATIO * max(errors[-1 - FALLING_STEPS : -1], default=math.inf)
     if not passed and len(errors) > FALLING_STEPS and (errors[-1] > least or len(errors) > MAX_STEPS):
-        what = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there, and hardly falls"
+        text = f"no thickness down to {low:.3g} is thin enough: the error is {errors[-1]:.3g} there, and hardly falls"
         advice = "is the layer much softer than the bodies, and are there loads at this time?"
-        raise InputError(f"thin_enough: {what} with it; {advice}")
+        raise InputError(f"thin_enough: {text} with it; {advice}")

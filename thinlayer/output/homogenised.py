@@ -73,7 +73,7 @@ def _check(model: Model) -> None:
         raise InputError(f"{law!r} is not linear, or has stresses without strains; {remedy}")
     if not model.linear:
         raise InputError("the model is not linear; homogenised_stiffness needs linear laws and parts")
-    if moving := model.supports.moving:
+    if moving := model.supports.moving_places:
         raise InputError(f"the support on {moving[0]!r} moves; homogenised_stiffness needs supports at rest")
 
 

@@ -179,7 +179,7 @@ class Zoom:
             allowed = f"one number or {len(located.x)}, from -1/2 to 1/2 of the thickness"
             raise InputError(f"height is {height!r:.80}; allowed: {allowed}")
         y = np.broadcast_to(y, located.x.shape[:1])
-        free = self._applicability.free
+        free = self._applicability.free_rim
         if len(free.vertices):
             near = free.distance(self.state.model.joint.points, located.x) < CORNER_EXCLUSION * self.eps
             near &= np.abs(y) > 0.5 - CORNER_EXCLUSION
@@ -204,7 +204,7 @@ class Zoom:
         Raises:
             InputError: ends are curved.
         """
-        free, points = self._applicability.free, self.state.model.joint.points
+        free, points = self._applicability.free_rim, self.state.model.joint.points
         ends, pairs = straight_ends(free, self._seam_layer.sheet), []
         every = points[np.unique(free.vertices)]
         for end in ends:

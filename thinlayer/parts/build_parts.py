@@ -30,8 +30,8 @@ def body_parts(model: Model) -> list[Part]:
     They are the laws in UFL forms, the compiled laws, and the unknown mean strain of a periodic cell under a mean
     stress. In a model with bodies, the matrix `K` of the first part has the nonzero pattern of the bodies' stiffness.
     """
-    linear = LawFormPart("forms", model.V, model.bodies, model.layer_terms)
-    parts: list[Part] = [linear, *_compiled_parts(model, model.bodies)]
+    form_part = LawFormPart("forms", model.V, model.bodies, model.layer_terms)
+    parts: list[Part] = [form_part, *_compiled_parts(model, model.bodies)]
     if model.stress:
         parts.append(MeanStressPart(model.V, model.solids, model.stress, model.volume, model.comm))
     return parts
@@ -49,10 +49,10 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
     """
     in_forms = [p for p in model.layer_terms if not p.law.traits.compiled]
     terms = {key: [p for p in in_forms if p.key == key] for key in dict.fromkeys(p.key for p in in_forms)}
-    parts: list[Part] = [LawFormPart(f"{key}/forms", model.V, of_layer) for key, of_layer in terms.items()]
+    parts: list[Part] = [LawFormPart(f"{key}/forms", model.V, key_terms) for key, key_terms in terms.items()]
     parts += _compiled_parts(model, model.layer_terms)
     if constrained := [p for p in model.layer_terms if p.law.traits.constrained]:
-        scale = _largest_at_rest(model, bodies or parts)
+        scale = _largest_stiffness(model, bodies or parts)
         joint = model.domain.joint  # its vertices are those of the mesh; `model.joint` is the joint before inflating
         masters = joint.masters if joint.periods else None
         parts += [PressurePart(model.V, p, scale, model.origin, _free_vertices(model, p), masters) for p in constrained]
@@ -61,17 +61,17 @@ def layer_parts(model: Model, bc_dofs: Indices, bodies: Sequence[Part]) -> list[
     return parts
 
 
-def _largest_at_rest(model: Model, parts: Sequence[Part]) -> float:
+def _largest_stiffness(model: Model, parts: Sequence[Part]) -> float:
     """Stiffness, force per displacement, with which equations of pressures are scaled to forces. Collective.
 
     It is the largest diagonal entry of the parts' stiffness at rest if a part is no `LawFormPart`. If all are, or if
-    that entry is 0, it is the largest `LawFormPart.largest_at_rest`, which is 1 without non-linear laws in UFL.
+    that entry is 0, it is the largest `LawFormPart.largest_stiffness`, which is 1 without non-linear laws in UFL.
     """
     in_forms, largest = [part for part in parts if isinstance(part, LawFormPart)], 0.0
     if parts != in_forms:
         sums = fem.Function(model.V)  # must outlive its PETSc vector
         largest = float(diagonal_at_rest(parts, sums.x.petsc_vec).max()[1])
-    return largest or max(part.largest_at_rest() for part in in_forms)
+    return largest or max(part.largest_stiffness() for part in in_forms)
 
 
 def _compiled_parts(model: Model, terms: Iterable[Term]) -> list[CompiledPart]:
@@ -103,4 +103,4 @@ def _free_vertices(model: Model, term: Term) -> Array | None:
         return None
     layer = next(layer for layer in model.layers.values() if layer.key == term.key)
     applicability = model.applicability[layer.name]
-    return points_on_middle(model.domain.joint)[np.unique(applicability.loose[~applicability.is_coarse].vertices)]
+    return points_on_middle(model.domain.joint)[np.unique(applicability.open_rim[~applicability.is_coarse].vertices)]

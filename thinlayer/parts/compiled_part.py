@@ -164,22 +164,22 @@ class CompiledPart(Part):
         change of stored energy and the dissipated energy.
         """
         response, interval = self._response, self.interval
-        before = interval.old.stored[self.key] if self.key in interval.old.stored else self._at_rest()
+        before = interval.old.stored[self.key] if self.key in interval.old.stored else self._stored_at_rest()
         after, dissipated, remainder = map(float, self.comm.allreduce(response.energies))
         supplied = self.comm.allreduce(float(self.points.weights @ (response.stress * self._growth).sum(axis=1)))
         if self.points.material.varies:
             if interval.t != self._t:
                 after = self._stored_at(interval.t)
             change = self._u.x.petsc_vec - interval.old.u.x.petsc_vec
-            worked = float(self.points.forces(response.stress).dot(change)) + supplied
-            remainder = worked - (after - before) - dissipated
+            work_done = float(self.points.forces(response.stress).dot(change)) + supplied
+            remainder = work_done - (after - before) - dissipated
             change.destroy()
         stress = self.points.projected(response.whole)
         if interval.theta < 1:  # extrapolate from old.t + theta dt to the end of the step
             stress = np.asarray((stress - (1 - interval.theta) * interval.old.stresses[self.key]) / interval.theta)
         return StepOutcome(before, after, dissipated, remainder, response.memory, supplied=supplied, stress=stress)
 
-    def _at_rest(self) -> float:
+    def _stored_at_rest(self) -> float:
         """Energy stored before the first step by a prescribed strain that was always present."""
         if self.points.term.prescribed_strain is None:
             return 0.0
@@ -224,22 +224,22 @@ class CompiledPart(Part):
         return next((type(law.in_space).__name__ for _, law in self.law.sublayers if depends_on_step_length(law)), "")
 
     def answers_at_once(self, times: Sequence[float]) -> tuple[str, bool] | None:
-        for (_, law), changes in zip(self.law.sublayers, self._change(times), strict=True):
+        for (_, law), changes in zip(self.law.sublayers, self._changes_in_time(times), strict=True):
             if not depends_on_step_length(law) and (changes or not law.traits.linear):
                 return type(law.in_space).__name__, bool(changes)
         return None
 
-    def _change(self, times: Sequence[float]) -> Array:
+    def _changes_in_time(self, times: Sequence[float]) -> Array:
         """Mask (sublayers,) of those whose parameters change in time, sampled at and between `times`. Collective."""
         points = self.points
         points.at_time(times[0])
-        old = points.material.of_sublayers
+        old = points.material.sublayer_parameters
         vary = np.zeros(len(old), int)
         for a, b in pairwise(times if points.material.varies else ()):
             for share in (*SAMPLE_FRACTIONS, 1.0):
                 points.at_time(a + share * (b - a))
-                now = points.material.of_sublayers
-                vary |= [not np.allclose(*both, rtol=CHANGE_TOLERANCE, atol=0.0) for both in zip(old, now, strict=True)]
+                new = points.material.sublayer_parameters
+                vary |= [not np.allclose(*pair, rtol=CHANGE_TOLERANCE, atol=0.0) for pair in zip(old, new, strict=True)]
         return np.asarray(self.comm.allreduce(vary) > 0)
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
@@ -251,8 +251,8 @@ class CompiledPart(Part):
         return weighted.ravel()
 
     def unit_jump_measure(self) -> float:
-        steepest = float(self.points.B.norm(PETSc.NormType.INFINITY))
-        return steepest**2 * float(self.comm.allreduce(float(np.abs(self.points.weights).sum())))
+        norm_B = float(self.points.B.norm(PETSc.NormType.INFINITY))
+        return norm_B**2 * float(self.comm.allreduce(float(np.abs(self.points.weights).sum())))
 
     @property
     def file_order(self) -> FileOrder:
@@ -262,5 +262,5 @@ class CompiledPart(Part):
         """
         points = self.points
         if points.region.dim < points.dim:
-            return FileOrder.by_place(points.original, points.cells, points.x)
-        return FileOrder(points.original, points.cells)
+            return FileOrder.by_place(points.entity_numbers, points.cells, points.x)
+        return FileOrder(points.entity_numbers, points.cells)

@@ -38,10 +38,10 @@ class ContactPart(Part):
     ) -> None:
         require(isinstance(law, ContactLaw), "law", law, "it must be a contact law")
         law.check_threshold()
-        of_law = {name: getattr(law.traits, name) for name in ("remembers", "softens")}
-        self.traits = PartTraits(nonlinear=True, releases=True, has_homotopy=True, **of_law)
+        law_traits = {name: getattr(law.traits, name) for name in ("remembers", "softens")}
+        self.traits = PartTraits(nonlinear=True, releases=True, has_homotopy=True, **law_traits)
         self.key, self.law, self.nodes = key, law, ContactNodes(surface, bc_dofs, gap=law.gaps)
-        self.now: ContactLaw | ContactHomotopy = law
+        self.law_now: ContactLaw | ContactHomotopy = law
         self.slip = self.rest()
         law.check_dimension(self.nodes.dim)
         self.distance = self.nodes.comm.allreduce(float(np.abs(self.nodes.gap).max(initial=0.0)), max)
@@ -60,13 +60,13 @@ class ContactPart(Part):
         self.slip = interval.old.memory[self.key]
 
     def set_homotopy(self, parameter: float) -> None:
-        self.now = self.law.homotopy(MIN_SPRING_SHARE ** (1 - parameter)) if parameter else self.law
+        self.law_now = self.law.homotopy(MIN_SPRING_SHARE ** (1 - parameter)) if parameter else self.law
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self._u, self._w = u, self.nodes.separation(u.x.petsc_vec)
 
     def add_forces(self, out: PETSc.Vec) -> float:
-        self.nodes.add_forces(self.now.traction(self._w, self.slip), out)
+        self.nodes.add_forces(self.law_now.traction(self._w, self.slip), out)
         return 0.0
 
     def tangents(self, relative_residual: float) -> list[Block]:
@@ -75,7 +75,7 @@ class ContactPart(Part):
         While all jumps are zero, the law has no unique tangent. The springs of bonded sides, which neither open nor
         slide, then replace it.
         """
-        C = self.now.tangent(self._w, self.slip) if self._moved else self.law.bonded(len(self._w), self.nodes.dim)
+        C = self.law_now.tangent(self._w, self.slip) if self._moved else self.law.bonded(len(self._w), self.nodes.dim)
         return [Block(self.nodes.stiffness(C))]
 
     def resisting(self, relative_residual: float, rounding: PETSc.Vec) -> list[Block]:
@@ -90,12 +90,12 @@ class ContactPart(Part):
         """
         if not self._moved:
             return self.tangents(relative_residual)
-        nodes, p, C = self.nodes, self.law.pressure(self._w), self.now.tangent(self._w, self.slip)
+        nodes, p, C = self.nodes, self.law.pressure(self._w), self.law_now.tangent(self._w, self.slip)
         upper = rounding.array_r[nodes.dim * nodes.upper]
         lower = np.where(nodes.pairs[:, 1] >= 0, nodes.lower_side(rounding)[:, 0], np.inf)
-        least = np.minimum(upper, lower)  # the force is as accurate as on the side with the smaller rounding error
-        C[nodes.weights * p <= least, -1] = 0.0
-        C[nodes.weights * self.law.threshold(p) <= least, :-1] = 0.0
+        min_force = np.minimum(upper, lower)  # the force is as accurate as on the side with the smaller rounding error
+        C[nodes.weights * p <= min_force, -1] = 0.0
+        C[nodes.weights * self.law.threshold(p) <= min_force, :-1] = 0.0
         return [Block(nodes.stiffness(C))]
 
     @property
@@ -106,9 +106,9 @@ class ContactPart(Part):
         w, law, nodes, old = self._w, self.law, self.nodes, self.interval.old
         stored, dissipated = law.energies(w, self.slip)
         t, change = law.traction(w, self.slip), w - nodes.separation(old.u.x.petsc_vec)
-        pressed = t[:, -1] * nodes.gap * old.at_rest  # an interference is applied in the first step
-        worked = (t * change).sum(axis=1) + pressed
-        sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, worked, pressed)]))
+        gap_work = t[:, -1] * nodes.gap * old.at_rest  # an interference is applied in the first step
+        work_done = (t * change).sum(axis=1) + gap_work
+        sums = nodes.comm.allreduce(np.array([nodes.weights @ e for e in (stored, dissipated, work_done, gap_work)]))
         after, lost, work = map(float, sums[:3] if law.traits.has_energy else np.full(3, np.nan))
         before, memory = old.stored.get(self.key, 0.0), law.slip_after(w, self.slip)
         return StepOutcome(before, after, lost, work - (after - before) - lost, memory, supplied=float(sums[3]))

@@ -63,9 +63,9 @@ class FormPart(Part):
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self._end, self._mid = u, mid
         if self._F or self._g:
-            self._take(mid.x.petsc_vec)
+            self._copy_u(mid.x.petsc_vec)
 
-    def _take(self, u: PETSc.Vec, into: fem.Function | None = None) -> None:
+    def _copy_u(self, u: PETSc.Vec, into: fem.Function | None = None) -> None:
         """Copy displacements u, ghosts included, into a function: by default that of the forms F and `energy`."""
         target = into or self._u
         u.copy(target.x.petsc_vec)
@@ -76,9 +76,9 @@ class FormPart(Part):
             add_assembled_forces(out, *self._g)
 
     def add_forces(self, out: PETSc.Vec) -> float:
-        return self._add(self._mid.x.petsc_vec, out)
+        return self._add_forces_at(self._mid.x.petsc_vec, out)
 
-    def _add(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
+    def _add_forces_at(self, u: PETSc.Vec, out: PETSc.Vec) -> float:
         """Add the nodal forces at displacements u; return the larger of the norms of K u and F(u) + g.
 
         The function in the form F must already have the values u.
@@ -109,29 +109,29 @@ class FormPart(Part):
 
     def add_forces_in(self, state: Configuration, out: PETSc.Vec) -> None:
         if self._F or self._g:
-            self._take(state.u.x.petsc_vec)
-        self._add(state.u.x.petsc_vec, out)
+            self._copy_u(state.u.x.petsc_vec)
+        self._add_forces_at(state.u.x.petsc_vec, out)
 
     # ---------------------------------------------------------------- an accepted step
     def commit(self) -> StepOutcome:
         now, old = self._end.x.petsc_vec, self.interval.old.u.x.petsc_vec
         change, theta = now.duplicate(), self.interval.theta
         change.waxpy(-1.0, old, now)
-        before, after, of_change = (self._quadratic(v) for v in (old, now, change))
-        supplied, remainder = 0.0, (2 * theta - 1) * of_change
+        before, after, change_energy = (self._quadratic(v) for v in (old, now, change))
+        supplied, remainder = 0.0, (2 * theta - 1) * change_energy
         if self._F or self._g:
             self._product.set(0.0)
             add_assembled_forces(self._product, *self._F, *self._g)
-            supplied = self._supplied()
-            worked = float(self._product.dot(change)) + supplied
-            taken = self._u.x.array.copy()  # `now` may share these values, which `_stored` overwrites
-            last, first = self._stored(now, self.interval), self._stored(old, self.interval, before=True)
-            self._u.x.array[:] = taken
-            before, after, remainder = before + first, after + last, remainder + worked - (last - first)
+            supplied = self._supplied_work()
+            work_done = float(self._product.dot(change)) + supplied
+            u_values = self._u.x.array.copy()  # `now` may share these values, which `_stored` overwrites
+            F_new, F_old = self._stored(now, self.interval), self._stored(old, self.interval, before=True)
+            self._u.x.array[:] = u_values
+            before, after, remainder = before + F_old, after + F_new, remainder + work_done - (F_new - F_old)
         change.destroy()
         return StepOutcome(before, after, 0.0, remainder, kept=self._kept, supplied=supplied)
 
-    def _supplied(self) -> float:
+    def _supplied_work(self) -> float:
         """Work of the last evaluation's stresses in the increments of prescribed strains; 0 without such strains."""
         return 0.0
 
@@ -156,7 +156,7 @@ class FormPart(Part):
         """
         if self._energy is None:
             return float("nan")
-        self._take(u)
+        self._copy_u(u)
         return float(self.comm.allreduce(sum(map(fem.assemble_scalar, self._energy_forms))))
 
     def destroy(self) -> None:
@@ -183,7 +183,7 @@ class LawFormPart(FormPart):
     """
 
     def __init__(self, key: str, V: fem.FunctionSpace, terms: Sequence[Term], other_terms: Iterable[Term] = ()) -> None:
-        everywhere = [p for p in terms if p.n is None]
+        body_terms = [p for p in terms if p.n is None]
         self._terms = terms = [p for p in terms if not p.law.traits.compiled]
         for p in terms:
             check(p.law, None if p.n is None else p.n.ufl_shape[0])
@@ -191,19 +191,19 @@ class LawFormPart(FormPart):
         linear = [p for p, is_linear in kinds if is_linear]
         others = [p for p, is_linear in kinds if not is_linear]
         strained = [p for p in linear if p.prescribed_strain is not None]
-        self._over = over = StepStrains(V.mesh, terms)
+        self._step_strain = strains = StepStrains(V.mesh, terms)
         self._strained, stored = any(p.prescribed_strain is not None for p in terms), None
         u, v = fem.Function(V), ufl.TestFunction(V)
         if (others or strained) and all(p.law.traits.has_energy for p in others + strained):
             # prescribed strains of linear laws add energy to u.K u/2
-            beyond = [_strain_energy(p, u) for p in _with_strains(strained, over.now)]
-            stored = energy(_with_strains(others, over.now), u) + sum(beyond)
-        K = _linear_stiffness(V, linear, everywhere, other_terms) if linear or everywhere else None
-        F = work(_with_strains(others, over.balanced), u, v) if others else None
-        g = sum(_strain_work(p, v) for p in _with_strains(strained, over.balanced)) if strained else None
+            added_energy = [_strain_energy(p, u) for p in _with_strains(strained, strains.now)]
+            stored = energy(_with_strains(others, strains.now), u) + sum(added_energy)
+        K = _linear_stiffness(V, linear, body_terms, other_terms) if linear or body_terms else None
+        F = work(_with_strains(others, strains.balanced), u, v) if others else None
+        g = sum(_strain_work(p, v) for p in _with_strains(strained, strains.balanced)) if strained else None
         super().__init__(key, u, K, F, stored, g=g)
-        opposing = [p for p in others if p.n is None and p.prescribed_strain is not None]
-        self._opposing = _opposing_integrals(_with_strains(opposing, over.balanced), u)
+        prescribed = [p for p in others if p.n is None and p.prescribed_strain is not None]
+        self._scale_forms = _strain_force_integrals(_with_strains(prescribed, strains.balanced), u)
         traits = reduce(or_, map(_form_traits, terms), PartTraits())
         self.traits = replace(traits, inner=all(p.n is None for p in terms))
 
@@ -215,50 +215,50 @@ class LawFormPart(FormPart):
 
     # ---------------------------------------------------------------- prescribed strains
     @cached_property
-    def _power(self) -> fem.Form:
+    def _supplied_form(self) -> fem.Form:
         """Compiled form of the work of the last evaluation's stresses in the increments of prescribed strains."""
-        over, grown = self._over, [p for p in self._terms if p.prescribed_strain is not None]
-        pairs = zip([stress(p, self._u) for p in _with_strains(grown, over.balanced)], grown, strict=True)
-        return compiled(sum(ufl.inner(s, over.growth(p.prescribed_strain)) * p.weight * p.measure for s, p in pairs))
+        strains, grown = self._step_strain, [p for p in self._terms if p.prescribed_strain is not None]
+        pairs = zip([stress(p, self._u) for p in _with_strains(grown, strains.balanced)], grown, strict=True)
+        return compiled(sum(ufl.inner(s, strains.growth(p.prescribed_strain)) * p.weight * p.measure for s, p in pairs))
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
-        self._over.begin(interval.old.t, interval.t, interval.theta, at_rest=interval.old.at_rest)
+        self._step_strain.begin(interval.old.t, interval.t, interval.theta, at_rest=interval.old.at_rest)
 
-    def _supplied(self) -> float:
-        grows = self._strained and self._over.grows
-        return float(self.comm.allreduce(fem.assemble_scalar(self._power))) if grows else 0.0
+    def _supplied_work(self) -> float:
+        grows = self._strained and self._step_strain.grows
+        return float(self.comm.allreduce(fem.assemble_scalar(self._supplied_form))) if grows else 0.0
 
     def add_forces(self, out: PETSc.Vec) -> float:
-        return max(super().add_forces(out), self._opposing_force())
+        return max(super().add_forces(out), self._strain_force_scale())
 
-    def _opposing_force(self) -> float:
+    def _strain_force_scale(self) -> float:
         """Reference force of non-linear bodies with prescribed strains: a mean stress times V^(1 - 1/d).
 
         V is their volume, d the number of dimensions. The mean stress is |int stress : e|/sqrt(V int e : e), with the
         prescribed strains e; 0 if these are zero. Nodal forces of uniform stresses cancel, and non-linear bodies have
         no stiffness in K from which a reference force would follow.
         """
-        if not self._opposing:
+        if not self._scale_forms:
             return 0.0
-        work, square, volume = self.comm.allreduce(np.array([fem.assemble_scalar(form) for form in self._opposing]))
+        work, square, volume = self.comm.allreduce(np.array([fem.assemble_scalar(form) for form in self._scale_forms]))
         size = np.sqrt(square * volume) * volume ** (1 / self._u.function_space.mesh.geometry.dim) / volume
         return float(abs(work) / size) if size > 0 and np.isfinite(work) else 0.0
 
     def add_work_in(self, z: fem.Function, out: PETSc.Vec) -> None:
-        there = fem.Function(self._u.function_space)
-        for u, target in ((z, there), (self._mid, self._u)):
-            self._take(u.x.petsc_vec, target)
-        for p in _with_strains(self._terms, self._over.balanced):
-            density = ufl.inner(stress(p, self._u), p.strain(there)) * p.weight
-            add_distributed(density, there.function_space, p.measure, out)
+        copy_of_z = fem.Function(self._u.function_space)
+        for u, target in ((z, copy_of_z), (self._mid, self._u)):
+            self._copy_u(u.x.petsc_vec, target)
+        for p in _with_strains(self._terms, self._step_strain.balanced):
+            density = ufl.inner(stress(p, self._u), p.strain(copy_of_z)) * p.weight
+            add_distributed(density, copy_of_z.function_space, p.measure, out)
 
     def _stored(self, u: PETSc.Vec, interval: TimeStep, *, before: bool = False) -> float:
         old = interval.old
-        self._over.look_at(old.t if before else interval.t, at_rest=before and old.at_rest)
+        self._step_strain.set_now(old.t if before else interval.t, at_rest=before and old.at_rest)
         return super()._stored(u, interval, before=before)
 
-    def largest_at_rest(self) -> float:
+    def largest_stiffness(self) -> float:
         """Largest diagonal entry of the non-linear laws' tangent at rest, force per displacement. Collective.
 
         1 if there is no non-linear law, or if the entry is not finite or not positive.
@@ -331,7 +331,7 @@ def _strain_energy(p: Term, u: fem.Function) -> Expr:
     return _strain_work(p, u) + p.law.energy(Step(p.prescribed_strain, p.n)) * p.weight * p.measure
 
 
-def _opposing_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
+def _strain_force_integrals(strained: Sequence[Term], u: fem.Function) -> list[fem.Form]:
     """Compiled integrals over bodies with prescribed strains e: of stress : e, of e : e, and the volume."""
     unity = fem.Constant(u.function_space.mesh, 1.0)
     densities = [(ufl.inner(stress(p, u), e), ufl.inner(e, e), unity) for p in strained for e in [p.prescribed_strain]]
@@ -362,8 +362,8 @@ def _linear_stiffness(
             dolfinx.fem.petsc.assemble_matrix(K, summand)
     except ArityMismatch as error:
         names = " or ".join(sorted({type(p.law).__name__ for p in linear if law_identity(p.law) is None}))
-        what = f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}"
-        raise InputError(f"{what}; write linear = False in the class") from error
+        text = f"{names} says linear = True, but is not linear, or UFL does not see that it is: {error}"
+        raise InputError(f"{text}; write linear = False in the class") from error
     K.assemble()
     return K
 

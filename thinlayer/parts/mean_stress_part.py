@@ -45,20 +45,20 @@ class MeanStressPart(FieldPart):
         self, V: fem.FunctionSpace, bodies: Sequence[Term], mean_stress: MeanStress, volume: float, comm: MPI.Intracomm
     ) -> None:
         self._mean_stress, self.unit, self._volume, mesh = mean_stress, 1 / mean_stress.size, volume, V.mesh
-        whole = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(mean_stress.count,)))
-        same = np.zeros(np.shape(whole.dofmap.list), np.int64)
-        W = broken_space(comm, SharedDofs(whole, same[:1, 0], same[:1, 0], same))
+        space = fem.functionspace(mesh, basix.ufl.element("DG", mesh.basix_cell(), 0, shape=(mean_stress.count,)))
+        zeros = np.zeros(np.shape(space.dofmap.list), np.int64)
+        W = broken_space(comm, SharedDofs(space, zeros[:1, 0], zeros[:1, 0], zeros))
         self.field = fem.Function(W)
         v, E, F = ufl.TestFunction(V), ufl.TrialFunction(W), ufl.TestFunction(W)
         strained = [(p, p.law.stress(Step(three_dimensional(voigt_strain(E)) / mean_stress.size, p.n))) for p in bodies]
-        couple = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in strained)
+        coupling = sum(ufl.inner(s, p.strain(v)) * p.weight * p.measure for p, s in strained)
         tensor = three_dimensional(voigt_strain(F)) / mean_stress.size
         virtual_work = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in strained)
-        self.B, self.D = assemble_matrix(fem.form(couple)), assemble_matrix(fem.form(virtual_work))
-        self._turned = self.B.transpose(PETSc.Mat())
+        self.B, self.D = assemble_matrix(fem.form(coupling)), assemble_matrix(fem.form(virtual_work))
+        self._B_trans = self.B.transpose(PETSc.Mat())
         prescribing = [p for p in bodies if p.prescribed_strain is not None]
-        self._over = StepStrains(mesh, prescribing)
-        stresses = [(p, p.law.stress(Step(self._over.now(p.prescribed_strain), p.n))) for p in prescribing]
+        self._step_strain = StepStrains(mesh, prescribing)
+        stresses = [(p, p.law.stress(Step(self._step_strain.now(p.prescribed_strain), p.n))) for p in prescribing]
         virtual_work = sum(ufl.inner(s, tensor) * p.weight * p.measure for p, s in stresses)
         self._strain_work = fem.form(virtual_work) if prescribing else None
         self._forces, self._own, self._more = self.B.createVecLeft(), self.D.createVecLeft(), self.D.createVecLeft()
@@ -67,7 +67,7 @@ class MeanStressPart(FieldPart):
     # ---------------------------------------------------------------- a step
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
-        new, old = self._strain_forces(self._over, self._strain_work)
+        new, old = self._strain_forces(self._step_strain, self._strain_work)
         self._strained = new, old, interval.theta * new + (1 - interval.theta) * old
         self._old.array[:] = self.own_start(interval.old)
 
@@ -92,7 +92,7 @@ class MeanStressPart(FieldPart):
 
     def tangents(self, relative_residual: float) -> list[Block]:
         u, E, theta = DISPLACEMENT_KEY, self.key, self.interval.theta
-        matrices = (self.B, u, E), (self._turned, E, u), (self.D, E, E)
+        matrices = (self.B, u, E), (self._B_trans, E, u), (self.D, E, E)
         return [Block(matrix, theta, row, column, kept=True) for matrix, row, column in matrices]
 
     def commit(self) -> StepOutcome:
@@ -103,11 +103,11 @@ class MeanStressPart(FieldPart):
         self._mid.array[:] = self.field.x.array[: self.own_size]
         theta, (new_s, old_s, _) = self.interval.theta, self._strained
         ends = (old, self._old, old_s), (now, self._mid, new_s), (difference, self._change, new_s - old_s)
-        before, after, of_change = (self._energy(*arguments) for arguments in ends)
+        before, after, change_energy = (self._energy(*arguments) for arguments in ends)
         supplied = self._product(self.load, self._change) + theta * self._product(new_s - old_s, self._mid)
         supplied += (1 - theta) * self._product(new_s - old_s, self._old)
         difference.destroy()
-        return StepOutcome(before, after, 0.0, (2 * theta - 1) * of_change, kept=False, supplied=supplied)
+        return StepOutcome(before, after, 0.0, (2 * theta - 1) * change_energy, kept=False, supplied=supplied)
 
     def _energy(self, u: PETSc.Vec, E: PETSc.Vec, forces: Array) -> float:
         """Energy that the mean strain adds to the bodies' energy.
@@ -133,4 +133,4 @@ class MeanStressPart(FieldPart):
 
     def destroy(self) -> None:
         """Free the part's PETSc matrices and vectors."""
-        destroy(self.B, self.D, self._turned, self._forces, self._own, self._more, self._mid, self._old, self._change)
+        destroy(self.B, self.D, self._B_trans, self._forces, self._own, self._more, self._mid, self._old, self._change)

@@ -167,8 +167,8 @@ class FileOrder:
             indices: (entities, k) positions of each one's values among this rank's n values, in any order.
             x: (n, d) coordinates of the points of the values; d: number of dimensions.
         """
-        along = x @ np.array(SORTING_DIRECTION[: x.shape[1]])
-        return cls(numbers, np.take_along_axis(indices, np.argsort(along[indices], axis=1), axis=1))
+        projections = x @ np.array(SORTING_DIRECTION[: x.shape[1]])
+        return cls(numbers, np.take_along_axis(indices, np.argsort(projections[indices], axis=1), axis=1))
 
     def ordered(self, values: Array) -> Array:
         """Values (n, v) of this rank as rows (entities, k v), one for each cell, facet or vertex, as in files."""
@@ -446,19 +446,19 @@ class FieldPart(Part):
         """
         return np.empty(0, np.int64), np.empty(0)
 
-    def _strain_forces(self, over: StepStrains, form: fem.Form | None) -> tuple[Array, Array]:
+    def _strain_forces(self, strains: StepStrains, form: fem.Form | None) -> tuple[Array, Array]:
         """Forces of prescribed strains in the part's own equations, at the end and at the start of the step.
 
         Each array has one entry for each own unknown of this rank.
 
         Args:
-            over: the prescribed strains over the step; the method sets the time of `over.now`.
-            form: linear form of the prescribed strains `over.now`; None: no strains are prescribed.
+            strains: the prescribed strains over the step; the method sets the time of `strains.now`.
+            form: linear form of the prescribed strains `strains.now`; None: no strains are prescribed.
         """
         old = self.interval.old
-        over.look_at(self.interval.t)
+        strains.set_now(self.interval.t)
         new = assemble_values(form, self.own_size)
-        over.look_at(old.t, at_rest=old.at_rest)
+        strains.set_now(old.t, at_rest=old.at_rest)
         return new, assemble_values(form, self.own_size)
 
     def own_result(self) -> fem.Function:

@@ -102,20 +102,20 @@ class RigidPlate(PartDefinition):
         """Multi-point constraint by which displacements of the plate's nodes follow its few motions. Collective."""
         d, size = model.joint.dim, model.domain.joint.size
         scale = np.where(np.arange(motion_count(d)) < d, 1.0, size)
-        keys, loads, at = self.prescribed_motions(model), self._resultants(model), self._motions(model)
-        motion = {k: partial(lambda k, t: float(at[k].at_time(t) * scale[k]) if k in at else 0.0, k) for k in keys}
-        R = self._tie(model, self.point(model), size)
+        keys, loads, vals = self.prescribed_motions(model), self._resultants(model), self._motions(model)
+        motion = {k: partial(lambda k, t: float(vals[k].at_time(t) * scale[k]) if k in vals else 0.0, k) for k in keys}
+        R = self._motion_matrix(model, self.point(model), size)
         return MultiPointConstraint(self.key, motion_names(d), R, motion, lambda t: self._at(t, loads, keys, d) / scale)
 
     def motion_in(self, state: State) -> PlateMotion:
         """The plate's motion in a state. Collective."""
         model = state.model
-        (tie,) = (mpc for mpc in model.constraints.mpcs if mpc.key == self.key)
-        q, d = model.constraints.motion(tie, state.u.x.array[: model.constraints.n]), model.joint.dim
+        (mpc,) = (mpc for mpc in model.constraints.mpcs if mpc.key == self.key)
+        q, d = model.constraints.motion(mpc, state.u.x.array[: model.constraints.n]), model.joint.dim
         rotation = q[d:] / model.domain.joint.size  # the unknowns are lengths
         return PlateMotion(q[:d], np.asarray(rotation[0] if d == 2 else rotation), self.point(model))
 
-    def _tie(self, model: HostModel, about: Array, size: float) -> scipy.sparse.csr_matrix:
+    def _motion_matrix(self, model: HostModel, about: Array, size: float) -> scipy.sparse.csr_matrix:
         """Matrix (n, k) from the k motions of the plate to the n displacement components of this rank. Collective.
 
         A rotation shifts the bodies on both sides of a layer along S relative to each other, with the layer's thickness
@@ -135,17 +135,17 @@ class RigidPlate(PartDefinition):
         except RuntimeError as error:
             raise InputError(f"{self.what} needs nodal displacements, not elements S2") from error
         if (shifts := model.shifts()) is not None:
-            by_node = np.zeros((owned + V.dofmap.index_map.num_ghosts, d))
-            by_node[V.dofmap.list] = shifts[model.domain.original_cells][:, None]
-            least, most = by_node[blocks].min(axis=0, initial=np.inf), by_node[blocks].max(axis=0, initial=-np.inf)
-            every = np.array(model.comm.allgather((least, most)))
-            middle = (every[:, 0].min(axis=0) + every[:, 1].max(axis=0)) / 2  # the reference point does not shift
-            x = x + by_node[blocks] - middle
+            at_nodes = np.zeros((owned + V.dofmap.index_map.num_ghosts, d))
+            at_nodes[V.dofmap.list] = shifts[model.domain.original_cells][:, None]
+            least, most = at_nodes[blocks].min(axis=0, initial=np.inf), at_nodes[blocks].max(axis=0, initial=-np.inf)
+            extrema = np.array(model.comm.allgather((least, most)))
+            middle = (extrema[:, 0].min(axis=0) + extrema[:, 1].max(axis=0)) / 2  # the reference point does not shift
+            x = x + at_nodes[blocks] - middle
         values = motion_fields(x, about)
         values[:, :, d:] /= size
         k = values.shape[2]
-        at = np.repeat(blocks[:, None] * d + np.arange(d), k), np.tile(np.arange(k), len(blocks) * d)
-        return scipy.sparse.csr_matrix((values.ravel(), at), (owned * d, k))
+        indices = np.repeat(blocks[:, None] * d + np.arange(d), k), np.tile(np.arange(k), len(blocks) * d)
+        return scipy.sparse.csr_matrix((values.ravel(), indices), (owned * d, k))
 
     # ---------------------------------------------------------------- prescribed values
     @property
@@ -159,7 +159,7 @@ class RigidPlate(PartDefinition):
         d, names = model.joint.dim, motion_names(model.joint.dim)
         for name in self.motion:
             require_known("motion", name, names, self.what)
-            if names.index(name) in self._prevented(model):
+            if names.index(name) in self._excluded(model):
                 raise InputError(f"{self.what}: a plate of revolution has no motion {name!r}; it moves along the axis")
         if self.about is not None:
             require_point(self.about, d)
@@ -190,7 +190,7 @@ class RigidPlate(PartDefinition):
         return coefficient.once("the whole plate")
 
     @staticmethod
-    def _prevented(model: HostModel) -> list[int]:
+    def _excluded(model: HostModel) -> list[int]:
         """Positions in `motion_names` of the motions that the model's kinematics exclude, as axisymmetry does."""
         return [int(k) for k in np.flatnonzero(balanced_motions(model.kinematics, model.joint.dim) == 0)]
 
@@ -208,8 +208,8 @@ class RigidPlate(PartDefinition):
             out[places[name]] = value.at_time(t)
         for k in prescribed:
             if out[k]:
-                what = f"{self.what}: the motion {motion_names(d)[k]!r} is prescribed, and {out[k]:g} is given"
-                raise InputError(f"{what} for its force or moment; one of them follows from the other")
+                text = f"{self.what}: the motion {motion_names(d)[k]!r} is prescribed, and {out[k]:g} is given"
+                raise InputError(f"{text} for its force or moment; one of them follows from the other")
         return out
 
     def point(self, model: HostModel) -> Array:
@@ -226,4 +226,4 @@ class RigidPlate(PartDefinition):
 
         Axisymmetry excludes all motions except the translation along the axis.
         """
-        return sorted({*self._prevented(model), *(motion_names(model.joint.dim).index(name) for name in self.motion)})
+        return sorted({*self._excluded(model), *(motion_names(model.joint.dim).index(name) for name in self.motion)})

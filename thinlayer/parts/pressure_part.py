@@ -78,8 +78,8 @@ class PressurePart(FieldPart):
         if flows_along_surface(term) and origin and origin.middle is not None:
             region.move(origin.middle)
         self.on_S = region.dim < region.parent_mesh.topology.dim
-        self._whole = fem.functionspace(region.mesh, ("Lagrange", 1))
-        space = self._whole if masters is None else periodic_functions(region, masters)
+        self._vertex_space = fem.functionspace(region.mesh, ("Lagrange", 1))
+        space = self._vertex_space if masters is None else periodic_functions(region, masters)
         self.field = self._p = fem.Function(space)
         q, v = region.side(ufl.TestFunction(space)), ufl.TrialFunction(V)
         self.G = G = assemble_matrix(region.compiled(q * ufl.tr(term.strain(v)) * term.weight * term.measure))
@@ -89,13 +89,13 @@ class PressurePart(FieldPart):
             self.unit = min(self.unit, math.sqrt(stiffness / self.C.norm(PETSc.NormType.INFINITY)))
             self.C.scale(self.unit**2)
         G.scale(self.unit)
-        self._zero = dofs_at_vertices(space, free) if free is not None and len(free) else np.empty(0, np.int64)
+        self._zero_dofs = dofs_at_vertices(space, free) if free is not None and len(free) else np.empty(0, np.int64)
         strained = [term] if term.prescribed_strain is not None else []
-        self._over = StepStrains(V.mesh, strained)
-        room = sum(q * ufl.tr(self._over.now(p.prescribed_strain)) * p.weight * p.measure for p in strained)
-        self._room = region.compiled(room) if strained else None
-        self._turned = G.transpose(PETSc.Mat())
-        self._volume, self._squeezed, self._forces = G.createVecLeft(), G.createVecLeft(), G.createVecRight()
+        self._step_strain = StepStrains(V.mesh, strained)
+        volume = sum(q * ufl.tr(self._step_strain.now(p.prescribed_strain)) * p.weight * p.measure for p in strained)
+        self._room = region.compiled(volume) if strained else None
+        self._G_trans = G.transpose(PETSc.Mat())
+        self._volume, self._C_product, self._forces = G.createVecLeft(), G.createVecLeft(), G.createVecRight()
 
     def _compliance(self, space: fem.FunctionSpace, term: Term, points: Quadrature | None) -> PETSc.Mat | None:
         """Assemble the matrix C without the factor `unit`; None: it is zero. Collective.
@@ -110,7 +110,7 @@ class PressurePart(FieldPart):
         p, q = ufl.TrialFunction(space), ufl.TestFunction(space)
         forms = []
         if points:
-            fields = {name: points.at_points(values) for name, values in law.fields_at(points.joint_x).items()}
+            fields = {name: points.region_function(values) for name, values in law.fields_at(points.joint_x).items()}
             law = law.with_parameters({name: region.side(f) for name, f in fields.items()})
             measure = points.measure
         if not isinstance(volume := ufl.as_ufl(law.volume_compliance), Zero):
@@ -131,33 +131,33 @@ class PressurePart(FieldPart):
         space = fem.functionspace(self.region.mesh, ("DG", 0))
         q, n_owned = self.region.side(ufl.TestFunction(space)), space.dofmap.index_map.size_local
         forms = [integrand * q * self.region.measure for integrand in (f, fem.Constant(self.region.parent_mesh, 1.0))]
-        of_f, sizes = (assemble_values(self.region.compiled(form), n_owned) for form in forms)
-        return set_owned_values(fem.Function(space), of_f / sizes)
+        integrals, sizes = (assemble_values(self.region.compiled(form), n_owned) for form in forms)
+        return set_owned_values(fem.Function(space), integrals / sizes)
 
-    def _end(self) -> Array:
+    def _end_p(self) -> Array:
         """This rank's pressures at the end of the step, divided by `unit`, for the last evaluation."""
         theta, p = self.interval.theta, self._p.x.array[: self.own_size]
         return np.asarray(p if theta == 1 else (p - (1 - theta) * self.own_start(self.interval.old)) / theta)
 
-    def _squeeze(self, C: PETSc.Mat, p: Array) -> tuple[Array, float]:
+    def _multiply_C(self, C: PETSc.Mat, p: Array) -> tuple[Array, float]:
         """C p on this rank, and p . C p summed over all ranks, for this rank's pressures p. Collective."""
-        v = self._squeezed.duplicate()
+        v = self._C_product.duplicate()
         v.array[:] = p
-        C.mult(v, self._squeezed)
-        work = float(v.dot(self._squeezed))
+        C.mult(v, self._C_product)
+        work = float(v.dot(self._C_product))
         v.destroy()
-        return self._squeezed.array_r.copy(), work
+        return self._C_product.array_r.copy(), work
 
     def begin(self, interval: TimeStep) -> None:
         super().begin(interval)
         # contributions (own_size,) of prescribed strains to `own_residual`
-        self._strain_volume, old = (self.unit * volume for volume in self._strain_forces(self._over, self._room))
+        self._strain_volume, old = (self.unit * volume for volume in self._strain_forces(self._step_strain, self._room))
         self._growth = self._strain_volume - old
 
     def evaluate(self, u: fem.Function, mid: fem.Function) -> None:
         self.G.mult(u.x.petsc_vec, self._volume)
-        room = self._volume.array_r + self._strain_volume
-        self._residual: Array = room if self.C is None else room - self._squeeze(self.C, self._end())[0]
+        volume = self._volume.array_r + self._strain_volume
+        self._residual: Array = volume if self.C is None else volume - self._multiply_C(self.C, self._end_p())[0]
 
     def named(self) -> dict[str, PartTraits]:
         return {type(self._term.law).__name__: self.traits}
@@ -176,10 +176,10 @@ class PressurePart(FieldPart):
 
     def own_prescribed(self, t: float | None) -> tuple[IntArray, Array]:
         """Local numbers of the pressures at free ends, which a law with flow along S sets to zero, and these zeros."""
-        return self._zero, np.zeros(len(self._zero))
+        return self._zero_dofs, np.zeros(len(self._zero_dofs))
 
     def tangents(self, relative_residual: float) -> list[Block]:
-        blocks = [Block(self._turned, column=self.key, kept=True), Block(self.G, row=self.key, kept=True)]
+        blocks = [Block(self._G_trans, column=self.key, kept=True), Block(self.G, row=self.key, kept=True)]
         if self.C is not None:
             blocks.append(Block(self.C, -1 / self.interval.theta, row=self.key, column=self.key, kept=True))
         return blocks
@@ -190,9 +190,9 @@ class PressurePart(FieldPart):
         supplied = float(self._volume.dot(self._p.x.petsc_vec))
         if self.C is None:
             return StepOutcome(kept=False, supplied=supplied)
-        new, old = self._end(), self.own_start(self.interval.old)
-        before, after, lost = (self._squeeze(self.C, p)[1] / 2 for p in (old, new, new - old))
-        return StepOutcome(before, after, remainder=(2 * self.interval.theta - 1) * lost, supplied=supplied)
+        new, old = self._end_p(), self.own_start(self.interval.old)
+        before, after, change_energy = (self._multiply_C(self.C, p)[1] / 2 for p in (old, new, new - old))
+        return StepOutcome(before, after, remainder=(2 * self.interval.theta - 1) * change_energy, supplied=supplied)
 
     def own_result(self) -> fem.Function:
         """Pressure at the end of the step, extrapolated from `field`, the pressure over `unit` at old.t + theta dt."""
@@ -204,15 +204,15 @@ class PressurePart(FieldPart):
     @property
     def own_file_order(self) -> FileOrder:
         assert self._origin is not None, "a mesh without a joint"
-        whole, region = self._whole, self.region
+        whole, region = self._vertex_space, self.region
         cells, x = np.asarray(whole.dofmap.list), whole.tabulate_dof_coordinates()[:, : region.mesh.geometry.dim]
         ordered = FileOrder.by_place(self._origin.numbers(region.dim, region.parent)[: len(cells)], cells, x)
-        number = np.empty(len(x), np.int64)
-        number[cells] = self._p.function_space.dofmap.list  # one dof may have several vertices, on periodic sides
-        return FileOrder(ordered.numbers, number[ordered.order])
+        dof_numbers = np.empty(len(x), np.int64)
+        dof_numbers[cells] = self._p.function_space.dofmap.list  # one dof may have several vertices, on periodic sides
+        return FileOrder(ordered.numbers, dof_numbers[ordered.order])
 
     def destroy(self) -> None:
-        destroy(self.G, self.C, self._turned, self._volume, self._forces, self._squeezed)
+        destroy(self.G, self.C, self._G_trans, self._volume, self._forces, self._C_product)
 
 
 def flows_along_surface(term: Term) -> bool:
@@ -238,8 +238,8 @@ def periodic_functions(region: MeasureRegion, masters: IntArray) -> fem.Function
 def dofs_at_vertices(space: fem.FunctionSpace, places: Array) -> IntArray:
     """Owned dofs of a space of degree 1 at vertices with coordinates `places` (n, d), to rounding. Collective."""
     x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, : places.shape[1]]
-    ends = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
-    low, high = (np.array(bounds) for bounds in zip(*ends, strict=True))
+    boxes = space.mesh.comm.allgather((x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)))
+    low, high = (np.array(bounds) for bounds in zip(*boxes, strict=True))
     size = float((high.max(axis=0) - low.min(axis=0)).max())
     distance, _ = cKDTree(places).query(x)
     return np.flatnonzero(distance <= VERTEX_TOLERANCE * size).astype(np.int64)

@@ -14,7 +14,7 @@ from forms.tensors import Expr
 from geometry.refusals import place_text as at_place
 from thinlayer.discretisation.boundary import boundary_values
 from thinlayer.discretisation.coefficient import NUMPY_DEGREE, Coefficient
-from thinlayer.discretisation.form_compilation import per_unit
+from thinlayer.discretisation.form_compilation import unit_values
 from thinlayer.discretisation.part_definition import HostModel, PartDefinition
 from thinlayer.discretisation.rigid_motions import motion_expression
 from thinlayer.discretisation.supports import Place
@@ -82,8 +82,8 @@ class Springs(PartDefinition):
 
     def _stiffnesses(self, model: HostModel) -> list[Coefficient]:
         """The normal and the tangential stiffness as coefficients of the place. Collective."""
-        values, what = {"normal": self.normal, "tangential": self.tangential}, f"springs on {self.place!r}: "
-        return [model.coordinates.coefficient(k, what + name, (), of_place=True) for name, k in values.items()]
+        values, text = {"normal": self.normal, "tangential": self.tangential}, f"springs on {self.place!r}: "
+        return [model.coordinates.coefficient(k, text + name, (), of_place=True) for name, k in values.items()]
 
     def work(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         """Virtual work, a UFL form, of the springs' resistance to displacements u in the displacements v."""
@@ -98,7 +98,7 @@ class Springs(PartDefinition):
         Moments are about `model.centre`.
         """
         motion, v = motion_expression(model.domain.mesh, model.centre)
-        return [(self.place, -per_unit(model.comm, self.work(model, u, v), motion))]
+        return [(self.place, -unit_values(model.comm, self.work(model, u, v), motion))]
 
     def part(self, model: HostModel) -> FormPart:
         """The springs as a part of a model's balance of forces. Collective."""

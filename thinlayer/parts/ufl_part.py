@@ -67,22 +67,22 @@ class UflPart(PartDefinition):
     def check(self, model: HostModel) -> None:
         """Raise InputError unless the function returns a form that can be assembled on the model. Collective."""
         u, v = fem.Function(model.V), ufl.TestFunction(model.V)
-        what = f"the part {self.key!r}"
+        text = f"the part {self.key!r}"
         try:
             form = self._form(model, u, v)
         except Exception as error:
-            raise InputError(f"{what}: {type(error).__name__}: {error}") from error
+            raise InputError(f"{text}: {type(error).__name__}: {error}") from error
         arguments, wanted = ((), "of u alone") if self.virtual_work is None else ((v,), "of u, and linear in v")
         if not isinstance(form, ufl.Form):
-            raise InputError(f"{what} gives {form!r}; it must be a UFL form {wanted}")
+            raise InputError(f"{text} gives {form!r}; it must be a UFL form {wanted}")
         if not all(domain is model.V.mesh.ufl_domain() for domain in form.ufl_domains()):
-            raise InputError(f"{what} is a form on another mesh than the model's; use model.dx and model.ds")
-        whole_structure_form(form, model, what)
+            raise InputError(f"{text} is a form on another mesh than the model's; use model.dx and model.ds")
+        whole_structure_form(form, model, text)
         if form.arguments() != arguments or not has_arity(form):
-            raise InputError(f"{what} is {str(form)[:80]}; it must be a form {wanted}")
+            raise InputError(f"{text} is {str(form)[:80]}; it must be a form {wanted}")
         forces = ufl.derivative(form, u, v) if self.energy else form
         if expand_derivatives(ufl.derivative(expand_derivatives(forces), u, ufl.TrialFunction(model.V))).empty():
-            raise InputError(f"the forces of {what} do not depend on u; loads are `tractions` and `body_force`")
+            raise InputError(f"the forces of {text} do not depend on u; loads are `tractions` and `body_force`")
 
     def _form(self, model: HostModel, u: Expr, v: Expr) -> ufl.Form:
         """The form that the user's function returns at displacements u; v is not used by an energy."""

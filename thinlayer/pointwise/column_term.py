@@ -32,10 +32,10 @@ class ColumnTerm(CompiledTerm):
 
     def __init__(self, V: fem.FunctionSpace, term: Term, origin: MeshOrigin | None = None) -> None:
         super().__init__(V, term, origin)
-        self._B_of_means, rest = self._mean.matrix(self.B), self.B.copy()
-        rest.axpy(-1.0, self._B_of_means)
-        self.constant = (self._product(self._elastic[:, self.slots], rest),)
-        destroy(rest)
+        self._B_of_means, B_deviations = self._mean.matrix(self.B), self.B.copy()
+        B_deviations.axpy(-1.0, self._B_of_means)
+        self.constant = (self._product(self._elastic[:, self.slots], B_deviations),)
+        destroy(B_deviations)
 
     @cached_property
     def _mean(self) -> Projection:
@@ -45,16 +45,16 @@ class ColumnTerm(CompiledTerm):
         positions along S. In other cells they have the degree of the displacements.
         """
         tensor = is_tensor(self.region.mesh.topology.cell_name())
-        most = self.degree if tensor else self._V.ufl_element().basix_element.degree
-        powers = [p for p in product(range(most + 1), repeat=self.dim - 1) if sum(p) <= most]
-        of, places = self.columns.of[self.cells[:, 0]], self.joint_x.T
-        count, bases = np.bincount(of), []
-        for k in np.unique(count[of]):  # columns at junctions of layers have other numbers of cells
-            here = np.flatnonzero(count[of] == k)
-            groups = self.cells[here[np.argsort(of[here], kind="stable")]].reshape(-1, k * self.cells.shape[1])
+        max_degree = self.degree if tensor else self._V.ufl_element().basix_element.degree
+        powers = [p for p in product(range(max_degree + 1), repeat=self.dim - 1) if sum(p) <= max_degree]
+        column, places = self.columns.column_of[self.cells[:, 0]], self.joint_x.T
+        count, bases = np.bincount(column), []
+        for k in np.unique(count[column]):  # columns at junctions of layers have other numbers of cells
+            rows = np.flatnonzero(count[column] == k)
+            groups = self.cells[rows[np.argsort(column[rows], kind="stable")]].reshape(-1, k * self.cells.shape[1])
             x = places[groups]
-            U, size, _ = np.linalg.svd(x - x.mean(axis=1, keepdims=True), full_matrices=False)
-            U *= np.sqrt(x.shape[1]) * (size > INDEPENDENCE_TOLERANCE * np.abs(x).max(axis=(1, 2))[:, None])[:, None]
+            U, sigma, _ = np.linalg.svd(x - x.mean(axis=1, keepdims=True), full_matrices=False)
+            U *= np.sqrt(x.shape[1]) * (sigma > INDEPENDENCE_TOLERANCE * np.abs(x).max(axis=(1, 2))[:, None])[:, None]
             bases.append((groups, np.stack([np.prod(U[..., : self.dim - 1] ** p, axis=2) for p in powers], axis=2)))
         return Projection(self, bases, np.eye(6))
 
@@ -67,9 +67,9 @@ class ColumnTerm(CompiledTerm):
         law = self.term.law
         laws = list(law.at_places(self.joint_x)) if law.fields else repeat(law)
         n = self.n if law.fields or needs_director(law) else self.n[:1]
-        n, at = (n, np.arange(len(n))) if law.fields else np.unique(n.round(12), axis=0, return_inverse=True)
+        n, positions = (n, np.arange(len(n))) if law.fields else np.unique(n.round(12), axis=0, return_inverse=True)
         C = np.array([tangent_at_rest(law, v[: self.dim]) for law, v in zip(laws, n, strict=False)]).reshape(-1, 6, 6)
-        return np.broadcast_to(C[at.ravel()][..., self.slots], (self.count, 6, len(self.slots)))
+        return np.broadcast_to(C[positions.ravel()][..., self.slots], (self.count, 6, len(self.slots)))
 
     def respond(self, e: Array, e_old: Array, memory: Array, dt: float, theta: float) -> Response:
         """Response of the law to the strains' means over columns, with elastic deviations; only for theta = 1.
@@ -83,15 +83,15 @@ class ColumnTerm(CompiledTerm):
             theta: fraction of the step after which forces balance.
         """
         mean, old = self._mean(e), self._mean(e_old)
-        response, rest = super().respond(mean, old, memory, dt, theta), e - mean
-        elastic = np.einsum("pij,pj->pi", self._elastic, rest)
+        response, deviation = super().respond(mean, old, memory, dt, theta), e - mean
+        elastic = np.einsum("pij,pj->pi", self._elastic, deviation)
         stress = self._mean(response.whole - elastic) + elastic
-        energies = response.energies + np.array([self._energy(rest), 0.0, self._energy(rest - e_old + old)])
+        energies = response.energies + np.array([self._energy(deviation), 0.0, self._energy(deviation - e_old + old)])
         return replace(response, whole=stress, stress=stress[:, self.slots], energies=energies)
 
-    def _energy(self, rest: Array) -> float:
+    def _energy(self, deviation: Array) -> float:
         """Elastic energy, over this rank's points, of strains (points, m): the deviations from means over columns."""
-        return float(np.einsum("p,pi,pij,pj->", self.weights, rest, self._elastic[:, self.slots], rest) / 2)
+        return float(np.einsum("p,pi,pij,pj->", self.weights, deviation, self._elastic[:, self.slots], deviation) / 2)
 
     def stored(self, e: Array, memory: Array, dt: float) -> float:
         """Stored energy on this rank: of the law at the strains' means, and of the strains' deviations from them.
@@ -112,7 +112,7 @@ class ColumnTerm(CompiledTerm):
             relative_residual: residual of the balance of forces over the reference force.
             into: an earlier result, which is overwritten and whose nonzero pattern is used again; None: a new matrix.
         """
-        return self._product(self._regular(tangent, relative_residual), self._B_of_means, into)
+        return self._product(self._regularised(tangent, relative_residual), self._B_of_means, into)
 
     def destroy(self) -> None:
         """Free the PETSc matrices and vectors."""

@@ -23,13 +23,13 @@ class Columns:
     """
 
     def __init__(self, comm: MPI.Intracomm, of: IntArray, count: int, weights: Array) -> None:
-        self.comm, self.of, self.count, self._weights = comm, of, count, weights
+        self.comm, self.column_of, self.count, self._weights = comm, of, count, weights
         self._total = self.sum_of(weights)
 
     def sum_of(self, values: Array) -> Array:
         """Sums (count,) over each column of values (points,), the same on all ranks."""
         # np.bincount gives integers if there are no points
-        sums: Array = np.bincount(self.of, values, self.count).astype(float)
+        sums: Array = np.bincount(self.column_of, values, self.count).astype(float)
         self.comm.Allreduce(MPI.IN_PLACE, sums)
         return sums
 
@@ -68,10 +68,10 @@ class Switching:
         if not isinstance(law, SwitchingLaw):
             raise InputError(f"{type(law).__name__} switches phases; write its methods excess and switched too")
         self.law, self.columns, names = law, columns, list(law.internal)
-        self._slots = [names.index(name) for name in law.switching_variables]
+        self._variable_columns = [names.index(name) for name in law.switching_variables]
 
-    def _of_columns(self, memory: Array) -> list[Array]:
-        values = [memory[:, slot] for slot in self._slots]
+    def _column_values(self, memory: Array) -> list[Array]:
+        values = [memory[:, slot] for slot in self._variable_columns]
         if not self.columns:
             return values
         phase, drive, bound = map(self.columns.mean, values)
@@ -85,7 +85,7 @@ class Switching:
         Args:
             memory: (points, values) internal variables.
         """
-        return float(self.law.excess(*self._of_columns(memory)).max(initial=-np.inf))
+        return float(self.law.excess(*self._column_values(memory)).max(initial=-np.inf))
 
     def switched(self, memory: Array, old: Array) -> Array | None:
         """Copy of the internal variables `old` with the phases of lowest energy. Collective.
@@ -96,10 +96,10 @@ class Switching:
             memory: (points, values) internal variables at the equilibrium with fixed phases.
             old: (points, values) internal variables at the beginning of the step, with the same phases.
         """
-        before = self._of_columns(memory)
-        after = np.where(self.law.excess(*before) > EXCESS_TOLERANCE, self.law.switched(*before), before[0])
-        if (after == before[0]).all():
+        values = self._column_values(memory)
+        phases = np.where(self.law.excess(*values) > EXCESS_TOLERANCE, self.law.switched(*values), values[0])
+        if (phases == values[0]).all():
             return None
         new = old.copy()
-        new[:, self._slots[0]] = after[self.columns.of] if self.columns else after
+        new[:, self._variable_columns[0]] = phases[self.columns.column_of] if self.columns else phases
         return new

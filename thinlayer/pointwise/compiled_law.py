@@ -33,43 +33,43 @@ class CompiledLaw:
     """
 
     def __init__(self, comm: MPI.Intracomm, law: BulkLaw) -> None:
-        self.law, self._current, self._kernels = law, law, compile_kernels(comm, law)
+        self.law, self._current_law, self._kernels = law, law, compile_kernels(comm, law)
         self._library = library(C_SOURCE, comm)
         self._counts = np.array([len(k.parameters) for k in self._kernels], np.int32)
         addresses, fractions = (np.array([getattr(k, name) for k in self._kernels]) for name in ("address", "fraction"))
         memory, plane = (np.array([getattr(k, name) for k in self._kernels], np.int32) for name in ("memory", "plane"))
         self._sublayers: list[np.ndarray] = [addresses.astype(np.intp), memory, plane, self._counts, fractions]
         self.parameters = np.concatenate([k.parameters for k in self._kernels])
-        layers = len(self._kernels)
-        self.memory = sum(k.memory + 3 * k.plane for k in self._kernels) + (3 * layers if layers > 1 else 0)
+        n_sublayers = len(self._kernels)
+        self.memory = sum(k.memory + 3 * k.plane for k in self._kernels) + (3 * n_sublayers if n_sublayers > 1 else 0)
         for _, sublayer in law.sublayers:
             _check_kernel(comm, sublayer.in_space)
 
-    def take(self, law: BulkLaw) -> None:
+    def set_law(self, law: BulkLaw) -> None:
         """Set the parameters to those of another law with the same compiled code.
 
-        Parameters that vary in place or time are set by the next `take_at`.
+        Parameters that vary in place or time are set by the next `set_law_at`.
 
         Raises:
             InputError: the law has another class or other choices in a sublayer, or parameters of another shape.
         """
         if _identities(law) != _identities(self.law) or [len(p) for p in _parameters(law)] != self._counts.tolist():
             raise InputError(f"{law!r} is not of the kind that is compiled, {self.law!r}")
-        self._current = law
+        self._current_law = law
         if not law.traits.varies:
             self.parameters = np.concatenate(_parameters(law))
 
     @property
     def varies(self) -> bool:
-        """Whether parameters vary in place or time, so that `take_at` must set them."""
+        """Whether parameters vary in place or time, so that `set_law_at` must set them."""
         return self.law.traits.varies
 
     @property
-    def of_sublayers(self) -> list[Array]:
+    def sublayer_parameters(self) -> list[Array]:
         """List of the parameters of each sublayer k, (n_k,) or, if they vary, (points, n_k)."""
         return np.split(self.parameters, np.cumsum(self._counts)[:-1], axis=-1)
 
-    def take_at(self, x: Array, t: float) -> None:
+    def set_law_at(self, x: Array, t: float) -> None:
         """Set the parameters that vary to their values at points and a time.
 
         Args:
@@ -80,7 +80,7 @@ class CompiledLaw:
             InputError: parameters out of range at one of the points, or of the wrong shape.
         """
         columns = []
-        for _, law in self._current.sublayers:
+        for _, law in self._current_law.sublayers:
             varying = law.fields_at(x) if law.fields else _varying_parameters(law, x, t) if law.traits.varies else {}
             for name, value in law.parameters().items():
                 fixed = np.broadcast_to(np.ravel(parameter_numbers(value)), (x.shape[1], np.size(value)))
@@ -138,11 +138,11 @@ def _check_kernel(comm: MPI.Intracomm, law: BulkLaw) -> None:
     material, name = CompiledLaw(comm, law), type(law).__name__
     e = np.array(TRIAL_STRAINS)[:, None] * np.cos(np.arange(6.0 * len(TRIAL_STRAINS))).reshape(-1, 6)
     q, n = np.zeros((len(e), law.memory)), np.tile([0.6, 0.8, 0.0], (len(e), 1))
-    usual, *others = (material.update(range(6), e, 0 * e, q, n, dt, 1.0) for dt in TRIAL_STEPS)
-    if law.relaxes == all(np.array_equal(other[k], usual[k], equal_nan=True) for other in others for k in (0, 2)):
+    reference, *others = (material.update(range(6), e, 0 * e, q, n, dt, 1.0) for dt in TRIAL_STEPS)
+    if law.relaxes == all(np.array_equal(other[k], reference[k], equal_nan=True) for other in others for k in (0, 2)):
         _CHECKED_KERNELS.discard(key)
-        does = "does not depend" if law.relaxes else "depends"
-        raise InputError(f"{name} has relaxes = {law.relaxes}, but {does} on dt; write relaxes = {not law.relaxes}")
+        verb = "does not depend" if law.relaxes else "depends"
+        raise InputError(f"{name} has relaxes = {law.relaxes}, but {verb} on dt; write relaxes = {not law.relaxes}")
 
 
 def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
@@ -152,14 +152,14 @@ def _varying_parameters(law: BulkLaw, x: Array, t: float) -> dict[str, Array]:
         InputError: the law's method `at` returns names that are no scalar parameters, or values that are not (n,) and
             finite.
     """
-    asked = f"{type(law).__name__}.at(x, t), for x of shape {x.shape}"
-    scalars = [name for name, value in law.parameters().items() if parameter_numbers(value).ndim == 0]
+    subject = f"{type(law).__name__}.at(x, t), for x of shape {x.shape}"
+    scalar_names = [name for name, value in law.parameters().items() if parameter_numbers(value).ndim == 0]
     varying = {name: np.asarray(value, float) for name, value in law.at(x.copy(), t).items()}
-    if not varying or not varying.keys() <= set(scalars):
-        raise InputError(f"{asked}, gives {sorted(varying)}; allowed: those of {', '.join(scalars)} that vary")
+    if not varying or not varying.keys() <= set(scalar_names):
+        raise InputError(f"{subject}, gives {sorted(varying)}; allowed: those of {', '.join(scalar_names)} that vary")
     for name, value in varying.items():
         if value.shape != x.shape[1:] or not np.isfinite(value).all():
-            raise InputError(f"{asked}, gives {name} of shape {value.shape}; allowed: {x.shape[1:]}, finite numbers")
+            raise InputError(f"{subject}, gives {name} of shape {value.shape}; allowed: {x.shape[1:]}, finite numbers")
     return varying
 
 

@@ -86,11 +86,11 @@ class CompiledTerm(Quadrature):
         if self._volume:
             self.B = self._volume.matrix(B)
             destroy(B)
-        self._none = [k for k in range(len(MANDEL_PAIRS)) if k not in term.kinematics.stress_slots(self.dim)]
+        self._zero_slots = [k for k in range(len(MANDEL_PAIRS)) if k not in term.kinematics.stress_slots(self.dim)]
         self._strain, self._forces = self.B.createVecLeft(), self.B.createVecRight()
         self.material = CompiledLaw(self.comm, term.law)
         self.switching = Switching(term.law, self.columns) if term.law.traits.switches else None
-        self._at_rest = self.tangent_at_rest() if term.law.traits.singular else None
+        self._C_rest = self.tangent_at_rest() if term.law.traits.singular else None
 
     def form_of(self, strain: Expr) -> fem.Form:
         """Compile a form from which `values_of` computes a strain's values at the points; `strain` is (3, 3) in UFL."""
@@ -137,7 +137,7 @@ class CompiledTerm(Quadrature):
             theta: fraction of the step after which forces balance.
         """
         s, C, new, energies, failed = self.material.update(self.slots, e, e_old, memory, self.n, dt, theta)
-        s[:, self._none] = 0.0
+        s[:, self._zero_slots] = 0.0
         total = self.weights @ energies if self.term.law.traits.has_energy else np.full(3, np.nan)
         return Response(s, s[:, self.slots], C, new, total, failed)
 
@@ -157,11 +157,11 @@ class CompiledTerm(Quadrature):
         if not (failed := np.isnan(response.whole[:, 0])).any():
             return ""
         k, law = int(failed.argmax()), self.term.law
-        what = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
+        text = "stress" if np.isfinite(response.tangent[k]).all() else "tangent (the slope of the stress)"
         plane = any(sublayer.in_space is not sublayer for _, sublayer in law.sublayers)
         why = ", or no strain out of the plane makes the stresses there zero" if plane else ""
         place = ", ".join(f"{c:g}" for c in self.x[k])
-        return f"the {what} of {type(law.in_space).__name__} is not finite at x = ({place}){why}"
+        return f"the {text} of {type(law.in_space).__name__} is not finite at x = ({place}){why}"
 
     def softening_points(self, e: Array, e_old: Array, memory: Array, response: Response) -> int:
         """Number of this rank's points where stresses fall, in a step, as the layer opens or slips.
@@ -179,18 +179,18 @@ class CompiledTerm(Quadrature):
         A = N @ response.tangent @ N.swapaxes(1, 2)
         size = np.abs(A).max(axis=(1, 2), initial=0.0)
         valid = np.isfinite(size) & (size > UNDERFLOW_LIMIT)
-        down = np.zeros(self.count, bool)
-        down[valid] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[valid] / 2)[:, 0] < -SOFTENING_TOLERANCE * size[valid]
+        falls = np.zeros(self.count, bool)
+        falls[valid] = np.linalg.eigvalsh((A + A.swapaxes(1, 2))[valid] / 2)[:, 0] < -SOFTENING_TOLERANCE * size[valid]
         if not (law.internal or law.traits.varies):
             change = e - e_old
-            of_stress = response.stress - self.respond(e_old, e_old, memory, 0.0, 1.0).stress
-            sizes = np.linalg.norm(change, axis=1) * np.linalg.norm(of_stress, axis=1)
-            down |= np.sum(change * of_stress, axis=1) < -SOFTENING_TOLERANCE * sizes
-        return int(np.count_nonzero(down))
+            stress_change = response.stress - self.respond(e_old, e_old, memory, 0.0, 1.0).stress
+            sizes = np.linalg.norm(change, axis=1) * np.linalg.norm(stress_change, axis=1)
+            falls |= np.sum(change * stress_change, axis=1) < -SOFTENING_TOLERANCE * sizes
+        return int(np.count_nonzero(falls))
 
-    def set_homotopy(self, ease: float) -> None:
-        """Choose the law of a homotopy continuation by its parameter `ease`: 0 is the law itself, 1 an elastic law."""
-        self.material.take(self.term.law.homotopy(ease) if ease else self.term.law)
+    def set_homotopy(self, parameter: float) -> None:
+        """Choose the law of a homotopy continuation by its parameter `parameter`: 0 is the law itself, 1 an elastic law."""
+        self.material.set_law(self.term.law.homotopy(parameter) if parameter else self.term.law)
 
     def at_time(self, t: float) -> None:
         """Set the law's parameters to their values at time t. Collective.
@@ -201,27 +201,27 @@ class CompiledTerm(Quadrature):
         if self.material.varies:
             places = self.joint_x  # collective
             with errors_on_all(self.comm):
-                self.material.take_at(places, t)
+                self.material.set_law_at(places, t)
 
     def tangent_at_rest(self) -> Array:
         """Tangents (points, m, m) at rest for m strain components, at time 0; of laws with rate at zero strain rates.
 
         Sets varying parameters to their values at time 0, and is then collective.
         """
-        none = np.zeros((self.count, len(self.slots)))
+        zero = np.zeros((self.count, len(self.slots)))
         self.at_time(0.0)
-        return self.respond(none, none, self.rest(), LONG_TIME_STEP if self.term.law.traits.rate else 0.0, 1.0).tangent
+        return self.respond(zero, zero, self.rest(), LONG_TIME_STEP if self.term.law.traits.rate else 0.0, 1.0).tangent
 
-    def _regular(self, tangent: Array, relative_residual: float) -> Array:
+    def _regularised(self, tangent: Array, relative_residual: float) -> Array:
         """Regularise tangents (points, m, m) for m strain components, of laws that may have singular ones.
 
         Where they differ from the tangent at rest, the fraction `relative_residual` of that is added, within bounds.
         """
-        if self._at_rest is None:
+        if self._C_rest is None:
             return tangent
-        share = min(max(relative_residual, MIN_REST_SHARE), MAX_REST_SHARE)
-        change, size = (np.abs(a).max(axis=(1, 2), initial=0.0) for a in (tangent - self._at_rest, self._at_rest))
-        return tangent + share * self._at_rest * (change > 1e-9 * size)[:, None, None]
+        rest_share = min(max(relative_residual, MIN_REST_SHARE), MAX_REST_SHARE)
+        difference, size = (np.abs(a).max(axis=(1, 2), initial=0.0) for a in (tangent - self._C_rest, self._C_rest))
+        return tangent + rest_share * self._C_rest * (difference > 1e-9 * size)[:, None, None]
 
     def rest(self) -> Array:
         """Internal variables (points, values) at rest, zero."""
@@ -242,7 +242,7 @@ class CompiledTerm(Quadrature):
 
         It is distributed to the nodes by their shape functions.
         """
-        weighted = self.region.side(self.at_points(density)) * self.term.weight
+        weighted = self.region.side(self.region_function(density)) * self.term.weight
         add_distributed(weighted, self._V, self.measure, out, self.region.maps)
 
     def stiffness(self, tangent: Array, relative_residual: float = 0.0, into: PETSc.Mat | None = None) -> PETSc.Mat:
@@ -257,7 +257,7 @@ class CompiledTerm(Quadrature):
             relative_residual: residual of the balance of forces over the reference force.
             into: an earlier result, which is overwritten and whose nonzero pattern is used again; None: a new matrix.
         """
-        return self._product(self._regular(tangent, relative_residual), self.B, into)
+        return self._product(self._regularised(tangent, relative_residual), self.B, into)
 
     def _product(self, tangent: Array, B: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
         """Matrix of int e(v) : tangent : e(du), where the matrix B gives strains of displacements. Collective.
@@ -268,10 +268,10 @@ class CompiledTerm(Quadrature):
             into: an earlier result, which is overwritten; None: a new matrix.
         """
         m, rows = len(self.slots), self.count * len(self.slots)
-        first = B.getOwnershipRange()[0]
+        row_start = B.getOwnershipRange()[0]
         indptr = np.arange(0, rows * m + 1, m, dtype=PETSc.IntType)
         blocks = np.arange(rows, dtype=PETSc.IntType).reshape(self.count, 1, m)
-        indices = (first + np.broadcast_to(blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
+        indices = (row_start + np.broadcast_to(blocks, (self.count, m, m))).astype(PETSc.IntType).ravel()
         values = (tangent * self.weights[:, None, None]).ravel()
         D = PETSc.Mat().createAIJ((B.getSizes()[0],) * 2, csr=(indptr, indices, values), comm=self.comm)
         A = D.ptap(B, result=into)
@@ -299,20 +299,20 @@ class Projection:
 
     def __init__(self, points: Quadrature, bases: Iterable[tuple[Array, Array]], part: Array) -> None:
         self._part, self._width = np.pad(part, (0, len(MANDEL_PAIRS) - len(part))), len(points.slots)
-        self._change = scipy.sparse.csr_matrix((points.count, points.count))
+        self._difference = scipy.sparse.csr_matrix((points.count, points.count))
         for groups, basis in bases:
             root = np.sqrt(points.weights[groups])
-            U, sizes, _ = np.linalg.svd(basis * root[..., None], full_matrices=False)
-            U *= (sizes > INDEPENDENCE_TOLERANCE * sizes[:, :1])[:, None]
+            U, sigma, _ = np.linalg.svd(basis * root[..., None], full_matrices=False)
+            U *= (sigma > INDEPENDENCE_TOLERANCE * sigma[:, :1])[:, None]
             change = (U @ U.swapaxes(1, 2)) * root[:, None, :] / root[:, :, None] - np.eye(root.shape[1])
-            kept = np.abs(change) > INDEPENDENCE_TOLERANCE  # in tensor cells positions on S decouple
-            at = [np.broadcast_to(indices, change.shape)[kept] for indices in (groups[:, :, None], groups[:, None])]
-            self._change += scipy.sparse.csr_matrix((change[kept], at), self._change.shape)
+            mask = np.abs(change) > INDEPENDENCE_TOLERANCE  # in tensor cells positions on S decouple
+            places = [np.broadcast_to(indices, change.shape)[mask] for indices in (groups[:, :, None], groups[:, None])]
+            self._difference += scipy.sparse.csr_matrix((change[mask], places), self._difference.shape)
 
     def __call__(self, values: Array) -> Array:
         """Project strains or stresses (points, m), given as m Mandel components."""
         m = values.shape[1]
-        return np.asarray(values + self._change @ values @ self._part[:m, :m])
+        return np.asarray(values + self._difference @ values @ self._part[:m, :m])
 
     def matrix(self, B: PETSc.Mat) -> PETSc.Mat:
         """Matrix from displacements to projected strains, m rows for each point. Collective.
@@ -320,9 +320,9 @@ class Projection:
         Args:
             B: matrix from displacements to strains, m rows for each point.
         """
-        part, n_rows, first = self._part[: self._width, : self._width], B.getLocalSize()[0], B.getOwnershipRange()[0]
-        M = scipy.sparse.kron(self._change, part, format="csr") + scipy.sparse.eye(n_rows, format="csr")
-        csr = M.indptr.astype(PETSc.IntType), (first + M.indices).astype(PETSc.IntType), M.data
+        part, n_rows, start = self._part[: self._width, : self._width], B.getLocalSize()[0], B.getOwnershipRange()[0]
+        M = scipy.sparse.kron(self._difference, part, format="csr") + scipy.sparse.eye(n_rows, format="csr")
+        csr = M.indptr.astype(PETSc.IntType), (start + M.indices).astype(PETSc.IntType), M.data
         A = PETSc.Mat().createAIJ((B.getSizes()[0], B.getSizes()[0]), csr=csr, comm=B.getComm())
         out = A.matMult(B)
         destroy(A)

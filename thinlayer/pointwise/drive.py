@@ -109,8 +109,8 @@ def drive(
     normal, axes = _frame(n)
     law.check_dimension(len(normal))
     path = [_read_step(step, k, len(normal)) for k, step in enumerate(steps)]
-    no_time = isinstance(dt, tuple) and not dt
-    lengths = _step_lengths(1.0 if no_time else dt, len(path))
+    without_dt = isinstance(dt, tuple) and not dt
+    lengths = _step_lengths(1.0 if without_dt else dt, len(path))
     require(path, "steps", steps, "a path needs at least one step")
     require(is_number(theta) and 0.5 <= theta <= 1, "theta", theta, "allowed: 0.5 to 1")
     if law.traits.switches and theta != 1:
@@ -118,7 +118,7 @@ def drive(
     if law.traits.rate and (lengths == 0).any():
         raise InputError(f"dt is 0 in step {np.argmin(lengths) + 1}; {type(law).__name__} lets no jump change at once")
     point = MaterialPoint(law.as_bulk_law(), normal, axes, float(theta))
-    if no_time and any(depends_on_step_length(sublayer) for _, sublayer in point.law.sublayers):
+    if without_dt and any(depends_on_step_length(sublayer) for _, sublayer in point.law.sublayers):
         raise InputError(f"dt is missing: {type(law).__name__} depends on the length of the steps in time")
     states, parts = [point.rest()], list[int]()
 
@@ -130,12 +130,12 @@ def drive(
 
     for k, (fixed, goal) in enumerate(path):
         try:
-            state, taken = point.advance(states[-1], fixed, goal, lengths[k])
+            state, n_parts = point.advance(states[-1], fixed, goal, lengths[k])
         except SolveError as error:
-            asked = ", ".join(f"{name} = {value:g}" for name, value in steps[k].items())
-            raise SolveError(f"step {k + 1} of {len(path)} ({asked}): {error}", history()) from None
+            step_text = ", ".join(f"{name} = {value:g}" for name, value in steps[k].items())
+            raise SolveError(f"step {k + 1} of {len(path)} ({step_text}): {error}", history()) from None
         states.append(state)
-        parts.append(taken)
+        parts.append(n_parts)
     return history()
 
 
@@ -150,9 +150,9 @@ def _frame(n: Sequence[float]) -> tuple[Array, Array]:
     frame = evaluate(layer_frame(ufl.as_vector(normal.tolist())))
     if len(normal) == 2:
         return normal, frame[:, :2]
-    along = frame[:, [0, 2]]
-    along -= np.outer(normal, normal @ along)  # near n = -e_2 the frame is a half turn, not exactly tangential
-    return normal, np.column_stack([along, normal])
+    tangents = frame[:, [0, 2]]
+    tangents -= np.outer(normal, normal @ tangents)  # near n = -e_2 the frame is a half turn, not exactly tangential
+    return normal, np.column_stack([tangents, normal])
 
 
 def _read_step(step: PathStep, k: int, d: int) -> tuple[Array, Array]:
@@ -172,8 +172,8 @@ def _read_step(step: PathStep, k: int, d: int) -> tuple[Array, Array]:
         require(is_finite(value), f"step {k + 1}: {name}", value, "it must be a finite number")
     for c in names:
         if (f"w_{c}" in step) == (f"t_{c}" in step):
-            number = "both" if f"w_{c}" in step else "neither"
-            raise InputError(f"step {k + 1} has {number} of w_{c} (jump) and t_{c} (traction); it must have one")
+            count_text = "both" if f"w_{c}" in step else "neither"
+            raise InputError(f"step {k + 1} has {count_text} of w_{c} (jump) and t_{c} (traction); it must have one")
     fixed = np.array([f"w_{c}" in step for c in names])
     return fixed, np.array([step.get(f"w_{c}", step.get(f"t_{c}")) for c in names], float)
 

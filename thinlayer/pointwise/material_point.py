@@ -90,23 +90,23 @@ class MaterialPoint:
             SolveError: even a small fraction of the step has no solution.
         """
         start = np.where(fixed, old.w, old.traction)
-        done, part, parts = 0.0, 1.0, 0
-        state, spent = old, np.zeros(3)
+        done, fraction, n_parts = 0.0, 1.0, 0
+        state, total = old, np.zeros(3)
         while done < 1:
-            aim = goal if done + part >= 1 else start + (done + part) * (goal - start)
-            trial = self._settled(state, fixed, aim, part * dt)
+            target = goal if done + fraction >= 1 else start + (done + fraction) * (goal - start)
+            trial = self._phase_step(state, fixed, target, fraction * dt)
             if trial is None:
-                part /= 2
-                if part < MIN_STEP_FRACTION:
-                    raise SolveError(self._stuck(state, fixed, done))
+                fraction /= 2
+                if fraction < MIN_STEP_FRACTION:
+                    raise SolveError(self._failure_text(state, fixed, done))
                 continue
-            state, done, parts = trial, done + part, parts + 1
-            spent += state.energies
-            part = min(2 * part, 1 - done)
-        spent[0] = state.energies[0]
-        return state._replace(energies=spent), parts
+            state, done, n_parts = trial, done + fraction, n_parts + 1
+            total += state.energies
+            fraction = min(2 * fraction, 1 - done)
+        total[0] = state.energies[0]
+        return state._replace(energies=total), n_parts
 
-    def _settled(self, old: MaterialPointState, fixed: Array, aim: Array, dt: float) -> MaterialPointState | None:
+    def _phase_step(self, old: MaterialPointState, fixed: Array, aim: Array, dt: float) -> MaterialPointState | None:
         """State after a step, solved again until no phase changes; None if Newton's method does not converge.
 
         Args:
@@ -119,16 +119,16 @@ class MaterialPoint:
         if state is None or self.switching is None:
             return state
         memory = self.switching.switched(state.memory[None], old.memory[None])
-        return state if memory is None else self._settled(old._replace(memory=memory[0]), fixed, aim, dt)
+        return state if memory is None else self._phase_step(old._replace(memory=memory[0]), fixed, aim, dt)
 
-    def _stuck(self, state: MaterialPointState, fixed: Array, done: float) -> str:
+    def _failure_text(self, state: MaterialPointState, fixed: Array, done: float) -> str:
         names = [f"{kind}_{c}" for kind in "wt" for c in COMPONENT_NAMES[len(self.n)]]
         values = zip(names, (*state.w, *state.traction), strict=True)
         reached = ", ".join(f"{name} = {value:.6g}" for name, value in values)
-        where = f"it stopped after {done:.4g} of the step, at {reached}"
+        place = f"it stopped after {done:.4g} of the step, at {reached}"
         if fixed.all():
-            return f"the law failed; {where}"
-        return f"no jump has the prescribed traction; {where}. Beyond the law's limit? Prescribe the jump there"
+            return f"the law failed; {place}"
+        return f"no jump has the prescribed traction; {place}. Beyond the law's limit? Prescribe the jump there"
 
     def _solve(self, old: MaterialPointState, fixed: Array, goal: Array, dt: float) -> MaterialPointState | None:
         """State after a step, by Newton's method for the jumps whose traction is prescribed; None if it diverges.
@@ -142,37 +142,37 @@ class MaterialPoint:
             goal: (d,) prescribed jumps and tractions.
             dt: length of the step.
         """
-        free, farther = np.logical_not(fixed), 1.0
+        free, null_length = np.logical_not(fixed), 1.0
 
-        def missing(state: MaterialPointState) -> float:
+        def traction_error(state: MaterialPointState) -> float:
             return float(np.abs(goal - state.traction)[free].max(initial=0.0))
 
-        def along(step: Array, most: float) -> MaterialPointState | None:
+        def line_search(step: Array, most: float) -> MaterialPointState | None:
             """Line search: state after the first of step, step/2, ... with a traction error <= `most`; None: none."""
-            whole = np.zeros(len(free))
-            whole[free] = step
-            tried = (self._respond(old, now.w + 0.5**shortening * whole, dt) for shortening in range(MAX_HALVINGS))
-            return next((state for state in tried if state is not None and missing(state) <= most), None)
+            full_step = np.zeros(len(free))
+            full_step[free] = step
+            tried = (self._respond(old, now.w + 0.5**shortening * full_step, dt) for shortening in range(MAX_HALVINGS))
+            return next((state for state in tried if state is not None and traction_error(state) <= most), None)
 
         self._respond(old, old.w, dt)  # sets self.stiffness
         reached = self._respond(old, np.where(fixed, goal, old.w), dt)
         for _ in range(MAX_NEWTON_STEPS):
-            if reached is None or farther > MAX_NULL_STEP:
+            if reached is None or null_length > MAX_NULL_STEP:
                 return None
             now = reached
-            left, error = (goal - now.traction)[free], missing(now)
+            residual, error = (goal - now.traction)[free], traction_error(now)
             scale = max(np.abs(traction).max() for traction in (now.traction, old.traction, goal * free))
             if error <= TRACTION_TOLERANCE * scale:
                 return now
-            slope, candidate = now.tangent[np.ix_(free, free)], None
-            if np.linalg.cond(slope) < 1e13:
-                farther = 1.0
-                step = np.linalg.solve(slope, left)
-                candidate = along(step, error * (1 - 1e-4))
+            tangent, candidate = now.tangent[np.ix_(free, free)], None
+            if np.linalg.cond(tangent) < 1e13:
+                null_length = 1.0
+                step = np.linalg.solve(tangent, residual)
+                candidate = line_search(step, error * (1 - 1e-4))
             if candidate is None and error <= STAGNATION_TOLERANCE * scale:
                 return now
             if candidate is None:
-                candidate = along(farther * left / self.stiffness, error)
-                farther *= 2
+                candidate = line_search(null_length * residual / self.stiffness, error)
+                null_length *= 2
             reached = candidate
         return None

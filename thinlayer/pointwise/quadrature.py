@@ -189,11 +189,11 @@ class Quadrature:
     @cached_property
     def slots(self) -> list[int]:
         """Numbers of the Mandel components, ascending, that strains may have here; the other components are zero."""
-        e_0, of_strains = self.term.prescribed_strain, self.term.kinematics.slots(self.dim)
+        e_0, strain_slots = self.term.prescribed_strain, self.term.kinematics.slots(self.dim)
         if self.term.volume is not None:
-            of_strains = (*of_strains, *TRACE_SLOTS)
-        of_e_0 = [k for k, pair in enumerate(MANDEL_PAIRS) if e_0 is not None and not isinstance(e_0[pair], Zero)]
-        return sorted({*of_strains, *of_e_0})
+            strain_slots = (*strain_slots, *TRACE_SLOTS)
+        e_0_slots = [k for k, pair in enumerate(MANDEL_PAIRS) if e_0 is not None and not isinstance(e_0[pair], Zero)]
+        return sorted({*strain_slots, *e_0_slots})
 
     def _space(self, shape: tuple[int, ...], mesh: Mesh | None = None) -> fem.FunctionSpace:
         mesh = mesh or self.region.mesh
@@ -220,9 +220,9 @@ class Quadrature:
 
     def means(self, values: Array) -> Array:
         """Means (cells, ...) of values (points, ...), by `weights`, over each of this rank's cells of `region`."""
-        of_cells, weights = values[self.cells], self.weights[self.cells]
-        whole = weights.sum(axis=1).reshape(-1, *[1] * (values.ndim - 1))
-        return np.asarray(np.einsum("cp,cp...->c...", weights, of_cells) / whole)
+        cell_values, weights = values[self.cells], self.weights[self.cells]
+        cell_weights = weights.sum(axis=1).reshape(-1, *[1] * (values.ndim - 1))
+        return np.asarray(np.einsum("cp,cp...->c...", weights, cell_values) / cell_weights)
 
     @cached_property
     def joint_x(self) -> Array:
@@ -232,8 +232,8 @@ class Quadrature:
         """
         on_s = self.origin.x_on_s if self.origin and self.region.dim < self.dim else None
         x = on_s if on_s is not None or self.origin is None else self.origin.x
-        is_here = x is None or isinstance(x, ufl.SpatialCoordinate)
-        return np.ascontiguousarray((self.x if is_here else self.values(self.region.side(x))).T)
+        in_mesh = x is None or isinstance(x, ufl.SpatialCoordinate)
+        return np.ascontiguousarray((self.x if in_mesh else self.values(self.region.side(x))).T)
 
     def function(self, values: Array) -> fem.Function:
         """Function (m,) on the whole mesh with `values` (points, m) at the points of a cell measure, zero elsewhere.
@@ -249,7 +249,7 @@ class Quadrature:
         f.x.scatter_forward()
         return f
 
-    def at_points(self, values: Array) -> fem.Function:
+    def region_function(self, values: Array) -> fem.Function:
         """Function on the region's mesh with values (points,) at the points. Collective.
 
         It can be integrated with measures of the quadrature degree `degree`.
@@ -257,7 +257,7 @@ class Quadrature:
         return set_owned_values(fem.Function(self._space(())), values)
 
     @property
-    def original(self) -> IntArray:
+    def entity_numbers(self) -> IntArray:
         """Numbers (cells,) in the joint of the cells or facets of `region` that this rank owns."""
         assert self.origin is not None, "a mesh without a joint"
         return self.origin.numbers(self.region.dim, self.region.parent[: len(self.cells)])
@@ -273,28 +273,28 @@ class Quadrature:
         """
         if self.origin:
             numbers, centres = self.origin.columns()
-            of_cells = numbers[self.original]
+            columns = numbers[self.entity_numbers]
             used = np.zeros(len(centres), np.int8)
-            used[of_cells] = 1
+            used[columns] = 1
             self.comm.Allreduce(MPI.IN_PLACE, used, MPI.MAX)  # columns of other seams have no points of this law
-            of_cells, count = (np.cumsum(used, dtype=np.int64) - 1)[of_cells], int(used.sum())
+            columns, count = (np.cumsum(used, dtype=np.int64) - 1)[columns], int(used.sum())
         elif self.measure.integral_type() == "cell":
             raise InputError(f"{type(self.term.law).__name__} has phases in columns, which layers of other meshes lack")
         else:
             imap = self.region.mesh.topology.index_map(self.region.dim)
-            of_cells, count = np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
-        of = np.empty(self.count, np.int64)
-        of[self.cells] = of_cells[:, None]
-        return Columns(self.comm, of, count, self.weights)
+            columns, count = np.arange(imap.size_local, dtype=np.int64) + imap.local_range[0], int(imap.size_global)
+        point_columns = np.empty(self.count, np.int64)
+        point_columns[self.cells] = columns[:, None]
+        return Columns(self.comm, point_columns, count, self.weights)
 
 
 def assemble_matrix(form: fem.Form) -> PETSc.Mat:
     """Assemble the matrix of a bilinear form, without supports."""
     pattern = fem.create_sparsity_pattern(form)
     pattern.finalize()
-    made = dolfinx.cpp.la.petsc.create_matrix(communicator(form.mesh), pattern)
-    A = copy(made)
-    made.destroy()  # DOLFINx keeps a surplus reference, so that only the copy can be freed
+    created = dolfinx.cpp.la.petsc.create_matrix(communicator(form.mesh), pattern)
+    A = copy(created)
+    created.destroy()  # DOLFINx keeps a surplus reference, so that only the copy can be freed
     dolfinx.fem.petsc.assemble_matrix(A, form)
     A.assemble()
     return A

@@ -107,12 +107,12 @@ class Record:
                 earlier run cannot be continued.
         """
         with ExitStack() as stack:
-            on_root(default_comm(), lambda: self._take(stack))
+            on_root(default_comm(), lambda: self._copy_u(stack))
             self._lock = stack.pop_all()
         self._owns = True
         return self
 
-    def _take(self, stack: ExitStack) -> None:
+    def _copy_u(self, stack: ExitStack) -> None:
         stack.enter_context(lock_folder(self.out))
         if (self.out / RUN_FILE).exists():
             if self.resume:

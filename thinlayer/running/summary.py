@@ -9,7 +9,7 @@ import ufl
 from dolfinx import fem
 
 from geometry.seam import S
-from thinlayer.discretisation.form_compilation import per_unit
+from thinlayer.discretisation.form_compilation import unit_values
 from thinlayer.discretisation.interface_model import InterfaceModel
 from thinlayer.running.case import DescribedCase
 from thinlayer.running.materials import Materials
@@ -62,7 +62,7 @@ def _sizes(model: InterfaceModel) -> dict[str, float]:
     places |= {name: (interface.factor, interface.measure) for name, interface in sides.items()}
     chosen = fem.Constant(model.domain.mesh, np.zeros(len(places)))
     parts = (chosen[k] * factor * measure for k, (factor, measure) in enumerate(places.values()))
-    return dict(zip(places, map(float, per_unit(model.comm, sum(parts, ufl.Form([])), chosen)), strict=True))
+    return dict(zip(places, map(float, unit_values(model.comm, sum(parts, ufl.Form([])), chosen)), strict=True))
 
 
 def _entries(table: Mapping[str, object]) -> str:

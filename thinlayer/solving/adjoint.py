@@ -28,7 +28,7 @@ from thinlayer.system.ranks import destroy
 
 # relative difference of changes of a goal that counts as rounding: forces of random motions are large
 GOAL_CHANGE_TOLERANCE = 1e-6
-LOAD_TOLERANCE = 1e-12  # relative difference of two loads that counts as rounding
+LOAD_DIFFERENCE_TOLERANCE = 1e-12  # relative difference of two loads that counts as rounding
 
 
 class Adjoint(AbstractContextManager["Adjoint"]):
@@ -55,27 +55,27 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         self.state, self.model = state, state.model
         self.equations = equations = Equations(self.model)
         self._x, self._r = equations.vector(), equations.vector()
-        begun = equations.rest(state.t) if old is None else old
-        self.interval = TimeStep(begun, state.t, state.t - begun.t, 1.0)
+        initial = equations.rest(state.t) if old is None else old
+        self.interval = TimeStep(initial, state.t, state.t - initial.t, 1.0)
         equations.begin(self.interval)
         equations.put_state(state, self._x)
         equations.residual(self._x, self._r)
-        linear = linear_solvers(self.model, equations.parts, value_of("pc_type", options or {}))
-        self._options = {**linear[0], **(options or {})}
+        linear_options = linear_solvers(self.model, equations.parts, value_of("pc_type", options or {}))
+        self._options = {**linear_options[0], **(options or {})}
         self._tangent: PETSc.Mat | None = None
         self.transposed = False
-        self._same = self.model.linear and self.model.symmetric  # one factor serves all states, and the transpose
-        if self._same and equations.factor.of == (0.0, 1.0):
+        self._one_factor = self.model.linear and self.model.symmetric  # one factor serves all states, and the transpose
+        if self._one_factor and equations.factor.matrix_key == (0.0, 1.0):
             return
         with default_options(self._options):
-            once = self._same and needs_factor_only()
-            with equations.with_supports(lend=True) if once else nullcontext(equations.tangent()) as A:
-                if not once:
+            in_place = self._one_factor and needs_factor_only()
+            with equations.with_supports(lend=True) if in_place else nullcontext(equations.tangent()) as A:
+                if not in_place:
                     self._tangent = A.copy()
                     equations.apply_bcs(A)
                 mark_symmetry(A, self.model, saddle=equations.traits.saddle)
                 equations.factor.renew(A, None, equations.set_preconditioner_data)
-                if once:
+                if in_place:
                     equations.factor.set_up()
 
     def __exit__(self, *_: object) -> None:
@@ -150,20 +150,20 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             x.axpy(share, d)
             equations.residual(x, r)
             work = self.model.comm.allreduce(float(r.array_r[bc_dofs] @ x.array_r[bc_dofs]))
-            here = replace(self.state, u=equations.u, reactions=equations.reactions(), prescribed_work=work)
-            values.append(value(here, self.model))
+            shifted_state = replace(self.state, u=equations.u, reactions=equations.reactions(), prescribed_work=work)
+            values.append(value(shifted_state, self.model))
             residuals.append(r.array_r.copy())
             destroy(x, r)
         after, before = residuals
-        on_S = equations.vector()
-        on_S.array[: equations.n_displacements] = self.model.constraints.forces(self.layer_loads) * layers
-        terms = np.concatenate([(q.array_r + on_S.array_r) * d.array_r, g.array_r * (before - after)])
-        destroy(d, on_S)
-        change, least = self.model.comm.allreduce(np.array([terms.sum(), np.abs(terms).sum()]))
-        difference, sizes = values[0] - values[1], least + abs(values[0]) + abs(values[1])
+        layer_weights = equations.vector()
+        layer_weights.array[: equations.n_displacements] = self.model.constraints.forces(self.layer_loads) * layers
+        terms = np.concatenate([(q.array_r + layer_weights.array_r) * d.array_r, g.array_r * (before - after)])
+        destroy(d, layer_weights)
+        change, term_sizes = self.model.comm.allreduce(np.array([terms.sum(), np.abs(terms).sum()]))
+        difference, sizes = values[0] - values[1], term_sizes + abs(values[0]) + abs(values[1])
         if not abs(difference - change) <= GOAL_CHANGE_TOLERANCE * sizes:
-            what = f"the goal {name!r} changes by {difference:.6g} along a random motion, its weights say {change:.6g}"
-            raise InputError(f"estimate: {what}: `value` and `dual` differ; write `dual` as the derivative of `value`")
+            text = f"the goal {name!r} changes by {difference:.6g} along a random motion, its weights say {change:.6g}"
+            raise InputError(f"estimate: {text}: `value` and `dual` differ; write `dual` as the derivative of `value`")
 
     # ---------------------------------------------------------------- displacements and weights
     def displacements(self, dofs: IntArray, forces: Array) -> Array:
@@ -186,12 +186,12 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             g: motions of the goal at constrained dofs; overwritten.
         """
         equations, bc_dofs = self.equations, self.equations.bc_dofs
-        if self._same and self._are_of_state(q, g):
+        if self._one_factor and self._match_state(q, g):
             return equations.configuration(self._x)
         z, out = equations.vector(), equations.vector()
         g.array[np.setdiff1d(np.arange(g.getLocalSize()), bc_dofs)] = 0.0
         if g.norm():
-            self._times(g, out)
+            self._transposed_product(g, out)
             q.axpy(-1.0, out)
         q.array[bc_dofs] = 0.0
         self._solve(q, z, transposed=True)
@@ -205,7 +205,7 @@ class Adjoint(AbstractContextManager["Adjoint"]):
             else:
                 solve_linear(self.equations.factor.ksp, q, x)
 
-    def _are_of_state(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
+    def _match_state(self, q: PETSc.Vec, g: PETSc.Vec) -> bool:
         """Whether q is the loads, and g the prescribed displacements; then the state itself is the adjoint solution."""
         bc_dofs, r = self.equations.bc_dofs, self._r
         self.equations.residual(self.equations.vector(), r)  # minus the loads
@@ -213,9 +213,9 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         size = r.norm()
         r.axpy(1.0, q)
         r.array[bc_dofs] = np.where(g.array_r == self._x.array_r, 0.0, np.inf)[bc_dofs]
-        return bool(r.norm() <= LOAD_TOLERANCE * size)
+        return bool(r.norm() <= LOAD_DIFFERENCE_TOLERANCE * size)
 
-    def _times(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
+    def _transposed_product(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Write K^t x into `out`, without Dirichlet conditions; for a symmetric K it is a difference of residuals.
 
         The factor's matrix cannot serve, as it contains Dirichlet conditions.
@@ -223,10 +223,10 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         if self._tangent is not None:
             self._tangent.multTranspose(x, out)
             return
-        at_zero = self.equations.vector()
+        zero_residual = self.equations.vector()
         self.equations.residual(x, out)
-        self.equations.residual(self.equations.vector(), at_zero)
-        out.axpy(-1.0, at_zero)
+        self.equations.residual(self.equations.vector(), zero_residual)
+        out.axpy(-1.0, zero_residual)
 
     # ---------------------------------------------------------------- parts of the balance
     def tangent_of(self, parts: PartSum) -> PETSc.Mat:
@@ -250,11 +250,11 @@ class Adjoint(AbstractContextManager["Adjoint"]):
         """
         out = fem.Function(self.model.V)
         if parts:
-            layers = PartSum(parts)
-            layers.begin_parts(interval)
-            for part in layers.with_own:
+            part_sum = PartSum(parts)
+            part_sum.begin_parts(interval)
+            for part in part_sum.with_own:
                 set_owned_values(part.field, part.own_start(state))
-            layers.forces(u, u, out.x.petsc_vec)
+            part_sum.forces(u, u, out.x.petsc_vec)
         return np.asarray(out.x.petsc_vec.array_r.copy())
 
     def work(self, parts: Sequence[Part], z: Configuration) -> Array:

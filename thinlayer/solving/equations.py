@@ -68,24 +68,24 @@ class Equations(PartSum):
         self.constraints = model.constraints
         self._strains = VaryingStrainIntegrals(model.terms, model.coordinates)
         self.u, self._mid = fem.Function(model.V), fem.Function(model.V)
-        self._shared = shared = SharedMatrices.acquire(model)
-        self.bodies = shared.bodies = shared.bodies or body_parts(model)
-        self.layers = layer_parts(model, self.constraints.bc_dofs, shared.bodies)
-        added = [part for definition in model.parts if (part := definition.part(model)) is not None]
-        self._own_parts = [*self.layers, *added]
-        super().__init__([*shared.bodies, *self._own_parts])
+        self._shared = matrices = SharedMatrices.acquire(model)
+        self.bodies = matrices.bodies = matrices.bodies or body_parts(model)
+        self.layers = layer_parts(model, self.constraints.bc_dofs, matrices.bodies)
+        user_parts = [part for definition in model.parts if (part := definition.part(model)) is not None]
+        self._own_parts = [*self.layers, *user_parts]
+        super().__init__([*matrices.bodies, *self._own_parts])
         self._layout = UnknownLayout(self.comm, {DISPLACEMENT_KEY: self.u, **{p.key: p.field for p in self.with_own}})
-        shared.matrix = self._matrix = shared.matrix or TangentMatrix(self.comm, self._layout.sizes)
-        self.factor = shared.factor
+        matrices.matrix = self._matrix = matrices.matrix or TangentMatrix(self.comm, self._layout.sizes)
+        self.factor = matrices.factor
         self.n_displacements = self._layout.sizes[DISPLACEMENT_KEY]
         self._T = self._layout.widened(self.constraints.T)
         self._product: PETSc.Mat | None = None
         self.bc_dofs = self._prescribed(None)[0].astype(np.int32)
         diag = diagonal_at_rest(self.parts, self.u.x.petsc_vec.duplicate())
         self._rigid = RigidMotions(model, float(diag.norm()))
-        (self.block_of, self.within), self.last_body = self._rigid.blocks, [None, *shared.bodies][-1]
-        self.n_blocks = self.within.shape[0]
-        self.scale = ForceScale(self.norms(diag.array_r), max(part.cancelling for part in self.parts), self.within)
+        (self.block_of, self.nesting), self.last_body = self._rigid.blocks, [None, *matrices.bodies][-1]
+        self.n_blocks = self.nesting.shape[0]
+        self.scale = ForceScale(self.norms(diag.array_r), max(part.cancelling for part in self.parts), self.nesting)
         self.mean_stiffness = float(diag.norm(PETSc.NormType.NORM_1)) / diag.getSize()
         self._reactions = SupportReactions(model, self.parts)
         self._forces, self.loads, self.external = (self.u.x.petsc_vec.duplicate() for _ in range(3))
@@ -103,7 +103,7 @@ class Equations(PartSum):
         for part in self.with_own:
             values[part.key][:] = part.own_start(state)
 
-    def _put(self, x: PETSc.Vec) -> None:
+    def _set_unknowns(self, x: PETSc.Vec) -> None:
         """Copy unknowns x into the displacements u and the parts' own functions."""
         self._layout.put(x)
         if self._T is not None:
@@ -171,9 +171,9 @@ class Equations(PartSum):
         which solvers stop. If the residual r is given, it must also exceed the norm of r on the block of the node.
         """
         if not self.traits.weakens:
-            of_blocks, rounding = self.scale.target(self._largest(self.u.x.array)), self.u.x.petsc_vec.duplicate()
-            of_blocks = of_blocks if r is None else np.maximum(of_blocks, self.residual_norms(r))
-            rounding.array[:] = of_blocks[self.block_of]
+            block_forces, rounding = self.scale.target(self._largest(self.u.x.array)), self.u.x.petsc_vec.duplicate()
+            block_forces = block_forces if r is None else np.maximum(block_forces, self.residual_norms(r))
+            rounding.array[:] = block_forces[self.block_of]
             self._rigid.require_resisted(self.resisting(self._relative_residual, rounding))
             destroy(rounding)
 
@@ -181,9 +181,9 @@ class Equations(PartSum):
     def rest(self, t: float) -> State:
         """State at rest at time t, before the first step: displacements and stresses are zero."""
         model, report = self.model, Report("rest", 0, 0.0, 0.0)
-        lost, u = dict.fromkeys(model.by_place({}), 0.0), fem.Function(model.V)
+        dissipated, u = dict.fromkeys(model.by_place({}), 0.0), fem.Function(model.V)
         memory, stresses = self.memory_at_rest, self.stresses_at_rest
-        return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=lost)
+        return State(u, t, memory, stresses=stresses, at_rest=True, model=model, report=report, dissipated=dissipated)
 
     def begin(self, interval: TimeStep) -> None:
         """Begin the time step `interval`: set its loads and prescribed displacements, and begin it in all parts.
@@ -201,13 +201,13 @@ class Equations(PartSum):
         self._strains_at(interval.t)
         largest_displacement = self._largest(self.prescribed)
         if self.model.strain:  # it moves the sides of the periodic cell, as supports would
-            across = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
-            largest_displacement = max(largest_displacement, across)
+            strain_displacement = float(np.abs(self.model.strain.at(interval.t)).max()) * self.model.strain.size
+            largest_displacement = max(largest_displacement, strain_displacement)
         # if loads end at zero, so may all forces
-        moved = max([float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)), *(part.distance for part in self.parts)])
+        max_u = max([float(old.u.x.petsc_vec.norm(PETSc.NormType.INFINITY)), *(part.distance for part in self.parts)])
         if self.mean_stiffness:  # about the displacement of an elastic response
-            moved = max(moved, float(self.loads.norm()) / (self.mean_stiffness * math.sqrt(self.loads.getSize())))
-        self.scale.begin(self.norms(self.loads.array_r), largest_displacement, moved)
+            max_u = max(max_u, float(self.loads.norm()) / (self.mean_stiffness * math.sqrt(self.loads.getSize())))
+        self.scale.begin(self.norms(self.loads.array_r), largest_displacement, max_u)
         self.begin_parts(interval)
         self.external.set(0.0)
         for part in self.parts:
@@ -231,7 +231,7 @@ class Equations(PartSum):
 
     def configuration(self, x: PETSc.Vec) -> Configuration:
         """Configuration at the end of the present step, with the displacements and own fields of unknowns x."""
-        self._put(x)
+        self._set_unknowns(x)
         fields = {part.key: part.own_result() for part in self.with_own}
         return Configuration(self.u.copy(), self.interval.t, fields=fields)
 
@@ -250,11 +250,11 @@ class Equations(PartSum):
         self._put_forces(forces.array_r, part_loads, out)
         return out
 
-    def _put_forces(self, forces: Array, of_parts: Sequence[Array], out: PETSc.Vec) -> None:
-        rows = self._layout.split(out.array)
-        rows[DISPLACEMENT_KEY][:] = self.constraints.forces(forces)
-        for part, values in zip(self.with_own, of_parts, strict=False):
-            rows[part.key][:] = values
+    def _put_forces(self, forces: Array, part_loads: Sequence[Array], out: PETSc.Vec) -> None:
+        fields = self._layout.split(out.array)
+        fields[DISPLACEMENT_KEY][:] = self.constraints.forces(forces)
+        for part, values in zip(self.with_own, part_loads, strict=False):
+            fields[part.key][:] = values
 
     def start(self, x: PETSc.Vec, out: PETSc.Vec) -> None:
         """Write the residual at the initial unknowns x of the step into `out`, and pass its norms to the force scale.
@@ -272,17 +272,17 @@ class Equations(PartSum):
 
         All forces are NaN if a part failed.
         """
-        self._put(x)
+        self._set_unknowns(x)
         theta, mid = self.interval.theta, self._mid.x.petsc_vec
         self.u.x.petsc_vec.copy(mid)
         mid.scale(theta)
         mid.axpy(1 - theta, self.interval.old.u.x.petsc_vec)
         self._mid.x.scatter_forward()
-        of_parts = self.forces(self.u, self._mid, self._forces)
-        of_all = np.zeros(self.n_blocks)
+        part_norms = self.forces(self.u, self._mid, self._forces)
+        all_norms = np.zeros(self.n_blocks)
         # a mean strain or stress acts on all blocks alike
-        of_all[: None if self.model.strain or self.model.stress else 1] = max(of_parts, default=0.0)
-        self.scale.update_stresses(np.maximum(self.of_bodies, of_all))
+        all_norms[: None if self.model.strain or self.model.stress else 1] = max(part_norms, default=0.0)
+        self.scale.update_stresses(np.maximum(self.body_norms, all_norms))
         self._forces.axpy(-1.0, self.loads)
         forces = np.full(self.n_displacements, np.nan) if self.failed else self._forces.array_r
         self._put_forces(forces, [part.own_residual() for part in self.with_own], out)
@@ -313,8 +313,8 @@ class Equations(PartSum):
             lend: whether the bodies' matrix may be changed in place to serve as the tangent, if x is None. Nothing but
                 a factorisation may then use the bodies' matrix within the block.
         """
-        alone = x is None and self._T is None and not self.with_own
-        first, *others = self.blocks(self._relative_residual) if lend and alone else [Block(None)]
+        only_u = x is None and self._T is None and not self.with_own
+        first, *others = self.blocks(self._relative_residual) if lend and only_u else [Block(None)]
         if first.kept and first.factor == 1:
             with augmented_in_place(self.comm, first.matrix, others, self.bc_rows, self.mean_stiffness or 1.0) as A:
                 yield A
@@ -350,8 +350,8 @@ class Equations(PartSum):
         outcomes, end = self.end_parts(self.u, self.interval.t)
         end = replace(end, reactions=self.reactions())
         names = ("supplied", "before", "dissipated", "remainder", "after")
-        more, start, lost, remainder, total = (sum(getattr(o, name) for o in outcomes.values()) for name in names)
-        audit = Audit(supplied + more, total - start, lost, remainder, total)
+        added, start, lost, remainder, total = (sum(getattr(o, name) for o in outcomes.values()) for name in names)
+        audit = Audit(supplied + added, total - start, lost, remainder, total)
         state = State(**vars(end), model=self.model, report=report, audit=audit, prescribed_work=prescribed_work)
         dissipated = self.model.by_place({key: outcome.dissipated for key, outcome in outcomes.items()})
         return replace(state, sudden=self.interval.dt == 0 and self.interval.old.at_rest, dissipated=dissipated)
@@ -372,11 +372,11 @@ class Equations(PartSum):
         size = self.model.joint.size
         for part in self.layers:
             if (part.traits.bounded or part.traits.releases) and isinstance(part, MeasuresError):
-                square = self.comm.allreduce(float((part.error_measure(self.u) ** 2).sum()))
-                if not square <= part.unit_jump_measure() * size**2:
-                    what = f"{part.key!r} jumps farther than the model's size, {size:.3g}"
+                squared_jumps = self.comm.allreduce(float((part.error_measure(self.u) ** 2).sum()))
+                if not squared_jumps <= part.unit_jump_measure() * size**2:
+                    text = f"{part.key!r} jumps farther than the model's size, {size:.3g}"
                     advice = "loads may be beyond their limit; march from less"
-                    raise SolveError(f"what the solver returned is not an equilibrium: {what}", advice=advice)
+                    raise SolveError(f"what the solver returned is not an equilibrium: {text}", advice=advice)
 
     # ---------------------------------------------------------------- time
     def check_times(self, times: list[float]) -> None:
@@ -386,10 +386,10 @@ class Equations(PartSum):
 
     def linear_in_time(self, start: float, end: float) -> bool:
         """Whether loads, supports and parameters of laws are linear from time `start` to `end`, by a few samples."""
-        first, last = self._data_at(start), self._data_at(end)
+        start_data, end_data = self._data_at(start), self._data_at(end)
         for share in SAMPLE_FRACTIONS:
-            now = self._data_at(start + share * (end - start))
-            for a, b, c in zip(first, last, now, strict=True):
+            data = self._data_at(start + share * (end - start))
+            for a, b, c in zip(start_data, end_data, data, strict=True):
                 error = self._largest((1 - share) * a + share * b - c)
                 if error > LINEARITY_TOLERANCE * self._largest(np.array([a, b, c])):
                     return False

@@ -101,9 +101,9 @@ class History:
     def _changed(self, row: int) -> tuple[str, ...]:
         """Names of the seams in whose layers volume fractions differ between a table row and the row before it."""
         before, after = (self.table.rows[k] for k in (row - 1, row))
-        moved = {column for column in after if after[column] != before[column]}
+        changed_columns = {column for column in after if after[column] != before[column]}
         seams = seams_with_shares(self.model)
-        return tuple(seam for seam in seams if moved & {*columns_of_shares(self.model, seam).values()})
+        return tuple(seam for seam in seams if changed_columns & {*columns_of_shares(self.model, seam).values()})
 
     def at(self, t: float) -> State:
         """State at a time, the last one if there are several.
@@ -112,12 +112,12 @@ class History:
             InputError: t is not finite; no step ended there, or its state was not kept.
         """
         require(is_finite(t), "t", t, "it must be a finite number")
-        near = TIME_TOLERANCE * max(abs(t), float(np.ptp(self.t)))
+        tolerance = TIME_TOLERANCE * max(abs(t), float(np.ptp(self.t)))
         for state in reversed(self.states.values()):
-            if abs(state.t - t) <= near:
+            if abs(state.t - t) <= tolerance:
                 return state
-        kept = ", ".join(f"{state.t:g}" for state in self)
-        raise InputError(f"no state at t = {t:g} is kept; there are states at {kept}")
+        times = ", ".join(f"{state.t:g}" for state in self)
+        raise InputError(f"no state at t = {t:g} is kept; there are states at {times}")
 
 
 Solution = State | History
@@ -151,5 +151,5 @@ def columns_of_shares(model: Model, seam: str) -> dict[str, str]:
 
     The column's name contains the seam's name if several seams have such columns.
     """
-    of_seam = f" {seam}" if len(seams_with_shares(model)) > 1 else ""
-    return {name: name + of_seam for name in share_columns(model.layers[seam].law)}
+    suffix = f" {seam}" if len(seams_with_shares(model)) > 1 else ""
+    return {name: name + suffix for name in share_columns(model.layers[seam].law)}

@@ -144,9 +144,9 @@ class DirichletLayers:
             SolveError: no convergence, or the layer softens.
         """
         w = self.dirichlet_displacements(v, self.load, self.values)
-        return self._balanced(w, np.zeros(len(v)), lambda: self._dirichlet)
+        return self._solve_newton(w, np.zeros(len(v)), lambda: self._dirichlet)
 
-    def _balanced(self, w: Array, forces: Array, factor: Callable[[], _SubmatrixFactor]) -> Array:
+    def _solve_newton(self, w: Array, forces: Array, factor: Callable[[], _SubmatrixFactor]) -> Array:
         """Solve residual = forces by Newton's method from w; return the unknowns (n,).
 
         Args:
@@ -157,20 +157,20 @@ class DirichletLayers:
         if self.model.linear:
             return w
 
-        def slope(share: float) -> float:
+        def decrease(share: float) -> float:
             """Decrease of the energy along the step, per unit of `share`, at w + share * step."""
             return float(step @ (forces - self.residual(w + share * step)))
 
         for _ in range(MAX_NEWTON_STEPS):
             self.linearise(w)
             step = np.zeros_like(w)
-            first = factor().solve(forces - self.residual(w), step)
+            gain = factor().solve(forces - self.residual(w), step)
             rounding = ROUNDING_SHARE * np.abs(w[: self._n_u]).max(initial=0.0)
-            if first <= max(NEWTON_TOLERANCE**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
+            if gain <= max(NEWTON_TOLERANCE**2 * abs(w @ (self.K @ w)), rounding**2 * np.abs(self.K.diagonal()).sum()):
                 if factor().negative_pivots > self._inside[self._n_u :].sum():  # one for each pressure
                     raise SolveError("the layer by itself softens: stresses fall as strains grow", advice=MESH_REMEDY)
                 return w
-            w = w + step * line_search_share(slope, first)
+            w = w + step * line_search_share(decrease, gain)
         raise SolveError(f"the layer by itself: no equilibrium after {MAX_NEWTON_STEPS} steps", advice=MESH_REMEDY)
 
     def motion_of(self, place: Place, direction: Array) -> Array:
@@ -194,13 +194,13 @@ class DirichletLayers:
             fine: layers with m unknowns whose cells are divisions of these layers' cells. If none is divided, w is
                 returned.
         """
-        divided, d = fine.model.divided, self.model.joint.dim
-        if divided is None:
+        refined, d = fine.model.refined_layers, self.model.joint.dim
+        if refined is None:
             return w
         V, element = fine.model.V, self.model.V.ufl_element().basix_element
-        X = divided.in_parents(interpolation_points(V))
+        X = refined.in_parents(interpolation_points(V))
         shapes = element.tabulate(0, X.reshape(-1, d))[0, :, :, 0].reshape(*X.shape[:2], -1)
-        parent_dofs = self.model.V.dofmap.list[_local_cells(self.model, self.model.domain.joint)[divided.parent]]
+        parent_dofs = self.model.V.dofmap.list[_local_cells(self.model, self.model.domain.joint)[refined.parent]]
         nodal = w[: self._n_u].reshape(-1, d)[parent_dofs]
         values = np.einsum("iq,nqk,nkd->nid", element.interpolation_matrix, shapes, nodal)
         out = np.zeros(len(fine.load))
@@ -216,7 +216,7 @@ class LayerSubproblem(DirichletLayers):
 
     Attributes:
         seams: names of the layers' seams.
-        through: number of cells through the thickness.
+        n_cells_through: number of cells through the thickness.
         free_faces: (n,) mask of face displacements that supports leave free.
         R: (n, m) orthonormal motions without energy of each connected piece of the layers, as far as supports allow
             them.
@@ -225,20 +225,20 @@ class LayerSubproblem(DirichletLayers):
         interface: the interface model.
         layers: name of a seam -> its layer.
         t: the time.
-        through: number of cells through the thickness.
+        n_cells_through: number of cells through the thickness.
     """
 
     def __init__(self, interface: InterfaceModel, layers: Mapping[str, ThinLayer], t: float, through: int = 4) -> None:
         super().__init__(LayerModel(interface, layers, through), t)
-        self.seams, self.through, self._comm = [*layers], through, interface.comm
+        self.seams, self.n_cells_through, self._comm = [*layers], through, interface.comm
         self._body_dofs, self._face_dofs = _matching_dofs(interface, self.model)
-        times = self._comm.allreduce(np.bincount(self._face_dofs, minlength=len(self.load)))
+        counts = self._comm.allreduce(np.bincount(self._face_dofs, minlength=len(self.load)))
         # a face displacement of several bodies, which could not separate there
-        if (times > 1).any() and (violation := meeting_layers(interface.joint, self.seams)):
+        if (counts > 1).any() and (violation := meeting_layers(interface.joint, self.seams)):
             raise violation.error()
-        of_bodies = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
-        of_bodies[interface.constraints.bc_dofs] = 1.0
-        self.free_faces = self.on_face & ~self._at_sides & ~(self.at_faces(of_bodies) > 0)
+        constrained = np.zeros(interface.V.dofmap.index_map.size_local * interface.V.dofmap.bs)
+        constrained[interface.constraints.bc_dofs] = 1.0
+        self.free_faces = self.on_face & ~self._at_sides & ~(self.at_faces(constrained) > 0)
         self.R, self._pins = self._motions(self.free_faces | self._inside)
 
     @cached_property
@@ -271,15 +271,15 @@ class LayerSubproblem(DirichletLayers):
         rigid[: self._n_u] = np.column_stack([motion.x.array[: self._n_u] for motion in motions])
         count, piece = connected_components(self.K, directed=False)
         for k in range(count):
-            rows = np.flatnonzero(piece == k)
-            modes = rigid[rows]
-            at_supports = np.vstack([modes[~free[rows]], 0 * modes[:1]])
+            piece_rows = np.flatnonzero(piece == k)
+            modes = rigid[piece_rows]
+            at_supports = np.vstack([modes[~free[piece_rows]], 0 * modes[:1]])
             modes = modes @ scipy.linalg.null_space(at_supports, rcond=RANK_TOLERANCE)
             modes = scipy.linalg.orth(modes, rcond=RANK_TOLERANCE) if modes.any() else modes[:, :0]
-            _, _, order = scipy.linalg.qr(modes[free[rows]].T, pivoting=True)
-            pins[rows[free[rows]][order[: modes.shape[1]]]] = True
+            _, _, order = scipy.linalg.qr(modes[free[piece_rows]].T, pivoting=True)
+            pins[piece_rows[free[piece_rows]][order[: modes.shape[1]]]] = True
             null_spaces.append(np.zeros((len(free), modes.shape[1])))
-            null_spaces[-1][rows] = modes
+            null_spaces[-1][piece_rows] = modes
         return np.hstack(null_spaces), pins
 
     # ---------------------------------------------------------------- vectors of the interface model
@@ -293,7 +293,7 @@ class LayerSubproblem(DirichletLayers):
         out[self._face_dofs] = x[self._body_dofs]
         return np.asarray(self._comm.allreduce(out))
 
-    def of_faces(self, w: Array) -> tuple[IntArray, Array]:
+    def face_values(self, w: Array) -> tuple[IntArray, Array]:
         """Face values of w (n,) for the interface model: local numbers of its displacements there, and the values.
 
         Both are for this rank.
@@ -309,9 +309,9 @@ class LayerSubproblem(DirichletLayers):
             load: (n,) forces on the layers.
             values: (n,) prescribed displacements of the sides.
         """
-        return self.on_free(self.K @ self.dirichlet_displacements(v, load, values) - load)
+        return self.free_face_values(self.K @ self.dirichlet_displacements(v, load, values) - load)
 
-    def on_free(self, r: Array) -> Array:
+    def free_face_values(self, r: Array) -> Array:
         """Values of r (n,) at the face displacements that supports leave free, zero elsewhere."""
         return np.where(self.free_faces, r, 0.0)
 
@@ -323,8 +323,8 @@ class LayerSubproblem(DirichletLayers):
         """
         w = np.zeros(len(r))
         work = self._neumann.solve(r, w)
-        lost = abs(work - float(w @ (self.K @ w)))
-        return np.where(self.on_face, w, 0.0), work if lost <= MAX_WORK_DIFFERENCE * work else math.inf
+        error = abs(work - float(w @ (self.K @ w)))
+        return np.where(self.on_face, w, 0.0), work if error <= MAX_WORK_DIFFERENCE * work else math.inf
 
     def equilibrate_neumann(self, w: Array, F: Array) -> Array:
         """Unknowns (n,) of layers with non-linear laws, in equilibrium with face forces F (n,) without resultant.
@@ -334,7 +334,7 @@ class LayerSubproblem(DirichletLayers):
         Raises:
             SolveError: no convergence, or the layer softens.
         """
-        return self._balanced(w, F, lambda: self._neumann)
+        return self._solve_newton(w, F, lambda: self._neumann)
 
     def bregman_divergence(self, w: Array, at: Array) -> tuple[float, float]:
         """Bounds of the energy at w (n,) above its tangent plane at `at` (n,), for laws with a convex energy.
@@ -357,7 +357,7 @@ class _SubmatrixFactor:
     """Factor of the submatrix of those rows and columns of a matrix that a mask selects."""
 
     def __init__(self, K: scipy.sparse.csr_matrix, rows: BoolArray, *, symmetric: bool) -> None:
-        self._rows, self._symmetric = rows, symmetric
+        self._mask, self._symmetric = rows, symmetric
         A = create_aij(K[rows][:, rows].sorted_indices(), MPI.COMM_SELF)
         A.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._ksp = PETSc.KSP().create(MPI.COMM_SELF)
@@ -370,15 +370,15 @@ class _SubmatrixFactor:
     @property
     def negative_pivots(self) -> int:
         """Number of negative eigenvalues of the submatrix; 0 if it is not symmetric."""
-        return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)) if self._symmetric and self._rows.any() else 0
+        return int(self._ksp.getPC().getFactorMatrix().getMumpsInfog(12)) if self._symmetric and self._mask.any() else 0
 
     def solve(self, b: Array, out: Array) -> float:
         """Write the solution for the selected rows of b (n,) into `out` (n,); return its product with b."""
-        if not self._rows.any():
+        if not self._mask.any():
             return 0.0
-        self._b.array[:] = b[self._rows]
+        self._b.array[:] = b[self._mask]
         self._ksp.solve(self._b, self._x)
-        out[self._rows] = self._x.array_r
+        out[self._mask] = self._x.array_r
         return float(self._b.dot(self._x))
 
 
@@ -418,10 +418,10 @@ def _matching_dofs(interface: InterfaceModel, layers: LayerModel) -> tuple[IntAr
         for side, name in enumerate(names):
             faces = band.facets.get(name, facets[:0])
             for facet, face, row in zip(facets, faces, band.table.index(faces), strict=False):
-                below = dict(zip(face, facet, strict=True))
+                vertex_of = dict(zip(face, facet, strict=True))
                 cell, local = band.table.cells[row, 0], band.table.local[row, 0]
                 for node, vertices in _facet_dofs(layers, layer_cells, band, cell, local):
-                    face_nodes[tuple(facet), side, tuple(sorted(below[v] for v in vertices))] = node
+                    face_nodes[tuple(facet), side, tuple(sorted(vertex_of[v] for v in vertices))] = node
     owned, pairs = interface.V.dofmap.index_map.size_local, {}
     for row, cells in zip(base.surface_rows, base.surface_cells, strict=True):
         facet = tuple(np.sort(base.table.vertices[row]))
@@ -458,8 +458,8 @@ def _facet_dofs(model: Model, cells: IntArray, joint: Joint, cell: int, facet: i
     if cells[cell] < 0:
         return
     dofs, layout = model.V.dofmap.cell_dofs(cells[cell]), model.V.dofmap.dof_layout
-    parts = sub_entities(joint.cell_type)
+    sub_entity = sub_entities(joint.cell_type)
     for dim in range(joint.dim):
-        for entity in parts[joint.dim - 1][facet][dim]:
+        for entity in sub_entity[joint.dim - 1][facet][dim]:
             for node in layout.entity_dofs(dim, int(entity)):
-                yield int(dofs[node]), joint.corners[cell][parts[dim][entity][0]]
+                yield int(dofs[node]), joint.corners[cell][sub_entity[dim][entity][0]]

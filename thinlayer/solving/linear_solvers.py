@@ -77,20 +77,20 @@ def linear_solvers(model: Model, parts: Sequence[Part], chosen: str | None = Non
         InputError: a type of preconditioner that does not suit the model.
     """
     direct = direct_solver(model)
-    large = model.unknowns >= MIN_MULTIGRID_UNKNOWNS[model.joint.dim]
+    is_large = model.unknowns >= MIN_MULTIGRID_UNKNOWNS[model.joint.dim]
     if any(isinstance(part, PressurePart) for part in parts):
         if chosen in MULTIGRID_TYPES:
             raise InputError(f"pc_type {chosen} cannot solve for the pressures of a layer, too; use pc_type fieldsplit")
         attempts = [direct, {**direct, **LENIENT_OPTIONS}]
         unsuited = [part.key for part in parts if isinstance(part, FieldPart) and not part.on_S]
         if chosen == "fieldsplit" and unsuited:
-            other = f"not for {unsuited[0]!r} (of a meshed layer, a plate or a mean stress); use pc_type cholesky"
-            raise InputError(f"pc_type fieldsplit is for displacements and pressures on S, {other}")
-        return [FIELD_SPLIT_OPTIONS, *attempts] if chosen == "fieldsplit" or (large and not unsuited) else attempts
+            reason = f"not for {unsuited[0]!r} (of a meshed layer, a plate or a mean stress); use pc_type cholesky"
+            raise InputError(f"pc_type fieldsplit is for displacements and pressures on S, {reason}")
+        return [FIELD_SPLIT_OPTIONS, *attempts] if chosen == "fieldsplit" or (is_large and not unsuited) else attempts
     iterative = {**MULTIGRID_OPTIONS, "ksp_type": "cg" if model.symmetric else "gmres"}
     if chosen in MULTIGRID_TYPES:
         return [iterative]
-    return [iterative, direct] if large else [direct]
+    return [iterative, direct] if is_large else [direct]
 
 
 def direct_solver(model: Model) -> OptionDict:
@@ -126,41 +126,41 @@ class Factor:
 
     Attributes:
         ksp: the linear solver; None before the first `renew`.
-        of: key that identifies the factorised matrix; None: unknown.
+        matrix_key: key that identifies the factorised matrix; None: unknown.
     """
 
     def __init__(self) -> None:
         self.ksp: PETSc.KSP = None
-        self.of: Hashable = None
+        self.matrix_key: Hashable = None
         self._options: dict[str, str] = {}
         self._blocks: PETSc.Mat | None = None
 
-    def renew(self, A: PETSc.Mat, of: Hashable, set_data: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
+    def renew(self, A: PETSc.Mat, key: Hashable, set_data: Callable[[PETSc.KSP, PETSc.Mat], None]) -> bool:
         """Set another matrix, which the next solve factorises.
 
         Args:
             A: the matrix.
-            of: key that identifies the matrix.
+            key: key that identifies the matrix.
             set_data: function of the KSP and the matrix that passes rigid motions or blocks to the preconditioner.
 
         Returns:
             Whether the KSP stays the same: it then orders the unknowns anew only if A has another nonzero pattern.
         """
         options = options_set()
-        stays = self.ksp is not None and options == self._options and self.ksp.getPC().getType() != "fieldsplit"
-        if not stays:
+        is_kept = self.ksp is not None and options == self._options and self.ksp.getPC().getType() != "fieldsplit"
+        if not is_kept:
             self.destroy()
             self.ksp = PETSc.KSP().create(A.comm)
             self.ksp.setOptionsPrefix(PREFIX)
         self.ksp.setOperators(A)
         self.ksp.getPC().setReusePreconditioner(False)
-        if not stays:
+        if not is_kept:
             self.ksp.setFromOptions()
         set_data(self.ksp, A)
         if self.ksp.getPC().getType() == "gamg":
             self._set_up_in_blocks(A)
-        self._options, self.of = options, of
-        return stays
+        self._options, self.matrix_key = options, key
+        return is_kept
 
     def set_up(self) -> None:
         """Factorise the matrix now, for all solves until the next `renew`, even if the matrix changes."""
@@ -185,7 +185,7 @@ class Factor:
     def destroy(self) -> None:
         """Free the solver and its factor."""
         destroy(self.ksp, self._blocks)
-        self.ksp = self.of = self._blocks = None
+        self.ksp = self.matrix_key = self._blocks = None
 
 
 class SharedMatrices:
@@ -210,14 +210,14 @@ class SharedMatrices:
 
         A tangent whose nonzero pattern does not suit this model is freed.
         """
-        waiting = model.family.acquire()
-        shared = waiting if isinstance(waiting, cls) else cls()
+        idle = model.family.acquire()
+        shared = idle if isinstance(idle, cls) else cls()
         layers = [(name, type(s.law), s.thin_layer and s.thin_layer.order) for name, s in model.layers.items()]
         pattern = layers, [(p.key, type(p.law), p.law.traits, len(p.law.sublayers)) for p in model.layer_terms]
         if pattern != shared._pattern:
             shared.free()
         if model.layer_terms is not shared._terms:
-            shared.factor.of = None
+            shared.factor.matrix_key = None
         shared._terms, shared._pattern = model.layer_terms, pattern
         return shared
 
@@ -252,11 +252,11 @@ def set_field_split(pc: PETSc.PC, A: PETSc.Mat, layout: UnknownLayout, motions: 
         layout: layout of the unknowns: displacements, then pressures on S.
         motions: vectors of rigid motions, of the displacements or of all unknowns.
     """
-    first, last = A.getOwnershipRange()
+    row_start, row_end = A.getOwnershipRange()
     n_u, bs = layout.sizes[DISPLACEMENT_KEY], layout.fields[DISPLACEMENT_KEY].function_space.dofmap.index_map_bs
-    rows_u = PETSc.IS().createStride(n_u, first, 1, comm=A.comm)
+    rows_u = PETSc.IS().createStride(n_u, row_start, 1, comm=A.comm)
     rows_u.setBlockSize(bs)
-    rows_p = PETSc.IS().createStride(last - first - n_u, first + n_u, 1, comm=A.comm)
+    rows_p = PETSc.IS().createStride(row_end - row_start - n_u, row_start + n_u, 1, comm=A.comm)
     modes = [PETSc.Vec().createWithArray(v.array_r[:n_u].copy(), (n_u, None), bsize=bs, comm=A.comm) for v in motions]
     rows_u.compose("nearnullspace", PETSc.NullSpace().create(vectors=orthonormal(modes), comm=A.comm))
     pc.setFieldSplitIS(("u", rows_u), ("p", rows_p))

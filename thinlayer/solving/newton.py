@@ -22,7 +22,7 @@ REFINE_BELOW = {True: 1e-3, False: 0.5}  # refinement starts below this residual
 REFINE_RATIO = {True: 0.1, False: 0.5}  # another refinement follows if one reduces the residual below this ratio
 KRYLOV_REDUCTION = 0.3  # target of a Krylov method that refines, relative to REFINED_RESIDUAL
 MIN_SAFE_PIVOT = 1e-6  # smallest over largest pivot above which rounding of the forces is harmless
-# The next two are changes of displacements by a refinement, relative to `_displacements_at_play`.
+# The next two are changes of displacements by a refinement, relative to `_reference_displacement`.
 SINGULAR_REFINEMENT = 1e-3  # change by the first refinement above which the matrix is singular
 SPOILT_REFINEMENT = 1e-5  # change by the last refinement above which rounding has spoilt the solution
 OVERSHOOT_RESIDUAL = 10.0  # residual after the linear step, relative to the forces, above which it is shortened
@@ -157,7 +157,7 @@ class NewtonSolver(EquilibriumSolver):
         solve_linear(self._factor.ksp, r, d)
         iterations = int(self._factor.ksp.getIterationNumber())
         x.axpy(1.0, d)
-        self.equations.scale.move(_largest(x))
+        self.equations.scale.include_displacement(_largest(x))
         self.equations.residual(x, r)
         residual, refining = self._refine(x, r, d)
         return StepSolution(x, iterations + refining, residual)
@@ -184,9 +184,9 @@ class NewtonSolver(EquilibriumSolver):
         d.array[equations.bc_dofs] = move.array_r[equations.bc_dofs]
         x.axpy(1.0, d)
         if not self._yields and equations.interval.old.at_rest:
-            equations.scale.move(_largest(x))
+            equations.scale.include_displacement(_largest(x))
         equations.residual(x, r)
-        self._retreat(x, r, d, move, forces)
+        self._shorten_step(x, r, d, move, forces)
         return self._newton(x)
 
     def _elastic_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec) -> None:
@@ -209,7 +209,7 @@ class NewtonSolver(EquilibriumSolver):
         self._prepare(move, r)
         solve_linear(self._factor.ksp, r, d)
 
-    def _retreat(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
+    def _shorten_step(self, x: PETSc.Vec, r: PETSc.Vec, d: PETSc.Vec, move: PETSc.Vec, forces: float) -> None:
         """Shorten a linear step that is far too long, as for laws that stiffen with the rate; supports stay moved.
 
         Args:
@@ -235,18 +235,18 @@ class NewtonSolver(EquilibriumSolver):
         equations = self.equations
         dt = equations.interval.dt if equations.depends_on_dt else 0.0
         key = float(f"{dt:.12g}"), equations.interval.theta  # lengths of equal steps differ by rounding
-        if move is None and self._factor.of == key:
+        if move is None and self._factor.matrix_key == key:
             self.reused = True
             return
-        once = not self.nonlinear and needs_factor_only()
-        with equations.with_supports(move, b, lend=once) as A:
+        in_place = not self.nonlinear and needs_factor_only()
+        with equations.with_supports(move, b, lend=in_place) as A:
             if self.nonlinear:
                 self._require_finite("tangent (the slope of the stress)", A.norm())
             else:
                 equations.require_unique()
             mark_symmetry(A, equations.model, saddle=equations.traits.saddle)
             self.reused = self._factor.renew(A, key, equations.set_preconditioner_data) and not self.nonlinear
-            if once:
+            if in_place:
                 self._factor.set_up()
 
     def _require_finite(self, quantity: str, size: float) -> None:
@@ -266,7 +266,7 @@ class NewtonSolver(EquilibriumSolver):
         """
         equations, ksp = self.equations, self._factor.ksp
         reason, direct = ksp.getConvergedReason(), ksp.getType() == "preonly"
-        residual, first, moved, iterations, rtol = self._relative(r), True, 0.0, 0, ksp.getTolerances()[0]
+        residual, is_first, moved, iterations, rtol = self._relative(r), True, 0.0, 0, ksp.getTolerances()[0]
         if residual < SOLVER_TOLERANCE and not equations.traits.saddle and least_pivot(ksp.getPC()) > MIN_SAFE_PIVOT:
             return residual, 0
         while REFINED_RESIDUAL[direct] < residual < REFINE_BELOW[direct]:
@@ -278,11 +278,11 @@ class NewtonSolver(EquilibriumSolver):
             finally:
                 ksp.setTolerances(rtol=rtol)
             iterations += ksp.getIterationNumber()
-            size, change = self._displacements_at_play(x), _largest(d)
-            if first and direct and change > SINGULAR_REFINEMENT * size:
-                what = f"rounding of the forces changes the displacements {size:.1e} by {change:.1e}"
-                raise SolveError(f"no unique solution: {what}", advice=RESISTANCE_QUESTION)
-            first, moved = False, change / size if size else 0.0
+            size, change = self._reference_displacement(x), _largest(d)
+            if is_first and direct and change > SINGULAR_REFINEMENT * size:
+                text = f"rounding of the forces changes the displacements {size:.1e} by {change:.1e}"
+                raise SolveError(f"no unique solution: {text}", advice=RESISTANCE_QUESTION)
+            is_first, moved = False, change / size if size else 0.0
             x.axpy(1.0, d)
             equations.residual(x, r)
             refined = self._relative(r)
@@ -301,13 +301,13 @@ class NewtonSolver(EquilibriumSolver):
             equations.residual(x, r)
             residual = self._relative(r)
         if not residual < STATE_TOLERANCE:
-            what = f"{reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}"
+            text = f"{reason_name(PETSc.KSP.ConvergedReason, reason)}, relative residual {residual:.1e}"
             hints = "".join(f", or {part.hint}" for part in equations.with_own if part.hint)
             advice = f"with an iterative solver try -{PREFIX}ksp_max_it or -{PREFIX}pc_type cholesky"
-            raise SolveError(f"linear solve failed: {what}; a body is free, or a law not linear{hints}", advice=advice)
+            raise SolveError(f"linear solve failed: {text}; a body is free, or a law not linear{hints}", advice=advice)
         return residual, 0 if direct else iterations
 
-    def _displacements_at_play(self, x: PETSc.Vec) -> float:
+    def _reference_displacement(self, x: PETSc.Vec) -> float:
         """Reference displacement for the rounding errors of a solution x.
 
         x itself may be only rounding: if loads end at zero, in a uniform cell under a mean strain, or if supports
@@ -315,8 +315,8 @@ class NewtonSolver(EquilibriumSolver):
         forces of the step cause against the mean stiffness. The largest of the three is returned.
         """
         scale, stiffness = self.equations.scale, self.equations.mean_stiffness
-        of_forces = float(scale.forces[0]) / (stiffness * math.sqrt(x.getSize())) if stiffness else 0.0
-        return max(_largest(x), scale.displacement, of_forces)
+        elastic = float(scale.forces[0]) / (stiffness * math.sqrt(x.getSize())) if stiffness else 0.0
+        return max(_largest(x), scale.displacement, elastic)
 
     def _relative(self, r: PETSc.Vec) -> float:
         """Largest ratio, over the blocks of unknowns (see `ForceScale`), of the norm of r to the reference force.
@@ -342,7 +342,7 @@ class NewtonSolver(EquilibriumSolver):
             SolveError: no convergence. InputError: an SNES type that does not use our convergence test. PETSc.Error:
                 PETSc itself has failed. Errors of the equations, such as an InputError, pass unchanged.
         """
-        equations, largest = self.equations, DIVERGED_DISPLACEMENT * _largest(x)
+        equations, limit = self.equations, DIVERGED_DISPLACEMENT * _largest(x)
         residuals, divergence = list[float](), ""
 
         def converged(snes: PETSc.SNES, steps: int, norms: tuple[float, float, float]) -> PETSc.SNES.ConvergedReason:
@@ -353,7 +353,7 @@ class NewtonSolver(EquilibriumSolver):
                 return Reason.DIVERGED_FNORM_NAN
             if self._yields and _stagnates(residuals):
                 divergence = f"the residual has not fallen for {STAGNATION_STEPS} steps"
-            elif self._yields and not _largest(x) <= largest:
+            elif self._yields and not _largest(x) <= limit:
                 divergence = "displacements grow without bound"
             if divergence:
                 return Reason.DIVERGED_DTOL
@@ -368,17 +368,17 @@ class NewtonSolver(EquilibriumSolver):
         stalled = reason == Reason.DIVERGED_LINE_SEARCH and last < STATE_TOLERANCE
         if stalled:  # by rounding, unless no equilibrium is near: then another step would be long
             solve_linear(snes.getKSP(), snes.getFunction()[0], d := self._vectors[2])
-            stalled = _largest(d) <= SPOILT_REFINEMENT * self._displacements_at_play(x)
+            stalled = _largest(d) <= SPOILT_REFINEMENT * self._reference_displacement(x)
             divergence = "" if stalled else "no step reduces the residual"
         snes.destroy()
         # for reasons >= 0 a test other than ours may have ended the solve
-        failed = not stalled if reason < 0 else self._own_test and not last < STATE_TOLERANCE
-        if failed:
-            what = f"{divergence or reason_name(Reason, reason)}, residual {last:.1e} of the forces"
-            what += f", linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)}" if ksp_reason < 0 else ""
-            what += f"; {equations.failure()}" if equations.failed else ""
+        has_failed = not stalled if reason < 0 else self._own_test and not last < STATE_TOLERANCE
+        if has_failed:
+            text = f"{divergence or reason_name(Reason, reason)}, residual {last:.1e} of the forces"
+            text += f", linear solver: {reason_name(PETSc.KSP.ConvergedReason, ksp_reason)}" if ksp_reason < 0 else ""
+            text += f"; {equations.failure()}" if equations.failed else ""
             advice = f"try {self._advice}, or -{PREFIX}snes_monitor to watch it"
-            raise SolveError(f"Newton's method failed after {steps} steps: {what}", None, tuple(residuals), advice)
+            raise SolveError(f"Newton's method failed after {steps} steps: {text}", None, tuple(residuals), advice)
         if not equations.traits.releases:
             equations.require_unique()
         return StepSolution(x, steps + 1, last)

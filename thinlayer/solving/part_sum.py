@@ -104,15 +104,15 @@ class ForceScale:
         """Set norms (k,) of the residual at the start of the step, `unbalanced`, which may be its only forces."""
         self._unbalanced = np.where(np.isfinite(unbalanced), unbalanced, 0.0)
 
-    def move(self, elastic: float) -> None:
+    def include_displacement(self, elastic: float) -> None:
         """Count the largest displacement of an elastic response as known; other iterates may move far too much."""
         self.displacement = max(self.displacement, elastic)
 
     def update_stresses(self, stresses: Array | float) -> None:
         """Update the reference forces at a new residual, with norms (k,) of the nodal forces of its stresses."""
         rounding = ROUNDING_SHARE * self.stiffness * self.displacement
-        self.least = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / STATE_TOLERANCE)
-        self.forces: Array = np.fmax(self.least, stresses)
+        self.least_forces = np.maximum(np.maximum(self._loads, self._unbalanced), rounding / STATE_TOLERANCE)
+        self.forces: Array = np.fmax(self.least_forces, stresses)
         if self._within is not None:
             self.forces = np.maximum(self.forces, ROUNDING_SHARE / STATE_TOLERANCE * (self._within.T @ self.forces))
 
@@ -122,11 +122,11 @@ class ForceScale:
 
     def target(self, largest_displacement: float) -> Array:
         """Norms (k,) of the residual at which solvers stop, if `largest_displacement` is that of the unknowns."""
-        rounded = np.minimum(self.rounding(largest_displacement), self.allowed)
-        return np.asarray(np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounded))
+        rounding = np.minimum(self.rounding(largest_displacement), self.allowed_residual)
+        return np.asarray(np.maximum(np.maximum(SOLVER_TOLERANCE * self.forces, self._support_rounding), rounding))
 
     @property
-    def allowed(self) -> Array:
+    def allowed_residual(self) -> Array:
         """Norms (k,) that the residual of an accepted state must not exceed."""
         return np.asarray(np.maximum(STATE_TOLERANCE * self.forces, self._support_rounding))
 
@@ -153,7 +153,7 @@ class PartSum:
         within: (k, k) sparse; entry (i, j) is 1 if block j lies within block i, or is block i. The row and column of
             the whole model are as in the identity.
         last_body: the last of the parts that are bodies.
-        of_bodies: norms (k,) of the summed forces of the bodies in the last evaluation.
+        body_norms: norms (k,) of the summed forces of the bodies in the last evaluation.
     """
 
     comm: MPI.Intracomm
@@ -161,9 +161,9 @@ class PartSum:
     scale: ForceScale
     block_of: IntArray = np.empty(0, np.int64)
     n_blocks: int = 1
-    within: csr_matrix | None = None
+    nesting: csr_matrix | None = None
     last_body: Part | None = None
-    of_bodies: Array | float = 0.0
+    body_norms: Array | float = 0.0
 
     def __init__(self, parts: Iterable[Part]) -> None:
         self.parts = list(parts)
@@ -235,7 +235,7 @@ class PartSum:
                 sizes.append(float(each.norm()))
                 out.axpy(1.0, each)
             if part is self.last_body:
-                self.of_bodies = self.norms(out.array_r)
+                self.body_norms = self.norms(out.array_r)
         self.failed = sum(part.failed for part in self.parts)
         return sizes
 
@@ -286,8 +286,8 @@ class PartSum:
         """
         outcomes = {part.key: part.commit() for part in self.parts}
         memory = {key: outcome.memory for key, outcome in outcomes.items() if outcome.memory is not None}
-        if lost := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
-            raise InputError(f"the part {lost[0]!r} remembers; let its commit return StepOutcome(..., memory=...)")
+        if unsaved := [part.key for part in self.parts if part.traits.remembers and part.key not in memory]:
+            raise InputError(f"the part {unsaved[0]!r} remembers; let its commit return StepOutcome(..., memory=...)")
         fields = {part.key: part.own_result() for part in self.with_own}
         stored = {key: outcome.after for key, outcome in outcomes.items() if outcome.kept}
         stresses = {key: outcome.stress for key, outcome in outcomes.items() if outcome.stress is not None}
@@ -301,15 +301,15 @@ class PartSum:
         """
         squares = values * values
         sums = np.bincount(self.block_of, squares[: len(self.block_of)], self.n_blocks)
-        sums = sums if self.within is None else self.within @ sums
+        sums = sums if self.nesting is None else self.nesting @ sums
         sums[0] = squares.sum()
         return np.asarray(np.sqrt(self.comm.allreduce(sums)))
 
     def residual_norms(self, r: PETSc.Vec) -> Array:
         """Norms (k,) of a residual over the unknowns that are not constrained."""
-        free = r.array_r.copy()
-        free[self.bc_dofs] = 0.0
-        return self.norms(free)
+        values = r.array_r.copy()
+        values[self.bc_dofs] = 0.0
+        return self.norms(values)
 
     def relative(self, r: PETSc.Vec) -> float:
         """Largest ratio, over all blocks of unknowns, of the norm of a residual to the reference force of the block."""
@@ -329,12 +329,12 @@ class PartSum:
         PETSc options do not change this test, so that it detects a solver that stopped too early.
         """
         norms, scale = self.residual_norms(r), self.scale
-        if (norms <= scale.allowed).all():
+        if (norms <= scale.allowed_residual).all():
             return
-        failed = f", allowed: {STATE_TOLERANCE:g}" + (f"; {self.failure()}" if self.failed else "")
-        what = f"{scale.relative(norms):.1e} of the forces of loads and stresses is out of balance"
+        details = f", allowed: {STATE_TOLERANCE:g}" + (f"; {self.failure()}" if self.failed else "")
+        text = f"{scale.relative(norms):.1e} of the forces of loads and stresses is out of balance"
         advice = "do PETSc options (of a script, a command line, PETSC_OPTIONS or a file petscrc) end the solve early?"
-        raise SolveError(f"what the solver returned is not an equilibrium: {what}{failed}", advice=advice)
+        raise SolveError(f"what the solver returned is not an equilibrium: {text}{details}", advice=advice)
 
 
 # ---------------------------------------------------------------- unknowns and tangent
@@ -391,8 +391,8 @@ class TangentMatrix:
 
     def __init__(self, comm: MPI.Intracomm, sizes: Mapping[str, int]) -> None:
         self.comm, self.sizes = comm, sizes
-        self._sums: dict[tuple[str, str], PETSc.Mat] = {}
-        self._whole: PETSc.Mat | None = None
+        self._block_sums: dict[tuple[str, str], PETSc.Mat] = {}
+        self._block_matrix: PETSc.Mat | None = None
 
     def fill(self, blocks: Sequence[Block]) -> PETSc.Mat:
         """Return the sum of these blocks, in their places, as one matrix, whose nonzero pattern the first call fixes.
@@ -402,11 +402,11 @@ class TangentMatrix:
         for place in dict.fromkeys((block.row, block.column) for block in blocks):
             self._add(place, [block for block in blocks if (block.row, block.column) == place])
         destroy(*(block.matrix for block in blocks if not block.kept))
-        return self._side_by_side() if len(self.sizes) > 1 else next(iter(self._sums.values()))
+        return self._side_by_side() if len(self.sizes) > 1 else next(iter(self._block_sums.values()))
 
     def _add(self, place: tuple[str, str], blocks: Sequence[Block]) -> None:
-        if place in self._sums:
-            A = self._sums[place]
+        if place in self._block_sums:
+            A = self._block_sums[place]
             A.zeroEntries()
             for block in blocks:
                 A.axpy(block.factor, block.matrix, SUBSET_PATTERN)
@@ -418,24 +418,24 @@ class TangentMatrix:
         if len(blocks) > 1:  # PETSc's own LU finds zero pivots in a matrix merged by axpy, but not in its copy
             A = A.copy()
         A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-        self._sums[place] = A
+        self._block_sums[place] = A
 
     def _side_by_side(self) -> PETSc.Mat:
-        rows = [[self._sums.get((row, column)) for column in self.sizes] for row in self.sizes]
+        rows = [[self._block_sums.get((row, column)) for column in self.sizes] for row in self.sizes]
         for k, n in enumerate(self.sizes.values()):
             rows[k][k] = rows[k][k] or _diagonal_matrix(self.comm, n, 0.0)
-        whole = block_matrix(rows, self.comm)
-        if self._whole is None:
-            whole.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
-            self._whole = whole
+        matrix = block_matrix(rows, self.comm)
+        if self._block_matrix is None:
+            matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+            self._block_matrix = matrix
         else:
-            whole.copy(self._whole, SAME_PATTERN)
-            whole.destroy()
-        return self._whole
+            matrix.copy(self._block_matrix, SAME_PATTERN)
+            matrix.destroy()
+        return self._block_matrix
 
     def destroy(self) -> None:
         """Free the matrices."""
-        destroy(*self._sums.values(), self._whole)
+        destroy(*self._block_sums.values(), self._block_matrix)
 
 
 @contextmanager
@@ -460,10 +460,10 @@ def augmented_in_place(
     rows = [bc_rows, send(comm, np.searchsorted(K.getOwnershipRanges(), columns, "right") - 1, columns)]
     rows += [K.getOwnershipRange()[0] + np.flatnonzero(np.diff(block.matrix.getRowIJ()[0])) for block in others]
     changed = np.unique(np.concatenate(rows)).astype(PETSc.IntType)
-    before = K.createSubMatrix(PETSc.IS().createGeneral(changed, comm=K.comm))
+    saved_rows = K.createSubMatrix(PETSc.IS().createGeneral(changed, comm=K.comm))
     try:
         for block in others:
-            pattern = SUBSET_PATTERN if _fits_pattern(comm, block.matrix, before, changed) else DIFFERENT_PATTERN
+            pattern = SUBSET_PATTERN if _fits_pattern(comm, block.matrix, saved_rows, changed) else DIFFERENT_PATTERN
             K.axpy(block.factor, block.matrix, pattern)
         destroy(*(block.matrix for block in others if not block.kept))
         K.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
@@ -471,10 +471,10 @@ def augmented_in_place(
         yield K
     finally:
         K.zeroRows(changed, 0.0)
-        K.setValuesIJV(*before.getValuesCSR(), rowmap=changed)
+        K.setValuesIJV(*saved_rows.getValuesCSR(), rowmap=changed)
         K.assemble()
         K.setOption(PETSc.Mat.Option.SPD, False)
-        before.destroy()
+        saved_rows.destroy()
 
 
 def _fits_pattern(comm: MPI.Intracomm, part: PETSc.Mat, rows: PETSc.Mat, numbers: PetscIndices) -> bool:
@@ -494,6 +494,6 @@ def _diagonal_matrix(comm: MPI.Intracomm, n: int, value: float) -> PETSc.Mat:
 
     Zeros are stored too, as `zeroRowsColumns` needs stored entries.
     """
-    places = np.arange(n + 1, dtype=PETSc.IntType)
-    csr = places, (comm.scan(n) - n + places[:-1]).astype(PETSc.IntType), np.full(n, value)
+    positions = np.arange(n + 1, dtype=PETSc.IntType)
+    csr = positions, (comm.scan(n) - n + positions[:-1]).astype(PETSc.IntType), np.full(n, value)
     return PETSc.Mat().createAIJ(((n, None), (n, None)), csr=csr, comm=comm)

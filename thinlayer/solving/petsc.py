@@ -48,17 +48,17 @@ def default_options(options: Options, prefix: str = PREFIX) -> Iterator[None]:
         prefix: the prefix of their names.
     """
     database = PETSc.Options()
-    theirs = database.getAll()  # hasName would mark the option as read
-    ours = {prefix + name: value for name, value in options.items() if prefix + name not in theirs}
-    for name, value in ours.items():
+    user_settings = database.getAll()  # hasName would mark the option as read
+    settings = {prefix + name: value for name, value in options.items() if prefix + name not in user_settings}
+    for name, value in settings.items():
         database.setValue(name, value)
-    _DEFAULT_NAMES.update(ours)
+    _DEFAULT_NAMES.update(settings)
     try:
         yield
     finally:
-        for name in ours:
+        for name in settings:
             database.delValue(name)
-        _DEFAULT_NAMES.difference_update(ours)
+        _DEFAULT_NAMES.difference_update(settings)
 
 
 def options_set() -> dict[str, str]:
@@ -83,7 +83,7 @@ def database_options() -> str:
     return " ".join(f"-{PREFIX}{name} {value}".rstrip() for name, value in sorted(options_set().items()))
 
 
-def _options_of_user(ours: Collection[str]) -> list[str]:
+def _user_option_names(ours: Collection[str]) -> list[str]:
     """Names, without prefix, of the options in PETSc's database that the user has set; `ours` are our defaults."""
     return sorted(name for name in options_set() if name not in ours or PREFIX + name not in _DEFAULT_NAMES)
 
@@ -95,7 +95,7 @@ def require_all_read(solver: str, ours: Collection[str]) -> None:
         solver: name of the solver for the message.
         ours: names, without prefix, of the defaults of this package, which need not be read.
     """
-    if unread := ", ".join(f"-{PREFIX}{name}" for name in _options_of_user(ours) if not was_read(PREFIX + name)):
+    if unread := ", ".join(f"-{PREFIX}{name}" for name in _user_option_names(ours) if not was_read(PREFIX + name)):
         remedy = f"a direct solver has no tolerances, -{PREFIX}ksp_view and -{PREFIX}snes_view show what is at work"
         raise InputError(f"PETSc options not read by the {solver} solver: {unread}; {remedy}")
 
@@ -117,9 +117,9 @@ def chosen_options(ours: Options, user_options: Options | None = None) -> Iterat
         try:
             yield
         except PETSc.Error as error:
-            options, theirs = options_set(), _options_of_user(ours.keys() - user_options.keys())
-            if error.ierr in OPTION_ERROR_CODES and theirs:
-                listed = ", ".join(f"-{PREFIX}{name} {options[name]}" for name in theirs)
+            options, user_names = options_set(), _user_option_names(ours.keys() - user_options.keys())
+            if error.ierr in OPTION_ERROR_CODES and user_names:
+                listed = ", ".join(f"-{PREFIX}{name} {options[name]}" for name in user_names)
                 raise InputError(f"PETSc does not take the value of one of these options: {listed}") from error
             lines = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines()]
             raise SolveError(f"PETSc: {lines[-1] if lines else ''} (error {error.ierr})") from error
@@ -148,9 +148,9 @@ def _checked_call(name: str, *arguments: object) -> None:
 
 def was_read(option: str) -> bool:
     """Whether PETSc has read an option of its database; the name includes the prefix."""
-    used = ctypes.c_int(0)
-    _checked_call("PetscOptionsUsed", None, option.encode(), ctypes.byref(used))
-    return bool(used.value)
+    was_used = ctypes.c_int(0)
+    _checked_call("PetscOptionsUsed", None, option.encode(), ctypes.byref(was_used))
+    return bool(was_used.value)
 
 
 def keep_unknowns(factor: PETSc.Mat, unknowns: Indices) -> None:
@@ -163,10 +163,10 @@ def schur_complement(factor: PETSc.Mat, c: int) -> Array:
     """Copy (c, c) of a Cholesky factor's Schur complement on c unknowns; only its upper triangle is set."""
     out = np.empty((c, c))
     dense = PETSc.Mat().createDense((c, c), array=out.T, comm=PETSc.COMM_SELF)  # PETSc stores columns
-    inside, status = C_POINTER(), ctypes.c_int()
-    _checked_call("MatFactorCreateSchurComplement", factor.handle, ctypes.byref(inside), ctypes.byref(status))
-    _checked_call("MatCopy", inside, dense.handle, 0)
-    _checked_call("MatDestroy", ctypes.byref(inside))
+    mumps_matrix, status = C_POINTER(), ctypes.c_int()
+    _checked_call("MatFactorCreateSchurComplement", factor.handle, ctypes.byref(mumps_matrix), ctypes.byref(status))
+    _checked_call("MatCopy", mumps_matrix, dense.handle, 0)
+    _checked_call("MatDestroy", ctypes.byref(mumps_matrix))
     return out
 
 
@@ -189,11 +189,11 @@ def convert_to_blocks(A: PETSc.Mat, into: PETSc.Mat | None = None) -> PETSc.Mat:
     d, shape = A.getBlockSize(), (A.getLocalSize()[0], A.getSize()[1])
     blocks = scipy.sparse.csr_matrix((values, indices, indptr), shape=shape, copy=False).tobsr((d, d))
     del indptr, indices, values  # they are copies, and take memory
-    places = (a.astype(PETSc.IntType, copy=False) for a in (blocks.indptr, blocks.indices))
+    index_arrays = (a.astype(PETSc.IntType, copy=False) for a in (blocks.indptr, blocks.indices))
     target = into or A
     target.setSizes(A.getSizes(), d)
     target.setType("baij")
-    target.setPreallocationCSR((*places, blocks.data))
+    target.setPreallocationCSR((*index_arrays, blocks.data))
     return target
 
 
@@ -225,15 +225,15 @@ def solve_nonlinear(snes: PETSc.SNES, x: PETSc.Vec) -> None:
     Raises:
         Exception: an error of a function that PETSc has called. PETSc.Error: PETSc itself has failed.
     """
-    inside = x.copy()
+    iterate = x.copy()
     try:
-        snes.solve(None, inside)
+        snes.solve(None, iterate)
     except PETSc.Error as error:
         snes.destroy()
         if error.__cause__ is not None:
             raise error.__cause__ from None
         raise
-    inside.copy(x)
+    iterate.copy(x)
 
 
 def reason_name(reasons: type, value: int) -> str:

@@ -46,12 +46,12 @@ MIN_STEP_RATIO = 1e-9  # step over a time constant of a law below which its erro
 CAVITATION_STRESS_RATIO = 2.5
 
 
-def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
+def warn_of_model(model: Model, durations: Sequence[float] = ()) -> None:
     """Warn once, before a solve, of elements that lock and of interface laws outside their range. Collective.
 
     Args:
         model: the model.
-        lasting: durations > 0 of the loads, from their start to each time of interest; () for sudden loads.
+        durations: durations > 0 of the loads, from their start to each time of interest; () for sudden loads.
     """
     setup = model.structure
     for law, C in zip(setup.bodies_with_numbers, setup.bodies_at_rest, strict=True):
@@ -60,29 +60,29 @@ def warn_of_model(model: Model, lasting: Sequence[float] = ()) -> None:
         if setup.degree == 1 and nu > LOCKING_NU and model.volume_degree(law) is None:
             solid = model.contact is not None and setup.joint.cell_type == "tetrahedron"
             remedy = "hexahedra with element='Q2'" if solid else f"element='{setup.element[0]}2'"
-            what = f"a body of {type(law).__name__} has Poisson's ratio {nu:.4g}, and {setup.element} locks near 0.5"
+            text = f"a body of {type(law).__name__} has Poisson's ratio {nu:.4g}, and {setup.element} locks near 0.5"
             why = "a block of 10 by 5 cells is 4 % too stiff at 0.45, 18 % at 0.49, and three times at 0.4995"
-            model.warn("locking", f"{what}: {why}; use {remedy}", law)
+            model.warn("locking", f"{text}: {why}; use {remedy}", law)
     for layer in _strain_layers(model):
-        for key, remark in _model_remarks(model, layer, lasting):
+        for key, remark in _model_remarks(model, layer, durations):
             model.warn(key, remark, layer.name)
     for name, applicability in model.applicability.items() if model.broken else ():
         if applicability.layer.has_pressure_flow and (coarse := applicability.is_coarse).any():
-            delta, largest = applicability.pressure_lengths[coarse].min(), applicability.loose[coarse].depth.max()
-            what = f"the pressure of {applicability.layer} falls to zero at free ends over delta = {delta:.3g}"
+            delta, largest = applicability.pressure_lengths[coarse].min(), applicability.open_rim[coarse].depth.max()
+            text = f"the pressure of {applicability.layer} falls to zero at free ends over delta = {delta:.3g}"
             effect = f"cells there are up to {largest:.3g} long, and it is not set to zero; make them shorter"
-            model.warn("coarse ends", f"{what}: {effect}", name)
+            model.warn("coarse ends", f"{text}: {effect}", name)
         if violation := applicability.why_not("sides"):
             model.warn(violation.key, f"{violation.reason}: what it bears is left out; {violation.remedy}", name)
 
 
-def _model_remarks(model: Model, layer: SeamLayer, lasting: Sequence[float]) -> Iterator[Remark]:
+def _model_remarks(model: Model, layer: SeamLayer, durations: Sequence[float]) -> Iterator[Remark]:
     """Pairs (key, text) of warnings about a layer that follow from the model alone, before it is solved.
 
     Args:
         model: the model.
         layer: the layer.
-        lasting: durations > 0 of the loads, from their start to each time of interest; () for sudden loads.
+        durations: durations > 0 of the loads, from their start to each time of interest; () for sudden loads.
     """
     sublayers = resting_sublayers(layer)
     yield from _facet_remarks(model, layer)
@@ -90,8 +90,8 @@ def _model_remarks(model: Model, layer: SeamLayer, lasting: Sequence[float]) -> 
         yield from _thickness_remarks(model, layer, sublayers)
     if layer.has_pressure_flow or _jumps_tell_more(layer, sublayers):
         return
-    at_once = [] if lasting and layer.law.traits.rate else [sublayers]
-    yield from free_end_remark(model, layer, [*at_once, *(resting_sublayers(layer, dt) for dt in lasting)])
+    immediate = [] if durations and layer.law.traits.rate else [sublayers]
+    yield from free_end_remark(model, layer, [*immediate, *(resting_sublayers(layer, dt) for dt in durations)])
 
 
 def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
@@ -109,13 +109,13 @@ def warn_of_states(states: Sequence[State], start: float | None = None) -> None:
         layer, tensions = applicability.layer, [_largest_tension(applicability, state) for state in states]
         if (ratio := max(tensions)) > CAVITATION_STRESS_RATIO:
             t, why = states[int(np.argmax(tensions))].t, f"rubber cavitates from {CAVITATION_STRESS_RATIO:g} times on"
-            what = f"at t = {t:.4g} the pressure of {layer} is a tension, {ratio:.3g} times its shear modulus: {why}"
-            model.warn("cavitation", f"{what}, unlike its law; do not use such results", layer.name, states[-1].t)
+            text = f"at t = {t:.4g} the pressure of {layer} is a tension, {ratio:.3g} times its shear modulus: {why}"
+            model.warn("cavitation", f"{text}, unlike its law; do not use such results", layer.name, states[-1].t)
     worst = max(states, key=lambda state: state.elastic_share)
     if worst.elastic_share > MIN_SPRING_SHARE:
-        what = f"at t = {worst.t:.4g} springs parallel to what yields carry {worst.elastic_share:.2g} of its load"
+        text = f"at t = {worst.t:.4g} springs parallel to what yields carry {worst.elastic_share:.2g} of its load"
         remedy = "take a smaller elastic_fraction, 0 if Newton's method then converges"
-        model.warn("elastic share", f"{what}, and hide its limit load; {remedy}", "", states[-1].t)
+        model.warn("elastic share", f"{text}, and hide its limit load; {remedy}", "", states[-1].t)
     for layer in _strain_layers(model):
         for key, remark in _state_remarks(states, layer, start):
             model.warn(key, remark, layer.name, states[-1].t)
@@ -142,13 +142,13 @@ def warn_of_strains(states: Sequence[State]) -> None:
         for state in states:
             u.x.array[:] = state.u.x.array
             strains[state.t] = math.sqrt(model.comm.allreduce(fem.assemble_scalar(squares)) / volume)
-        if not (beyond := [t for t, strain in strains.items() if strain > MAX_SMALL_STRAIN]):
+        if not (times := [t for t, strain in strains.items() if strain > MAX_SMALL_STRAIN]):
             continue
-        worst, name = max(beyond, key=strains.__getitem__), Key.parse(term.key).name
+        worst, name = max(times, key=strains.__getitem__), Key.parse(term.key).name
         body = f"the body {name!r}" if name else "the bodies"
-        what = f"at t = {worst:.4g} strains of {body} are {strains[worst]:.3g} (root mean square over its volume)"
-        since = f"beyond {MAX_SMALL_STRAIN:g} from t = {beyond[0]:.4g} on: the theory is for small strains"
-        model.warn("strains", f"{what}, {since}; take smaller loads, or check the moduli's units", name, states[-1].t)
+        text = f"at t = {worst:.4g} strains of {body} are {strains[worst]:.3g} (root mean square over its volume)"
+        since = f"beyond {MAX_SMALL_STRAIN:g} from t = {times[0]:.4g} on: the theory is for small strains"
+        model.warn("strains", f"{text}, {since}; take smaller loads, or check the moduli's units", name, states[-1].t)
 
 
 def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | None) -> Iterator[Remark]:
@@ -169,9 +169,9 @@ def _state_remarks(states: Sequence[State], layer: SeamLayer, start: float | Non
             faces = FaceDisplacements.of(states[int(np.argmax(closings))], layer)
             facet, corner = np.unravel_index(faces.closing.argmax(), faces.closing.shape)
             x = place_text(faces.surface.corner_points.x[:, facet, corner])
-            what = f"at t = {faces.state.t:.4g} {layer} closes by {mean:.3g} times its thickness, on average over S"
+            text = f"at t = {faces.state.t:.4g} {layer} closes by {mean:.3g} times its thickness, on average over S"
             most = f"most near {x}, by {faces.closing.max():.3g} times"
-            yield "overlap", f"{what} ({most}): bodies overlap; check loads, thickness and parameters"
+            yield "overlap", f"{text} ({most}): bodies overlap; check loads, thickness and parameters"
     if layer.law.traits.linear and not layer.has_pressure_flow:
         remarks = [*stiffness_remark(layer, states, start)]
         yield from remarks or (free_end_remark(model, layer, [sublayers]) if _jumps_tell_more(layer, sublayers) else ())
@@ -182,8 +182,8 @@ def _jumps_tell_more(layer: SeamLayer, sublayers: list[RestingSublayer]) -> bool
 
     This holds for layers of one sublayer, with a linear law without memory and with a shear stiffness.
     """
-    of_one = layer.law.traits.linear and not layer.remembers and len(sublayers) == 1
-    return of_one and sublayers[0].length < math.inf
+    is_single = layer.law.traits.linear and not layer.remembers and len(sublayers) == 1
+    return is_single and sublayers[0].length < math.inf
 
 
 def _strain_layers(model: Model) -> list[SeamLayer]:
@@ -213,9 +213,9 @@ def _facet_remarks(model: Model, layer: SeamLayer) -> Iterator[Remark]:
     if normal * angle**2 > MIN_STIFFNESS_ERROR * tangential:
         ratio = 1 + normal * angle**2 / tangential if tangential else math.inf
         effect = f"is about {ratio:.3g} times too stiff against it," if tangential else "resists"
-        what = f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average"
+        text = f"S is curved and its facets are straight, {math.degrees(angle):.2g} degrees off its normal on average"
         remedy = "use curved cells (degree 2) or a finer mesh"
-        yield "facets", f"{what}: a slip along S opens the layer there, which {effect} by the mesh alone; {remedy}"
+        yield "facets", f"{text}: a slip along S opens the layer there, which {effect} by the mesh alone; {remedy}"
 
 
 def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSublayer]) -> Iterator[Remark]:
@@ -228,16 +228,16 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSu
     height, thin_layer = on_root(model.comm, lambda: min(layer.sheet.heights)), layer.thin_layer
     assert thin_layer
     if thin_layer.eps > height:
-        what = f"{layer} is {thin_layer.eps:.4g} thick, the thinner body {height:.4g} high: its law is for thin layers"
-        yield "thick", f"{what}; mesh the layer (structure.full), or check eps"
+        text = f"{layer} is {thin_layer.eps:.4g} thick, the thinner body {height:.4g} high: its law is for thin layers"
+        yield "thick", f"{text}; mesh the layer (structure.full), or check eps"
     if thin_layer.order == 1 or not sublayers or any(C is None for C in model.structure.bodies_at_rest):
         return
     softer = min(in_plane_modulus(C, layer.initial_tangents.n) for C in model.structure.bodies_at_rest if C is not None)
-    hardest = max(sublayer.along for sublayer in sublayers)
+    hardest = max(sublayer.E_plane for sublayer in sublayers)
     if hardest > softer > 0:
-        what = f"{layer} is {hardest / softer:.3g} times as hard as the softer body (moduli in the plane of S)"
+        text = f"{layer} is {hardest / softer:.3g} times as hard as the softer body (moduli in the plane of S)"
         remedy = "use order=1, mesh the layer (structure.full), or check its parameters"
-        yield "hard", f"{what}: its jump is less than what order 0 leaves out; {remedy}"
+        yield "hard", f"{text}: its jump is less than what order 0 leaves out; {remedy}"
     sheet = layer.sheet
     length, mean = float(np.ptp(sheet.joint.points[sheet.vertices], axis=(0, 1)).max()), np.mean(sheet.heights)
     if len(sheet.heights) == 2 and sheet.planar and length > SLENDERNESS * 2 * mean and softer > 0:
@@ -246,8 +246,8 @@ def _thickness_remarks(model: Model, layer: SeamLayer, sublayers: list[RestingSu
         slip = 2 * jump_stiffness(layer)[1] * (length / math.pi) ** 2 / (softer * mean)
         error = 6 * slip / (1 + 4 * slip) * thin_layer.eps / mean
         if error > MIN_STIFFNESS_ERROR / 2:
-            what = f"{layer} joins plates {mean:.4g} high, which meet on S in order 0, without its thickness between"
-            yield "plates", f"{what}: if they bend, they do so about {error:.2g} too much; use order=1"
+            text = f"{layer} joins plates {mean:.4g} high, which meet on S in order 0, without its thickness between"
+            yield "plates", f"{text}: if they bend, they do so about {error:.2g} too much; use order=1"
 
 
 def _largest_tension(applicability: Applicability, state: State) -> float:
@@ -278,25 +278,25 @@ def warn_of_steps(model: Model, start: float, times: Sequence[float], theta: flo
         times: ends of the planned steps.
         theta: fraction of each time step after which forces balance.
     """
-    changes = [start, *(t for t in model.break_times if t > start)]
+    change_times = [start, *(t for t in model.break_times if t > start)]
     steps = (
         (_step_error((end - t) / tau, theta), end - t, t, tau, name)
         for name, tau in _law_times(model)
         for t, end in pairwise([start, *times])
-        if any(0 <= t - change < tau for change in changes)
+        if any(0 <= t - change < tau for change in change_times)
     )
     if (worst := max(steps, default=None)) and worst[0] > MAX_STEP_ERROR:
         error, step, t, tau, name = worst
-        what = f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {tau:.3g}: an error of about"
+        text = f"the step of {step:.3g} at t = {t:.3g} is not well below a time of {name}, {tau:.3g}: an error of about"
         remedy = f"take steps below {tau / 4:.2g} while this lasts, or Adaptive(end=..., first=..., tolerance=...)"
-        model.warn("time step", f"{what} {error:.0%} of what creeps or relaxes; {remedy}", start, *times)
+        model.warn("time step", f"{text} {error:.0%} of what creeps or relaxes; {remedy}", start, *times)
 
 
 def warn_of_no_time(model: Model) -> None:
     """Warn that `solve` gives the instantaneous response of a law that relaxes. Collective."""
     for name, tau in _law_times(model)[:1]:
-        what = f"{name} relaxes with the time {tau:.3g}, and a solve knows no time: this is the response just after"
-        model.warn("no time", f"{what} sudden loads; for a later one march(model, times), or give times")
+        text = f"{name} relaxes with the time {tau:.3g}, and a solve knows no time: this is the response just after"
+        model.warn("no time", f"{text} sudden loads; for a later one march(model, times), or give times")
 
 
 def _law_times(model: Model) -> list[tuple[str, float]]:

@@ -64,15 +64,15 @@ class SupportReactions:
             loads_at: function of a time that returns a new vector of the nodal forces of the loads.
         """
         theta, old = interval.theta, interval.old
-        now = self._resultants(r, self._of_ties(interval.t, old.t, theta))
+        now = self._resultants(r, self._mpc_loads(interval.t, old.t, theta))
         if theta == 1:
             return now
         before = old.reactions
         if before is None:  # at rest there are no stresses
-            before = self._resultants(-loads_at(old.t), self._of_ties(old.t, old.t, 1.0), layers=False)
+            before = self._resultants(-loads_at(old.t), self._mpc_loads(old.t, old.t, 1.0), layers=False)
         return np.asarray((now - (1 - theta) * before) / theta)
 
-    def _of_ties(self, new: float, old: float, theta: float) -> Array:
+    def _mpc_loads(self, new: float, old: float, theta: float) -> Array:
         """Loads (n,) on multi-point constraints at n displacements in the balance of a step; they are not reactions.
 
         Args:
@@ -83,22 +83,22 @@ class SupportReactions:
         loads = [share * self.model.constraints.loads_at(t) for t, share in ((new, theta), (old, 1 - theta)) if share]
         return np.asarray(sum(loads))
 
-    def _resultants(self, r: PETSc.Vec, of_ties: Array, *, layers: bool = True) -> Array:
-        """Reactions (n, k) for nodal forces r minus loads, with loads `of_ties` on multi-point constraints.
+    def _resultants(self, r: PETSc.Vec, mpc_loads: Array, *, layers: bool = True) -> Array:
+        """Reactions (n, k) for nodal forces r minus loads, with loads `mpc_loads` on multi-point constraints.
 
         Rows of rigid bases, which bear forces of layers, are zero unless `layers`.
         """
         model, constraints = self.model, self.model.constraints
         by_supports = constraints.support_forces(r.array_r)
-        rest = r.array_r + of_ties - constraints.prescribed.conditions.T @ by_supports
-        tied = [np.flatnonzero(np.diff(tie.R.indptr)) for tie in constraints.mpcs]
-        rows = [constraints.of_supports(by_supports, self._motions)]
-        rows += [(rest[dofs] @ self._motions(dofs))[None] for dofs in tied]
+        residual = r.array_r + mpc_loads - constraints.prescribed.conditions.T @ by_supports
+        mpc_dofs = [np.flatnonzero(np.diff(mpc.R.indptr)) for mpc in constraints.mpcs]
+        rows = [constraints.support_works(by_supports, self._motions)]
+        rows += [(residual[dofs] @ self._motions(dofs))[None] for dofs in mpc_dofs]
         first = len(model.supports.entries) + len(rows) - 1
-        rows += [-self._of_layer(model.layers[str(name)], r)[None] * layers for name in model.holders[first:]]
+        rows += [-self._layer_resultant(model.layers[str(name)], r)[None] * layers for name in model.holders[first:]]
         return np.asarray(model.comm.allreduce(np.concatenate(rows)))
 
-    def _of_layer(self, layer: SeamLayer, like: PETSc.Vec) -> Array:
+    def _layer_resultant(self, layer: SeamLayer, like: PETSc.Vec) -> Array:
         """This rank's force and moment (k,) of a layer with its sublayers and pressure, in the last evaluation.
 
         Args:
@@ -110,8 +110,8 @@ class SupportReactions:
         for part in self.parts:
             if layer.owns_key(part.key):
                 part.add_forces(forces)
-        loaded = np.flatnonzero(forces.array_r)
-        return np.asarray(forces.array_r[loaded] @ self._motions(loaded))
+        loaded_dofs = np.flatnonzero(forces.array_r)
+        return np.asarray(forces.array_r[loaded_dofs] @ self._motions(loaded_dofs))
 
 
 class RigidMotions:
@@ -148,13 +148,13 @@ class RigidMotions:
         pieces = (model.split_mesh if joint.band is None else cut_at_faces(joint)).pieces
         count, dofs = int(pieces.max()) + 1, np.asarray(V.dofmap.list)
         block_of = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, np.int64)
-        meshed = [joint.regions.index(name) for name in joint.band.regions] if joint.band else []
-        in_layer = np.isin(joint.region, meshed)
+        layer_regions = [joint.regions.index(name) for name in joint.band.regions] if joint.band else []
+        in_layer = np.isin(joint.region, layer_regions)
         pieces = np.where(in_layer, pieces[in_layer].min(initial=count), pieces)  # all layers are one block
-        of_cells = model.domain.on_cells(pieces)[: len(dofs)]
+        cell_blocks = model.domain.on_cells(pieces)[: len(dofs)]
         for cells in (~in_layer, in_layer):
-            here = model.domain.on_cells(cells)[: len(dofs)]
-            block_of[dofs[here]] = of_cells[here, None]
+            mask = model.domain.on_cells(cells)[: len(dofs)]
+            block_of[dofs[mask]] = cell_blocks[mask, None]
         for k, name in enumerate(model.layers if joint.band is None else (), 1):
             nodes = np.concatenate([side.ravel() for side in nodes_of_sides(model, V, name)])
             block_of[nodes] = block_of[nodes] % count + k * count
@@ -162,9 +162,9 @@ class RigidMotions:
         block_of[model.constraints.bc_dofs] %= count
         blocks = np.unique(np.concatenate(model.comm.allgather(np.unique(block_of))))
         layers = np.isin(blocks, pieces[in_layer])
-        inside = (blocks[:, None] == blocks % count) | (layers & (blocks < count)[:, None])
-        np.fill_diagonal(inside, True)
-        return 1 + np.searchsorted(blocks, block_of), scipy.sparse.block_diag([1.0, inside], format="csr")
+        is_within = (blocks[:, None] == blocks % count) | (layers & (blocks < count)[:, None])
+        np.fill_diagonal(is_within, True)
+        return 1 + np.searchsorted(blocks, block_of), scipy.sparse.block_diag([1.0, is_within], format="csr")
 
     def _motions(self, rows: IntArray) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
         """Rigid motions (n, c), without components that supports prevent, and their Gram matrix (c, c).
@@ -206,23 +206,23 @@ class RigidMotions:
             if block.row == block.column == DISPLACEMENT_KEY:
                 rows = np.flatnonzero(np.diff(block.matrix.getRowIJ()[0]))
                 first, _ = block.matrix.getOwnershipRange()
-                here = PETSc.IS().createGeneral((first + rows).astype(PETSc.IntType), comm=comm)
-                motions, part = self._motions(rows)[0][rows], block.matrix.createSubMatrix(here, here)
-                stiffness += block.factor * (motions.T @ distributed_product(part, motions))
-                destroy(part)
+                row_set = PETSc.IS().createGeneral((first + rows).astype(PETSc.IntType), comm=comm)
+                motions, submatrix = self._motions(rows)[0][rows], block.matrix.createSubMatrix(row_set, row_set)
+                stiffness += block.factor * (motions.T @ distributed_product(submatrix, motions))
+                destroy(submatrix)
         destroy(*(block.matrix for block in blocks if not block.kept))
         resistance = allowed.T @ comm.allreduce(stiffness) @ allowed
-        least = RESISTED_MOTION * self._stiffness
-        if not allowed.shape[1] or _is_definite(resistance, least):
+        min_size = RESISTED_MOTION * self._stiffness
+        if not allowed.shape[1] or _is_definite(resistance, min_size):
             return
         _, sizes, directions = np.linalg.svd(resistance.toarray())
-        if not (sizes <= least).any():
+        if not (sizes <= min_size).any():
             return
-        motion = self._described(allowed @ directions[sizes <= least].T)
+        motion = self._motion_text(allowed @ directions[sizes <= min_size].T)
         reason = f"no unique solution: {motion}, and neither supports nor the layer resist it (to rounding)"
         raise LooseBody(reason, motion, advice="add supports, or give the layer's law a stiffness in this direction")
 
-    def _described(self, motions: Array) -> str:
+    def _motion_text(self, motions: Array) -> str:
         """Text that says how a piece can move: the piece that moves most in the last of some motions.
 
         Args:
@@ -232,18 +232,18 @@ class RigidMotions:
         by_piece = motions[: pieces * self._per_piece].reshape(pieces, self._per_piece, -1)  # plates come last
         k = int(np.abs(by_piece[..., -1]).max(axis=1).argmax())
         axes, shift = [*self.model.kinematics.translations(d)], np.zeros(d)
-        shift[axes], turn = np.split(by_piece[k, :, -1], [len(axes)])
+        shift[axes], rotation = np.split(by_piece[k, :, -1], [len(axes)])
         joint = self.model.domain.joint
         middle = joint.points[joint.corners[self.model.split_mesh.pieces == k]].mean(axis=(0, 1))
         body = f"body {self._names[k]!r}" + f" at {place_text(middle)}" * (self._names.count(self._names[k]) > 1)
         rank = np.linalg.matrix_rank(by_piece[k], tol=INDEPENDENCE_TOLERANCE)
         if self.model.kinematics.rotations and rank == self._per_piece:
             return f"{body} can move and turn freely"
-        if np.abs(turn).max(initial=0.0) > np.abs(shift).max():
+        if np.abs(rotation).max(initial=0.0) > np.abs(shift).max():
             if self.model.joint.periods:
                 return f"{body} can turn about the period"
-            pairs = [AXIS_NAMES[i] + AXIS_NAMES[j] for i in range(d) for j in range(i + 1, d)]
-            return f"{body} can turn in the plane {pairs[int(np.abs(turn).argmax())]}"
+            planes = [AXIS_NAMES[i] + AXIS_NAMES[j] for i in range(d) for j in range(i + 1, d)]
+            return f"{body} can turn in the plane {planes[int(np.abs(rotation).argmax())]}"
         shift /= shift[np.abs(shift).argmax()]  # largest component 1, whichever sign the motion has
         direction = ", ".join(f"{c:.3g}" for c in np.round(shift, 6) + 0.0)
         return f"{body} can move along ({direction})"

@@ -52,8 +52,8 @@ from thinlayer.system.ranks import collect, errors_on_all, require_same
 SOFTENING_ADVICE = "the stress of {} falls as jumps grow, with several equilibria; follow them by march(model, times)"
 FIRST_DECREMENT, MIN_DECREMENT = 0.5, 1 / 64  # decrements of the continuation parameter
 MAX_HOMOTOPY_SOLVES = 30  # number of solves after which a homotopy is given up
-FAIL_FAST = OptionDict(snes_max_it=30, snes_max_linear_solve_fail=1)  # if another method follows
-HOMOTOPY_DIVERGENCE = 1e5  # displacements, relative to an elastic layer's, above which no equilibrium is expected
+FAIL_FAST_OPTIONS = OptionDict(snes_max_it=30, snes_max_linear_solve_fail=1)  # if another method follows
+DISPLACEMENT_RATIO = 1e5  # displacements, relative to an elastic layer's, above which no equilibrium is expected
 
 
 def solve(
@@ -107,8 +107,8 @@ def solve(
         with errors_on_all(model.comm):
             require(is_finite(t), "t", t, "it must be a finite number")
         require_same(model.comm, t=t)
-        late = "{} depends on rates: no equilibrium without time; use march(model, times)"
-        solver.equations.refuse({"softens": f"solve: {SOFTENING_ADVICE}", "rate": late})
+        reason = "{} depends on rates: no equilibrium without time; use march(model, times)"
+        solver.equations.refuse({"softens": f"solve: {SOFTENING_ADVICE}", "rate": reason})
         warn_of_model(model)
         warn_of_no_time(model)
         state = solver.sudden(float(t))
@@ -130,9 +130,9 @@ def comm_of(model: object) -> MPI.Intracomm:
 
 def _check_like(model: Model, like: State) -> None:
     require(isinstance(like, State), "like", like, "it must be a state of a model of the same joint")
-    other = like.model
-    require(other.joint is model.joint, "the model of like", other, "it must be a model of the same joint")
-    if not (model.broken and other.broken) or (model.element, model.bonds) != (other.element, other.bonds):
+    source = like.model
+    require(source.joint is model.joint, "the model of like", source, "it must be a model of the same joint")
+    if not (model.broken and source.broken) or (model.element, model.bonds) != (source.element, source.bonds):
         raise InputError("like must be a state of an interface model with the same element and bonds as this model")
 
 
@@ -180,16 +180,16 @@ class Solver(AbstractContextManager["Solver"]):
     ) -> None:
         with errors_on_all(comm_of(model)):
             require(isinstance(model, Model), "model", model, "give what Structure.full or Structure.interface returns")
-            ours = default_method(model) if model.contact else "linear" if model.linear else "newton"
-            self.model, self.method = model, ours if method is None else method
+            default = default_method(model) if model.contact else "linear" if model.linear else "newton"
+            self.model, self.method = model, default if method is None else method
             self._check()
             if like is not None:
                 _check_like(model, like)
-            named = isinstance(options or {}, Mapping) and all(isinstance(name, str) for name in options or {})
-            require(named, "options", options, "it must be {name without prefix: value}")
+            is_mapping = isinstance(options or {}, Mapping) and all(isinstance(name, str) for name in options or {})
+            require(is_mapping, "options", options, "it must be {name without prefix: value}")
         self._user_options, self._like = dict(options or {}), like
-        marks = {"models": model.data_hash, "like": like and [like.model.data_hash, like.t]}
-        require_same(model.comm, **marks, options=self._user_options, method=self.method)
+        hashes = {"models": model.data_hash, "like": like and [like.model.data_hash, like.t]}
+        require_same(model.comm, **hashes, options=self._user_options, method=self.method)
         self._log = logger("solve", model.comm)
         for line in model.remarks:
             self._log.info(line)
@@ -222,9 +222,9 @@ class Solver(AbstractContextManager["Solver"]):
         """Pairs (method, PETSc options of a linear solver) of a method, in the order in which they are tried."""
         if method in SOLVER_OF_METHOD:
             return [(method, {})]
-        kinds = linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._user_options))
+        linear_options = linear_solvers(self.model, self.equations.parts, value_of("pc_type", self._user_options))
         user_chooses = is_set("ksp_type", self._user_options) or is_set("pc_type", self._user_options)
-        return [(method, options) for options in (kinds[:1] if user_chooses else kinds)]
+        return [(method, options) for options in (linear_options[:1] if user_chooses else linear_options)]
 
     def _solver_of(self, method: str) -> EquilibriumSolver:
         """Solver object of a method, by the method's name; it is created at its first use."""
@@ -277,7 +277,7 @@ class Solver(AbstractContextManager["Solver"]):
             SolveError: no convergence, or no unique solution.
             InputError: loads that are not finite, or a PETSc option that the solver does not read.
         """
-        start = time.perf_counter()
+        start_time = time.perf_counter()
         self.equations.begin(TimeStep(old, t, t - old.t, theta))
         attempts = [attempt for attempt in self._attempts() if thorough or not attempt.uses_homotopy]
         solves = [self._from_like(attempts[0], old) or self._try_in_turn(attempts)]
@@ -285,7 +285,7 @@ class Solver(AbstractContextManager["Solver"]):
             self._log.info("t = %g: columns change their phase; the equilibrium is found again", t)
             solves.append(self._try_in_turn(attempts))
         last, iterations = solves[-1][0], sum(solution.iterations for solution, _ in solves)
-        seconds, homotopy_steps = time.perf_counter() - start, sum(steps for _, steps in solves)
+        seconds, homotopy_steps = time.perf_counter() - start_time, sum(steps for _, steps in solves)
         return self._accept(last.x, Report(self.method, iterations, last.residual, seconds, homotopy_steps))
 
     def solve_regularised(self, old: State, t: float, theta: float = 1.0) -> State:
@@ -301,8 +301,8 @@ class Solver(AbstractContextManager["Solver"]):
         Raises:
             NoEquilibrium: displacements grow without bound as the springs soften. SolveError: no convergence.
         """
-        start = time.perf_counter()
-        near = [attempt for attempt in self._attempts() if not attempt.uses_homotopy]
+        start_time = time.perf_counter()
+        attempts = [attempt for attempt in self._attempts() if not attempt.uses_homotopy]
         self._log.info("t = %g: weak springs at all nodes are tried", t)
         # methods for contact have no options of a linear solver
         linear = self._solve_ways[0][1] or linear_solvers(self.model, self.equations.parts)[0]
@@ -310,10 +310,10 @@ class Solver(AbstractContextManager["Solver"]):
 
         def follow(end: float) -> StepSolution:
             step = TimeStep(old, end, end - old.t, theta)
-            return springs.follow(self.rest(end), step, lambda begin: self._try_in_turn(near, begin))[0]
+            return springs.follow(self.rest(end), step, lambda begin: self._try_in_turn(attempts, begin))[0]
 
         solution = follow(t)
-        report = Report(self.method, solution.iterations, solution.residual, time.perf_counter() - start)
+        report = Report(self.method, solution.iterations, solution.residual, time.perf_counter() - start_time)
         try:
             return self._accept(solution.x, report)
         except LooseBody:  # the loads may be exactly at their limit: then slightly higher loads have no equilibrium
@@ -347,12 +347,12 @@ class Solver(AbstractContextManager["Solver"]):
         Warns once if the stress of a law falls although the law does not declare `softens`.
         """
         state = self.equations.accept(x, report)
-        falling = [] if self._warned else [part.undeclared_softening() for part in self.equations.parts]
-        for name, where in [*filter(None, falling)][:1]:
+        softenings = [] if self._warned else [part.undeclared_softening() for part in self.equations.parts]
+        for name, where in [*filter(None, softenings)][:1]:
             self._warned = True
-            what = f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow: there may be other"
+            text = f"at t = {state.t:g} the stress of {name} falls {where} as jumps or strains grow: there may be other"
             remedy = "write softens = True in the class, and follow them by march(model, ArcLength(...))"
-            self.model.warn("softens", f"{what} equilibria, over which steps may pass; {remedy}", state.t)
+            self.model.warn("softens", f"{text} equilibria, over which steps may pass; {remedy}", state.t)
         return state
 
     # ---------------------------------------------------------------- attempts
@@ -364,7 +364,7 @@ class Solver(AbstractContextManager["Solver"]):
         newton = {**NEWTON_OPTIONS, **law_options, **contact}
         for method, linear in self._solve_ways:
             name = ", ".join(filter(None, (method, str(linear.get("pc_type", "")))))
-            options = newton if method == "newton" else FAIL_FAST if len(self._solve_ways) > 1 else {}
+            options = newton if method == "newton" else FAIL_FAST_OPTIONS if len(self._solve_ways) > 1 else {}
             out.append(SolveAttempt(name, (method, linear), options))
         if traits.has_homotopy and self._solver.has_homotopy:
             options = {**out[-1].options, **(CONTACT_HOMOTOPY_OPTIONS if contact else {})}
@@ -392,7 +392,7 @@ class Solver(AbstractContextManager["Solver"]):
             if why:
                 self._log.info("t = %g: %s is tried, as %s", self.equations.interval.t, attempt.name, why)
             try:
-                solution, solves = self._follow(attempt) if attempt.uses_homotopy else (self._try(attempt, start), 0)
+                solution, solves = self._homotopy(attempt) if attempt.uses_homotopy else (self._try(attempt, start), 0)
             except SolveError as error:
                 why = f"{attempt.name} failed: {error.reason}"
                 if attempt.way == self._solve_ways[-1]:
@@ -411,7 +411,7 @@ class Solver(AbstractContextManager["Solver"]):
         PETSc options of the attempt are set, and overridden by the user's, all of which must be read. If the attempt
         fails with the factor of an earlier step, it is repeated with a new factor.
         """
-        began, ours = time.perf_counter(), {**attempt.way[1], **attempt.options}
+        start_time, ours = time.perf_counter(), {**attempt.way[1], **attempt.options}
         self._solver = self._solver_of(attempt.way[0])
         while True:
             try:
@@ -424,11 +424,11 @@ class Solver(AbstractContextManager["Solver"]):
                 if not self._solver.reset():
                     raise
             else:
-                done = attempt.name, solution.iterations, solution.residual, time.perf_counter() - began
-                self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *done)
+                summary = attempt.name, solution.iterations, solution.residual, time.perf_counter() - start_time
+                self._log.debug("%s: %d iterations, residual %.1e of the forces, %.2g s", *summary)
                 return solution
 
-    def _follow(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
+    def _homotopy(self, attempt: SolveAttempt) -> tuple[StepSolution, int]:
         """Lower the continuation parameter from 1 (elastic layer) to 0 (the law); return solution and number of solves.
 
         The decrement of the parameter is doubled after a solve that converges and halved after a solve that fails. Each
@@ -439,8 +439,8 @@ class Solver(AbstractContextManager["Solver"]):
             SolveError: a solve with a law of the continuation fails, or displacements grow without bound; LooseBody if
                 a body has been released.
         """
-        reached, limit = self.equations.vector(), math.inf
-        converged, parameter, decrement, solves, spent = 1.0, 1.0, FIRST_DECREMENT, 0, 0
+        last_x, limit = self.equations.vector(), math.inf
+        converged, parameter, decrement, solves, iterations = 1.0, 1.0, FIRST_DECREMENT, 0, 0
         begin: PETSc.Vec | None = None
         try:
             while True:
@@ -449,18 +449,18 @@ class Solver(AbstractContextManager["Solver"]):
                 try:
                     solution = self._try(replace(attempt, name=f"{attempt.name} at {parameter:g}"), begin)
                 except SolveError as error:
-                    spent, decrement = spent + len(error.residuals), (converged - parameter) / 2
+                    iterations, decrement = iterations + len(error.residuals), (converged - parameter) / 2
                     if begin is None or decrement < MIN_DECREMENT or solves >= MAX_HOMOTOPY_SOLVES:
                         raise
                 else:
-                    spent, size = spent + solution.iterations, float(solution.x.norm(PETSc.NormType.INFINITY))
-                    solution.x.copy(reached)
+                    iterations, size = iterations + solution.iterations, float(solution.x.norm(PETSc.NormType.INFINITY))
+                    solution.x.copy(last_x)
                     if size > limit:
-                        raise SolveError(f"displacements are {HOMOTOPY_DIVERGENCE:g} times those of an elastic layer")
+                        raise SolveError(f"displacements are {DISPLACEMENT_RATIO:g} times those of an elastic layer")
                     if not parameter:
-                        return replace(solution, iterations=spent), solves
+                        return replace(solution, iterations=iterations), solves
                     if begin is None:
-                        begin, limit = reached, HOMOTOPY_DIVERGENCE * size
+                        begin, limit = last_x, DISPLACEMENT_RATIO * size
                     else:
                         converged, decrement = parameter, 2 * decrement
                 parameter = max(converged - decrement, 0.0)
@@ -468,7 +468,7 @@ class Solver(AbstractContextManager["Solver"]):
             if not self.equations.traits.releases:
                 raise
             self.equations.set_homotopy(0.0)
-            self.equations.residual(reached, self.equations.vector())
+            self.equations.residual(last_x, self.equations.vector())
             try:
                 self.equations.require_unique()
             except LooseBody as loose:

@@ -90,9 +90,9 @@ class StepProblem(PartSum):
         terms = [replace(term, law=term.law.for_points()) if term.law.fields else term for term in terms]
         compiled = compiled_terms(terms)
         _check_arguments(parts, {"forms", *compiled})
-        in_form = [term for term in terms if not term.law.traits.compiled]
-        of_form = FormPart("forms", u, F=form + work(in_form, u, ufl.TestFunction(V)) if in_form else form)
-        super().__init__([of_form, *(CompiledPart(key, V, term) for key, term in compiled.items()), *parts])
+        form_terms = [term for term in terms if not term.law.traits.compiled]
+        form_part = FormPart("forms", u, F=form + work(form_terms, u, ufl.TestFunction(V)) if form_terms else form)
+        super().__init__([form_part, *(CompiledPart(key, V, term) for key, term in compiled.items()), *parts])
         self.comm, self._u, self._bcs = communicator(V.mesh), u, list(bcs)
         with errors_on_all(self.comm):
             for part in self.of_kind(CompiledPart):
@@ -101,9 +101,9 @@ class StepProblem(PartSum):
         self.energies = {part.key: np.zeros(3) for part in self.parts[1:]}
         layout = UnknownLayout(self.comm, {DISPLACEMENT_KEY: u})
         dofs = np.unique(np.concatenate([np.empty(0, np.int32), *(bc.dof_indices()[0] for bc in self._bcs)]))
-        self._constrained = dofs[dofs < layout.sizes[DISPLACEMENT_KEY]]
-        self._constrained_rows = layout.rows(self._constrained)
-        self._forces, self._of_part = layout.vector(), layout.vector()
+        self._constrained_dofs = dofs[dofs < layout.sizes[DISPLACEMENT_KEY]]
+        self._constrained_rows = layout.rows(self._constrained_dofs)
+        self._forces, self._part_forces = layout.vector(), layout.vector()
         self._matrix = TangentMatrix(self.comm, layout.sizes)
         self.begin(0.0)
         self.forces(u, u, self._forces)
@@ -112,11 +112,11 @@ class StepProblem(PartSum):
 
     def _first_tangent(self) -> tuple[PETSc.Mat, ForceScale, float]:
         """Tangent at the first state, reference forces from the form's stiffness, stiffness for constrained rows."""
-        of_parts = [part.tangents(0.0) for part in self.parts]
-        of_form = TangentMatrix(self.comm, self._matrix.sizes).fill(of_parts[0]).getDiagonal()
-        tangent = self._matrix.fill([block for blocks in of_parts for block in blocks])
-        form, all_parts = (float(diag.norm(PETSc.NormType.INFINITY)) for diag in (of_form, tangent.getDiagonal()))
-        return tangent, ForceScale(float(of_form.norm())), form or all_parts
+        part_blocks = [part.tangents(0.0) for part in self.parts]
+        form_diagonal = TangentMatrix(self.comm, self._matrix.sizes).fill(part_blocks[0]).getDiagonal()
+        tangent = self._matrix.fill([block for blocks in part_blocks for block in blocks])
+        form, all_parts = (float(diag.norm(PETSc.NormType.INFINITY)) for diag in (form_diagonal, tangent.getDiagonal()))
+        return tangent, ForceScale(float(form_diagonal.norm())), form or all_parts
 
     @property
     def t(self) -> float:
@@ -154,7 +154,7 @@ class StepProblem(PartSum):
             self._u.x.array[: x.getLocalSize()] = x.array_r
         self._u.x.scatter_forward()
         self._evaluate(out)
-        dofs = self._constrained
+        dofs = self._constrained_dofs
         out.array[dofs] = self._stiffness * (self._u.x.array[dofs] - self._prescribed())
         if self.failed:
             out.set(np.nan)
@@ -182,9 +182,9 @@ class StepProblem(PartSum):
         self.residual(None, x, self._forces)
         assert self._interval is not None
         self.scale.begin(0.0, self.comm.allreduce(float(np.abs(self._prescribed()).max(initial=0.0)), max), moved)
-        self.scale.update_stresses(max(self._sizes))
-        if self.residual_norms(self._forces) > self.scale.allowed:
-            self.scale.update_stresses(max(*self._sizes, self._self_balanced()))
+        self.scale.update_stresses(max(self._force_norms))
+        if self.residual_norms(self._forces) > self.scale.allowed_residual:
+            self.scale.update_stresses(max(*self._force_norms, self._form_force_norm()))
         self.require_equilibrium(self._forces)
         if self.excess > EXCESS_TOLERANCE:
             raise SolveError("columns of the layer must change phase: call switch() and solve until it returns False")
@@ -194,10 +194,10 @@ class StepProblem(PartSum):
             self.energies[key] = np.array([outcome.after, old[1] + outcome.dissipated, old[2] + outcome.remainder])
         self._interval = None
 
-    def _self_balanced(self) -> float:
+    def _form_force_norm(self) -> float:
         """Norm of the form's tangent times u: size of nodal forces that balance each other, as of thermal stresses."""
-        of_form = TangentMatrix(self.comm, self._matrix.sizes).fill(self.parts[0].tangents(0.0))
-        return float((of_form * self._u.x.petsc_vec).norm())
+        tangent = TangentMatrix(self.comm, self._matrix.sizes).fill(self.parts[0].tangents(0.0))
+        return float((tangent * self._u.x.petsc_vec).norm())
 
     def switch(self) -> bool:
         """Change the layers' phases to those of lowest energy, per facet of S; on True, solve the step again."""
@@ -215,15 +215,15 @@ class StepProblem(PartSum):
             if self.state.memory:
                 raise InputError("no step has begun: call begin(dt) before each solve")
             self.begin(0.0)
-        self._sizes = self.forces(self._u, self._u, out, self._of_part)
-        self._sizes.append(float(out.norm()))
+        self._force_norms = self.forces(self._u, self._u, out, self._part_forces)
+        self._force_norms.append(float(out.norm()))
 
     def _prescribed(self) -> Array:
         """Prescribed values of the constrained displacements."""
         prescribed = np.zeros(len(self._u.x.array))
         for bc in self._bcs:
             bc.set(prescribed)
-        return np.asarray(prescribed[self._constrained])
+        return np.asarray(prescribed[self._constrained_dofs])
 
 
 def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
@@ -231,9 +231,9 @@ def _require_jumps(V: fem.FunctionSpace, term: Term) -> None:
     if term.measure.integral_type() != "interior_facet":
         return
     sides = np.concatenate([np.empty(0, np.int64), *(rows for _, rows in term.measure.subdomain_data())]).reshape(-1, 4)
-    common = [len(np.intersect1d(V.dofmap.cell_dofs(lower), V.dofmap.cell_dofs(upper))) for lower, _, upper, _ in sides]
-    of_facet = len(V.dofmap.dof_layout.entity_closure_dofs(V.mesh.topology.dim - 1, 0))
-    if communicator(V.mesh).allreduce(max(common, default=0), max) >= of_facet:
+    counts = [len(np.intersect1d(V.dofmap.cell_dofs(lower), V.dofmap.cell_dofs(upper))) for lower, _, upper, _ in sides]
+    facet_count = len(V.dofmap.dof_layout.entity_closure_dofs(V.mesh.topology.dim - 1, 0))
+    if communicator(V.mesh).allreduce(max(counts, default=0), max) >= facet_count:
         raise InputError("displacements do not jump across S in the space of u; make it by `BrokenMesh.space`")
 
 

@@ -52,7 +52,7 @@ class WeakSprings:
         self._options = {name: value for name, value in options.items() if not name.startswith("snes_")}
         self._factor = Factor()
         self._x, self._r, self._d = (equations.vector() for _ in range(3))
-        self._unit, self._stiffness = equations.mean_stiffness, 0.0
+        self._unit_stiffness, self._stiffness = equations.mean_stiffness, 0.0
 
     def follow(self, rest: State, step: TimeStep, find: Callable[[PETSc.Vec], SpringResult]) -> SpringResult:
         """Soften the springs until `find` succeeds without them; return its result.
@@ -66,42 +66,42 @@ class WeakSprings:
         Raises:
             NoEquilibrium: displacements grow without bound. SolveError: no equilibrium was found.
         """
-        elastic = self._elastic_distance(rest, step)
+        elastic_distance = self._elastic_distance(rest, step)
         failed = [SolveError("weak springs have not led to an equilibrium")]
-        if not elastic:
+        if not elastic_distance:
             raise failed.pop()
         self.equations.begin(step)
         self.equations.put_state(step.old, self._x)
         self._x.array[self.equations.bc_dofs] = self.equations.prescribed
-        x = kept = self._start = self._x.array_r.copy()
-        distance, softer, settled = 0.0, SOFTENING_FACTOR, False
-        self._stiffness = FIRST_STIFFNESS * self._unit
+        x = last_x = self._start = self._x.array_r.copy()
+        distance, softening, is_near = 0.0, SOFTENING_FACTOR, False
+        self._stiffness = FIRST_STIFFNESS * self._unit_stiffness
         self.equations.residual(self._x, self._r)
         self._forces = np.maximum(self.equations.scale.forces, self.equations.residual_norms(self._r))
-        while self._stiffness > MIN_STIFFNESS * self._unit and distance < MAX_DISTANCE * elastic:
+        while self._stiffness > MIN_STIFFNESS * self._unit_stiffness and distance < MAX_DISTANCE * elastic_distance:
             solution = self._solve(x)
             if solution is None:
-                if softer < SOFTENING_FACTOR or not distance:
+                if softening < SOFTENING_FACTOR or not distance:
                     break
-                self._stiffness *= softer
-                softer = math.sqrt(SOFTENING_FACTOR)
-                self._stiffness /= softer
-                x = kept
+                self._stiffness *= softening
+                softening = math.sqrt(SOFTENING_FACTOR)
+                self._stiffness /= softening
+                x = last_x
                 continue
-            x = kept = solution
+            x = last_x = solution
             before, distance = distance, self._distance(x)
-            settled = distance < before * (1 + (CONVERGED_GROWTH - 1) * math.log10(softer))
-            if settled:
+            is_near = distance < before * (1 + (CONVERGED_GROWTH - 1) * math.log10(softening))
+            if is_near:
                 self._x.array[:] = x
                 try:
                     return find(self._x)
                 except SolveError as error:
                     failed = [error.with_traceback(None)]  # as in `Solver._try_in_turn`
-            self._stiffness /= softer
-            if distance > math.sqrt(softer) * before > 0:  # extrapolate growth in proportion to 1/k
-                x = min(x, softer * x + (1 - softer) * self._start, key=self._residual)
-        if distance >= DIVERGED_DISTANCE * elastic and not settled:
-            raise NoEquilibrium(distance / elastic, self._shares(x))
+            self._stiffness /= softening
+            if distance > math.sqrt(softening) * before > 0:  # extrapolate growth in proportion to 1/k
+                x = min(x, softening * x + (1 - softening) * self._start, key=self._residual)
+        if distance >= DIVERGED_DISTANCE * elastic_distance and not is_near:
+            raise NoEquilibrium(distance / elastic_distance, self._shares(x))
         raise failed.pop()
 
     # ---------------------------------------------------------------- the step
@@ -122,7 +122,7 @@ class WeakSprings:
             A = equations.tangent()
         finally:
             equations.set_homotopy(parameter)
-        A.shift(MIN_STIFFNESS * self._unit)
+        A.shift(MIN_STIFFNESS * self._unit_stiffness)
         r.waxpy(-1.0, loads, equations.prescribed_forces())
         d.set(0.0)
         d.array[equations.bc_dofs] = equations.prescribed - prescribed
@@ -143,12 +143,12 @@ class WeakSprings:
         equations, model, u = self.equations, self.equations.model, self.equations.configuration(self._d).u
         limited = [part for part in equations.parts if part.traits.bounded or part.traits.releases]
         jumps = {part.key: part.error_measure(u) for part in limited if isinstance(part, MeasuresError)}
-        of_seams = model.by_seam({key: equations.comm.allreduce(float((w**2).sum())) for key, w in jumps.items()})
-        thin = {name: model.layers[name].thin_layer for name, square in of_seams.items() if square > 0}
+        seam_squares = model.by_seam({key: equations.comm.allreduce(float((w**2).sum())) for key, w in jumps.items()})
+        thin = {name: model.layers[name].thin_layer for name, square in seam_squares.items() if square > 0}
         # squared jumps
-        squares = {name: of_seams[name] * (layer.eps if layer else 1.0) for name, layer in thin.items()}
-        whole = sum(squares.values())
-        return {name: squares[name] / whole for name in sorted(squares, key=lambda name: -squares[name])}
+        squares = {name: seam_squares[name] * (layer.eps if layer else 1.0) for name, layer in thin.items()}
+        total = sum(squares.values())
+        return {name: squares[name] / total for name in sorted(squares, key=lambda name: -squares[name])}
 
     # ---------------------------------------------------------------- Newton's method
     def _residual(self, x: Array) -> float:
@@ -171,14 +171,14 @@ class WeakSprings:
 
     def _solve(self, x: Array) -> Array | None:
         """Solve for the equilibrium with springs, starting from x; None without convergence."""
-        sizes = [self._residual(x)]
-        while len(sizes) <= MAX_NEWTON_STEPS and math.isfinite(sizes[-1]):
+        residuals = [self._residual(x)]
+        while len(residuals) <= MAX_NEWTON_STEPS and math.isfinite(residuals[-1]):
             A = self.equations.tangent()
             A.shift(self._stiffness)
             self.equations.apply_bcs(A)
             self._solve_linear(A, self._r, self._d)
-            x, size = self._search(x, -self._d.array_r, max(sizes[-COMPARED_RESIDUALS:]))
-            sizes.append(size)
+            x, size = self._search(x, -self._d.array_r, max(residuals[-COMPARED_RESIDUALS:]))
+            residuals.append(size)
             if self._is_solved(x):
                 return x
         return None
@@ -188,17 +188,17 @@ class WeakSprings:
 
         The norm is below `most` if such a point is found, else it is the least that was found.
         """
-        best, at, length = math.inf, 0.0, 1.0
+        best, best_length, length = math.inf, 0.0, 1.0
         for length in 0.5 ** np.arange(MAX_HALVINGS):
             size = self._residual(x + length * d)
-            enough = size < (1 - MIN_DECREASE * length) * most
-            if enough or size < best:
-                best, at = size, length
-            if enough:
+            is_enough = size < (1 - MIN_DECREASE * length) * most
+            if is_enough or size < best:
+                best, best_length = size, length
+            if is_enough:
                 break
-        if at != length:
-            best = self._residual(x + at * d)
-        return x + at * d, best
+        if best_length != length:
+            best = self._residual(x + best_length * d)
+        return x + best_length * d, best
 
     def _solve_linear(self, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> None:
         mark_symmetry(A, self.equations.model, saddle=True)

@@ -46,7 +46,7 @@ class LawPoints:
     @cached_property
     def entities(self) -> IntArray:
         """Numbers in the joint of this rank's cells with points, or of its facets (rows of `Joint.table`)."""
-        return self.quadrature.original
+        return self.quadrature.entity_numbers
 
     def stress(self) -> Array:
         """Stresses (points, 3, 3), which include the pressure of an incompressible law. Collective."""
@@ -63,9 +63,9 @@ class LawPoints:
             return np.zeros(self.quadrature.count)
         region = self.quadrature.region
         p = self.state.fields[str(Key.parse(self.term.key).pressure)]
-        here = fem.Function(fem.functionspace(region.mesh, ("Lagrange", 1)))
-        here.x.array[here.function_space.dofmap.list] = p.x.array[p.function_space.dofmap.list]
-        return self.quadrature.values(ufl.as_vector([region.side(here)]))[:, 0]
+        region_p = fem.Function(fem.functionspace(region.mesh, ("Lagrange", 1)))
+        region_p.x.array[region_p.function_space.dofmap.list] = p.x.array[p.function_space.dofmap.list]
+        return self.quadrature.values(ufl.as_vector([region.side(region_p)]))[:, 0]
 
     def internal(self) -> list[dict[str, Array]]:
         """Internal variables (points, *shape) by name, in a list with one dictionary for each sublayer.
@@ -111,10 +111,10 @@ def layer_shares(state: State, seam: str) -> dict[str, float]:
     """
     model, layer, shares = state.model, state.model.layers[seam], dict[str, float]()
     eps = float(layer.thin_layer.eps) if layer.thin_layer else 0.0
-    mine = [LawPoints(state, q.term, q, key) for key, q in model.quadratures.items() if q.term.key == layer.key]
+    layer_points = [LawPoints(state, q.term, q, key) for key, q in model.quadratures.items() if q.term.key == layer.key]
     for columns in dict.fromkeys(law.share_columns for _, law in layer.law.sublayers if law.share_columns):
         sums: dict[str, float] = {}
-        for points in mine:
+        for points in layer_points:
             for (a, law), internal in zip(points.term.law.sublayers, points.internal(), strict=True):
                 if law.share_columns == columns:
                     weights = a * points.quadrature.weights
@@ -141,8 +141,8 @@ def law_points(state: State) -> Iterator[LawPoints]:
 
 def unpack_memory(law: BulkLaw, memory: Array) -> dict[str, Array]:
     """Split a law's memory (points, values) into its internal variables (points, *shape) by name."""
-    ends = np.cumsum([VARIABLE_SIZES[shape] for shape in law.internal.values()], dtype=int)
-    if ends.max(initial=0) != memory.shape[1]:
+    stops = np.cumsum([VARIABLE_SIZES[shape] for shape in law.internal.values()], dtype=int)
+    if stops.max(initial=0) != memory.shape[1]:
         return {UNNAMED_MEMORY: memory}
-    parts = zip(law.internal.items(), np.split(memory, ends, axis=1), strict=False)  # the last part is empty
+    parts = zip(law.internal.items(), np.split(memory, stops, axis=1), strict=False)  # the last part is empty
     return {name: mandel_tensors(q) if shape == (3, 3) else q if shape else q[:, 0] for (name, shape), q in parts}

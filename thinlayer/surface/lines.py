@@ -47,9 +47,9 @@ class Line:
 
     def crossings(self, level: float) -> Array:
         """Coordinates (k, d) of the k points where scalar values cross a level, such as the end of a sliding zone."""
-        above = self.values - level
-        k = np.flatnonzero(above[:-1] * above[1:] < 0)
-        share = above[k] / (above[k] - above[k + 1])
+        difference = self.values - level
+        k = np.flatnonzero(difference[:-1] * difference[1:] < 0)
+        share = difference[k] / (difference[k] - difference[k + 1])
         return np.asarray(self.x[k] + share[:, None] * (self.x[k + 1] - self.x[k]))
 
     def table(self, name: str = "value") -> Table:
@@ -92,12 +92,12 @@ class Segments:
         keys = np.unique(self.keys, return_inverse=True)[1].reshape(-1, 2)
         is_end = np.bincount(keys.ravel())[keys] != 2  # lines end where not exactly two segments meet
         keys[is_end] = keys.max(initial=-1) + 1 + np.arange(is_end.sum())
-        _, first, ends = np.unique(keys, return_index=True, return_inverse=True)
-        ends, x = ends.reshape(-1, 2), self.x.reshape(-1, self.x.shape[2])[first]
+        _, first_rows, ends = np.unique(keys, return_index=True, return_inverse=True)
+        ends, x = ends.reshape(-1, 2), self.x.reshape(-1, self.x.shape[2])[first_rows]
         line = connected(ends[:, 0], ends[:, 1], len(x))
         lines = [self._line(seam, np.flatnonzero(line[ends[:, 0]] == k), ends, x, size) for k in np.unique(line)]
-        both = np.array([polyline.x[[0, -1]].ravel() for polyline in lines]).reshape(len(lines), 2 * x.shape[1])
-        return [lines[k] for k in by_place(both, size)]
+        end_places = np.array([polyline.x[[0, -1]].ravel() for polyline in lines]).reshape(len(lines), 2 * x.shape[1])
+        return [lines[k] for k in by_place(end_places, size)]
 
     def _line(self, seam: str, segments: IntArray, ends: IntArray, x: Array, size: float) -> Line:
         """Join the segments of one line, in order.
@@ -109,18 +109,18 @@ class Segments:
             x: (n, d) coordinates of the distinct ends.
             size: size of the structure, for rounding errors of coordinates.
         """
-        places, ends = np.unique(ends[segments], return_inverse=True)
-        ends, closed = ends.reshape(-1, 2), len(places) == len(segments)
-        position = np.argsort(along(x[places], ends, size))[ends]
-        last = closed & (np.abs(position[:, 0] - position[:, 1]) > 1)  # leads back to the start
-        turned = (position[:, 0] > position[:, 1]) != last
-        order = np.argsort(np.where(last, len(places), position.min(axis=1)))
-        segments, turned = segments[order], turned[order]
+        points, ends = np.unique(ends[segments], return_inverse=True)
+        ends, closed = ends.reshape(-1, 2), len(points) == len(segments)
+        position = np.argsort(along(x[points], ends, size))[ends]
+        closes = closed & (np.abs(position[:, 0] - position[:, 1]) > 1)  # leads back to the start
+        is_reversed = (position[:, 0] > position[:, 1]) != closes
+        order = np.argsort(np.where(closes, len(points), position.min(axis=1)))
+        segments, is_reversed = segments[order], is_reversed[order]
         s = np.cumsum([0.0, *self.lengths[segments]])
         s = np.stack([s[:-1], s[1:]], axis=1).ravel()
-        sides = np.stack([turned, ~turned], axis=1).astype(int)[..., None]
-        both = self.x[segments], self.values[segments]
-        x, values = (np.take_along_axis(array, sides, axis=1).reshape(len(s), -1) for array in both)
+        end_order = np.stack([is_reversed, ~is_reversed], axis=1).astype(int)[..., None]
+        arrays = self.x[segments], self.values[segments]
+        x, values = (np.take_along_axis(array, end_order, axis=1).reshape(len(s), -1) for array in arrays)
         largest = np.abs(self.values).max(initial=0.0)
         jumps = np.abs(np.diff(values, axis=0, prepend=np.nan)).max(axis=1) > LINE_TOLERANCE * largest
         kept = jumps | (np.diff(s, prepend=-np.inf) > LINE_TOLERANCE * size)
@@ -142,15 +142,15 @@ def lines_on(joint: Joint, seam: str, rows: IntArray, values: Array, plane: Plan
     """
     hint = "in 2D S is a line" if joint.dim == 2 else "in 3D lines on S are cuts by a plane: plane=(point, normal)"
     require((plane is None) == (joint.dim == 2), "plane", plane, hint)
-    of_corners, nodes = values.reshape(*values.shape[:2], -1), joint.surface[rows]
+    corner_values, nodes = values.reshape(*values.shape[:2], -1), joint.surface[rows]
     if plane is None:
         points, weights = basix.make_quadrature(basix.CellType.interval, ARC_DEGREE)
         slopes = lagrange("interval", joint.degree).tabulate(1, points)[1, :, :, 0]
         lengths = np.linalg.norm(np.einsum("qn,fnd->fqd", slopes, joint.points[nodes]), axis=2) @ weights
-        cut = Segments(nodes[:, :2], joint.points[nodes[:, :2]], of_corners, lengths)
+        segments = Segments(nodes[:, :2], joint.points[nodes[:, :2]], corner_values, lengths)
     else:
-        cut = cut_segments(joint, nodes, of_corners, plane)
-    lines = cut.lines(seam, joint.size)
+        segments = cut_segments(joint, nodes, corner_values, plane)
+    lines = segments.lines(seam, joint.size)
     return lines if values.ndim == 3 else [replace(line, values=line.values[:, 0]) for line in lines]
 
 
@@ -166,12 +166,12 @@ def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> 
     Raises:
         InputError: the plane is not two vectors of three finite numbers, or the normal is zero.
     """
-    if (both := finite_values(plane, (2, 3))) is None or not both[1].any():
+    if (plane_data := finite_values(plane, (2, 3))) is None or not plane_data[1].any():
         raise InputError(f"plane is {plane!r}; it must be (point, normal), three finite numbers each, not all zero")
-    around = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
-    ring, values = nodes[:, around], values[:, around]
+    ring_order = [0, 1, 3, 2] if is_tensor(joint.cell_type) else [0, 1, 2]
+    ring, values = nodes[:, ring_order], values[:, ring_order]
     x = joint.points[ring]
-    height = (x - both[0]) @ both[1] / np.linalg.norm(both[1])
+    height = (x - plane_data[0]) @ plane_data[1] / np.linalg.norm(plane_data[1])
     height[np.abs(height) <= LINE_TOLERANCE * joint.size] = 0.0
     segments = _cut_polygon(ring, x, values, height, height >= 0)
     # if facets lie in the plane, facets on one side are cut at their edges
@@ -179,13 +179,13 @@ def cut_segments(joint: Joint, nodes: IntArray, values: Array, plane: Plane) -> 
 
 
 def _cut_polygon(ring: IntArray, x: Array, values: Array, height: Array, above: BoolArray) -> Segments:
-    after = np.roll(np.arange(ring.shape[1]), -1)
-    crossed = above != above[:, after]
+    next_corner = np.roll(np.arange(ring.shape[1]), -1)
+    crossed = above != above[:, next_corner]
     facets = np.flatnonzero(crossed.sum(axis=1) == 2)
     edge = np.argsort(~crossed[facets], axis=1, kind="stable")[:, :2]
-    row, ends = facets[:, None], np.stack([edge, after[edge]])
+    row, ends = facets[:, None], np.stack([edge, next_corner[edge]])
     share = height[row, ends[0]] / (height[row, ends[0]] - height[row, ends[1]])
     first, last = (np.concatenate([x, values], axis=2)[row, end] for end in ends)
-    places, at = np.split(first + share[..., None] * (last - first), [x.shape[2]], axis=2)
+    places, cut_values = np.split(first + share[..., None] * (last - first), [x.shape[2]], axis=2)
     _, keys = np.unique(np.sort(ring[row, ends], axis=0).reshape(2, -1), axis=1, return_inverse=True)
-    return Segments(keys.reshape(-1, 2), places, at, np.linalg.norm(places[:, 1] - places[:, 0], axis=1))
+    return Segments(keys.reshape(-1, 2), places, cut_values, np.linalg.norm(places[:, 1] - places[:, 0], axis=1))

@@ -38,7 +38,7 @@ class LocatedPoints:
     X: Array
 
     @classmethod
-    def of(cls, kind: str, nodes: Array, x: npt.ArrayLike) -> LocatedPoints:
+    def locate(cls, kind: str, nodes: Array, x: npt.ArrayLike) -> LocatedPoints:
         """Find all cells or facets that contain points; a point outside all of them is in no pair.
 
         Args:
@@ -77,9 +77,9 @@ class LocatedPoints:
         Raises:
             InputError: x is no array of finite numbers with such a shape, or a point is in no cell.
         """
-        located = cls.of(joint.cell_type, joint.cell_points, x)
-        words = "{bad} of {all} places are in no cell of the mesh, the first at {at}"
-        refuse(located.missing, located.x, words if joint.parted is None else f"{words}; {EXTENDED_BODIES_HINT}")
+        located = cls.locate(joint.cell_type, joint.cell_points, x)
+        text = "{bad} of {all} places are in no cell of the mesh, the first at {at}"
+        refuse(located.missing, located.x, text if joint.parted is None else f"{text}; {EXTENDED_BODIES_HINT}")
         return located
 
     def __getitem__(self, rows: IntArray | BoolArray) -> LocatedPoints:
@@ -107,12 +107,12 @@ def _reference_points(kind: str, degree: int, nodes: Array, x: Array) -> Array:
         return X
     for _ in range(MAX_NEWTON_STEPS):
         table = element.tabulate(1, X)[..., 0]
-        there = np.einsum("pn,pnd->pd", table[0], nodes)
-        slopes = np.einsum("tpn,pnd->pdt", table[1:], nodes)
-        step = np.einsum("pij,pj->pi", np.linalg.pinv(slopes), x - there)
+        x_now = np.einsum("pn,pnd->pd", table[0], nodes)
+        jacobians = np.einsum("tpn,pnd->pdt", table[1:], nodes)
+        step = np.einsum("pij,pj->pi", np.linalg.pinv(jacobians), x - x_now)
         X = np.clip(X + step, -1.0, 2.0)
         if np.abs(step).max(initial=0.0) < REFERENCE_TOLERANCE**2:
             break
-    there = np.einsum("pn,pnd->pd", element.tabulate(0, X)[0, :, :, 0], nodes)
-    X[np.linalg.norm(x - there, axis=1) > REFERENCE_TOLERANCE * np.ptp(nodes, axis=1).max(axis=1)] = 2.0
+    x_now = np.einsum("pn,pnd->pd", element.tabulate(0, X)[0, :, :, 0], nodes)
+    X[np.linalg.norm(x - x_now, axis=1) > REFERENCE_TOLERANCE * np.ptp(nodes, axis=1).max(axis=1)] = 2.0
     return X

@@ -34,7 +34,7 @@ class RestingSublayer:
     Attributes:
         fraction: fraction of the layer's thickness that the sublayer has; 1 for a whole layer.
         lmbda, mu: Lame moduli at rest or, if lmbda/mu changes in time, after the duration; stresses.
-        along: modulus of the sublayer as a sheet in the plane of S with free faces, for isotropic laws E/(1 - nu^2); a
+        E_plane: modulus of the sublayer as a sheet in the plane of S with free faces, for isotropic laws E/(1 - nu^2); a
             stress.
         when: words of a warning with the duration, such as " under loads that last 5"; "" at rest.
     """
@@ -42,11 +42,11 @@ class RestingSublayer:
     fraction: float
     lmbda: float
     mu: float
-    along: float
+    E_plane: float
     when: str = ""
 
     @property
-    def nearly(self) -> bool:
+    def rubbery(self) -> bool:
         """Whether the sublayer is nearly incompressible: `length` is more than half of its relative thickness."""
         return self.length > NEARLY_INCOMPRESSIBLE_LENGTH * self.fraction
 
@@ -85,21 +85,21 @@ def resting_sublayers(layer: SeamLayer, dt: float = 0.0) -> list[RestingSublayer
         dt: duration of the loads; 0: at rest.
     """
     n, sublayers = layer.initial_tangents.n, layer.initial_tangents.sublayers
-    later = layer.initial_tangents.over(dt) if dt > 0 else [None] * len(sublayers)
+    later = layer.initial_tangents.tangents_after(dt) if dt > 0 else [None] * len(sublayers)
     resting: list[RestingSublayer] = []
     for (a, law, C), C_later in zip(sublayers, later, strict=True):
         if C is None and C_later is None:
             return []
-        rest, then = (None if tangent is None else RestingSublayer.of(a, law, tangent, n) for tangent in (C, C_later))
-        if then and not (rest and math.isclose(then.lmbda * rest.mu, rest.lmbda * then.mu, rel_tol=MODULUS_TOLERANCE)):
-            then = replace(then, when=f" under loads that last {dt:.4g}")
-        resting += [sublayer for sublayer in (then or rest,) if sublayer]
+        old, new = (None if tangent is None else RestingSublayer.of(a, law, tangent, n) for tangent in (C, C_later))
+        if new and not (old and math.isclose(new.lmbda * old.mu, old.lmbda * new.mu, rel_tol=MODULUS_TOLERANCE)):
+            new = replace(new, when=f" under loads that last {dt:.4g}")
+        resting += [sublayer for sublayer in (new or old,) if sublayer]
     return resting
 
 
 def acts_as_springs(sublayers: list[RestingSublayer]) -> bool:
     """Whether strains along S cause no stress in the layer, which then acts as separate springs between its faces."""
-    return bool(sublayers) and all(sublayer.along <= NEGLIGIBLE_MODULUS_RATIO * sublayer.mu for sublayer in sublayers)
+    return bool(sublayers) and all(sublayer.E_plane <= NEGLIGIBLE_MODULUS_RATIO * sublayer.mu for sublayer in sublayers)
 
 
 def jump_stiffness(layer: SeamLayer) -> tuple[float, float]:
@@ -112,11 +112,11 @@ def jump_stiffness(layer: SeamLayer) -> tuple[float, float]:
         if C is None:
             return 0.0, 0.0
         A = acoustic_tensor(C, n)
-        size, up = float(np.abs(A).max()), float(n @ A @ n)
-        along = float(np.linalg.eigvalsh((A + A.T) / 2 + 2 * size * np.outer(n, n))[0])
-        if min(along, up) <= NEGLIGIBLE_MODULUS_RATIO * size:
-            return up, 0.0
-        compliances += [fraction / up, fraction / along]
+        size, opening = float(np.abs(A).max()), float(n @ A @ n)
+        shear = float(np.linalg.eigvalsh((A + A.T) / 2 + 2 * size * np.outer(n, n))[0])
+        if min(shear, opening) <= NEGLIGIBLE_MODULUS_RATIO * size:
+            return opening, 0.0
+        compliances += [fraction / opening, fraction / shear]
     normal, tangential = 1 / (compliances * layer.as_thin_layer.eps)
     return float(normal), float(tangential)
 
@@ -157,7 +157,7 @@ class FaceDisplacements:
         return self.surface.sides(self.state.u, self.state.model, self.surface.corner_points)
 
     @property
-    def rounding(self) -> float:
+    def jump_rounding(self) -> float:
         """Rounding error of jumps, a length in proportion to the largest displacement."""
         return JUMP_ROUNDING * float(np.abs(self.sides).max())
 
@@ -170,7 +170,7 @@ class FaceDisplacements:
     def slip_squared(self) -> FloatArray:
         """Squared tangential jumps, plus the squared rounding error of jumps, (n, k), at the k corners of n facets."""
         slip = self.sides[1] - self.sides[0] - self.opening * self.surface.corner_points.n
-        return np.asarray((slip**2).sum(axis=0) + self.rounding**2)
+        return np.asarray((slip**2).sum(axis=0) + self.jump_rounding**2)
 
     @property
     def closing(self) -> FloatArray:
@@ -261,10 +261,10 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
     vertex = np.zeros(len(surface.numbers), np.int64)
     vertex[surface.nodes] = joint.masters[surface.corners]
     used, number = np.unique(vertex, return_inverse=True)  # the pressure is continuous where bodies branch
-    joined = scipy.sparse.csc_matrix((np.ones(len(vertex)), (np.arange(len(vertex)), number)))
-    b = joined.T @ surface.sums(surface.moments(wb))
-    volume = joined.T @ surface.mass(1 / stiff) @ joined
-    whole = volume + joined.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ joined
+    merge = scipy.sparse.csc_matrix((np.ones(len(vertex)), (np.arange(len(vertex)), number)))
+    b = merge.T @ surface.sums(surface.moments(wb))
+    volume = merge.T @ surface.mass(1 / stiff) @ merge
+    system = volume + merge.T @ surface.stiffness(eps**3 / (12 * layer.mu)) @ merge
     if not b @ b:  # also if the squares underflow
         return PressureExcess()
     rim = faces.state.model.applicability[faces.layer.name].neglected
@@ -273,17 +273,17 @@ def pressure_excess(faces: FaceDisplacements, layer: RestingSublayer) -> Pressur
     flow = surface.lengths(rim) * at_rim**2 / (12 * layer.mu * resistance)
     ends, k = np.searchsorted(used, joint.masters[rim.vertices]), rim.vertices.shape[1]
     outflow = np.bincount(ends.ravel(), np.repeat(flow / k, k), len(used))
-    p = scipy.sparse.linalg.spsolve(whole + scipy.sparse.diags_array(outflow.astype(float), format="csc"), b)
+    p = scipy.sparse.linalg.spsolve(system + scipy.sparse.diags_array(outflow.astype(float), format="csc"), b)
     p_0 = scipy.sparse.linalg.spsolve(volume, b)
     of_law, of_layer = float(surface.integral(stiff * wb**2)), float(b @ p)
     slip = surface.between(faces.slip_squared) / eps
     work = (of_law - of_layer) / (of_layer + layer.mu * float(surface.integral(slip)))
-    if surface.norm(surface.at_points(joined @ p_0) / stiff) <= faces.rounding * math.sqrt(surface.integral(1.0)):
+    if surface.norm(surface.at_points(merge @ p_0) / stiff) <= faces.jump_rounding * math.sqrt(surface.integral(1.0)):
         return PressureExcess(work=work)
     t_N = surface.norm(stiff * wb + 2 * layer.mu * opening / eps)
     t_T = layer.mu * math.sqrt(surface.integral(slip / eps))
-    off = surface.norm(surface.at_points(joined @ (p_0 - p)))
-    return PressureExcess(float(b @ p_0) / of_layer - 1, work, off / math.hypot(t_N, t_T))
+    error_norm = surface.norm(surface.at_points(merge @ (p_0 - p)))
+    return PressureExcess(float(b @ p_0) / of_layer - 1, work, error_norm / math.hypot(t_N, t_T))
 
 
 # ---------------------------------------------------------------- warnings
@@ -299,12 +299,12 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
         seam_layer: the layer.
         layers: for each of several durations of the loads, the moduli of the layer's sublayers.
     """
-    layers, rim = [s for s in layers if any(k.nearly for k in s)], model.applicability[seam_layer.name].neglected
+    layers, rim = [s for s in layers if any(k.rubbery for k in s)], model.applicability[seam_layer.name].neglected
     if not layers or not len(rim.vertices):
         return
     if any(k.length == math.inf for sublayers in layers for k in sublayers):
-        what = f"{seam_layer} is incompressible: its law holds [u_N] at zero, but at free ends it is squeezed out"
-        yield "incompressible", f"{what}; use order=1, mesh the layer (structure.full), {SUPPORT_HINT}"
+        text = f"{seam_layer} is incompressible: its law holds [u_N] at zero, but at free ends it is squeezed out"
+        yield "incompressible", f"{text}; use order=1, mesh the layer (structure.full), {SUPPORT_HINT}"
         return
     surface, eps = surface_of(model, seam_layer.name), seam_layer.as_thin_layer.eps
     width = surface.integral(1.0) / surface.lengths(rim).sum()
@@ -312,12 +312,12 @@ def free_end_remark(model: Model, seam_layer: SeamLayer, layers: Sequence[list[R
     when = max(layers[lengths.index(max(lengths))], key=lambda k: k.length).when
     delta = eps * max(lengths)
     y = delta / width
-    lost = 1 / (1 - math.tanh(1 / y) * y) - 1
-    if lost > 1 / (1 - MIN_STIFFNESS_ERROR) - 1:
-        what = f"{seam_layer} is nearly incompressible{when}: its pressure falls to 0 at free ends over {delta:.3g}"
-        part = f"{y:.2g} of the area of S over the length of these ends ({width:.3g})"
-        stiff = f"between rigid bodies its law is about {1 + lost:.3g} times too stiff against normal jumps"
-        yield "free ends", f"{what}, {part}; {stiff}; {_remedy(seam_layer)}, {SUPPORT_HINT}"
+    excess = 1 / (1 - math.tanh(1 / y) * y) - 1
+    if excess > 1 / (1 - MIN_STIFFNESS_ERROR) - 1:
+        text = f"{seam_layer} is nearly incompressible{when}: its pressure falls to 0 at free ends over {delta:.3g}"
+        area_text = f"{y:.2g} of the area of S over the length of these ends ({width:.3g})"
+        effect = f"between rigid bodies its law is about {1 + excess:.3g} times too stiff against normal jumps"
+        yield "free ends", f"{text}, {area_text}; {effect}; {_remedy(seam_layer)}, {SUPPORT_HINT}"
 
 
 def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
@@ -338,10 +338,10 @@ def pressure_length(sublayers: list[RestingSublayer], width: float) -> float:
     for k, ply in enumerate(sublayers):
         at = slice(2 * k, 2 * k + 3)
         A[at, at] += ply.mu / (3 * ply.fraction) * SHEAR_MATRIX
-        if ply.nearly:
+        if ply.rubbery:
             b[at] += math.sqrt(ply.lmbda / (ply.lmbda + 2 * ply.mu)) * ply.fraction / 6 * np.array([1.0, 4.0, 1.0])
         else:
-            A[at, at] += 3 / width**2 * max(ply.along, 0.0) * ply.fraction / 30 * STRETCH_MATRIX
+            A[at, at] += 3 / width**2 * max(ply.E_plane, 0.0) * ply.fraction / 30 * STRETCH_MATRIX
     inside = slice(1, -1)  # the displacements of the faces are zero
     flow = float(b[inside] @ np.linalg.solve(A[inside, inside], b[inside]))
     return math.sqrt(flow / sum(ply.compliance for ply in sublayers))
@@ -359,20 +359,20 @@ def stiffness_remark(seam_layer: SeamLayer, states: Sequence[State], start: floa
         start: time at which the loads begin to act; None: the layer's moduli at rest are used.
     """
     has_column = not states[0].model.applicability[seam_layer.name].why_not("excess of pressure")
-    if not (has_column or seam_layer.law.traits.compiled or any(k.nearly for k in resting_sublayers(seam_layer))):
+    if not (has_column or seam_layer.law.traits.compiled or any(k.rubbery for k in resting_sublayers(seam_layer))):
         return  # tangents of other laws do not change in time
     openings = [float(np.abs(FaceDisplacements.of(state, seam_layer).opening).max()) for state in states]
     last = max(k for k, opening in enumerate(openings) if opening >= MIN_LAST_OPENING * max(openings))
     rows = []
     for state in (states[k] for k in sorted({openings.index(max(openings)), last})):
         sublayers = resting_sublayers(seam_layer, 0.0 if start is None else state.t - start)
-        if len(sublayers) == 1 and (has_column or sublayers[0].nearly) and sublayers[0].length < math.inf:
+        if len(sublayers) == 1 and (has_column or sublayers[0].rubbery) and sublayers[0].length < math.inf:
             rows.append((pressure_excess(FaceDisplacements.of(state, seam_layer), sublayers[0]).reported, sublayers[0]))
     worst, layer = max(rows, key=lambda pair: pair[0], default=(0.0, None))
     if layer and worst > MIN_STIFFNESS_ERROR:
-        ratio = f"has lmbda/mu = {layer.lmbda / layer.mu:.4g}, and lets no material flow along S: for these jumps"
-        stiff = f"the layer alone is {1 + worst:.4g} times too stiff, the structure less if bodies are soft"
-        yield "too stiff", f"{seam_layer}{layer.when} {ratio} {stiff}; {_remedy(seam_layer)}"
+        subject = f"has lmbda/mu = {layer.lmbda / layer.mu:.4g}, and lets no material flow along S: for these jumps"
+        effect = f"the layer alone is {1 + worst:.4g} times too stiff, the structure less if bodies are soft"
+        yield "too stiff", f"{seam_layer}{layer.when} {subject} {effect}; {_remedy(seam_layer)}"
 
 
 def _remedy(layer: SeamLayer) -> str:

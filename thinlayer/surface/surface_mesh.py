@@ -56,18 +56,18 @@ class FacetPoints:
         table = tabulated(lagrange(surface.kind, joint.degree), points, count, 1)
         self.rows, self.points, self.shapes, self._reference_slopes = rows, points, linear[0], linear[1:]
         self.x = np.moveaxis(table[0] @ nodes, -1, 0)
-        self._along = along = table[1:] @ nodes
-        across = np.stack([along[0, ..., 1], -along[0, ..., 0]], -1) if joint.dim == 2 else np.cross(*along)
-        size = np.linalg.norm(across, axis=-1)
-        above = joint.points[joint.corners[surface.cells[rows, 1]]].mean(axis=1)
-        up = np.einsum("fqd,fd->fq", across, above - joint.points[surface.corners[rows]].mean(axis=1))
-        self.n = np.moveaxis(across * (np.sign(up) / size)[..., None], -1, 0)
+        self._derivatives = tangents = table[1:] @ nodes
+        normals = np.stack([tangents[0, ..., 1], -tangents[0, ..., 0]], -1) if joint.dim == 2 else np.cross(*tangents)
+        size = np.linalg.norm(normals, axis=-1)
+        cell_middles = joint.points[joint.corners[surface.cells[rows, 1]]].mean(axis=1)
+        upward = np.einsum("fqd,fd->fq", normals, cell_middles - joint.points[surface.corners[rows]].mean(axis=1))
+        self.n = np.moveaxis(normals * (np.sign(upward) / size)[..., None], -1, 0)
         self.weights = weights * size * surface.model.kinematics.factor_at(np.moveaxis(self.x, 0, -1))
 
     @cached_property
     def slopes(self) -> Array:
         """Gradients (n, q, k, d) along S, at q points of n facets, of the k corners' shape functions of degree 1."""
-        to_x = np.linalg.pinv(np.moveaxis(self._along, 0, -1))
+        to_x = np.linalg.pinv(np.moveaxis(self._derivatives, 0, -1))
         return np.asarray(np.einsum("jfqa,fqjd->fqad", self._reference_slopes, to_x))
 
 
@@ -169,7 +169,7 @@ class SurfaceMesh:
         Raises:
             InputError: x has another shape or numbers that are not finite, or a point is not on the surface.
         """
-        located = LocatedPoints.of(self.kind, self.faces.mean(axis=0), x)
+        located = LocatedPoints.locate(self.kind, self.faces.mean(axis=0), x)
         refuse(located.missing, located.x, f"{{bad}} of {{all}} places are not on {self.seam}, the first at {{at}}")
         return located, FacetPoints(self, located.entity, located.X[:, None])
 
@@ -187,12 +187,12 @@ class SurfaceMesh:
         """
         require(side in SIDE_NAMES, "side", side, "allowed: lower, upper")
         count, k = len(self.joint.cells) + 1, SIDE_NAMES.index(side)
-        lower, upper = (LocatedPoints.of(self.kind, nodes, located.x) for nodes in self.faces)
+        lower, upper = (LocatedPoints.locate(self.kind, nodes, located.x) for nodes in self.faces)
         points, at = np.union1d(lower.point, upper.point), (lower, upper)[k]
         cells = self.cells[at.entity, k]
         wanted = (at.point * count + cells)[cells >= 0]
-        there = "but a rigid base" if self.joint.parted is None else EXTENDED_BODIES_HINT
-        message = f"no body is on the {side} side of S at {{at}}, {there}"
+        reason = "but a rigid base" if self.joint.parted is None else EXTENDED_BODIES_HINT
+        message = f"no body is on the {side} side of S at {{at}}, {reason}"
         refuse(~np.isin(points, wanted // count), located.x[points], message)
         return located[np.isin(located.point * count + located.entity, wanted) | ~np.isin(located.point, points)]
 
@@ -213,9 +213,9 @@ class SurfaceMesh:
         if BASE in inflated.facets:
             table, kind = inflated.table, inflated.cell_type
             on_base = np.unique(table.nodes(table.index(inflated.facets[BASE]), inflated.cells, kind))
-            stands = self.cells[:, 0] < 0
-            _, at_s = cKDTree(inflated.reference[on_base]).query(nodes[0, stands])
-            nodes[0, stands] = inflated.points[on_base[at_s]]
+            over_base = self.cells[:, 0] < 0
+            _, at_s = cKDTree(inflated.reference[on_base]).query(nodes[0, over_base])
+            nodes[0, over_base] = inflated.points[on_base[at_s]]
         located, at = self.at(x)
         shapes = tabulated(lagrange(self.kind, self.joint.degree), at.points, len(at.rows))[0]
         lower, upper = (located.mean(places) for places in np.einsum("fqa,sfad->sfd", shapes, nodes[:, at.rows]))
@@ -260,12 +260,12 @@ class SurfaceMesh:
         geometry = np.asarray(basix.geometry(basix.CellType[self.joint.cell_type]))
         for side, cells in enumerate(self.cells[at.rows].T):
             local = (self.joint.corners[cells][:, None] == self.corners[at.rows][..., None]).argmax(axis=2)
-            kinds, kind = np.unique(local, axis=0, return_inverse=True)
-            for k, corners in enumerate(kinds):  # one for each orientation of facets in their cells
-                here = np.flatnonzero((kind.ravel() == k) & (cells >= 0))
-                if len(here):
-                    X = (at.shapes[0] if at.points.ndim == 2 else at.shapes[here]) @ geometry[corners]
-                    out[side][:, here] = np.moveaxis(tabulated(element, X, len(here))[0] @ values[here, side], -1, 0)
+            orientations, orientation = np.unique(local, axis=0, return_inverse=True)
+            for k, corners in enumerate(orientations):  # one for each orientation of facets in their cells
+                rows = np.flatnonzero((orientation.ravel() == k) & (cells >= 0))
+                if len(rows):
+                    X = (at.shapes[0] if at.points.ndim == 2 else at.shapes[rows]) @ geometry[corners]
+                    out[side][:, rows] = np.moveaxis(tabulated(element, X, len(rows))[0] @ values[rows, side], -1, 0)
         return out
 
     @cached_property
@@ -290,9 +290,9 @@ class SurfaceMesh:
                 raise ValueError
             return np.broadcast_to(values, (*values.shape[:-2], *self.weights.shape))
         except (TypeError, ValueError):
-            what = f"an array {f.shape}" if isinstance(f, np.ndarray) and f.ndim else f"{f!r:.80}"
+            text = f"an array {f.shape}" if isinstance(f, np.ndarray) and f.ndim else f"{f!r:.80}"
             shape = f"(..., n, q) = (..., {str(self.weights.shape)[1:]}, as surface.jump(state) or surface.x[0]"
-            message = f"{what} is not a field on S; give an array {shape}, (n, 1) of facets, or values at nodes"
+            message = f"{text} is not a field on S; give an array {shape}, (n, 1) of facets, or values at nodes"
             raise InputError(message) from None
 
     def where(self, part: Where | float) -> Array:
@@ -338,13 +338,13 @@ class SurfaceMesh:
 
     # ---------------------------------------------------------------- nodes
     @cached_property
-    def _numbered(self) -> tuple[IntArray, IntArray, IntArray]:
+    def _node_numbering(self) -> tuple[IntArray, IntArray, IntArray]:
         """Values of the properties `numbers`, `vertices` and `nodes`, computed once."""
-        of_table = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
-        at = (of_table[:, None] == self.corners[..., None]).argmax(axis=2)
-        codes = np.take_along_axis(self.joint.pairs[self.rows], at, axis=1)
-        numbers, first, nodes = np.unique(codes, return_index=True, return_inverse=True)
-        vertices, nodes = self.joint.masters[self.corners].ravel()[first], nodes.reshape(codes.shape)
+        table_vertices = self.joint.table.vertices[self.joint.surface_rows[self.rows]]
+        positions = (table_vertices[:, None] == self.corners[..., None]).argmax(axis=2)
+        codes = np.take_along_axis(self.joint.pairs[self.rows], positions, axis=1)
+        numbers, first_corners, nodes = np.unique(codes, return_index=True, return_inverse=True)
+        vertices, nodes = self.joint.masters[self.corners].ravel()[first_corners], nodes.reshape(codes.shape)
         x, size = self.joint.points[vertices], self.joint.size
         order = along(x, nodes, size) if self.joint.dim == 2 else by_place(x, size)
         return numbers[order], vertices[order], np.argsort(order)[nodes]
@@ -356,7 +356,7 @@ class SurfaceMesh:
         So a vertex where seams or bodies meet has several nodes. The numbers are those of `Joint.pairs`. In 2D nodes
         are ordered along S, piece after piece; in 3D by coordinates.
         """
-        return self._numbered[0]
+        return self._node_numbering[0]
 
     @property
     def places(self) -> Array:
@@ -366,12 +366,12 @@ class SurfaceMesh:
     @property
     def vertices(self) -> IntArray:
         """Numbers (m,) of the m nodes' vertices in the joint; where periodic sides identify several, of the first."""
-        return self._numbered[1]
+        return self._node_numbering[1]
 
     @property
     def nodes(self) -> IntArray:
         """Positions (n, k) in `numbers` of the nodes at the k corners of each of n facets."""
-        return self._numbered[2]
+        return self._node_numbering[2]
 
     def find(self, numbers: IntArray) -> IntArray:
         """Positions, in the property `numbers`, of nodes with given numbers."""
@@ -462,8 +462,8 @@ class SurfaceMesh:
         """
         values, lines = self.at_corners(f), list[Line]()
         for name in dict.fromkeys(self.seams.tolist()):
-            mine = self.seams == name
-            lines += lines_on(self.joint, name, self.rows[mine], values[mine], plane)
+            in_seam = self.seams == name
+            lines += lines_on(self.joint, name, self.rows[in_seam], values[in_seam], plane)
         if not lines:
             raise InputError(f"the plane {plane!r} does not cut S")
         return lines
@@ -498,8 +498,8 @@ class SurfaceMesh:
 
 def surface_of(model: Model, seam: str) -> SurfaceMesh:
     """`SurfaceMesh` of a seam of a model, which is made once and then taken from the model."""
-    kept: dict[str, SurfaceMesh] = vars(model).setdefault("surfaces", {})
-    if seam not in kept:
-        kept[seam] = SurfaceMesh(model, seam)
-        kept[seam].model = proxy(model)  # the model owns the mesh: no reference cycle
-    return kept[seam]
+    surfaces: dict[str, SurfaceMesh] = vars(model).setdefault("surfaces", {})
+    if seam not in surfaces:
+        surfaces[seam] = SurfaceMesh(model, seam)
+        surfaces[seam].model = proxy(model)  # the model owns the mesh: no reference cycle
+    return surfaces[seam]

@@ -81,8 +81,8 @@ class Checkpoint:
             self._orders[name] = FileOrder(self.model.domain.original_cells[: len(dofs)], dofs, n_owned)
         arrays = [*rest.stresses, *(key for key, kept in rest.memory.items() if not isinstance(kept, Mapping))]
         for key in (key for key in arrays if MEMORY_PREFIX + key not in self._orders):
-            what = f"the part {key!r} remembers values that have no order in files"
-            raise InputError(f"{what}: march without out=, or give its class file_order, of the rows of its memory")
+            text = f"the part {key!r} remembers values that have no order in files"
+            raise InputError(f"{text}: march without out=, or give its class file_order, of the rows of its memory")
 
     def _file(self, row: int) -> Path:
         return self.folder / "states" / f"{row:06d}.npz"
@@ -107,21 +107,21 @@ class Checkpoint:
             OSError: a file could not be written; on all ranks.
         """
         if first == 0:
-            on_root(self.comm, self._forget)
+            on_root(self.comm, self._remove_files)
         for row, state in states.items():
             if row >= first:
                 self._write_state(row, state)
         on_root(self.comm, lambda: self._write_table(table, states, pace))
 
-    def _forget(self) -> None:
+    def _remove_files(self) -> None:
         """Remove the files of an earlier march: table.csv first, as only march.json shows to which march it belongs."""
         for file in (self.folder / CSV_FILE, self.path, *self._files()):
             file.unlink(missing_ok=True)
 
     def _write_table(self, table: Table, states: Mapping[int, State], pace: Pace) -> None:
-        self._states = {row: about for row, about in self._states.items() if int(row) in states}
-        about = {"mark": self.mark, "pace": asdict(pace), "states": self._states}
-        write_sealed(self.path, about | {"columns": table.columns, "rows": [[*row.values()] for row in table.rows]})
+        self._states = {row: record for row, record in self._states.items() if int(row) in states}
+        record = {"mark": self.mark, "pace": asdict(pace), "states": self._states}
+        write_sealed(self.path, record | {"columns": table.columns, "rows": [[*row.values()] for row in table.rows]})
         for stale in self._files():
             if int(stale.stem) not in states:
                 stale.unlink()
@@ -130,13 +130,13 @@ class Checkpoint:
     def _write_state(self, row: int, state: State) -> None:
         arrays = {} if state.reactions is None else {REACTIONS_KEY: state.reactions}
         arrays |= {name: self._gather(self._orders[name], values) for name, values in _state_values(state).items()}
-        about = {"report": asdict(state.report), "audit": asdict(state.audit)}
-        about |= {name: getattr(state, name) for name in STATE_NUMBERS}
+        record = {"report": asdict(state.report), "audit": asdict(state.audit)}
+        record |= {name: getattr(state, name) for name in STATE_NUMBERS}
 
         def write() -> None:
             with replace_file(self._file(row)) as file:
                 np.savez(file, allow_pickle=False, **arrays)
-            self._states[str(row)] = about | {"hash": hash_of(self._file(row))}
+            self._states[str(row)] = record | {"hash": hash_of(self._file(row))}
 
         on_root(self.comm, write)
 
@@ -185,44 +185,44 @@ class Checkpoint:
                 raise InputError(f"{self.folder / CSV_FILE} is not of a march; give another folder, or remove it")
             return None
         content = read_sealed(self.path)
-        there = content["mark"]
-        if there.get("format") != FILE_FORMAT:
-            what = f"it has the format {there.get('format')} of another version, this one reads {FILE_FORMAT}"
-            raise InputError(f"{str(self.path)!r} cannot be read ({what}); give another folder, or remove it")
-        if there != self.mark and resume != "anyway":
-            what = f"{self.path} is of another march ({differences_text([*differences(there, self.mark)])})"
-            raise InputError(f"{what}; give another folder, remove it, or resume='anyway'")
-        if there["observe"].keys() != self.mark["observe"].keys():
-            raise InputError(f"{self.path}: the march observes {[*there['observe']]}, not {[*self.mark['observe']]}")
+        saved = content["mark"]
+        if saved.get("format") != FILE_FORMAT:
+            text = f"it has the format {saved.get('format')} of another version, this one reads {FILE_FORMAT}"
+            raise InputError(f"{str(self.path)!r} cannot be read ({text}); give another folder, or remove it")
+        if saved != self.mark and resume != "anyway":
+            text = f"{self.path} is of another march ({differences_text([*differences(saved, self.mark)])})"
+            raise InputError(f"{text}; give another folder, remove it, or resume='anyway'")
+        if saved["observe"].keys() != self.mark["observe"].keys():
+            raise InputError(f"{self.path}: the march observes {[*saved['observe']]}, not {[*self.mark['observe']]}")
         return content if resume else None
 
     def _read_state(self, row: int) -> State:
         arrays: dict[str, Array] = {}  # on rank 0 only
 
         def load() -> tuple[JsonObject, list[str], Array | None]:
-            about = self._states[str(row)]
-            if hash_of(self._file(row)) != about["hash"]:
+            record = self._states[str(row)]
+            if hash_of(self._file(row)) != record["hash"]:
                 raise InputError(f"{self._file(row)} is lost or damaged; remove the folder to start anew")
             with np.load(self._file(row), allow_pickle=False) as file:
                 arrays.update(file)
-            return about, [*arrays], arrays.get(REACTIONS_KEY)
+            return record, [*arrays], arrays.get(REACTIONS_KEY)
 
-        about, names, reactions = on_root(self.comm, load)
-        rest = self._equations.rest(about["t"])
+        record, names, reactions = on_root(self.comm, load)
+        rest = self._equations.rest(record["t"])
         spaces = {part.key: part.field.function_space for part in self._equations.with_own}
         memory = {key: _copied(values) for key, values in rest.memory.items()}
         fields = {key: fem.Function(V) for key, V in spaces.items() if FIELD_PREFIX + key in names}
-        report, audit = Report(**about["report"] | {"method": "resumed"}), Audit(**about["audit"])
+        report, audit = Report(**record["report"] | {"method": "resumed"}), Audit(**record["audit"])
         state = replace(rest, memory=memory, fields=fields, at_rest=False, report=report, audit=audit)
-        state = replace(state, reactions=reactions, **{name: about[name] for name in STATE_NUMBERS})
+        state = replace(state, reactions=reactions, **{name: record[name] for name in STATE_NUMBERS})
         for name, values in _state_values(state).items():
             order = self._orders[name]
-            order.put(values, self._wanted(row, arrays.get(name), order.numbers, order.width * values.shape[1]))
+            order.put(values, self._received(row, arrays.get(name), order.numbers, order.width * values.shape[1]))
         for f in (*_state_functions(state).values(), *state.fields.values()):
             f.x.scatter_forward()
         return state
 
-    def _wanted(self, row: int, rows: Array | None, numbers: IntArray, width: int) -> Array:
+    def _received(self, row: int, rows: Array | None, numbers: IntArray, width: int) -> Array:
         """Values (cells, width) that belong to some cells or facets of each rank, from a state's file.
 
         Args:

@@ -51,7 +51,7 @@ class Controller(ABC):
         journal: record of the accepted states.
         targets: times at which steps must end, increasing.
         start: time of the first state.
-        near: largest difference of times that count as equal.
+        time_slack: largest difference of times that count as equal.
         smallest: length below which a step is not shortened further, in the unit of `length`.
     """
 
@@ -63,7 +63,7 @@ class Controller(ABC):
     def __post_init__(self) -> None:
         self.start = self.journal.start
         lengths = np.diff([self.start, *self.targets])
-        self.near = min(TIME_TOLERANCE * max(abs(self.start), abs(self.targets[-1])), float(lengths.min()) / 2)
+        self.time_slack = min(TIME_TOLERANCE * max(abs(self.start), abs(self.targets[-1])), float(lengths.min()) / 2)
         self._log = logger("march", self.solver.model.comm)
 
     @property
@@ -83,7 +83,7 @@ class Controller(ABC):
 
     @property
     def _passed_times(self) -> int:
-        return bisect_right(self.targets, self.last.t + self.near)
+        return bisect_right(self.targets, self.last.t + self.time_slack)
 
     @abstractmethod
     def length(self) -> float:
@@ -123,23 +123,23 @@ class Controller(ABC):
             InputError: the folder has another march, damaged files, or a march that is already beyond the end.
             SolveError: the first state, or the shortest step, cannot be computed.
         """
-        with report("march") as tell:
+        with report("march") as progress:
             end = self.targets[-1]
             if self.journal.read(resume):
-                if self.last.t > end + self.near:
+                if self.last.t > end + self.time_slack:
                     where = f"the march in {self.journal.out} is at t = {self.last.t:g}"
                     raise InputError(f"{where}, and is to end before, at t = {end:g}")
             elif begun:
                 self.journal.begin(begun)
             else:
-                self._begin()
+                self._first_state()
             while not self.done:
-                self.journal.accept(self._next())
+                self.journal.accept(self._next_states())
                 share = (self.last.t - self.start) / (end - self.start)  # falls where t turns back
-                tell(max(share, 0.0), f"t = {self.last.t:.4g} of {end:.4g}, {len(self.journal.history)} states")
+                progress(max(share, 0.0), f"t = {self.last.t:.4g} of {end:.4g}, {len(self.journal.history)} states")
         return self.journal.history
 
-    def _begin(self) -> None:
+    def _first_state(self) -> None:
         """Add the first state to the journal: at rest if a part depends on rates, else under sudden loads.
 
         A state at rest is written to files together with the first step.
@@ -152,7 +152,7 @@ class Controller(ABC):
         except SolveError as error:
             raise self.error(f"the first state, under the sudden load at t = {self.start:g}: {error}") from error
 
-    def _next(self) -> list[State]:
+    def _next_states(self) -> list[State]:
         """Make the next step, shortened until a method succeeds, and return its states."""
         length, t = self.length(), self.last.t
         while True:

@@ -39,7 +39,7 @@ class ArcLengthController(Controller):
         super().__post_init__()
         self.smallest = self.path.smallest
         self._curve = EquilibriumPath(self.solver.equations, self.path.first, self.options)
-        self._aimed: State | None = None  # the state at which the path's direction has been computed
+        self._aimed_state: State | None = None  # the state at which the path's direction has been computed
 
     @property
     def done(self) -> bool:
@@ -47,19 +47,19 @@ class ArcLengthController(Controller):
         return super().done or (back is not None and self.last.t < back)
 
     def length(self) -> float:
-        path, pace, last, before = self.path, self.journal.pace, self.last, self.journal.before
+        path, pace, last, before = self.path, self.journal.pace, self.last, self.journal.previous
         steps = len(self.journal.history) - 1
         if last.t < path.lowest(self.start):
-            what = f"the path has come back to t = {last.t:g} and has not reached end = {path.end:g}"
-            raise self.error(what, "give back=, a time < start at which it may end too")
+            text = f"the path has come back to t = {last.t:g} and has not reached end = {path.end:g}"
+            raise self.error(text, "give back=, a time < start at which it may end too")
         if steps >= path.steps:
-            what = f"the path is at t = {last.t:g} after {path.steps} steps, not at end = {path.end:g}"
-            raise self.error(what, "give more steps, or a longer first one")
+            text = f"the path is at t = {last.t:g} after {path.steps} steps, not at end = {path.end:g}"
+            raise self.error(text, "give more steps, or a longer first one")
         if steps and before and not pace.weight:
-            pace.weight, self._aimed = self._weight(before, last), None
+            pace.weight, self._aimed_state = self._weight(before, last), None
         self._curve.middle = ([self.start, *self.targets][self._passed_times] + self.target) / 2
         try:
-            if self._aimed is not last:
+            if self._aimed_state is not last:
                 self._aim()
         except SolveError as error:
             raise self.failure(1.0, [error]) from error
@@ -71,8 +71,8 @@ class ArcLengthController(Controller):
         Args:
             anew: whether t must increase along the direction.
         """
-        self._curve.weight, self._aimed = self.journal.pace.weight, self.last
-        self._curve.aim(None if anew else self.journal.before, self.last)
+        self._curve.weight, self._aimed_state = self.journal.pace.weight, self.last
+        self._curve.aim(None if anew else self.journal.previous, self.last)
 
     def _weight(self, before: State, last: State) -> float:
         """Factor 1/U^2 of squared displacements in the squared arc length, from the first two states.
@@ -87,7 +87,7 @@ class ArcLengthController(Controller):
 
     @property
     def attempts(self) -> list[StepAttempt]:
-        ahead = StepAttempt("a step along the path", self._ahead)
+        ahead = StepAttempt("a step along the path", self._step_ahead)
         corner = StepAttempt("a step through a corner", self._through_corner, CORNER_LENGTH / 2)
         return [ahead, corner] if self._curve.weight else [ahead]
 
@@ -99,22 +99,22 @@ class ArcLengthController(Controller):
         """
         return length * math.sqrt(2.0) if self._curve.weight else length
 
-    def _ahead(self, length: float) -> list[State]:
+    def _step_ahead(self, length: float) -> list[State]:
         """State after a step along the path, or at the next of `targets` if the step would pass it, in a list."""
         last, target, arc = self.last, self.target, self._arc(length)
         state = None
-        if last.t + arc * self._curve.slope >= target - self.near:
+        if last.t + arc * self._curve.slope >= target - self.time_slack:
             with suppress(SolveError):  # the path may turn back before the target
                 state = self._curve.solve_at_time(last, None, target)
         if state is None:
             state = self._curve.step(last, arc)
-            state = self._curve.solve_at_time(last, state, target) if state.t > target - self.near else state
-        return self._checked(state, length)
+            state = self._curve.solve_at_time(last, state, target) if state.t > target - self.time_slack else state
+        return self._accepted_states(state, length)
 
     def _through_corner(self, length: float) -> list[State]:
-        return self._checked(self._curve.step(self.last, self._arc(length), turn=True), length)
+        return self._accepted_states(self._curve.step(self.last, self._arc(length), turn=True), length)
 
-    def _checked(self, state: State, length: float) -> list[State]:
+    def _accepted_states(self, state: State, length: float) -> list[State]:
         """Accept a state as the next one of the path, and return it in a list.
 
         Computes the path's direction there, and sets the largest length of the next step, after a step of this length.
@@ -125,7 +125,7 @@ class ArcLengthController(Controller):
         self._curve.aim(self.last, state, check=True)
         factor = math.sqrt(WANTED_ITERATIONS / max(state.report.iterations, 1))
         self.journal.pace.step = length * min(max(factor, MIN_LENGTH_RATIO), MAX_LENGTH_RATIO)
-        self._aimed = state
+        self._aimed_state = state
         return [state]
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
@@ -141,29 +141,29 @@ class PathToTimesController(ArcLengthController):
     the path begins anew with t increasing.
     """
 
-    _turned = False  # whether the path has turned back in the last step tried
+    _turns_back = False  # whether the path has turned back in the last step tried
 
-    def _breaks(self, t: float) -> bool:
-        return any(abs(t - break_time) <= self.near for break_time in self.solver.model.break_times)
+    def _is_break(self, t: float) -> bool:
+        return any(abs(t - break_time) <= self.time_slack for break_time in self.solver.model.break_times)
 
     def _aim(self, *, anew: bool = False) -> None:
-        super()._aim(anew=self._breaks(self.last.t))
+        super()._aim(anew=self._is_break(self.last.t))
 
-    def _checked(self, state: State, length: float) -> list[State]:
+    def _accepted_states(self, state: State, length: float) -> list[State]:
         """Accept a state as the next one of the path, and return it in a list.
 
         Raises:
             SolveError: the path turns back in time up to this state, or within the step, or the state seems to be on
                 another path.
         """
-        states = super()._checked(state, length)
-        self._turned = not (self._curve.slope > 0 and state.t > self.last.t)
-        if self._turned:
+        states = super()._accepted_states(state, length)
+        self._turns_back = not (self._curve.slope > 0 and state.t > self.last.t)
+        if self._turns_back:
             self._aim()
             raise SolveError("the path turns back in time")
-        if self._breaks(state.t):
-            self._aimed = None
+        if self._is_break(state.t):
+            self._aimed_state = None
         return states
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
-        return TurningPoint(self.last.t, self.journal.history) if self._turned else super().failure(length, errors)
+        return TurningPoint(self.last.t, self.journal.history) if self._turns_back else super().failure(length, errors)

@@ -39,7 +39,7 @@ class Journal:
         out: folder for the table and the files from which to resume; None: no files.
         history: table and states of the march so far.
         pace: data from which the length of the next step follows; written with the states.
-        before: the state before the last one, from which the direction of a path follows; None: there is none.
+        previous: the state before the last one, from which the direction of a path follows; None: there is none.
         start: time of the first state.
     """
 
@@ -56,13 +56,13 @@ class Journal:
         self._log = logger("march", self.model.comm)
         self.start, theta = (float(self.choices[name] or 0.0) for name in ("start", "theta"))
         self.history, self.pace = History(self.model, theta=theta), Pace()
-        self.before: State | None = None
-        self._files, self._written = None, 0
+        self.previous: State | None = None
+        self._checkpoint, self._n_written = None, 0
         if self.out:
             # the mark has only the code of observing functions, because the values that they collect change
             observed = {name: code_of(describe(function)) for name, function in self._observe.items()}
             mark = json.loads(json.dumps({**self.model.identity(), "observe": observed, **self.choices}))
-            self._files = Checkpoint(self.out, self.equations, mark)
+            self._checkpoint = Checkpoint(self.out, self.equations, mark)
 
     def read(self, resume: Resume) -> bool:
         """Read the march in the folder `out`, to continue it; return whether there is one and it may be resumed.
@@ -73,12 +73,12 @@ class Journal:
         Raises:
             InputError: the folder has another march, or damaged files that are to be resumed.
         """
-        saved_march = self._files.read(resume, 2 if self.keep == "last" else 0) if self._files else None
+        saved_march = self._checkpoint.read(resume, 2 if self.keep == "last" else 0) if self._checkpoint else None
         if saved_march is None:
             return False
         self.history.table, states, self.pace = saved_march
-        self._written, last = len(self.history), len(self.history) - 1
-        self.before = states.get(last - 1)
+        self._n_written, last = len(self.history), len(self.history) - 1
+        self.previous = states.get(last - 1)
         self.history.states = states if self.keep == "all" else {last: states[last]}
         return True
 
@@ -89,50 +89,50 @@ class Journal:
         """
         self.note(states[-1])
         self.history.begun = True
-        self.before = states[-2] if len(states) > 1 else None
+        self.previous = states[-2] if len(states) > 1 else None
 
     def accept(self, states: Sequence[State]) -> None:
         """Add accepted states to the history, and write them to the files."""
         for state in states:
             self.note(state)
-        if self._files:
+        if self._checkpoint:
             last, kept = len(self.history) - 1, dict(self.history.states)
-            if self.before:
-                kept[last - 1] = self.before
-            self._files.write(self.history.table, kept, self.pace, self._written)
-            self._written = len(self.history)
+            if self.previous:
+                kept[last - 1] = self.previous
+            self._checkpoint.write(self.history.table, kept, self.pace, self._n_written)
+            self._n_written = len(self.history)
         collect(self.equations.comm)
 
     def note(self, state: State) -> None:
         """Add a state and its row of the table to the history; the next `accept` writes them to the files."""
         history, report = self.history, state.report
-        self.before = history.last if history.states else None
+        self.previous = history.last if history.states else None
         summary = state.t, report.method, report.iterations, report.residual
         self._log.info("t = %g: %s, %d steps, residual %.1e", *summary)
-        row: Row = {"t": state.t, "dt": state.t - self.before.t if self.before else 0.0}
+        row: Row = {"t": state.t, "dt": state.t - self.previous.t if self.previous else 0.0}
         values = {name: value(state) for name, value in self._columns.items()}
         row |= {name: None if math.isnan(value) else value for name, value in values.items()}
-        row |= {name: self._observed(name, state) for name in self._observe}
+        row |= {name: self._observed_value(name, state) for name in self._observe}
         history.table.append({name: row[name] for name in history.table.columns or row})
         if self.keep == "last":
             history.states.clear()
         history.states[len(history) - 1] = state
 
-    def _observed(self, name: str, state: State) -> float:
+    def _observed_value(self, name: str, state: State) -> float:
         """Value of a function of `observe` at a state, from rank 0.
 
         Raises:
             InputError: the function fails, or returns different values on different ranks.
         """
-        place = f"observe[{name!r}] at t = {state.t:g}"
+        label = f"observe[{name!r}] at t = {state.t:g}"
         try:
             with errors_on_all(self.model.comm):
                 value = float(np.asarray(self._observe[name](state)).astype(float, casting="same_kind"))
         except Exception as error:
             kind = "" if isinstance(error, (ThinlayerError, TypeError, ValueError)) else f"{type(error).__name__}: "
-            raise InputError(f"{place}: {kind}{error}; {OBSERVER_HINT}") from error
+            raise InputError(f"{label}: {kind}{error}; {OBSERVER_HINT}") from error
         values = np.array(self.model.comm.allgather(value))
         if not np.allclose(values, values[0], rtol=OBSERVED_TOLERANCE, atol=0.0, equal_nan=True):
             numbers = ", ".join(f"{value:.6g}" for value in values)
-            raise InputError(f"{place}: the ranks find {numbers}; let it return the sum, or the largest, of all ranks")
+            raise InputError(f"{label}: the ranks find {numbers}; let it return the sum, or the largest, of all ranks")
         return float(values[0])

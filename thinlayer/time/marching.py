@@ -125,39 +125,39 @@ def march(
             require_known("argument of march", name, SolverChoices.__annotations__)
         if begun and (start is not None or out is not None):
             raise InputError("a march goes on from a state at its time, and without files: omit start= and out=")
-        start = begun[-1].t if begun else _number("start", start or 0.0)
-        theta = _number("theta", theta)
+        start = begun[-1].t if begun else _checked_number("start", start or 0.0)
+        theta = _checked_number("theta", theta)
         _check(model, theta, keep, out, resume, observe)
         plan = times if isinstance(times, Plan) else PlannedTimes(times)
         plan.targets(start)
     choices = {"start": start, "theta": theta, "keep": keep, "out": out and str(out), "resume": resume}
     require_same(model.comm, times=plan, **choices, observe={*(observe or {})})
     folder = Path(out) if out else None
-    with Solver(model, **solver) as finder, own_folder(folder, model.comm):
-        equations, traits = finder.equations, finder.equations.traits
+    with Solver(model, **solver) as step_solver, own_folder(folder, model.comm):
+        equations, traits = step_solver.equations, step_solver.equations.traits
         ends_at_breaks = traits.remembers or traits.rate or traits.softens or plan.tolerance is not None
-        ends = plan.targets(start, model.break_times if ends_at_breaks else ())
-        on_path, first = plan.is_path or traits.softens, ends[0] - start if plan.first is None else plan.first
+        targets = plan.targets(start, model.break_times if ends_at_breaks else ())
+        on_path, first = plan.is_path or traits.softens, targets[0] - start if plan.first is None else plan.first
         plan.check_model(equations, theta, solver.get("method"))
-        equations.check_times([start, *ends])
+        equations.check_times([start, *targets])
         if not on_path:
-            require_in_time(equations, theta, [start, *ends])
+            require_in_time(equations, theta, [start, *targets])
         identity = {"start": start, "theta": theta, "tolerance": plan.tolerance} | ({"first": first} if on_path else {})
         journal = Journal(equations, identity, observe or {}, keep, folder)
-        shortest, longest = min(first, ends[0] - start), ends[-1] - start  # durations of sudden loads
+        shortest, longest = min(first, targets[0] - start), targets[-1] - start  # durations of sudden loads
         durations = dict.fromkeys([shortest, math.sqrt(shortest * longest), longest])
         warn_of_model(model, () if on_path or begun else [*durations])
         has_planned_steps = not on_path and plan.tolerance is None
         if has_planned_steps:
-            warn_of_steps(model, start, ends, theta)
-        controller = plan.controller(finder, journal, ends, solver.get("options") or {})
+            warn_of_steps(model, start, targets, theta)
+        controller = plan.controller(step_solver, journal, targets, solver.get("options") or {})
         try:
             history = controller.run(resume, begun)
         except SolveError as error:
             warn_of_strains(list(error.history or ()))
             raise
-        each = [part.traits for part in equations.parts]  # laws that switch phases end steps at switches
-        timed = any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in each)
+        part_traits = [part.traits for part in equations.parts]  # laws that switch phases end steps at switches
+        timed = any((has.remembers or has.rate) and has.nonlinear and not has.switches for has in part_traits)
         if timed and has_planned_steps:
             warn_of_step_errors(controller, theta, begun)
     warn_of_states(list(history), None if on_path else start)
@@ -182,7 +182,7 @@ def _initial_states(begin: object) -> tuple[Model, list[State]]:
     raise InputError(f"model is {begin!r:.200}; {allowed}")
 
 
-def _number(name: str, value: float) -> float:
+def _checked_number(name: str, value: float) -> float:
     require(not np.ndim(value) and np.asarray(value).dtype.kind in "iuf", name, value, "it must be a number")
     return float(value)
 
@@ -202,7 +202,7 @@ def _check(model: Model, theta: float, keep: str, out: object, resume: Resume, o
 
 
 # ---------------------------------------------------------------- errors of planned steps
-def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) -> None:
+def warn_of_step_errors(controller: Controller, theta: float, begun: Sequence[State]) -> None:
     """Estimate the errors that steps to given times leave at the end of a march; warn if they are large. Collective.
 
     The march is repeated with half as many steps, which adds half as many solves. Fewer than eight steps are repeated
@@ -211,33 +211,33 @@ def warn_of_step_errors(done: Controller, theta: float, begun: Sequence[State]) 
     nothing is not repeated, and its errors are set to 0. The errors are stored in `History.step_errors`.
 
     Args:
-        done: controller of the march, after it.
+        controller: controller of the march, after it.
         theta: fraction of each step after which forces balance.
         begun: initial states from which the march continued; (): it started from rest.
     """
-    solver, history, n = done.solver, done.journal.history, len(done.targets)
+    solver, history, n = controller.solver, controller.journal.history, len(controller.targets)
     dissipated, supplied = (np.abs(np.array(history.table[name], float)).sum() for name in ("dissipated", "supplied"))
     if dissipated <= NO_DISSIPATION_SHARE * supplied:  # false for NaN, if a law declares no energy
         history.step_errors = dict.fromkeys(COMPARED_QUANTITIES, 0.0)
         return
-    again = _halved_targets(done.targets, done.start, solver.model.break_times)
+    targets = _halved_targets(controller.targets, controller.start, solver.model.break_times)
     remedy = "take more steps, or times=Adaptive(end=..., first=..., tolerance=...)"
     try:
         with report("error of the steps"):
-            journal = Journal(solver.equations, {"start": done.start, "theta": theta})
-            other = PlannedTimes(again).controller(solver, journal, again, {}).run(begun=begun).last
+            journal = Journal(solver.equations, {"start": controller.start, "theta": theta})
+            other = PlannedTimes(targets).controller(solver, journal, targets, {}).run(begun=begun).last
     except SolveError as error:
         history.step_errors = dict.fromkeys(COMPARED_QUANTITIES, np.nan)
-        what = f"the error of the march's steps is not known: with {len(again)} steps {error.reason}; {remedy}"
-        solver.model.warn("no step error", what, *done.targets)
+        text = f"the error of the march's steps is not known: with {len(targets)} steps {error.reason}; {remedy}"
+        solver.model.warn("no step error", text, *controller.targets)
         return
-    gain = abs((n / len(again)) ** (2 if theta == 0.5 else 1) - 1)
-    shares = ErrorEstimate(solver.equations).shares(other, history.last) / gain
+    factor = abs((n / len(targets)) ** (2 if theta == 0.5 else 1) - 1)
+    shares = ErrorEstimate(solver.equations).differences(other, history.last) / factor
     history.step_errors = dict(zip(COMPARED_QUANTITIES, map(float, shares), strict=True))
     if shares.max() > WARN_STEP_ERROR:
         errors = ", ".join(f"{share:.2g} in {name}" for name, share in history.step_errors.items())
-        what = f"the {n} steps of this march leave estimated relative errors of {errors} at its end"
-        solver.model.warn("step error", f"{what} (march with {len(again)} steps); {remedy}", *done.targets)
+        text = f"the {n} steps of this march leave estimated relative errors of {errors} at its end"
+        solver.model.warn("step error", f"{text} (march with {len(targets)} steps); {remedy}", *controller.targets)
 
 
 def _halved_targets(targets: Sequence[float], start: float, breaks: set[float]) -> list[float]:

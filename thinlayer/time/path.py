@@ -67,7 +67,7 @@ class EquilibriumPath:
         self._factor = Factor()
         self._x, self._r, self._dR, self._step, self._change = (equations.vector() for _ in range(5))
         self._direction = np.zeros(self._x.getLocalSize() + 1)  # of length 1, at the last state
-        self._missed = 0.0  # distance of the last equilibrium from its predictor, relative to the step
+        self._prediction_error = 0.0  # distance of the last equilibrium from its predictor, relative to the step
 
     @property
     def slope(self) -> float:
@@ -79,14 +79,14 @@ class EquilibriumPath:
         return np.append(self._x.array_r, state.t)
 
     def _product(self, a: Array, b: Array) -> float:
-        of_u = float(self.equations.comm.allreduce(float(a[:-1] @ b[:-1])))
-        return self.weight * of_u + float(a[-1] * b[-1]) / self.unit**2
+        u_product = float(self.equations.comm.allreduce(float(a[:-1] @ b[:-1])))
+        return self.weight * u_product + float(a[-1] * b[-1]) / self.unit**2
 
-    def _size(self, a: Array) -> float:
+    def _norm(self, a: Array) -> float:
         return math.sqrt(self._product(a, a))
 
-    def _unit_along(self, a: Array) -> Array:
-        return np.asarray(a / self._size(a), float)
+    def _unit_vector(self, a: Array) -> Array:
+        return np.asarray(a / self._norm(a), float)
 
     # ---------------------------------------------------------------- the balance of forces
     def _residual(self, last: State, point: Array) -> float | None:
@@ -105,7 +105,7 @@ class EquilibriumPath:
         self._begin(last, float(point[-1]))
         point[bc_dofs] = equations.prescribed
         self._x.array[:] = point[:-1]
-        self._forces(self._r)
+        self._evaluate_residual(self._r)
         self._r.array[bc_dofs] = 0.0
         return equations.relative(self._r) if equations.is_balanced(self._x, self._r) else None
 
@@ -115,7 +115,7 @@ class EquilibriumPath:
         except InputError as error:
             raise SolveError(str(error)) from error
 
-    def _forces(self, out: PETSc.Vec) -> None:
+    def _evaluate_residual(self, out: PETSc.Vec) -> None:
         self.equations.residual(self._x, out)
         if self.equations.failed:
             raise SolveError(self.equations.failure())
@@ -133,13 +133,13 @@ class EquilibriumPath:
             SolveError: a law fails, loads or supports are not finite, or the matrix cannot be factorised.
         """
         equations, bc_dofs, dR, change = self.equations, self.equations.bc_dofs, self._dR, self._change
-        prescribed, short = equations.prescribed, math.copysign(TIME_QUOTIENT_STEP * self.unit, self.middle - t)
-        self._begin(last, t + short)
-        self._forces(dR)
+        prescribed, dt = equations.prescribed, math.copysign(TIME_QUOTIENT_STEP * self.unit, self.middle - t)
+        self._begin(last, t + dt)
+        self._evaluate_residual(dR)
         dR.axpy(-1.0, self._r)
-        dR.scale(-1 / short)
+        dR.scale(-1 / dt)
         change.set(0.0)
-        change.array[bc_dofs] = (equations.prescribed - prescribed) / short
+        change.array[bc_dofs] = (equations.prescribed - prescribed) / dt
         self._matrix = equations.tangent()
         self._matrix.zeroRowsColumns(equations.bc_rows, 1.0, change, dR)
         mark_symmetry(self._matrix, equations.model, saddle=True)
@@ -187,11 +187,11 @@ class EquilibriumPath:
         else:
             if increment is not None and self._product(direction, increment) < 0:
                 direction = -direction
-        direction = self._unit_along(direction)
+        direction = self._unit_vector(direction)
         if check and before is not None and increment is not None:
-            if self._crossing(before, direction, self._size(increment)) < 0:
+            if self._crossing(before, direction, self._norm(increment)) < 0:
                 raise SolveError("the path turns within the step")
-            if self._missed > BEND_FACTOR * self._size(direction - self._direction) + BEND_OFFSET:
+            if self._prediction_error > BEND_FACTOR * self._norm(direction - self._direction) + BEND_OFFSET:
                 raise SolveError("the equilibrium is not on the path: its direction is that of the predictor")
         self._direction = direction
 
@@ -212,23 +212,23 @@ class EquilibriumPath:
             direction: (n + 1,) d_2: the n unknowns of this rank, then t.
             length: arc length of the step.
         """
-        equations, short = self.equations, PATH_QUOTIENT_STEP * length
-        along = self._dR  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0; and with A_2 (change, 1) = 0
-        along.array[:] = self._direction[:-1] - self._direction[-1] * self._change.array_r
-        along.array[equations.bc_dofs] = 0.0
-        self._matrix.mult(along, self._r)
-        beyond = self._r.array_r.copy()
+        equations, step = self.equations, PATH_QUOTIENT_STEP * length
+        reduced = self._dR  # (A_2 - A_1) d_1 = A_2 d_1, as A_1 d_1 = 0; and with A_2 (change, 1) = 0
+        reduced.array[:] = self._direction[:-1] - self._direction[-1] * self._change.array_r
+        reduced.array[equations.bc_dofs] = 0.0
+        self._matrix.mult(reduced, self._r)
+        A_d1 = self._r.array_r.copy()
         point = self._point(last)
         self._residual(last, point)
-        before = self._r.array_r.copy()
-        self._residual(last, point + short * direction)
-        across = (before - self._r.array_r) / short  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
-        moved = [float(np.abs(vector[:-1]).max(initial=0.0)) for vector in (self._direction, point)]
-        rounded = np.array([equations.scale.rounding(equations.comm.allreduce(most, max))[0] for most in moved])
-        small = FORCE_CHANGE_TOLERANCE * equations.scale.forces[0] / length
-        *squares, product = equations.comm.allreduce(np.array([beyond @ beyond, across @ across, beyond @ across]))
+        residual = self._r.array_r.copy()
+        self._residual(last, point + step * direction)
+        A_d2 = (residual - self._r.array_r) / step  # (A_2 - A_1) d_2 = -A_1 d_2, as A_2 d_2 = 0
+        sizes = [float(np.abs(vector[:-1]).max(initial=0.0)) for vector in (self._direction, point)]
+        rounded = np.array([equations.scale.rounding(equations.comm.allreduce(most, max))[0] for most in sizes])
+        tolerance = FORCE_CHANGE_TOLERANCE * equations.scale.forces[0] / length
+        *squares, product = equations.comm.allreduce(np.array([A_d1 @ A_d1, A_d2 @ A_d2, A_d1 @ A_d2]))
         # rounding of residuals; forces may be zero
-        return 0.0 if (np.sqrt(squares) < np.maximum(small, rounded / [1.0, short])).any() else float(product)
+        return 0.0 if (np.sqrt(squares) < np.maximum(tolerance, rounded / [1.0, step])).any() else float(product)
 
     # ---------------------------------------------------------------- steps
     def step(self, last: State, length: float, *, turn: bool = False) -> State:
@@ -242,7 +242,7 @@ class EquilibriumPath:
         Raises:
             SolveError: no equilibrium is found, or it is too far from the predictor, or there is no corner.
         """
-        return self._find(last, self._point(last) + length * self._direction, self._direction, length, turn)
+        return self._solve_in_plane(last, self._point(last) + length * self._direction, self._direction, length, turn)
 
     def solve_at_time(self, last: State, beyond: State | None, t: float) -> State:
         """Equilibrium of the path at a given value of t.
@@ -262,9 +262,9 @@ class EquilibriumPath:
         increment = (t - last.t) / onward[-1] * onward
         target = point + increment
         target[-1] = t
-        return self._find(last, target, at_t, self._size(increment), turn=False)
+        return self._solve_in_plane(last, target, at_t, self._norm(increment), turn=False)
 
-    def _find(self, last: State, target: Array, row: Array, step: float, turn: bool) -> State:
+    def _solve_in_plane(self, last: State, target: Array, row: Array, step: float, turn: bool) -> State:
         """Solve by Newton's method for the equilibrium in a plane.
 
         Args:
@@ -277,29 +277,29 @@ class EquilibriumPath:
         Raises:
             SolveError: no equilibrium is found, or it is too far from the predictor, or there is no corner.
         """
-        begin, beyond, iterations, point = time.perf_counter(), 0.0, 0, target.copy()
+        begin, offset, iterations, point = time.perf_counter(), 0.0, 0, target.copy()
         most, far = (MAX_TURN_STEPS, MAX_TURN_ERROR * step) if turn else (MAX_NEWTON_STEPS, MAX_PREDICTION_ERROR * step)
         while (residual := self._residual(last, point)) is None:
             if iterations == most:
                 raise SolveError(f"Newton's method for the arc length has not converged in {most} steps")
             newton, tangent = self._linearise(last, float(point[-1]))
             if turn and iterations == 0:
-                row, beyond = self._turned(last, tangent, step)
-            missing = beyond - self._product(row, point - target) - self._product(row, newton)
-            across = self._product(row, tangent)
-            if not across or not math.isfinite(missing / across):
+                row, offset = self._direction_beyond(last, tangent, step)
+            deficit = offset - self._product(row, point - target) - self._product(row, newton)
+            tangent_row = self._product(row, tangent)
+            if not tangent_row or not math.isfinite(deficit / tangent_row):
                 raise SolveError("the tangent is singular along the path")
-            point += newton + missing / across * tangent
+            point += newton + deficit / tangent_row * tangent
             iterations += 1
-            if not self._size(point - target) <= DIVERGED_DISTANCE * step:
+            if not self._norm(point - target) <= DIVERGED_DISTANCE * step:
                 raise SolveError("Newton's method for the arc length runs away")
-        missed = self._size(point - target)
-        if missed > far:
+        error = self._norm(point - target)
+        if error > far:
             raise SolveError("the equilibrium at this arc length is far from the predictor")
-        self._missed = 0.0 if turn else missed / step
+        self._prediction_error = 0.0 if turn else error / step
         return self.equations.accept(self._x, Report("newton", iterations, residual, time.perf_counter() - begin))
 
-    def _turned(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:
+    def _direction_beyond(self, last: State, tangent: Array, length: float) -> tuple[Array, float]:
         """Direction (n + 1,) of the branch beyond a corner, and distance from the predictor of a plane normal to it.
 
         The equilibrium of a step through the corner is looked for in this plane.
@@ -312,7 +312,7 @@ class EquilibriumPath:
         Raises:
             SolveError: the path has no corner here.
         """
-        row = self._unit_along(tangent)
+        row = self._unit_vector(tangent)
         crossing = self._crossing(last, row, length)
         if crossing == 0:
             raise SolveError("the path has no corner here")

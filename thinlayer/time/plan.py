@@ -202,8 +202,8 @@ def _require_numbers(plan: Plan, *positive: str, signed: tuple[str, ...]) -> Non
     for name in (*signed, *positive):
         value = getattr(plan, name)
         finite = is_finite(value) or (is_number(value) and name == "largest" and value == math.inf)
-        good = finite and (name in signed or value > 0)
-        if not good and not (value is None and getattr(type(plan), name, 0) is None):
+        is_valid = finite and (name in signed or value > 0)
+        if not is_valid and not (value is None and getattr(type(plan), name, 0) is None):
             above = "" if name in signed else " > 0"
             raise InputError(f"{type(plan).__name__}: {name} is {value!r}; allowed: a number{above}")
         object.__setattr__(plan, name, None if value is None else float(value))
@@ -288,15 +288,15 @@ def _targets(times: Sequence[float], start: float, breaks: Iterable[float]) -> l
     Raises:
         InputError: no times, or times that are not finite or do not increase from `start`.
     """
-    targets, whole = [*times], np.array([start, *times])
-    if not targets or not np.isfinite(whole).all() or (np.diff(whole) <= 0).any():
+    targets, all_times = [*times], np.array([start, *times])
+    if not targets or not np.isfinite(all_times).all() or (np.diff(all_times) <= 0).any():
         remedy = "they must be finite, increase, and come after start, which is not one of them"
         raise InputError(f"times is {targets} from start = {start:g}; {remedy}")
-    near = TIME_TOLERANCE * max(abs(start), abs(targets[-1]))
+    tolerance = TIME_TOLERANCE * max(abs(start), abs(targets[-1]))
     for t in sorted(breaks):
-        if start < t < targets[-1] and np.abs(whole - t).min() > near:
-            whole = np.append(whole, t)
-    return [float(t) for t in np.sort(whole)[1:]]
+        if start < t < targets[-1] and np.abs(all_times - t).min() > tolerance:
+            all_times = np.append(all_times, t)
+    return [float(t) for t in np.sort(all_times)[1:]]
 
 
 # ---------------------------------------------------------------- what models allow
@@ -318,11 +318,11 @@ def require_in_time(equations: Equations, theta: float, ends: list[float]) -> No
     bounds = f"theta is {theta}; {{}} bounds stresses, which at the end of a step may exceed it: {THETA_HINT}"
     equations.refuse({"releases": at_ends, "switches": at_ends, "bounded": bounds})
     for part in equations.parts:
-        if at_once := part.answers_at_once(ends):
-            name, changes = at_once
+        if answer := part.answers_at_once(ends):
+            name, changes = answer
             how = "with parameters that change in time" if changes else "not linearly (linear = True is not declared)"
-            what = f"theta is {theta}; {name} answers at once, and {how}"
-            raise InputError(f"{what}: states at the ends of steps would oscillate undamped: {THETA_HINT}")
+            text = f"theta is {theta}; {name} answers at once, and {how}"
+            raise InputError(f"{text}: states at the ends of steps would oscillate undamped: {THETA_HINT}")
 
 
 def _require_path(equations: Equations, theta: float, method: str | None) -> None:

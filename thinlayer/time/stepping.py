@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # the settings make their controllers
 # Least size of jumps to which errors are relative, over the displacements; rounding is smaller.
 MIN_JUMP_SHARE = 1e-6
 COMPARED_QUANTITIES = ("displacements", "jumps", "forces")
-LOAD_TOLERANCE = 1e-12  # relative change of loads that counts as zero
+LOAD_CHANGE_TOLERANCE = 1e-12  # relative change of loads that counts as zero
 MAX_HALVINGS = 10  # largest number of times that a planned step is halved
 MAX_SHORTENING = 1e6  # default length of the first adaptive step over the shortest
 SAFETY_FACTOR = 0.9  # factor on the length of an adaptive step that its error allows
@@ -56,12 +56,12 @@ class PlannedStepsController(Controller):
         self.theta = self.journal.history.theta
         self.smallest = float(np.diff([self.start, *self.targets]).min()) / 2**MAX_HALVINGS * (1 - TIME_TOLERANCE)
         self._failed_at = math.inf  # earliest end of a failed step that the march has not reached
-        self._run_away = math.inf  # earliest time at which displacements grew without bound
+        self._diverged_at = math.inf  # earliest time at which displacements grew without bound
 
     def length(self) -> float:
         return min(self.journal.pace.step or math.inf, self.target - self.last.t)
 
-    def _end(self, length: float) -> float:
+    def _step_end(self, length: float) -> float:
         return self.last.t + length if self.target - self.last.t - length >= REMAINDER_SHARE * length else self.target
 
     @property
@@ -72,23 +72,23 @@ class PlannedStepsController(Controller):
         or in the shortest step. If loads may have a limit, weak springs at all nodes are tried last.
         """
         thorough = self._failed_at == math.inf or self.last.report.homotopy_steps > 0
-        first = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
-        more = StepAttempt("Newton's method, with homotopy laws,", partial(self._step, thorough=True), self.smallest)
-        seek = StepAttempt("a search by weak springs", self._regularised_step, self.smallest)
-        return [first, *([] if thorough else [more]), seek] if self.solver.bounded else [first]
+        newton = StepAttempt("Newton's method", partial(self._step, thorough=thorough))
+        retry = StepAttempt("Newton's method, with homotopy laws,", partial(self._step, thorough=True), self.smallest)
+        spring_search = StepAttempt("a search by weak springs", self._regularised_step, self.smallest)
+        return [newton, *([] if thorough else [retry]), spring_search] if self.solver.bounded else [newton]
 
     def failure(self, length: float, errors: Sequence[SolveError]) -> SolveError:
         old, history, last = self.last, self.journal.history, errors[-1]
         error = errors[-2] if self.solver.bounded else last
-        if isinstance(last, NoEquilibrium) and self._loads_change(old.t, self._run_away):
-            return LimitLoad(error.reason, old.t, self._run_away, self._resultant(old.t), last, history)
-        step = f"step {len(history)}, from t = {old.t:g} to {self._end(length):g}"
+        if isinstance(last, NoEquilibrium) and self._loads_change(old.t, self._diverged_at):
+            return LimitLoad(error.reason, old.t, self._diverged_at, self._resultant(old.t), last, history)
+        step = f"step {len(history)}, from t = {old.t:g} to {self._step_end(length):g}"
         return self.error(f"{step}, failed, and so did longer ones: {error}", LIMIT_HINT if self.solver.bounded else "")
 
     def _loads_change(self, before: float, after: float) -> bool:
         a, b = (self.solver.equations.prescribed_forces_at(t).array_r for t in (before, after))
         changes, sizes = map(self.solver.equations.norms, (b - a, b))
-        return bool((changes > LOAD_TOLERANCE * sizes).any())
+        return bool((changes > LOAD_CHANGE_TOLERANCE * sizes).any())
 
     def _resultant(self, t: float) -> list[float]:
         """Resultant force (d,) of the loads on the bodies and on rigid plates at time t; d: number of dimensions."""
@@ -98,7 +98,7 @@ class PlannedStepsController(Controller):
 
     # ---------------------------------------------------------------- attempts
     def _step(self, length: float, *, thorough: bool) -> list[State]:
-        old, end = self.last, self._end(length)
+        old, end = self.last, self._step_end(length)
         if not is_divisible(old.t, end):
             raise SolveError(f"a step of {length:g} from t = {old.t:.16g} is lost in rounding")
         try:
@@ -119,9 +119,9 @@ class PlannedStepsController(Controller):
             theta: fraction of the step after which forces balance; 1 in the first step from rest.
             thorough: whether homotopy laws are tried if Newton's method fails.
         """
-        return self._chain(old, [end] if theta == self.theta else [(old.t + end) / 2, end], theta, thorough)
+        return self._successive_states(old, [end] if theta == self.theta else [(old.t + end) / 2, end], theta, thorough)
 
-    def _chain(self, old: State, ends: Sequence[float], theta: float, thorough: bool) -> list[State]:
+    def _successive_states(self, old: State, ends: Sequence[float], theta: float, thorough: bool) -> list[State]:
         states = accumulate(ends, lambda state, t: self.solver.step(state, t, theta, thorough), initial=old)
         return [*states][1:]
 
@@ -142,22 +142,22 @@ class PlannedStepsController(Controller):
             NoEquilibrium: displacements grew without bound as the springs were softened.
             SolveError: no equilibrium was found.
         """
-        old, end, t = self.last, self._end(length), self._farthest(length)
+        old, end, t = self.last, self._step_end(length), self._latest_time(length)
         failed = SolveError("weak springs have not led to an equilibrium")
-        if old.t < self._run_away < t:
-            t = max(old.t + (self._run_away - old.t) / SPRING_STEP_RATIO, end)
+        if old.t < self._diverged_at < t:
+            t = max(old.t + (self._diverged_at - old.t) / SPRING_STEP_RATIO, end)
         while True:
             try:
                 return self._regularised_state(self.solver.solve_regularised(old, t, self.theta))
             except NoEquilibrium as error:
-                failed, self._run_away = error, t
+                failed, self._diverged_at = error, t
             except SolveError as error:  # displacements that grew without bound later still show a limit before
                 failed = failed if isinstance(failed, NoEquilibrium) else error
             if t <= end:
                 raise failed
             t = max(old.t + (t - old.t) / SPRING_STEP_RATIO, end)
 
-    def _farthest(self, length: float) -> float:
+    def _latest_time(self, length: float) -> float:
         """Latest time at which weak springs look for an equilibrium, after a step of the given length has failed."""
         return self.target
 
@@ -218,13 +218,13 @@ class AdaptiveController(PlannedStepsController):
             SolveError: a step fails.
         """
         whole = self.solver.step(old, end, theta, thorough)
-        halves = self._chain(old, [(old.t + end) / 2, end], theta, thorough)
+        halves = self._successive_states(old, [(old.t + end) / 2, end], theta, thorough)
         pace, estimate, tolerance = self.journal.pace, self._estimate, self.settings.tolerance
         before, middle, sizes = map(estimate.sizes, [old, *halves])
         largest = np.maximum(pace.largest, before)
         largest = np.where(largest < tolerance * sizes, sizes, largest)
         order = 2 if theta == 0.5 else 1
-        error = float(estimate.shares(whole, halves[-1], largest).max()) / (2**order - 1)
+        error = float(estimate.differences(whole, halves[-1], largest).max()) / (2**order - 1)
         ratio = (tolerance / error) ** (1 / (order + 1)) if error else MAX_LENGTH_RATIO
         self._factor = float(np.clip(SAFETY_FACTOR * ratio, MIN_LENGTH_RATIO, MAX_LENGTH_RATIO))
         pace.largest = [*map(float, np.maximum(largest, middle) if error <= tolerance else largest)]
@@ -245,7 +245,7 @@ class AdaptiveController(PlannedStepsController):
         super()._set_pace(length, end)
         self.journal.pace.step = min(max(step, planned) if end == self.target else step, self.settings.largest)
 
-    def _farthest(self, length: float) -> float:
+    def _latest_time(self, length: float) -> float:
         return min(self.target, self.last.t + max(MAX_SPRING_STEP * length, self.settings.first / 2.0**MAX_HALVINGS))
 
     def _regularised_state(self, state: State) -> list[State]:
@@ -280,13 +280,13 @@ class SnapController(PlannedStepsController):
             # With fixed phases driving forces are linear in time if loads, supports and parameters are (bodies are
             # assumed linear). The excess is the largest of their sizes, so it is convex in time. Therefore, if it is
             # positive within the step, it is positive at the end.
-            convex = old.t == end or solver.equations.linear_in_time(old.t, end)
-            probes = () if convex else (old.t + (end - old.t) * k / EXCESS_PROBES for k in range(1, EXCESS_PROBES))
+            is_linear = old.t == end or solver.equations.linear_in_time(old.t, end)
+            probes = () if is_linear else (old.t + (end - old.t) * k / EXCESS_PROBES for k in range(1, EXCESS_PROBES))
             bound = next((t for t in probes if self._at_fixed_phases(old, t)[1] > 0), end)
             state, excess = self._at_fixed_phases(old, bound)
             if excess <= 0:
                 return [*states[1:], state] if old.t < end else states[1:]
-            t = self._first(old, bound)
+            t = self._switch_time(old, bound)
             if t > old.t:
                 old, _ = self._at_fixed_phases(old, t)
                 states.append(old)
@@ -311,7 +311,7 @@ class SnapController(PlannedStepsController):
         state = self.solver.step(old, t, keep_phases=True)
         return state, self.solver.equations.excess - 2 * EXCESS_TOLERANCE
 
-    def _first(self, old: State, end: float) -> float:
+    def _switch_time(self, old: State, end: float) -> float:
         """First time after the state `old` at which a column must switch, to rounding; at `end` one must."""
         from scipy.optimize import brentq  # not needed by most marches
 
@@ -320,10 +320,10 @@ class SnapController(PlannedStepsController):
 
         if excess(old.t) > 0:
             return old.t
-        width = TIME_ROUNDING * max(abs(old.t), abs(end))
-        t = float(brentq(excess, old.t, end, xtol=width, rtol=TIME_ROUNDING))
+        step = TIME_ROUNDING * max(abs(old.t), abs(end))
+        t = float(brentq(excess, old.t, end, xtol=step, rtol=TIME_ROUNDING))
         while t < end and excess(t) <= 0:
-            t, width = min(t + width, end), 2 * width
+            t, step = min(t + step, end), 2 * step
         return t
 
 
@@ -351,7 +351,7 @@ class ErrorEstimate:
         self._measuring = [part for part in equations.parts if isinstance(part, MeasuresError)]
         self._unit = float(np.sqrt(sum(part.unit_jump_measure() for part in self._measuring)))
 
-    def shares(self, other: State, state: State, largest: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
+    def differences(self, other: State, state: State, largest: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> Array:
         """Relative differences (3,) of two states in displacements, jumps or strains, and forces.
 
         Args:
@@ -359,11 +359,11 @@ class ErrorEstimate:
             state: the state from shorter steps. Differences are relative to the norms in it or, if larger, `largest`.
             largest: three norms, as `sizes` returns them.
         """
-        ends = [self._quantities(end_state) for end_state in (other, state)]
-        differences = self._norms([b - a for a, b in zip(*ends, strict=True)])
-        moved = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
-        least = np.array([0.0, MIN_JUMP_SHARE * self._unit * moved, self._equations.scale.forces[0]])
-        sizes = np.maximum(np.maximum(self._norms(ends[1]), largest), least)
+        quantities = [self._quantities(end_state) for end_state in (other, state)]
+        differences = self._norms([b - a for a, b in zip(*quantities, strict=True)])
+        displacement = float(state.u.x.petsc_vec.norm(PETSc.NormType.INFINITY))
+        min_sizes = np.array([0.0, MIN_JUMP_SHARE * self._unit * displacement, self._equations.scale.forces[0]])
+        sizes = np.maximum(np.maximum(self._norms(quantities[1]), largest), min_sizes)
         return np.asarray(np.divide(differences, sizes, out=np.zeros(3), where=sizes > 0))
 
     def sizes(self, state: State) -> Array:

@@ -18,7 +18,7 @@ from thinlayer.solving.petsc import PREFIX, OptionDict, default_options, keep_un
 from thinlayer.system.compilation import own_library, pointers
 from thinlayer.system.ranks import destroy
 
-Rows = tuple[Indices, Indices, Array]  # row starts, columns and entries of a sparse matrix
+CsrRows = tuple[Indices, Indices, Array]  # row starts, columns and entries of a sparse matrix
 C_SOURCE = Path(__file__).with_name("triangle.c")
 MAX_JOINT_UNKNOWNS = 100  # about the number of kept unknowns of pieces that are factorised together
 FRONT_SLOPE = 1.2  # slope, relative to S, of the front along which nodes are numbered
@@ -54,28 +54,28 @@ class Condensation:
 
     stiffness: Array | scipy.sparse.csr_matrix
 
-    def __init__(self, A: Rows, is_fixed: BoolArray, kept: IntArray, x: Array, normal: Array, bodies: int) -> None:
+    def __init__(self, A: CsrRows, is_fixed: BoolArray, kept: IntArray, x: Array, normal: Array, bodies: int) -> None:
         d = x.shape[1]
         order = oblique_order(x - x[kept // d].mean(axis=0), normal, A)
         group = np.zeros(len(x), np.int32)  # of nodes
         if bodies > 2:
             count, piece = connected_components(scipy.sparse.csr_matrix(A[::-1]), directed=False)
             group = (np.cumsum(np.bincount(piece[kept], minlength=count)) // MAX_JOINT_UNKNOWNS)[piece[::d]]
-        self._kept, self._own, self._factors = kept, list[IntArray](), list[SchurFactor]()
+        self._kept, self._own_indices, self._factors = kept, list[IntArray](), list[SchurFactor]()
         for k in np.unique(group):
-            self._own.append(np.flatnonzero(group[kept // d] == k))
-            self._factors.append(SchurFactor(A, is_fixed, d, order[group[order] == k], kept[self._own[-1]]))
+            self._own_indices.append(np.flatnonzero(group[kept // d] == k))
+            self._factors.append(SchurFactor(A, is_fixed, d, order[group[order] == k], kept[self._own_indices[-1]]))
         self.stiffness = self._factors[0].complement
-        if len(self._own) > 1:
+        if len(self._own_indices) > 1:
             complements = scipy.sparse.block_diag([factor.complement for factor in self._factors], format="csr")
             complements.eliminate_zeros()  # zeros between pieces
-            back = np.argsort(np.concatenate(self._own))
-            self.stiffness = complements[back][:, back]
+            inverse_order = np.argsort(np.concatenate(self._own_indices))
+            self.stiffness = complements[inverse_order][:, inverse_order]
 
     def condense(self, b: Array) -> Array:
         """Condensed forces (c,) on the kept unknowns, for forces b (N d,) on all unknowns."""
         out = np.empty(len(self._kept))
-        for indices, factor in zip(self._own, self._factors, strict=True):
+        for indices, factor in zip(self._own_indices, self._factors, strict=True):
             out[indices] = factor.condense(b)
         return out
 
@@ -97,7 +97,7 @@ class Condensation:
             factor.close()
 
 
-def oblique_order(x: Array, normal: Array, A: Rows) -> IntArray:
+def oblique_order(x: Array, normal: Array, A: CsrRows) -> IntArray:
     """Order (N,) of nodes for MUMPS: by side of S, then by bands parallel to S, then along a front oblique to S.
 
     With a Schur complement MUMPS orders by minimum degree, and in equal cases by the nodes' numbers. On grids an
@@ -110,15 +110,15 @@ def oblique_order(x: Array, normal: Array, A: Rows) -> IntArray:
         A: row starts, columns and entries of the stiffness, in d x d blocks.
     """
     indptr, indices, d = *A[:2], x.shape[1]
-    some = np.linspace(0, len(x) - 1, min(len(x), SAMPLE_NODES)).astype(int)
-    edges = np.concatenate([x[indices[indptr[r * d] : indptr[r * d + 1] : d] // d] - x[r] for r in some])
-    size, up = np.linalg.norm(normal), np.eye(len(normal))[-1]
-    normal = normal / size if size > 0 else up
+    sample = np.linspace(0, len(x) - 1, min(len(x), SAMPLE_NODES)).astype(int)
+    edges = np.concatenate([x[indices[indptr[r * d] : indptr[r * d + 1] : d] // d] - x[r] for r in sample])
+    size, default_normal = np.linalg.norm(normal), np.eye(len(normal))[-1]
+    normal = normal / size if size > 0 else default_normal
     height = x @ normal
     key = FRONT_SLOPE * np.abs(height)
     for tangent in linalg.null_space(normal[None]).T:
-        lean = np.sign((edges @ tangent) @ (edges @ normal)) or 1.0
-        key += lean * np.sign(height) * (x @ tangent)
+        diagonal_sign = np.sign((edges @ tangent) @ (edges @ normal)) or 1.0
+        key += diagonal_sign * np.sign(height) * (x @ tangent)
     thickness = BAND_LAYERS * np.abs(edges @ normal).max() or 1.0
     band = np.floor(np.abs(height) / thickness + 0.1)  # so that rounding splits no layer of a grid
     return np.asarray(np.lexsort((key, band, height < 0)))
@@ -138,15 +138,15 @@ class SchurFactor:
         complement: (c, c) Schur complement on the kept unknowns, without the springs.
     """
 
-    def __init__(self, A: Rows, is_fixed: BoolArray, d: int, nodes: IntArray, kept: IntArray) -> None:
+    def __init__(self, A: CsrRows, is_fixed: BoolArray, d: int, nodes: IntArray, kept: IntArray) -> None:
         self._unknowns = (nodes[:, None] * d + np.arange(d)).ravel()
-        place = np.full(len(A[0]) - 1, -1, np.int32)
-        place[self._unknowns] = np.arange(len(self._unknowns))
-        self._all_kept, self._kept = kept, place[kept]
+        position = np.full(len(A[0]) - 1, -1, np.int32)
+        position[self._unknowns] = np.arange(len(self._unknowns))
+        self._all_kept, self._kept = kept, position[kept]
         rows, columns, entries = _upper_triangle(A, is_fixed, d, nodes)
-        at = rows[self._kept]  # the first entry of a row is its diagonal
-        self._springs = entries[at] / max(len(kept), 1)
-        entries[at] += self._springs
+        diagonal = rows[self._kept]  # the first entry of a row is its diagonal
+        self._springs = entries[diagonal] / max(len(kept), 1)
+        entries[diagonal] += self._springs
         csr = rows.astype(PETSc.IntType, copy=False), columns.astype(PETSc.IntType, copy=False), entries
         upper = PETSc.Mat().createAIJWithArrays((len(self._unknowns),) * 2, csr, comm=PETSc.COMM_SELF)
         upper.setOption(PETSc.Mat.Option.SPD, True)
@@ -173,7 +173,7 @@ class SchurFactor:
         self.complement += np.triu(complement, 1).T
         self.complement[np.diag_indices(len(kept))] -= self._springs
 
-    def _forces(self, kept: Array) -> Array:
+    def _complement_forces(self, kept: Array) -> Array:
         """Forces (c,) of the complement, springs included, for values of the kept unknowns."""
         return np.asarray(self.complement @ kept + self._springs * kept)
 
@@ -182,7 +182,7 @@ class SchurFactor:
         if not len(self._kept):
             return np.empty(0)
         self._factor.setMumpsIcntl(26, 1)  # solve for the kept unknowns only
-        self._condensed = self._forces(self._solve(b[self._unknowns])[self._kept])
+        self._condensed = self._complement_forces(self._solve(b[self._unknowns])[self._kept])
         self._factor.setMumpsIcntl(26, -1)
         return self._condensed
 
@@ -193,10 +193,10 @@ class SchurFactor:
             b: forces on all unknowns of all pieces, as in the last call of `condense`.
             out: all unknowns of all pieces.
         """
-        moved, kept = b[self._unknowns], out[self._all_kept]
+        forces, kept = b[self._unknowns], out[self._all_kept]
         if len(kept):
-            moved[self._kept] += self._forces(kept) - self._condensed
-        out[self._unknowns] = self._solve(moved)
+            forces[self._kept] += self._complement_forces(kept) - self._condensed
+        out[self._unknowns] = self._solve(forces)
         out[self._all_kept] = kept  # a stiff layer would magnify their rounding
 
     def _solve(self, b: Array) -> Array:
@@ -204,16 +204,16 @@ class SchurFactor:
 
         A sparse right-hand side is passed in sparse form, which is faster.
         """
-        places = np.flatnonzero(b)
-        if not len(places):  # MUMPS fails for an empty sparse right-hand side
+        nonzeros = np.flatnonzero(b)
+        if not len(nonzeros):  # MUMPS fails for an empty sparse right-hand side
             return np.zeros_like(b)
         solution = np.empty((len(b), 1), order="F")
         X = PETSc.Mat().createDense(solution.shape, array=solution, comm=PETSc.COMM_SELF)
-        if len(places) > SPARSE_SHARE * len(b):
+        if len(nonzeros) > SPARSE_SHARE * len(b):
             B = PETSc.Mat().createDense(solution.shape, array=b[:, None], comm=PETSc.COMM_SELF)
             self._factor.matSolve(B, X)
         else:
-            csr = np.array([0, len(places)], PETSc.IntType), places.astype(PETSc.IntType), b[places]
+            csr = np.array([0, len(nonzeros)], PETSc.IntType), nonzeros.astype(PETSc.IntType), b[nonzeros]
             row = PETSc.Mat().createAIJ((1, len(b)), csr=csr, comm=PETSc.COMM_SELF)
             B = PETSc.Mat().createTranspose(row)
             self._factor.matSolve(B, X)
@@ -226,7 +226,7 @@ class SchurFactor:
         self._pc.destroy()
 
 
-def _upper_triangle(A: Rows, is_fixed: BoolArray, d: int, nodes: IntArray) -> Rows:
+def _upper_triangle(A: CsrRows, is_fixed: BoolArray, d: int, nodes: IntArray) -> CsrRows:
     """Upper triangle (CSR) of the rows and columns of some nodes, in the order of `nodes`; MUMPS reads no more.
 
     The function in C takes 0.05 s of a contact solve of 2.4 s with 512 square cells; scipy.sparse would take 0.3 s.
@@ -243,12 +243,12 @@ def _upper_triangle(A: Rows, is_fixed: BoolArray, d: int, nodes: IntArray) -> Ro
     indptr, indices, values = A
     n, lengths = len(nodes), np.diff(indptr)[nodes * d]
     size = (d * int(lengths.sum()) + n * d) // 2
-    place = np.full((len(indptr) - 1) // d, -1, np.int32)
-    place[nodes] = np.arange(n, dtype=np.int32)
+    position = np.full((len(indptr) - 1) // d, -1, np.int32)
+    position[nodes] = np.arange(n, dtype=np.int32)
     rows, columns, entries = np.empty(n * d + 1, np.int32), np.empty(size, np.int32), np.empty(size)
     c = own_library(C_SOURCE)
     indptr, indices, order = (a.astype(np.int32, copy=False) for a in (indptr, indices, nodes))
-    arrays = pointers(c, indptr, indices, values, is_fixed, place, order, rows, columns, entries)
+    arrays = pointers(c, indptr, indices, values, is_fixed, position, order, rows, columns, entries)
     if c.lib.upper_triangle(n, d, size, *arrays) != size:
         text = "contact: the nonzero pattern of the stiffness is not symmetric, or not made of blocks of nodes"
         raise SolveError(text, advice="use method='newton'")

@@ -64,9 +64,9 @@ class CondensedContact(ContactSolver):
     @cached_property
     def _system(self) -> CondensedSystem:
         nodes = [part.nodes for part in self.parts]
-        begins = np.cumsum([0, *(len(some.x) for some in nodes)])
-        lines = np.concatenate([some.lines + begin for some, begin in zip(nodes, begins, strict=False)])
-        x = np.concatenate([some.x for some in nodes])
+        begins = np.cumsum([0, *(len(part_nodes.x) for part_nodes in nodes)])
+        lines = np.concatenate([part_nodes.lines + begin for part_nodes, begin in zip(nodes, begins, strict=False)])
+        x = np.concatenate([part_nodes.x for part_nodes in nodes])
         return CondensedSystem(self._condensation.stiffness, self.pairs, x, lines)
 
     def solve(self, has_guess: bool) -> tuple[int, float]:
@@ -88,7 +88,7 @@ class CondensedContact(ContactSolver):
         self._external_norms = equations.residual_norms(equations.external)
         if not has_guess:
             u = self._system.start(g)
-            equations.scale.move(float(np.abs(u).max(initial=0.0)))
+            equations.scale.include_displacement(float(np.abs(u).max(initial=0.0)))
         u, residuals = self._system.newton(u, g, self._relative)
         condensation.expand(b, u, self.x.array)
         self.x.array[equations.bc_dofs] = equations.prescribed
@@ -107,9 +107,9 @@ class CondensedContact(ContactSolver):
             u: (n d,) displacements of these nodes, not used.
         """
         block, count, scale = self.equations.block_of[self.pairs.dofs], self.equations.n_blocks, self.equations.scale
-        of_pairs, of_r = (np.sqrt(np.bincount(block, v * v, count)) for v in (forces, r))
-        scale.update_stresses(np.maximum(self._external_norms, of_pairs))
-        return scale.relative(of_r)
+        pair_norms, r_norms = (np.sqrt(np.bincount(block, v * v, count)) for v in (forces, r))
+        scale.update_stresses(np.maximum(self._external_norms, pair_norms))
+        return scale.relative(r_norms)
 
     def close(self) -> None:
         """Free matrices, vectors and factors."""
@@ -152,31 +152,31 @@ class CondensedSystem:
         return MACHINE_EPSILON * SUMMATION_FACTOR * math.sqrt(len(self.pairs.nodes)) * largest
 
     @cached_property
-    def _coarser(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
+    def _coarse_system(self) -> tuple[CondensedSystem, scipy.sparse.csr_matrix] | None:
         """System of every second pair along S, and the matrix that interpolates from it; None: there is none."""
         if len(self._lines) <= MAX_COARSEST_LINES:
             return None
         chosen, shares, lines = every_second(self._x, self._lines)
         if len(chosen) > MAX_COARSE_RATIO * len(self._x):
             return None
-        few = self.pairs.some(chosen, shares.T @ self.pairs.weights)
-        pair, side = np.nonzero(self.pairs.ends >= 0)
-        node, first = np.unique(self.pairs.ends[pair, side], return_index=True)
+        coarse_pairs = self.pairs.subset(chosen, shares.T @ self.pairs.weights)
+        pair, side = np.nonzero(self.pairs.pair_nodes >= 0)
+        node, first = np.unique(self.pairs.pair_nodes[pair, side], return_index=True)
         rows = shares[pair[first]]  # if a node is in several pairs, these are ends of curves, which are all chosen
-        columns = few.ends[rows.indices, side[first].repeat(np.diff(rows.indptr))]
-        P = scipy.sparse.csr_matrix((rows.data, columns, rows.indptr), shape=(len(node), len(few.nodes)))
+        columns = coarse_pairs.pair_nodes[rows.indices, side[first].repeat(np.diff(rows.indptr))]
+        P = scipy.sparse.csr_matrix((rows.data, columns, rows.indptr), shape=(len(node), len(coarse_pairs.nodes)))
         P = scipy.sparse.kron(P, scipy.sparse.eye(self.pairs.d), format="csr")
-        return CondensedSystem(P.T @ self._stiffness @ P, few, self._x[chosen], lines), P
+        return CondensedSystem(P.T @ self._stiffness @ P, coarse_pairs, self._x[chosen], lines), P
 
     def start(self, g: Array) -> Array:
         """Initial displacements (n d,) of Newton's method, under forces g (n d,).
 
         They are interpolated from the coarser system. Without it, or if it fails, pairs are bonded by springs.
         """
-        if self._coarser is not None:
-            system, P = self._coarser
+        if self._coarse_system is not None:
+            system, P = self._coarse_system
             with suppress(SolveError):
-                return np.asarray(P @ system.newton(system.start(P.T @ g), P.T @ g, _unscaled, COARSE_TOLERANCE)[0])
+                return np.asarray(P @ system.newton(system.start(P.T @ g), P.T @ g, _force_ratio, COARSE_TOLERANCE)[0])
         springs, forces = self.pairs.bonded()
         return self._linear_solve(springs, g - forces)
 
@@ -184,15 +184,15 @@ class CondensedSystem:
         """Residual (n d,) at displacements u: forces of bodies and pairs, minus g; zero where u is constrained."""
         return np.asarray(self._stiffness @ u + self.pairs.forces(self.pairs.separation(u)) - g)
 
-    def _linear_solve(self, more: scipy.sparse.csr_matrix, b: Array) -> Array:
-        """Solve (K + more) x = b with another matrix `more`; x is not finite if the sum is singular."""
+    def _linear_solve(self, springs: scipy.sparse.csr_matrix, b: Array) -> Array:
+        """Solve (K + more) x = b with another matrix `springs`; x is not finite if the sum is singular."""
         A = self._stiffness
         if isinstance(A, np.ndarray):
             try:
-                return np.linalg.solve(A + more.toarray(), b)
+                return np.linalg.solve(A + springs.toarray(), b)
             except np.linalg.LinAlgError:
                 return np.full(len(b), np.nan)
-        rows = (A + more).tocsr()
+        rows = (A + springs).tocsr()
         rows.sort_indices()
         matrix = create_aij(rows, PETSc.COMM_SELF)
         pc = PETSc.PC().create(PETSc.COMM_SELF)
@@ -225,7 +225,7 @@ class CondensedSystem:
         Raises:
             SolveError: no convergence.
         """
-        residuals, pairs, long_steps, far = list[float](), self.pairs, 0, LONG_STEP_RATIO * np.abs(u).max(initial=0.0)
+        residuals, pairs, long_steps, limit = list[float](), self.pairs, 0, LONG_STEP_RATIO * np.abs(u).max(initial=0.0)
         while True:
             forces = pairs.forces(pairs.separation(u))
             residuals.append(relative(self._stiffness @ u + forces - g, forces, u))
@@ -238,8 +238,8 @@ class CondensedSystem:
             u = u.copy()
             pairs.sweep(self._blocks, g, u, min(MIN_SWEEPS * 2 ** max(len(residuals) - DOUBLING_STEPS, 0), MAX_SWEEPS))
             step = self._linear_solve(pairs.stiffness(pairs.tangents(pairs.separation(u))), -self._residual(u, g))
-            long_steps = long_steps + 1 if 0 < far < np.abs(step).max() else 0
-            u = u + (self._length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
+            long_steps = long_steps + 1 if 0 < limit < np.abs(step).max() else 0
+            u = u + (self._step_length(u, step, g) if len(residuals) > DOUBLING_STEPS else 1.0) * step
 
     def _stalls(self, residuals: list[float], u: Array, forces: Array) -> bool:
         """Whether the last of the relative residuals hardly fell, and is as small as rounding allows.
@@ -254,7 +254,7 @@ class CondensedSystem:
         share = self._rounding * float(np.abs(u).max(initial=0.0)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
         return residuals[-1] <= max(STALLED_TOLERANCE, min(share, STATE_TOLERANCE))
 
-    def _length(self, u: Array, step: Array, g: Array) -> float:
+    def _step_length(self, u: Array, step: Array, g: Array) -> float:
         """Length, at most 1, of a Newton step from u under forces g at which the residual does no work along it.
 
         It is found by regula falsi.
@@ -263,24 +263,24 @@ class CondensedSystem:
         def work(length: float) -> float:
             return float(step @ self._residual(u + length * step, g))
 
-        first, last = work(0.0), work(1.0)
-        if not (first < 0 and last > WORK_RATIO * abs(first)):
+        start_work, end_work = work(0.0), work(1.0)
+        if not (start_work < 0 and end_work > WORK_RATIO * abs(start_work)):
             return 1.0
-        low, high, below, above = 0.0, 1.0, first, last
+        low, high, low_work, high_work = 0.0, 1.0, start_work, end_work
         for _ in range(MAX_LENGTH_TRIALS):
-            length = low - below * (high - low) / (above - below)
+            length = low - low_work * (high - low) / (high_work - low_work)
             length = min(max(length, low + 0.1 * (high - low)), high - 0.1 * (high - low))
-            now = work(length)
-            if abs(now) <= WORK_RATIO * abs(first):
+            work_now = work(length)
+            if abs(work_now) <= WORK_RATIO * abs(start_work):
                 break
-            if now < 0:
-                low, below = length, now
+            if work_now < 0:
+                low, low_work = length, work_now
             else:
-                high, above = length, now
+                high, high_work = length, work_now
         return length
 
 
-def _unscaled(r: Array, forces: Array, u: Array) -> float:
+def _force_ratio(r: Array, forces: Array, u: Array) -> float:
     return float(np.linalg.norm(r)) / max(float(np.linalg.norm(forces)), MIN_DIVISOR)
 
 
@@ -301,11 +301,11 @@ def every_second(x: Array, lines: IntArray) -> tuple[IntArray, scipy.sparse.csr_
     # a ring with an odd number of places may begin and end with places that are not chosen
     chosen |= np.bincount(place, chosen[other], len(x)) < 2
     kept, number = np.flatnonzero(chosen), np.cumsum(chosen) - 1
-    between = chosen[other] & ~chosen[place]
-    place, other = place[between], other[between]
-    near = 1.0 / np.linalg.norm(x[place] - x[other], axis=1)
-    entries = np.append(near / np.bincount(place, near)[place], np.ones(len(kept)))
+    is_used = chosen[other] & ~chosen[place]
+    place, other = place[is_used], other[is_used]
+    weights = 1.0 / np.linalg.norm(x[place] - x[other], axis=1)
+    entries = np.append(weights / np.bincount(place, weights)[place], np.ones(len(kept)))
     places = np.append(place, kept), number[np.append(other, kept)]
     shares = scipy.sparse.csr_matrix((entries, places), shape=(len(x), len(kept)))
-    halves = shares[np.diff(shares.indptr) == 2].indices.reshape(-1, 2)
-    return kept, shares, np.concatenate([halves, number[lines[chosen[lines].all(axis=1)]]])
+    coarse_lines = shares[np.diff(shares.indptr) == 2].indices.reshape(-1, 2)
+    return kept, shares, np.concatenate([coarse_lines, number[lines[chosen[lines].all(axis=1)]]])

@@ -68,10 +68,10 @@ class ContactSolver(EquilibriumSolver):
         else:
             equations.put_state(equations.interval.old, x)
         has_guess = self.comm.allreduce(int(any(part.nodes.jump(x).any() for part in self.parts))) > 0
-        moved = equations.vector()
-        moved.array[equations.bc_dofs] = x.array[equations.bc_dofs] = equations.prescribed
-        equations.K.mult(moved, self.b)
-        moved.destroy()
+        prescribed_u = equations.vector()
+        prescribed_u.array[equations.bc_dofs] = x.array[equations.bc_dofs] = equations.prescribed
+        equations.K.mult(prescribed_u, self.b)
+        prescribed_u.destroy()
         self.b.aypx(-1.0, equations.external)
         self.b.array[equations.bc_dofs] = (equations.mean_stiffness or 1.0) * equations.prescribed
         self._like, self._has_solved = None, True

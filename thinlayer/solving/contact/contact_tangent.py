@@ -46,16 +46,16 @@ class ContactTangent:
         self, A: PETSc.Mat, nodes: NodePairs, pairs: ContactPairs, equations: Equations, start: Array | None
     ) -> None:
         self._A, self.nodes, self.pairs, self.bc_dofs = A, nodes, pairs, equations.bc_dofs
-        first = A.getOwnershipRange()[0]
-        index = PETSc.IS().createGeneral((first + pairs.dofs).astype(PETSc.IntType), comm=A.comm)
-        self._rows = A.createSubMatrix(index, None)
+        row_start = A.getOwnershipRange()[0]
+        index = PETSc.IS().createGeneral((row_start + pairs.dofs).astype(PETSc.IntType), comm=A.comm)
+        self._pair_rows = A.createSubMatrix(index, None)
         index.destroy()
-        self._product = self._rows.createVecLeft()
-        self._near = local_csr(self._rows)[:, first + pairs.dofs]  # between the nodes of S on this rank
-        self._blocks = self._near.tobsr((pairs.d,) * 2)
+        self._product = self._pair_rows.createVecLeft()
+        self._local_K = local_csr(self._pair_rows)[:, row_start + pairs.dofs]  # between the nodes of S on this rank
+        self._blocks = self._local_K.tobsr((pairs.d,) * 2)
         self._blocks.sort_indices()
         self._scale, self._bc_rows = self._adjacent_stiffness(), equations.bc_rows
-        self._springs, self._changes = self._clipped(start), dict[int, PETSc.Mat]()
+        self._springs, self._changes = self._clipped_tangents(start), dict[int, PETSc.Mat]()
         self._build(equations)
 
     def _adjacent_stiffness(self) -> Array:
@@ -67,7 +67,7 @@ class ContactTangent:
         softer = np.where(below > 0, np.minimum(above, below), above)  # a rigid base has no stiffness here
         return np.asarray(softer / (NODE_STIFFNESS * nodes.weights))
 
-    def _clipped(self, start: Array | None) -> Array:
+    def _clipped_tangents(self, start: Array | None) -> Array:
         """Springs (n, d, d) of the hierarchy: tangents of S, without the coupling by friction, within bounds.
 
         The bounds are proportional to the stiffness E/h of the bodies at S.
@@ -86,28 +86,28 @@ class ContactTangent:
 
     def _build(self, equations: Equations) -> None:
         """Build the multigrid hierarchy from the bodies' stiffness and the springs."""
-        added, pattern = self.nodes.stiffness(self._springs), PETSc.Mat.Structure
+        springs, pattern = self.nodes.stiffness(self._springs), PETSc.Mat.Structure
         M, based = self._A.copy(), self.nodes.lower is None
-        M.axpy(1.0, added, pattern.SUBSET_NONZERO_PATTERN if based else pattern.DIFFERENT_NONZERO_PATTERN)
-        added.destroy()
+        M.axpy(1.0, springs, pattern.SUBSET_NONZERO_PATTERN if based else pattern.DIFFERENT_NONZERO_PATTERN)
+        springs.destroy()
         M.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         equations.apply_bcs(M)
         M.setOption(PETSc.Mat.Option.SPD, True)
         M.setBlockSize(self.nodes.dim)
         M.setNearNullSpace(PETSc.NullSpace().create(vectors=equations.near_null, comm=M.comm))
         self._matrix = M
-        self._cycle = PETSc.PC().create(M.comm)
-        self._cycle.setOptionsPrefix(PREFIX)
-        self._cycle.setOperators(M)
-        self._cycle.setFromOptions()
+        self._multigrid = PETSc.PC().create(M.comm)
+        self._multigrid.setOptionsPrefix(PREFIX)
+        self._multigrid.setOperators(M)
+        self._multigrid.setFromOptions()
         with lean_products():
-            self._cycle.setUp()
-        if self._cycle.getType() == "gamg":
-            self._cycle.setReusePreconditioner(True)
-            for level in range(1, self._cycle.getMGLevels()):  # the coarsest has a factor instead of a smoother
-                convert_to_blocks(self._cycle.getMGSmoother(level).getOperators()[0])
+            self._multigrid.setUp()
+        if self._multigrid.getType() == "gamg":
+            self._multigrid.setReusePreconditioner(True)
+            for level in range(1, self._multigrid.getMGLevels()):  # the coarsest has a factor instead of a smoother
+                convert_to_blocks(self._multigrid.getMGSmoother(level).getOperators()[0])
 
-    def follow(self, jumps: Array | None) -> None:
+    def update_springs(self, jumps: Array | None) -> None:
         """Update the springs of the hierarchy to the tangents at other jumps, if many springs change. Collective.
 
         With the springs of another contact status an iteration reduces the residual much less.
@@ -115,19 +115,19 @@ class ContactTangent:
         Args:
             jumps: (n, d) jumps; None: pairs neither open nor slide.
         """
-        new, comm = self._clipped(jumps), self.nodes.comm
+        new, comm = self._clipped_tangents(jumps), self.nodes.comm
         changed = (np.abs(new - self._springs) > self._springs / 2).any(axis=(1, 2))
-        many = comm.allreduce(int(changed.sum())) > CHANGED_NODE_SHARE * comm.allreduce(len(new))
-        if not many or self._cycle.getType() != "gamg":
+        many_change = comm.allreduce(int(changed.sum())) > CHANGED_NODE_SHARE * comm.allreduce(len(new))
+        if not many_change or self._multigrid.getType() != "gamg":
             return
         change = springs = self.nodes.stiffness(new - self._springs)
         change.zeroRowsColumns(self._bc_rows, 0.0)
-        for level in reversed(range(self._cycle.getMGLevels())):
-            matrix = self._cycle.getMGSmoother(level).getOperators()[0]
+        for level in reversed(range(self._multigrid.getMGLevels())):
+            matrix = self._multigrid.getMGSmoother(level).getOperators()[0]
             matrix.axpy(1.0, change, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
             if level:  # the pattern stays the same, so that the symbolic product can be used again
                 product = self._changes.get(level)
-                change = self._changes[level] = change.ptap(self._cycle.getMGInterpolation(level), result=product)
+                change = self._changes[level] = change.ptap(self._multigrid.getMGInterpolation(level), result=product)
         springs.destroy()
         self._springs = new
 
@@ -135,7 +135,7 @@ class ContactTangent:
         """Set the tangents (n, d, d) of the contact laws, and factorise the rows of this rank's nodes of S."""
         self._tangents = tangents
         if len(self.pairs.nodes):
-            self._local = splu((self._near + self.pairs.stiffness(tangents)).tocsc(), **SUPERLU_OPTIONS)
+            self._local = splu((self._local_K + self.pairs.stiffness(tangents)).tocsc(), **SUPERLU_OPTIONS)
 
     def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Compute y = tangent times x."""
@@ -145,10 +145,10 @@ class ContactTangent:
 
     def apply(self, _: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """Compute z from r by a multigrid cycle, then a solve for this rank's nodes of S, all others being fixed."""
-        self._cycle.apply(r, z)
+        self._multigrid.apply(r, z)
         z.array[self.bc_dofs] = 0.0
         tractions = np.einsum("nij,nj->ni", self._tangents, self.nodes.jump(z))
-        self._rows.mult(z, self._product)
+        self._pair_rows.mult(z, self._product)
         if len(self.pairs.nodes):
             residual = r.array_r[self.pairs.dofs] - self._product.array_r - self.pairs.on_nodes(tractions)
             z.array[self.pairs.dofs] += self._local.solve(residual)
@@ -164,16 +164,16 @@ class ContactTangent:
         """
         pairs, w = self.pairs, self.nodes.separation(u)
         u_pairs = u.array_r[pairs.dofs].copy()
-        g = self._near @ u_pairs + pairs.forces(w) - residual.array_r[pairs.dofs]
-        rest = w - (pairs.jumps @ u_pairs).reshape(w.shape)
-        back, moves = turned.any(axis=1) & (pairs.ends[:, 0] >= 0), np.ones(len(pairs.nodes) + 1, bool)
-        moves[pairs.ends[back]] = False
-        upper = u_pairs.reshape(-1, pairs.d)[pairs.ends[back, 0]]
-        upper += np.einsum("nji,nj->ni", pairs.frames[back], turned[back])
-        u_pairs.reshape(-1, pairs.d)[pairs.ends[back, 0]] = upper
-        pairs.sweep(self._blocks, g, u_pairs, SWEEPS_PER_STEP, rest, moves[:-1])
+        g = self._local_K @ u_pairs + pairs.forces(w) - residual.array_r[pairs.dofs]
+        gaps = w - (pairs.jump_matrix @ u_pairs).reshape(w.shape)
+        reverses, moves = turned.any(axis=1) & (pairs.pair_nodes[:, 0] >= 0), np.ones(len(pairs.nodes) + 1, bool)
+        moves[pairs.pair_nodes[reverses]] = False
+        upper = u_pairs.reshape(-1, pairs.d)[pairs.pair_nodes[reverses, 0]]
+        upper += np.einsum("nji,nj->ni", pairs.frames[reverses], turned[reverses])
+        u_pairs.reshape(-1, pairs.d)[pairs.pair_nodes[reverses, 0]] = upper
+        pairs.sweep(self._blocks, g, u_pairs, SWEEPS_PER_STEP, gaps, moves[:-1])
         u.array[pairs.dofs] = np.where(pairs.free.ravel(), u_pairs, u.array_r[pairs.dofs])
 
     def close(self) -> None:
         """Free matrices, vectors and the hierarchy."""
-        destroy(self._cycle, self._matrix, self._rows, self._product, *self._changes.values())
+        destroy(self._multigrid, self._matrix, self._pair_rows, self._product, *self._changes.values())

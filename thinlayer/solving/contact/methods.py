@@ -24,11 +24,11 @@ def default_method(model: Model) -> str:
     network of seams S on each body. In all other cases it is "multigrid".
     """
     joint = model.joint
-    both = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
-    each = joint.dim * model.structure.degree ** (joint.dim - 1)
-    narrow = (_most_vertices(model) if _is_network(model) else both) * each <= MAX_CONDENSED[joint.dim]
+    n_nodes = len(np.unique(joint.surface)) * (1 if joint.rigid_base else 2)
+    node_dofs = joint.dim * model.structure.degree ** (joint.dim - 1)
+    is_small = (_most_vertices(model) if _is_network(model) else n_nodes) * node_dofs <= MAX_CONDENSED[joint.dim]
     suited = (method for method in ("condensed", "multigrid") if not why_unsuited(model, method))
-    chosen = (method for method in suited if not model.layer_terms and (narrow or method != "condensed"))
+    chosen = (method for method in suited if not model.layer_terms and (is_small or method != "condensed"))
     return next(chosen, "newton")
 
 

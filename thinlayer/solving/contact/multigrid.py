@@ -88,13 +88,13 @@ class MultigridContact(ContactSolver):
         history: list[float] = []
         nodes, old = self.nodes, self.equations.interval.old.u.x.petsc_vec
         start = nodes.separation(self.x) if has_guess else None
-        closed = self.equations.vector()
-        closed.array[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
-        self._largest = float(self.b.norm())
-        for u in (old, closed):
+        gap_vector = self.equations.vector()
+        gap_vector.array[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
+        self._max_force = float(self.b.norm())
+        for u in (old, gap_vector):
             self.equations.K.mult(u, self._forces)
-            self._largest = max(self._largest, float(self._forces.norm()))
-        closed.destroy()
+            self._max_force = max(self._max_force, float(self._forces.norm()))
+        gap_vector.destroy()
         with default_options({**HIERARCHY_OPTIONS, **NEWTON_OPTIONS}):
             if self._tangent is None:
                 self._tangent = ContactTangent(self.A, nodes, self.pairs, self.equations, start)
@@ -102,8 +102,8 @@ class MultigridContact(ContactSolver):
                 for name in options_set():
                     if name.startswith(("pc_", "mg_")):
                         PETSc.Options().hasName(PREFIX + name)
-            both = [(start, STRICT_REDUCTIONS), (None, LOOSE_REDUCTIONS)]
-            for guess, reductions in both[::-1] if start is None else both:
+            attempts = [(start, STRICT_REDUCTIONS), (None, LOOSE_REDUCTIONS)]
+            for guess, reductions in attempts[::-1] if start is None else attempts:
                 newton = _NewtonRun(self, self._tangent, reductions)
                 if guess is None:
                     self.x.set(0.0)
@@ -129,8 +129,8 @@ class MultigridContact(ContactSolver):
         equations.residual(u, out)
         out.array[equations.bc_dofs] = 0.0
         norms, forces = equations.norms(out.array_r), equations.target(u) / SOLVER_TOLERANCE
-        if norms[0] > LARGE_RESIDUAL * self._largest:  # large forces of a body that moved far away are only rounding
-            forces = np.minimum(forces, self._largest)
+        if norms[0] > LARGE_RESIDUAL * self._max_force:  # large forces of a body that moved far away are only rounding
+            forces = np.minimum(forces, self._max_force)
         return float((norms / np.maximum(forces, MIN_DIVISOR)).max())
 
     def close(self) -> None:
@@ -158,7 +158,7 @@ class _NewtonRun:
         self.nodes, self.pairs, self.bc_dofs = solver.nodes, solver.pairs, solver.equations.bc_dofs
         self.residuals: list[float] = []
         self._target = reductions[0]
-        self._known = False  # whether the next call of `_residual` repeats the last one
+        self._is_repeated = False  # whether the next call of `_residual` repeats the last one
         self._at: SlidingState | None = None  # sliding state at the last tangents
         self._set_rtol = not is_set("ksp_rtol", {})
 
@@ -177,7 +177,7 @@ class _NewtonRun:
             snes.setOptionsPrefix(PREFIX)
             snes.setFunction(self._residual, f)
             snes.setJacobian(self._linearise, J)
-            snes.setConvergenceTest(self._test)
+            snes.setConvergenceTest(self._converged)
             snes.setUpdate(self._choose_sweeps)
             snes.setNGS(self._sweep)
             snes.setNPCSide(PETSc.PC.Side.RIGHT)
@@ -196,13 +196,13 @@ class _NewtonRun:
             destroy(snes, J, f)
 
     def _residual(self, _: PETSc.SNES, u: PETSc.Vec, f: PETSc.Vec) -> None:
-        if self._known:  # without a sweep PETSc asks again for the same residual
-            self._known = False
+        if self._is_repeated:  # without a sweep PETSc asks again for the same residual
+            self._is_repeated = False
             self._f.copy(f)
             return
         self._relative = self.solver.residual(u, f)
 
-    def _test(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> PETSc.SNES.ConvergedReason:
+    def _converged(self, snes: PETSc.SNES, step: int, norms: tuple[float, float, float]) -> PETSc.SNES.ConvergedReason:
         self.residuals.append(self._relative)
         if not math.isfinite(norms[2]):
             return Reason.DIVERGED_FNORM_NAN
@@ -216,30 +216,30 @@ class _NewtonRun:
         self._swept = False
         if step:
             jumps = self.nodes.separation(snes.getSolution())
-            self._turned = turned_jumps(self.pairs, jumps, self._at)
-            changed = self._at is None or (self.pairs.status(jumps) != self._at[0]).any() or self._turned.any()
+            self._reversed = reversal_changes(self.pairs, jumps, self._at)
+            changed = self._at is None or (self.pairs.status(jumps) != self._at[0]).any() or self._reversed.any()
             on_any_rank = self.solver.comm.allreduce(int(changed)) > 0
             self._swept = on_any_rank or self._relative > EXPECTED_RESIDUAL_RATIO * self._target
             self._linear_ratio = snes.getKSP().getResidualNorm() / snes.getFunctionNorm()
 
     def _sweep(self, _: PETSc.SNES, u: PETSc.Vec, __: PETSc.Vec | None) -> None:
         """Run Gauss-Seidel sweeps over the nodes of S, on each rank alone, if chosen; `_f` is the residual at u."""
-        self._known = not self._swept
+        self._is_repeated = not self._swept
         if self._swept:
-            self.tangent.sweep(u, self._f, self._turned)
+            self.tangent.sweep(u, self._f, self._reversed)
 
     def _linearise(self, snes: PETSc.SNES, u: PETSc.Vec, _: PETSc.Mat, __: PETSc.Mat) -> None:
         """Set the tangents of a step at displacements u, and the tolerance of its linear solve."""
         first = not snes.getIterationNumber()
-        tangents = self._begin(u, self._f) if first else self._go_on(u)
+        tangents = self._first_tangents(u, self._f) if first else self._next_tangents(u)
         rtol = self.reductions[0] if first else min(0.5, self._target / self._relative)
-        self._before = self._relative
-        self.tangent.follow(self._start if first else self.nodes.separation(u))
+        self._old_relative = self._relative
+        self.tangent.update_springs(self._start if first else self.nodes.separation(u))
         self.tangent.linearise(tangents)
         if self._set_rtol:
             snes.getKSP().setTolerances(rtol=rtol)
 
-    def _begin(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
+    def _first_tangents(self, u: PETSc.Vec, f: PETSc.Vec) -> Array:
         """Tangents (n, d, d) of the first step, at the initial jumps or for bonded nodes.
 
         The residual f at displacements u is changed to that of a contact law linearised there.
@@ -256,15 +256,15 @@ class _NewtonRun:
         f.array[self.bc_dofs] = 0.0
         return tangents
 
-    def _go_on(self, u: PETSc.Vec) -> Array:
+    def _next_tangents(self, u: PETSc.Vec) -> Array:
         """Tangents (n, d, d) of a later step, at displacements u; sets the target of its linear solve."""
-        now = self._relative
+        relative = self._relative
         if self._swept:
-            self._target = max(self.reductions[1] * min(now, self._target), MIN_REDUCTION * min(now, 1.0))
+            self._target = max(self.reductions[1] * min(relative, self._target), MIN_REDUCTION * min(relative, 1.0))
         else:
             # the residual that the law's non-linearity leaves is quadratic in the size of the step
-            nonlinear = now * math.sqrt(abs(1 - self._linear_ratio**2)) * (now / self._before) ** 2
-            self._target = min(self.reductions[1] * now, nonlinear)
+            nonlinear = relative * math.sqrt(abs(1 - self._linear_ratio**2)) * (relative / self._old_relative) ** 2
+            self._target = min(self.reductions[1] * relative, nonlinear)
         self._target = max(self._target, LAST_SOLVE_TARGET * NEWTON_TOLERANCE)
         jumps = self.nodes.separation(u)
         self._at = sliding_state(self.pairs, jumps)
@@ -277,7 +277,7 @@ def sliding_state(pairs: ContactPairs, w: Array) -> SlidingState:
     return pairs.status(w), pairs.offsets(w)[:, :-1]
 
 
-def turned_jumps(pairs: ContactPairs, w: Array, at: SlidingState | None) -> Array:
+def reversal_changes(pairs: ContactPairs, w: Array, at: SlidingState | None) -> Array:
     """Changes (n, d) of the jumps that make nodes stick whose slip direction has reversed since the last tangents.
 
     A sliding node has no contact stiffness along its slip. If it should stick, Newton's method can move it back and
@@ -292,8 +292,8 @@ def turned_jumps(pairs: ContactPairs, w: Array, at: SlidingState | None) -> Arra
     if at is None:
         return out
     (status, old), (new_status, now) = at, sliding_state(pairs, w)
-    back = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old * now).sum(axis=1) < 0)
-    change = old[back] - now[back]
-    share = -(now[back] * change).sum(axis=1) / (change**2).sum(axis=1)
-    out[back, :-1] = share[:, None] * change
+    reverses = (status == Status.SLIDING) & (new_status == Status.SLIDING) & ((old * now).sum(axis=1) < 0)
+    change = old[reverses] - now[reverses]
+    fraction = -(now[reverses] * change).sum(axis=1) / (change**2).sum(axis=1)
+    out[reverses, :-1] = fraction[:, None] * change
     return out

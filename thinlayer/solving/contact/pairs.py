@@ -33,11 +33,11 @@ class ContactPairs:
         shared: local numbers of nodes that are left out because pairs of other ranks have them too.
 
     Attributes:
-        nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending; in a result of `some` they are
+        nodes: (n,) local numbers of this rank's nodes that are in a pair, ascending; in a result of `subset` they are
             indices of `nodes` of all pairs.
         dofs: (n d,) local numbers of the nodes' displacements.
         free: (n, d) mask of components that are not constrained.
-        ends: (pairs, 2) upper and lower node, as indices of `nodes`; -1: the rigid base, or a node that is left out.
+        pair_nodes: (pairs, 2) upper and lower node, as indices of `nodes`; -1: the rigid base, or a node that is left out.
         d: number of dimensions.
         frames: (pairs, d, d) axes of S at the pairs: tangents, then the normal, as rows.
         weights: (pairs,) area of S (length in two dimensions) that belongs to each pair.
@@ -57,22 +57,22 @@ class ContactPairs:
         sizes = [len(part.nodes.weights) for part in parts]
         self._part = np.repeat(np.arange(len(parts)), sizes)
         self._of_part = np.concatenate([np.arange(n) for n in sizes])
-        self._join(pairs, ~is_fixed.reshape(-1, self.d))
+        self._number_nodes(pairs, ~is_fixed.reshape(-1, self.d))
 
-    def some(self, chosen: IntArray, weights: Array) -> ContactPairs:
+    def subset(self, chosen: IntArray, weights: Array) -> ContactPairs:
         """Some of the pairs, with their nodes.
 
         Args:
             chosen: (k,) numbers of the pairs.
             weights: (k,) area of S that belongs to each of them.
         """
-        few = copy(self)
-        few.frames, few.gaps, few.weights = self.frames[chosen], self.gaps[chosen], weights
-        few._part, few._of_part = self._part[chosen], self._of_part[chosen]
-        few._join(self.ends[chosen], self.free)
-        return few
+        pairs = copy(self)
+        pairs.frames, pairs.gaps, pairs.weights = self.frames[chosen], self.gaps[chosen], weights
+        pairs._part, pairs._of_part = self._part[chosen], self._of_part[chosen]
+        pairs._number_nodes(self.pair_nodes[chosen], self.free)
+        return pairs
 
-    def _join(self, pairs: IntArray, free: BoolArray) -> None:
+    def _number_nodes(self, pairs: IntArray, free: BoolArray) -> None:
         """Number the nodes of pairs, and set the matrices between nodes and pairs.
 
         Args:
@@ -81,29 +81,29 @@ class ContactPairs:
         """
         self.nodes, place = np.unique(np.concatenate([[-1], pairs.ravel()]), return_inverse=True)
         self.nodes = self.nodes[1:]
-        self.ends, self.free = place[1:].reshape(-1, 2) - 1, free[self.nodes]
+        self.pair_nodes, self.free = place[1:].reshape(-1, 2) - 1, free[self.nodes]
         self.dofs = (self.nodes[:, None] * self.d + np.arange(self.d)).ravel()
-        pair, side = np.nonzero(self.ends >= 0)
-        node, sign = self.ends[pair, side], np.where(side, -1, 1)
+        pair, side = np.nonzero(self.pair_nodes >= 0)
+        node, sign = self.pair_nodes[pair, side], np.where(side, -1, 1)
         # (pairs d, n d) matrix from displacements to jumps in the pairs' frames
-        blocks, shape = self.frames[pair] * sign[:, None, None], (len(self.ends) * self.d, len(self.dofs))
-        begins = np.searchsorted(pair, np.arange(len(self.ends) + 1))
-        self.jumps = bsr_matrix((blocks, node, begins), shape=shape).tocsr()
-        self._to_nodes = self.jumps.T.tocsr()
+        blocks, shape = self.frames[pair] * sign[:, None, None], (len(self.pair_nodes) * self.d, len(self.dofs))
+        begins = np.searchsorted(pair, np.arange(len(self.pair_nodes) + 1))
+        self.jump_matrix = bsr_matrix((blocks, node, begins), shape=shape).tocsr()
+        self._to_nodes = self.jump_matrix.T.tocsr()
         # pairs of each node, node after node, in the format of the sweeps in C
         order = np.lexsort((pair, node))
         begins = np.searchsorted(node[order], np.arange(len(self.nodes) + 1))
-        columns = pair[order], self.ends[pair, 1 - side][order], sign[order]
+        columns = pair[order], self.pair_nodes[pair, 1 - side][order], sign[order]
         self._by_node = [column.astype(np.int32) for column in (begins, *columns)]
 
-    def _gathered(self, of_part: LawValues[Scalar], w: Array) -> npt.NDArray[Scalar]:
-        """Values (pairs, ...) of the function `of_part` of each pair's law, jump and slip, at jumps w (pairs, d)."""
+    def _gather_values(self, values: LawValues[Scalar], w: Array) -> npt.NDArray[Scalar]:
+        """Values (pairs, ...) of the function `values` of each pair's law, jump and slip, at jumps w (pairs, d)."""
         parts = [(part, self._part == k) for k, part in enumerate(self._parts)]
-        return np.concatenate([of_part(part.now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
+        return np.concatenate([values(part.law_now, w[mask], part.slip[self._of_part[mask]]) for part, mask in parts])
 
     def separation(self, u: Array) -> Array:
         """Jumps plus initial gaps along the normal (pairs, d), in the pairs' frames, at displacements u (n d,)."""
-        return np.asarray((self.jumps @ u).reshape(-1, self.d) + self.gaps)
+        return np.asarray((self.jump_matrix @ u).reshape(-1, self.d) + self.gaps)
 
     def forces(self, w: Array) -> Array:
         """Nodal forces (n d,) of the pairs at jumps w (pairs, d); zero at constrained components.
@@ -118,19 +118,19 @@ class ContactPairs:
 
     def tractions(self, w: Array) -> Array:
         """Tractions (pairs, d) of the laws at jumps w (pairs, d), initial gaps included."""
-        return self._gathered(lambda law, w, slip: law.traction(w, slip), w)
+        return self._gather_values(lambda law, w, slip: law.traction(w, slip), w)
 
     def tangents(self, w: Array) -> Array:
         """Derivatives (pairs, d, d) of `tractions` by the jumps, at jumps w (pairs, d)."""
-        return self._gathered(lambda law, w, slip: law.tangent(w, slip), w)
+        return self._gather_values(lambda law, w, slip: law.tangent(w, slip), w)
 
     def bonded_tangents(self) -> Array:
         """Tangents (pairs, d, d) of pairs that neither open nor slide."""
-        return self._gathered(lambda law, w, _: law.bonded(*w.shape), self.gaps)
+        return self._gather_values(lambda law, w, _: law.bonded(*w.shape), self.gaps)
 
     def status(self, w: Array) -> npt.NDArray[np.int8]:
         """`Status` (pairs,) at jumps w (pairs, d): separated, sticking or sliding."""
-        return self._gathered(lambda law, w, slip: law.status(w, slip), w)
+        return self._gather_values(lambda law, w, slip: law.status(w, slip), w)
 
     def bonded(self) -> tuple[csr_matrix, Array]:
         """Stiffness (n d, n d) of pairs as springs that neither open nor slide, and nodal forces (n d,) at rest.
@@ -143,22 +143,22 @@ class ContactPairs:
     def stiffness(self, D: Array) -> csr_matrix:
         """Stiffness (n d, n d) of springs D (pairs, d, d) of the pairs; zero for constrained displacements."""
         d, frames = self.d, self.frames
-        ends = self.ends[:, [0, 1, 0, 1]], self.ends[:, [0, 1, 1, 0]]
-        pair, which = np.nonzero((ends[0] >= 0) & (ends[1] >= 0))
-        row, column = (end[pair, which] for end in ends)
+        ends = self.pair_nodes[:, [0, 1, 0, 1]], self.pair_nodes[:, [0, 1, 1, 0]]
+        pair, entry = np.nonzero((ends[0] >= 0) & (ends[1] >= 0))
+        row, column = (end[pair, entry] for end in ends)
         pair_stiffness = (frames.transpose(0, 2, 1) * self.weights[:, None, None]) @ D @ frames
-        blocks = pair_stiffness[pair] * np.where(which < 2, 1.0, -1.0)[:, None, None]
+        blocks = pair_stiffness[pair] * np.where(entry < 2, 1.0, -1.0)[:, None, None]
         blocks = blocks * self.free[row][:, :, None] * self.free[column][:, None, :]
         rows = (row[:, None, None] * d + np.arange(d)[:, None]).repeat(d, axis=2)
-        places = rows.ravel(), (column[:, None, None] * d + np.arange(d)).repeat(d, axis=1).ravel()
-        return csr_matrix((blocks.ravel(), places), shape=(len(self.dofs),) * 2)
+        indices = rows.ravel(), (column[:, None, None] * d + np.arange(d)).repeat(d, axis=1).ravel()
+        return csr_matrix((blocks.ravel(), indices), shape=(len(self.dofs),) * 2)
 
     def offsets(self, w: Array) -> Array:
         """Jumps w (pairs, d) whose tangential components are reduced by the slip at the start of the step."""
-        return self._gathered(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
+        return self._gather_values(lambda law, w, slip: np.column_stack([w[:, :-1] - slip, w[:, -1]]), w)
 
     def sweep(
-        self, K: bsr_matrix, g: Array, u: Array, sweeps: int, rest: Array | None = None, moves: BoolArray | None = None
+        self, K: bsr_matrix, g: Array, u: Array, sweeps: int, gaps: Array | None = None, moves: BoolArray | None = None
     ) -> int:
         """Run Gauss-Seidel sweeps in place: each node moves to the balance of its forces while all others are fixed.
 
@@ -169,15 +169,15 @@ class ContactPairs:
             g: (n d,) forces on the bodies.
             u: (n d,) displacements.
             sweeps: number of sweeps.
-            rest: (pairs, d) jumps where all u are zero; None: initial gaps.
+            gaps: (pairs, d) jumps where all u are zero; None: initial gaps.
             moves: (n,) mask of nodes that move; None: all.
 
         Returns:
             Number of solves of a node that failed; the node then keeps the best u of this solve.
         """
-        rest = self.gaps if rest is None else rest
-        laws = self._gathered(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), rest)
-        pairs = *self._by_node, self.frames, self.weights, laws, self.offsets(rest)
+        gaps = self.gaps if gaps is None else gaps
+        laws = self._gather_values(lambda law, w, _: np.tile(sweep_parameters(law), (len(w), 1)), gaps)
+        pairs = *self._by_node, self.frames, self.weights, laws, self.offsets(gaps)
         free, c = self.free if moves is None else self.free & moves[:, None], own_library(C_SOURCE)
         arrays = pointers(c, K.indptr, K.indices, K.data, g, u, *pairs, free)
         return int(c.lib.sweep_pairs(len(self.nodes), self.d, *arrays, sweeps))

@@ -101,26 +101,26 @@ def relax(
         The last iterate, also without convergence: if increments are not finite, grow or stagnate, or at `max_sweeps`.
     """
     c, A, n, d = own_library(C_SOURCE), system.A, len(system.b), system.contact.shape[1]
-    now, steps = np.zeros(n) if u is None else u.copy(), _coded_steps(system.contact, order, n)
-    rows = pointers(c, A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, now)
-    law, factors = np.array(sweep_parameters(system.law)), np.array([omega, omega_contact])
-    nodes = pointers(c, system.contact.astype(np.int32), system.weights, law, system.slip, factors)
-    arguments = len(steps), *pointers(c, steps), n, *rows, d, *nodes
+    u_now, steps = np.zeros(n) if u is None else u.copy(), _coded_steps(system.contact, order, n)
+    system_pointers = pointers(c, A.indptr.astype(np.int32), A.indices.astype(np.int32), A.data, system.b, u_now)
+    law_numbers, factors = np.array(sweep_parameters(system.law)), np.array([omega, omega_contact])
+    node_pointers = pointers(c, system.contact.astype(np.int32), system.weights, law_numbers, system.slip, factors)
+    arguments = len(steps), *pointers(c, steps), n, *system_pointers, d, *node_pointers
     (changes, increments), converged = np.empty((2, 0)), False
     while not converged and len(increments) < max_sweeps:
         chunk = min(SWEEPS_PER_TEST, max_sweeps - len(increments))
         change, size = np.empty(chunk), np.empty(chunk)
-        made = c.lib.relax_sweeps(*arguments, chunk, tolerance, *pointers(c, change, size))
+        n_sweeps = c.lib.relax_sweeps(*arguments, chunk, tolerance, *pointers(c, change, size))
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             relative = np.where(change > 0, change / size, change)
-        changes, increments = np.append(changes, change[:made]), np.append(increments, relative[:made])
+        changes, increments = np.append(changes, change[:n_sweeps]), np.append(increments, relative[:n_sweeps])
         converged = bool(increments[-1] <= tolerance)
         diverges = not changes[-1] <= DIVERGENCE_GROWTH * changes[:10].max()
         half = len(increments) // 2
         slow = half >= MIN_STAGNANT_SWEEPS // 2 and increments[half:].min() > STAGNATION_RATIO * increments[:half].min()
         if diverges or slow:
             break
-    return Relaxation(now, converged, increments)
+    return Relaxation(u_now, converged, increments)
 
 
 def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices:
@@ -133,14 +133,14 @@ def _coded_steps(contact: Indices, order: Indices | None, count: int) -> Indices
         order: (N,) dofs in the order of a sweep; None: in the order of their numbers.
         count: number N of dofs.
     """
-    place = np.arange(count) if order is None else np.argsort(order)
-    normal, tangential = place[contact[:, -1]].astype(float), place[contact[:, :-1]].min(axis=1).astype(float)
+    position = np.arange(count) if order is None else np.argsort(order)
+    normal, tangential = position[contact[:, -1]].astype(float), position[contact[:, :-1]].min(axis=1).astype(float)
     if order is None:
         normal, tangential = (np.minimum(normal, tangential) + shift for shift in (0.0, 0.5))
     others = np.setdiff1d(np.arange(count), contact)
     nodes = np.arange(len(contact))
     codes: Indices = np.concatenate([others, -1 - 2 * nodes, -2 - 2 * nodes]).astype(np.int32)
-    return codes[np.argsort(np.concatenate([place[others], normal, tangential]), kind="stable")]
+    return codes[np.argsort(np.concatenate([position[others], normal, tangential]), kind="stable")]
 
 
 class ContactRelaxation(ContactSolver):
@@ -164,7 +164,7 @@ class ContactRelaxation(ContactSolver):
             raise InputError("method='relaxation' needs supports on both sides of S or on the lower; use 'condensed'")
         self._fixed = self.is_fixed.copy()
         self._fixed[nodes.dofs] = self._fixed_jumps
-        self._T = self._change()
+        self._T = self._change_matrix()
         self._K = local_csr(equations.K)
         self._A = self._T.T @ self._K @ self._T
 
@@ -178,7 +178,7 @@ class ContactRelaxation(ContactSolver):
         rows = np.lexsort(np.rint(x[:, :d] / (1e-9 * self.equations.model.joint.size)).T)
         return np.asarray((rows[:, None] * d + np.arange(d)).ravel(), np.int32)
 
-    def _change(self) -> scipy.sparse.csr_matrix:
+    def _change_matrix(self) -> scipy.sparse.csr_matrix:
         """Matrix from the unknowns (jumps and other displacements) to all displacements, for zero gaps."""
         nodes, n = self.part.nodes, len(self.is_fixed)
         upper, others = nodes.dofs, np.setdiff1d(np.arange(n), nodes.dofs)
@@ -210,21 +210,21 @@ class ContactRelaxation(ContactSolver):
         x.array[equations.bc_dofs] = equations.prescribed
         prescribed = x.array_r.copy()
         prescribed[nodes.dofs] = np.where(self._fixed_jumps, nodes.separation(x), 0.0)
-        over = np.zeros(len(prescribed))  # displacements of the upper side that close the gaps
-        over[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
+        closing_u = np.zeros(len(prescribed))  # displacements of the upper side that close the gaps
+        closing_u[nodes.dofs] = nodes.frames[:, -1] * nodes.gap[:, None]
         diagonal = np.where(fixed, equations.mean_stiffness, 0.0)
         diagonal[nodes.dofs[moving][self._fixed_jumps[moving]]] *= FIXED_DIAGONAL
-        b = self._T.T @ (equations.external.array_r + self._K @ over) - self._A @ prescribed
+        b = self._T.T @ (equations.external.array_r + self._K @ closing_u) - self._A @ prescribed
         free = scipy.sparse.diags((~fixed).astype(float))
         A, b = (free @ self._A @ free + scipy.sparse.diags(diagonal)).tocsr(), np.where(fixed, diagonal * prescribed, b)
-        pairs = nodes.dofs[moving], nodes.weights[moving], self.part.law, self.part.slip[moving]
-        system, order, max_sweeps = SeamSystem(A, b, *pairs), self._order(), int(_option("max_sweeps"))
+        contact_data = nodes.dofs[moving], nodes.weights[moving], self.part.law, self.part.slip[moving]
+        system, order, max_sweeps = SeamSystem(A, b, *contact_data), self._order(), int(_option("max_sweeps"))
         relaxed = partial(relax, system, order=order, omega=_option("omega"), omega_contact=_option("omega_contact"))
         sweeps, u = 0, None  # sweeps until increments met the tolerance
         while True:  # increments may be small before forces balance
             relaxation = relaxed(u=u, tolerance=tolerance, max_sweeps=max_sweeps)
             u, sweeps = relaxation.u, sweeps or len(relaxation.increments)
-            x.array[:] = self._T @ u - over
+            x.array[:] = self._T @ u - closing_u
             x.array[equations.bc_dofs] = equations.prescribed
             residual = self.relative_residual()
             if not relaxation.converged or residual <= STATE_TOLERANCE or tolerance < MACHINE_EPSILON:
@@ -257,8 +257,8 @@ def _fixed_components(frames: Array, is_fixed: BoolArray) -> BoolArray:
     Raises:
         InputError: a node is constrained along axes other than those of S.
     """
-    along = np.abs(frames)
-    aligned = (np.abs(along - np.rint(along)) < AXIS_TOLERANCE).all(axis=(1, 2))
+    cosines = np.abs(frames)
+    aligned = (np.abs(cosines - np.rint(cosines)) < AXIS_TOLERANCE).all(axis=(1, 2))
     if (~aligned & is_fixed.any(axis=1) & ~is_fixed.all(axis=1)).any():
         raise InputError("method='relaxation' needs supports along the axes of S at its nodes; use 'condensed'")
-    return np.asarray(np.einsum("nij,nj->ni", along > 0.5, is_fixed) > 0)
+    return np.asarray(np.einsum("nij,nj->ni", cosines > 0.5, is_fixed) > 0)
