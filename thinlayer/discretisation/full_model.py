@@ -135,7 +135,7 @@ class LayerModel(FullModel):
     Each rank has the whole mesh. The faces of the layers are not constrained, so that the model alone cannot be solved.
 
     Attributes:
-        refined_layers: the layers' cells, refined towards free ends and junctions; None if they are the cells of `inflated`.
+        refined_layers: the layers, with cells refined towards free ends and junctions; None if not refined.
 
     Args:
         model: the interface model.
